@@ -1,0 +1,1 @@
+"""geomosaic.block."""

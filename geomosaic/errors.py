@@ -1,0 +1,85 @@
+"""What can go wrong, said so that the reader can mend it.
+
+    GeomosaicError                what, where, mend; exit code 1
+    ├── InputError                the user's files or values
+    │   ├── HeightDatumError      heights whose vertical datum is missing, unknown or has no grid
+    │   ├── RasterReadError       an image or DEM is missing, truncated or damaged
+    │   └── OutputExistsError     the output is there and --overwrite was not given
+    ├── OutputError               writing failed: disk full, no permission
+    ├── SensorError               no such sensor, a broken or a doubled plugin
+    ├── SolveError                a least squares problem that is not determined or does not converge
+    ├── QualityError              done, but a quality threshold failed; exit code 3
+    └── Interrupted               stopped on request, can be resumed; exit code 4
+"""
+
+from __future__ import annotations
+
+
+class GeomosaicError(Exception):
+    """A failure with its place and its mend.
+
+    Parameters
+    ----------
+    what : str
+        What is wrong, in one sentence.
+    where : str, optional
+        File, line, image, point or option.
+    mend : str, optional
+        What the reader can do about it.
+    """
+
+    exit_code = 1
+
+    def __init__(self, what: str, *, where: str | None = None, mend: str | None = None) -> None:
+        super().__init__(what)
+        self.what = what
+        self.where = where
+        self.mend = mend
+
+    def __str__(self) -> str:
+        text = f"{self.where}: {self.what}" if self.where else self.what
+        return f"{text}\n  mend: {self.mend}" if self.mend else text
+
+
+class InputError(GeomosaicError):
+    """The user's files or values are wrong."""
+
+
+class HeightDatumError(InputError):
+    """Heights have no vertical datum, an unknown one, or one whose grid is missing."""
+
+
+class RasterReadError(InputError):
+    """An image or DEM is missing, truncated or damaged."""
+
+
+class OutputExistsError(InputError):
+    """The output exists and overwriting was not asked for."""
+
+
+class OutputError(GeomosaicError):
+    """Writing failed; nothing half-written stays under a final name."""
+
+
+class SensorError(GeomosaicError):
+    """A sensor plugin is unknown, broken or doubled."""
+
+
+class SolveError(GeomosaicError):
+    """A least squares problem is not determined or does not converge."""
+
+
+class QualityError(GeomosaicError):
+    """The work is done, but a quality threshold failed."""
+
+    exit_code = 3
+
+
+class Interrupted(GeomosaicError):
+    """The run stopped on request; the same command resumes it."""
+
+    exit_code = 4
+
+
+class GeomosaicWarning(UserWarning):
+    """Something the user should know; the work goes on."""

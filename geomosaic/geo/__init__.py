@@ -1,0 +1,1 @@
+"""Coordinate reference systems, vertical datums, local frames, rotations and the raster grid."""

@@ -1,0 +1,191 @@
+"""Coordinate reference systems, horizontal and vertical, always named, never guessed.
+
+A 3-D CRS here is a geocentric CRS, a CRS with ellipsoidal heights (`to_3d`), or a compound of a horizontal
+CRS and a vertical one whose heights are reached through a geoid grid. EGM96 comes with the package.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import pyproj
+from pyproj import CRS
+from pyproj.crs import CompoundCRS
+from pyproj.exceptions import CRSError
+
+from geomosaic.errors import HeightDatumError, InputError
+from geomosaic.types import PathLike
+
+DATA = Path(__file__).parent / "data"
+pyproj.datadir.append_data_dir(str(DATA))
+pyproj.network.set_network_enabled(False)
+
+EGM96 = "EPSG:5773"
+
+
+def parse_crs(text: str | CRS, where: str | None = None) -> CRS:
+    """Read a CRS from an EPSG code, PROJ string, WKT or the path of a .prj file.
+
+    Raises
+    ------
+    InputError
+        The text names no CRS.
+    """
+    if isinstance(text, CRS):
+        return text
+    if not text or not text.strip():
+        raise InputError("no CRS given", where=where, mend="name one, for example EPSG:32633")
+    try:
+        if text.lower().endswith(".prj"):
+            text = Path(text).read_text()
+        return CRS.from_user_input(text)
+    except (CRSError, OSError) as error:
+        raise InputError(
+            f"'{text[:80]}' is not a coordinate reference system ({error})",
+            where=where,
+            mend="give an EPSG code such as EPSG:32633, a PROJ string, WKT, or the path of a .prj file",
+        ) from error
+
+
+def horizontal(crs: CRS) -> CRS:
+    """Return the two-dimensional part of a CRS (itself when it has no vertical part)."""
+    if crs.is_compound:
+        return horizontal(crs.sub_crs_list[0])
+    if crs.is_bound and crs.source_crs is not None:
+        return horizontal(crs.source_crs) if crs.source_crs.is_compound else crs
+    return crs.to_2d() if len(crs.axis_info) == 3 and not crs.is_geocentric else crs
+
+
+def has_heights(crs: CRS) -> bool:
+    """Say whether the CRS declares what its heights mean."""
+    return crs.is_geocentric or crs.is_vertical or len(crs.axis_info) == 3
+
+
+def height_name(crs: CRS) -> str:
+    """Name the vertical datum of a 3-D CRS, or 'undeclared'."""
+    if crs.is_geocentric:
+        return "geocentric"
+    if crs.is_compound:
+        return str(crs.sub_crs_list[1].name)
+    return "ellipsoidal" if has_heights(crs) else "undeclared"
+
+
+def with_heights(crs: CRS, heights: str, where: str | None = None) -> CRS:
+    """Join a horizontal CRS and a vertical datum into one 3-D CRS.
+
+    Parameters
+    ----------
+    crs : CRS
+        Horizontal CRS; a vertical part it may have is replaced.
+    heights : str
+        'ellipsoidal', 'egm96', an EPSG code of a vertical CRS, or the path of a geoid grid (.tif or .gtx) whose
+        values are the height of the geoid above the ellipsoid in metres.
+    where : str, optional
+        Named in errors.
+
+    Returns
+    -------
+    CRS
+        A 3-D CRS.
+
+    Raises
+    ------
+    HeightDatumError
+        The vertical datum is unknown or its grid file is missing.
+    """
+    flat = horizontal(crs)
+    key = heights.strip()
+    if key.lower() == "ellipsoidal":
+        return flat.to_3d()
+    if key.lower() == "egm96":
+        key = EGM96
+    if key.lower().endswith((".tif", ".gtx")):
+        return _compound(flat, _geoid_grid(key, where))
+    try:
+        vertical = CRS.from_user_input(key)
+    except CRSError as error:
+        raise HeightDatumError(
+            f"'{heights}' is not a vertical datum",
+            where=where,
+            mend="give 'ellipsoidal', 'egm96', an EPSG code of a vertical CRS, or the path of a geoid grid",
+        ) from error
+    if not vertical.is_vertical:
+        raise HeightDatumError(f"'{heights}' ({vertical.name}) is not a vertical CRS", where=where)
+    return _compound(flat, vertical)
+
+
+def _compound(flat: CRS, vertical: CRS) -> CRS:
+    return CompoundCRS(f"{flat.name} + {vertical.name}", [flat, vertical])
+
+
+def _geoid_grid(path: PathLike, where: str | None) -> CRS:
+    file = Path(path)
+    if not file.is_file():
+        raise HeightDatumError("the geoid grid does not exist", where=where or str(path))
+    return _bound_vertical(str(file.resolve()))
+
+
+@lru_cache
+def _bound_vertical(path: str) -> CRS:
+    """Make a vertical CRS bound to WGS 84 ellipsoidal heights by a grid file."""
+    wkt = f"""BOUNDCRS[
+        SOURCECRS[VERTCRS["geoid {Path(path).stem}",VDATUM["geoid {Path(path).stem}"],CS[vertical,1],
+            AXIS["gravity-related height (H)",up],LENGTHUNIT["metre",1]]],
+        TARGETCRS[{CRS.from_epsg(4979).to_wkt()}],
+        ABRIDGEDTRANSFORMATION["geoid height",METHOD["GravityRelatedHeight to Geographic3D"],
+            PARAMETERFILE["Geoid (height correction) model file","{path}"]]]"""
+    return CRS.from_wkt(wkt)
+
+
+def geocentric(crs: CRS) -> CRS:
+    """Return the Earth-centred, Earth-fixed Cartesian CRS on the datum of `crs` (no datum shift between them).
+
+    Raises
+    ------
+    InputError
+        The CRS is not tied to the Earth (a local engineering CRS).
+    """
+    geodetic = horizontal(crs).geodetic_crs
+    if geodetic is None:
+        raise InputError(
+            f"'{crs.name}' is not tied to the Earth",
+            mend="use a geodetic or projected CRS, or the planar treatment of the camera",
+        )
+    if geodetic.is_geocentric:
+        return geodetic
+    description = geodetic.to_json_dict()
+    for key in ("id", "scope", "area", "bbox", "usages", "remarks"):
+        description.pop(key, None)
+    description["type"] = "GeodeticCRS"
+    description["name"] = f"{geodetic.name} (geocentric)"
+    description["coordinate_system"] = {
+        "subtype": "Cartesian",
+        "axis": [
+            {"name": f"Geocentric {a}", "abbreviation": a, "direction": f"geocentric{a}", "unit": "metre"}
+            for a in "XYZ"
+        ],
+    }
+    return CRS.from_json_dict(description)
+
+
+def geographic(crs: CRS) -> CRS:
+    """Return longitude, latitude and ellipsoidal height in degrees and metres on the datum of `crs`."""
+    geodetic = horizontal(crs).geodetic_crs
+    if geodetic is None:
+        raise InputError(f"'{crs.name}' is not tied to the Earth")
+    if not geodetic.is_geocentric:
+        return geodetic.to_3d()
+    description = geodetic.to_json_dict()
+    for key in ("id", "scope", "area", "bbox", "usages", "remarks"):
+        description.pop(key, None)
+    description["type"] = "GeographicCRS"
+    description["coordinate_system"] = {
+        "subtype": "ellipsoidal",
+        "axis": [
+            {"name": "Geodetic latitude", "abbreviation": "Lat", "direction": "north", "unit": "degree"},
+            {"name": "Geodetic longitude", "abbreviation": "Lon", "direction": "east", "unit": "degree"},
+            {"name": "Ellipsoidal height", "abbreviation": "h", "direction": "up", "unit": "metre"},
+        ],
+    }
+    return CRS.from_json_dict(description)

@@ -1,0 +1,159 @@
+"""The output raster as a value: CRS, affine and shape. Every change gives a new one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from affine import Affine
+from pyproj import CRS
+
+from geomosaic.errors import InputError
+from geomosaic.types import FloatArray
+
+Bounds = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of pixels: first column and row, width and height."""
+
+    col: int
+    row: int
+    width: int
+    height: int
+
+    @property
+    def stop_col(self) -> int:
+        """Column after the last."""
+        return self.col + self.width
+
+    @property
+    def stop_row(self) -> int:
+        """Row after the last."""
+        return self.row + self.height
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is no pixel in it."""
+        return self.width <= 0 or self.height <= 0
+
+    def intersection(self, other: Window) -> Window:
+        """Return the common part; it may be empty."""
+        col, row = max(self.col, other.col), max(self.row, other.row)
+        return Window(
+            col, row, min(self.stop_col, other.stop_col) - col, min(self.stop_row, other.stop_row) - row
+        )
+
+    def split(self, width: int, height: int) -> list[Window]:
+        """Cut into pieces of at most width × height, row by row, from the upper left."""
+        return [
+            Window(c, r, min(width, self.stop_col - c), min(height, self.stop_row - r))
+            for r in range(self.row, self.stop_row, height)
+            for c in range(self.col, self.stop_col, width)
+        ]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A raster's place on the map.
+
+    Attributes
+    ----------
+    crs : CRS
+        Horizontal CRS.
+    transform : Affine
+        Pixel corner (col, row) to map (x, y): (0, 0) is the outer corner of the upper-left pixel, (0.5, 0.5) its centre.
+    width, height : int
+        Pixels.
+    """
+
+    crs: CRS
+    transform: Affine
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise InputError(f"a grid of {self.width} x {self.height} pixels has no area")
+        if self.transform.determinant == 0:
+            raise InputError("the grid's pixel size is zero")
+
+    @classmethod
+    def from_bounds(cls, crs: CRS, bounds: Bounds, resolution: float, *, snap: bool = True) -> Grid:
+        """North-up grid that covers `bounds` (left, bottom, right, top) with square pixels.
+
+        With `snap`, pixel edges fall on whole multiples of the resolution, so that independent runs overlay exactly.
+        """
+        left, bottom, right, top = bounds
+        if not (resolution > 0 and math.isfinite(resolution)):
+            raise InputError(f"resolution {resolution} is not a positive number", mend="give --res in map units")
+        if not all(map(math.isfinite, bounds)) or left >= right or bottom >= top:
+            raise InputError(f"bounds {bounds} enclose no area", mend="give left bottom right top in the output CRS")
+        if snap:
+            # A hair of tolerance keeps 12.000000001 from costing a column of empty pixels.
+            left = math.floor(left / resolution + 1e-6) * resolution
+            top = math.ceil(top / resolution - 1e-6) * resolution
+        width = max(1, math.ceil((right - left) / resolution - 1e-6))
+        height = max(1, math.ceil((top - bottom) / resolution - 1e-6))
+        return cls(crs, Affine(resolution, 0.0, left, 0.0, -resolution, top), width, height)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows, columns."""
+        return self.height, self.width
+
+    @property
+    def window(self) -> Window:
+        """The whole grid as a window."""
+        return Window(0, 0, self.width, self.height)
+
+    @property
+    def resolution(self) -> tuple[float, float]:
+        """Pixel size along columns and rows, in map units (positive)."""
+        t = self.transform
+        return math.hypot(t.a, t.d), math.hypot(t.b, t.e)
+
+    @property
+    def bounds(self) -> Bounds:
+        """Left, bottom, right, top of all four corners."""
+        corners = np.array([[0, 0], [self.width, 0], [0, self.height], [self.width, self.height]], dtype=np.float64)
+        xy = self.xy(corners)
+        return float(xy[:, 0].min()), float(xy[:, 1].min()), float(xy[:, 0].max()), float(xy[:, 1].max())
+
+    def xy(self, colrow: FloatArray) -> FloatArray:
+        """Pixel coordinates (N, 2), corner-based, to map coordinates (N, 2)."""
+        t, p = self.transform, np.asarray(colrow, dtype=np.float64)
+        return np.column_stack([t.a * p[:, 0] + t.b * p[:, 1] + t.c, t.d * p[:, 0] + t.e * p[:, 1] + t.f])
+
+    def colrow(self, xy: FloatArray) -> FloatArray:
+        """Map coordinates (N, 2) to pixel coordinates (N, 2), corner-based."""
+        t, p = ~self.transform, np.asarray(xy, dtype=np.float64)
+        return np.column_stack([t.a * p[:, 0] + t.b * p[:, 1] + t.c, t.d * p[:, 0] + t.e * p[:, 1] + t.f])
+
+    def crop(self, window: Window) -> Grid:
+        """Return the grid of one window of this grid."""
+        return replace(
+            self,
+            transform=self.transform * Affine.translation(window.col, window.row),
+            width=window.width,
+            height=window.height,
+        )
+
+    def coarser(self, factor: int) -> Grid:
+        """Return the same area in pixels `factor` times as large, the last row and column reaching over."""
+        return replace(
+            self,
+            transform=self.transform * Affine.scale(factor),
+            width=-(-self.width // factor),
+            height=-(-self.height // factor),
+        )
+
+    def window_of(self, bounds: Bounds) -> Window:
+        """Smallest window, cut to the grid, that covers map bounds; it may be empty."""
+        left, bottom, right, top = bounds
+        p = self.colrow(np.array([[left, bottom], [left, top], [right, bottom], [right, top]]))
+        low, high = np.floor(p.min(axis=0) + 1e-9), np.ceil(p.max(axis=0) - 1e-9)
+        window = Window(int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
+        return window.intersection(self.window)

@@ -1,0 +1,95 @@
+"""Local frames on the Earth: east-north-up, meridian convergence, grid scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pyproj import CRS, Proj
+
+from geomosaic.geo.crs import geocentric, geographic, horizontal
+from geomosaic.geo.transform import Transform
+from geomosaic.types import FloatArray
+
+
+def enu_axes(longitude: float, latitude: float) -> FloatArray:
+    """Rotation from geocentric to local east, north, up at a place given in degrees; shape (3, 3), rows E, N, U."""
+    lon, lat = np.radians(longitude), np.radians(latitude)
+    sl, cl, sp, cp = np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat)
+    return np.array([[-sl, cl, 0.0], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]])
+
+
+@dataclass(frozen=True)
+class MapPlace:
+    """What a map projection does at one place.
+
+    Attributes
+    ----------
+    longitude, latitude : float
+        Degrees, on the datum of the map CRS.
+    convergence : float
+        Meridian convergence in degrees: the azimuth of grid north, clockwise from true north (PROJ's sign).
+    scale : float
+        Point scale factor of the projection (1 on the ellipsoid); the mean of both axes where not conformal.
+    """
+
+    longitude: float
+    latitude: float
+    convergence: float
+    scale: float
+
+
+def map_place(crs: CRS, x: float, y: float) -> MapPlace:
+    """Longitude, latitude, convergence and point scale at (x, y) of a map CRS.
+
+    The convergence is measured, not taken from formulas: a step to grid north is followed on the ellipsoid. So it
+    holds for every projection, axis order and unit.
+    """
+    flat = horizontal(crs)
+    to_geographic = Transform(flat, horizontal(geographic(flat)))
+    longitude, latitude = to_geographic(np.array([[x, y]]))[0]
+    if not flat.is_projected:
+        return MapPlace(float(longitude), float(latitude), 0.0, 1.0)
+    factors = Proj(flat).get_factors(longitude, latitude)
+    scale = float(np.sqrt(factors.meridional_scale * factors.parallel_scale))
+    step = 10.0
+    ends = to_geographic(np.array([[x, y - step], [x, y + step]]))
+    ellipsoid = flat.get_geod()
+    azimuth = ellipsoid.inv(*ends[0], *ends[1])[0]
+    return MapPlace(float(longitude), float(latitude), float(azimuth), scale)
+
+
+@dataclass(frozen=True)
+class LocalFrame:
+    """East, north, up at an origin, in metres, tied to a geocentric CRS.
+
+    Attributes
+    ----------
+    crs : CRS
+        Geocentric.
+    origin : array (3,)
+        Geocentric metres.
+    axes : array (3, 3)
+        Rows are the unit vectors east, north, up.
+    """
+
+    crs: CRS
+    origin: FloatArray
+    axes: FloatArray
+
+    @classmethod
+    def at(cls, ground: CRS, xyz: FloatArray) -> LocalFrame:
+        """Make the frame at one point of a 3-D CRS."""
+        ecef = geocentric(ground)
+        point = np.asarray(xyz, dtype=np.float64).reshape(1, 3)
+        origin = Transform(ground, ecef)(point)[0]
+        longitude, latitude, _ = Transform(ecef, geographic(ecef))(origin[None])[0]
+        return cls(ecef, origin, enu_axes(longitude, latitude))
+
+    def to_enu(self, xyz: FloatArray) -> FloatArray:
+        """Geocentric (N, 3) to east, north, up in metres (N, 3)."""
+        return (np.asarray(xyz) - self.origin) @ self.axes.T
+
+    def to_geocentric(self, enu: FloatArray) -> FloatArray:
+        """East, north, up (N, 3) to geocentric metres (N, 3)."""
+        return np.asarray(enu) @ self.axes + self.origin

@@ -1,0 +1,115 @@
+"""Datum-aware point transforms that fail loudly instead of shifting heights in silence."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
+from pyproj.transformer import TransformerGroup
+
+from geomosaic.errors import HeightDatumError, InputError
+from geomosaic.geo.crs import has_heights, height_name, horizontal
+from geomosaic.types import FloatArray
+
+
+@dataclass(frozen=True)
+class Transform:
+    """Points of one CRS to another, x east before y north, ballpark operations refused.
+
+    Where either end has no heights, only x and y are transformed and z passes through.
+
+    Parameters
+    ----------
+    source, target : CRS
+        2-D or 3-D.
+    """
+
+    source: CRS
+    target: CRS
+
+    def __post_init__(self) -> None:
+        self._operation  # noqa: B018  fail when made, not at the first point
+
+    @property
+    def spatial(self) -> bool:
+        """Whether heights take part."""
+        return has_heights(self.source) and has_heights(self.target)
+
+    @property
+    def _operation(self) -> Transformer | None:
+        if self.spatial:
+            return _operation(self.source.to_wkt(), self.target.to_wkt(), True)
+        if self.source.is_geocentric or self.target.is_geocentric:
+            flat = self.target if self.source.is_geocentric else self.source
+            raise HeightDatumError(
+                f"the heights of '{flat.name}' have no vertical datum, so they cannot meet an Earth-centred model",
+                mend="declare the heights: 'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid",
+            )
+        return _operation(horizontal(self.source).to_wkt(), horizontal(self.target).to_wkt(), False)
+
+    def __call__(self, xyz: FloatArray) -> FloatArray:
+        """Transform points.
+
+        Parameters
+        ----------
+        xyz : array (N, 3) or (N, 2)
+            In `source`; metres or degrees as the CRS has it.
+
+        Returns
+        -------
+        array of the same shape
+            In `target`; NaN where a point cannot be transformed.
+        """
+        points = np.asarray(xyz, dtype=np.float64)
+        operation = self._operation
+        if operation is None or not len(points):
+            return points.copy()
+        out = np.array(points, dtype=np.float64)
+        if self.spatial and points.shape[1] == 3:
+            out[:, 0], out[:, 1], out[:, 2] = operation.transform(points[:, 0], points[:, 1], points[:, 2])
+        else:
+            out[:, 0], out[:, 1] = operation.transform(points[:, 0], points[:, 1])
+        out[~np.isfinite(out).all(axis=1)] = np.nan
+        return out
+
+    def inverse(self) -> Transform:
+        """Return the transform from target to source."""
+        return Transform(self.target, self.source)
+
+
+@lru_cache(maxsize=64)
+def _operation(source_wkt: str, target_wkt: str, spatial: bool) -> Transformer | None:
+    """Make the PROJ operation once per pair; None is the identity."""
+    if source_wkt == target_wkt:
+        return None
+    source, target = CRS.from_wkt(source_wkt), CRS.from_wkt(target_wkt)
+    if not spatial and source.equals(target, ignore_axis_order=True):
+        return None
+    try:
+        return Transformer.from_crs(source, target, always_xy=True, allow_ballpark=False)
+    except ProjError as error:
+        raise _no_operation(source, target) from error
+
+
+def _no_operation(source: CRS, target: CRS) -> InputError:
+    """Name the grid that is missing, when one is."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it would warn of the very grid that the error names
+        group = TransformerGroup(source, target, always_xy=True, allow_ballpark=False)
+    grids = sorted(
+        {grid.short_name for op in group.unavailable_operations for grid in op.grids if not grid.available}
+    )
+    what = (
+        f"no trustworthy transformation from '{source.name}' (heights: {height_name(source)}) "
+        f"to '{target.name}' (heights: {height_name(target)})"
+    )
+    if grids:
+        return HeightDatumError(
+            f"{what}: grid {' or '.join(grids)} is not installed",
+            mend="give the path of a geoid grid file as the vertical datum, or declare another one, e.g. 'egm96'",
+        )
+    return InputError(what, mend="check both coordinate reference systems, or give a geoid grid file")

@@ -1,0 +1,65 @@
+"""The contract of a sensor: one pure map from ground to image, with its parameters and its state."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, Self, runtime_checkable
+
+from pyproj import CRS
+
+from geomosaic.sensor.parameters import Parameters
+from geomosaic.types import FloatArray
+
+
+@runtime_checkable
+class SensorModel(Protocol):
+    """A frozen map ground → image.
+
+    Image coordinates are (col, row), (0.5, 0.5) being the centre of the upper-left pixel. A point that the model cannot
+    see in principle (behind the camera) is NaN, never an exception; one bad point never spoils the others. Points that
+    merely fall outside the image keep smooth, finite coordinates outside it: the lattice interpolates across the edge.
+    """
+
+    @property
+    def crs(self) -> CRS:
+        """Frame of xyz: geocentric or another 3-D CRS; a 2-D projected CRS where heights play no part."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the image in pixels."""
+
+    @property
+    def parameters(self) -> Parameters:
+        """What an adjustment may change."""
+
+    @property
+    def seed(self) -> tuple[float, float, float]:
+        """A ground point near the middle of what the image shows, in `crs`; inverses start there."""
+
+    def ground_to_image(self, xyz: FloatArray) -> FloatArray:
+        """Ground (N, 3) in `crs` to image (N, 2) in pixels."""
+
+    def with_values(self, values: FloatArray) -> Self:
+        """Return a new model with other parameter values (P,)."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values; `from_dict` of the same class gives the model back."""
+
+    @classmethod
+    def from_dict(cls, state: dict[str, Any]) -> Self:
+        """Rebuild a model from `to_dict`."""
+
+
+@runtime_checkable
+class HasRays(Protocol):
+    """Optional power: lines of sight in closed form."""
+
+    def rays(self, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Image (N, 2) to origins (N, 3) and unit directions (N, 3) towards the ground, in the model's Cartesian `crs`."""
+
+
+@runtime_checkable
+class HasJacobian(Protocol):
+    """Optional power: derivatives in closed form."""
+
+    def jacobian(self, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of (col, row) by parameters (N, 2, P) and by ground coordinates (N, 2, 3)."""

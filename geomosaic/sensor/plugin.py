@@ -1,0 +1,64 @@
+"""What a sensor plugin offers at its door."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from pyproj import CRS
+
+from geomosaic.sensor.model import SensorModel
+
+
+@dataclass(frozen=True)
+class SensorInput:
+    """One input of a plugin, for `geomosaic sensors NAME` and for error messages."""
+
+    name: str
+    text: str
+    unit: str = ""
+    default: str | None = None
+
+
+@dataclass(frozen=True)
+class SensorRequest:
+    """What is known about one image when its model is asked for.
+
+    Attributes
+    ----------
+    image : str
+        The image's name, for messages.
+    size : tuple of int
+        Width and height in pixels.
+    options : mapping
+        The plugin's own inputs: numbers, strings, lists and nested mappings, as TOML has them.
+    crs : CRS, optional
+        3-D (or 2-D, for models without heights) CRS in which positions in `options` are given.
+    base : str
+        Folder that relative file names in `options` start from.
+    """
+
+    image: str
+    size: tuple[int, int]
+    options: Mapping[str, Any] = field(default_factory=dict)
+    crs: CRS | None = None
+    base: str = "."
+
+
+class SensorPlugin(Protocol):
+    """A sensor, as found through the entry point group 'geomosaic.sensors'."""
+
+    name: str
+    summary: str
+    inputs: tuple[SensorInput, ...]
+    model: type[SensorModel]
+
+    def build(self, request: SensorRequest) -> SensorModel:
+        """Make the model of one image.
+
+        Raises
+        ------
+        InputError
+            An input is missing, unknown or out of range; it names the image and the input.
+        """

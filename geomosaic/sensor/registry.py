@@ -1,0 +1,89 @@
+"""Finding sensor plugins: listed without loading, loaded when asked for."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from geomosaic.errors import SensorError
+from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.plugin import SensorPlugin, SensorRequest
+
+GROUP = "geomosaic.sensors"
+
+
+@dataclass(frozen=True)
+class SensorEntry:
+    """An installed plugin, not loaded: its name, and the distribution and version it comes from."""
+
+    name: str
+    distribution: str
+    version: str
+    target: str
+
+
+def _found() -> list[tuple[SensorEntry, EntryPoint]]:
+    pairs = []
+    for point in entry_points(group=GROUP):
+        dist = point.dist
+        entry = SensorEntry(
+            point.name, dist.name if dist else "unknown", dist.version if dist else "", point.value
+        )
+        pairs.append((entry, point))
+    return sorted(pairs, key=lambda pair: (pair[0].name, pair[0].distribution))
+
+
+def installed() -> list[SensorEntry]:
+    """List the installed sensors, in the order of their names; none is imported."""
+    return [entry for entry, _ in _found()]
+
+
+@lru_cache(maxsize=64)
+def plugin(name: str) -> SensorPlugin:
+    """Load one plugin.
+
+    Raises
+    ------
+    SensorError
+        No such sensor, two of that name, or the plugin fails to import (with its cause).
+    """
+    found = [(entry, point) for entry, point in _found() if entry.name == name]
+    if not found:
+        names = [entry.name for entry in installed()]
+        close = difflib.get_close_matches(name, names, 1)
+        hint = f"did you mean '{close[0]}'? " if close else ""
+        raise SensorError(f"no sensor named '{name}'", mend=f"{hint}installed are: {', '.join(names) or 'none'}")
+    if len({entry.target for entry, _ in found}) > 1:
+        owners = " and ".join(f"{e.distribution} {e.version} ({e.target})" for e, _ in found)
+        raise SensorError(f"two sensors are named '{name}': {owners}", mend="uninstall one of them")
+    entry, point = found[0]
+    try:
+        loaded: SensorPlugin = point.load()
+    except Exception as error:
+        raise SensorError(
+            f"sensor '{name}' of {entry.distribution} {entry.version} cannot be loaded: "
+            f"{type(error).__name__}: {error}",
+            mend="reinstall or uninstall that distribution",
+        ) from error
+    missing = [part for part in ("name", "summary", "inputs", "model", "build") if not hasattr(loaded, part)]
+    if missing:
+        raise SensorError(f"sensor '{name}' of {entry.distribution} has no {', '.join(missing)}")
+    return loaded
+
+
+def build(name: str, request: SensorRequest) -> SensorModel:
+    """Make the model of one image with the sensor `name`."""
+    return plugin(name).build(request)
+
+
+def to_dict(name: str, model: SensorModel) -> dict[str, Any]:
+    """State of a model with the sensor's name, as JSON values."""
+    return {"sensor": name, "state": model.to_dict()}
+
+
+def from_dict(state: dict[str, Any]) -> SensorModel:
+    """Rebuild a model from `to_dict`."""
+    return plugin(state["sensor"]).model.from_dict(state["state"])

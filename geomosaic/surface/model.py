@@ -1,0 +1,54 @@
+"""The contract of a surface: heights over a map, in a 3-D CRS that says what they mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from affine import Affine
+from pyproj import CRS
+
+from geomosaic.geo.grid import Bounds
+from geomosaic.types import Float32Array, FloatArray
+
+
+@dataclass(frozen=True)
+class HeightPatch:
+    """A window of heights for the sampling kernel.
+
+    Attributes
+    ----------
+    heights : float32 array (rows, cols)
+        Metres; NaN where unknown.
+    transform : Affine
+        Surface map (x, y) to patch (col, row), corner-based: a node's height holds at (col + 0.5, row + 0.5).
+    """
+
+    heights: Float32Array
+    transform: Affine
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Lowest and highest known height; NaN where none is known."""
+        if np.isnan(self.heights).all():
+            return float("nan"), float("nan")
+        return float(np.nanmin(self.heights)), float(np.nanmax(self.heights))
+
+
+class Surface(Protocol):
+    """Heights z over (x, y)."""
+
+    @property
+    def crs(self) -> CRS:
+        """3-D CRS of x, y and z."""
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Lowest and highest height in metres; every height lies between them."""
+
+    def height(self, xy: FloatArray) -> FloatArray:
+        """Heights (N,) at (N, 2) in `crs`; NaN where unknown."""
+
+    def patch(self, bounds: Bounds) -> HeightPatch:
+        """Heights that cover bounds (left, bottom, right, top) in `crs`, with a margin for interpolation."""
