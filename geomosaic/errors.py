@@ -1,15 +1,15 @@
 """What can go wrong, said so that the reader can mend it.
 
-    GeomosaicError                what, where, mend; exit code 1
-    ├── InputError                the user's files or values
-    │   ├── HeightDatumError      heights whose vertical datum is missing, unknown or has no grid
-    │   ├── RasterReadError       an image or DEM is missing, truncated or damaged
-    │   └── OutputExistsError     the output is there and --overwrite was not given
-    ├── OutputError               writing failed: disk full, no permission
-    ├── SensorError               no such sensor, a broken or a doubled plugin
-    ├── SolveError                a least squares problem that is not determined or does not converge
-    ├── QualityError              done, but a quality threshold failed; exit code 3
-    └── Interrupted               stopped on request, can be resumed; exit code 4
+GeomosaicError                what, where, mend; exit code 1
+├── InputError                the user's files or values
+│   ├── HeightDatumError      heights whose vertical datum is missing, unknown or has no grid
+│   ├── RasterReadError       an image or DEM is missing, truncated or damaged
+│   └── OutputExistsError     the output is there and --overwrite was not given
+├── OutputError               writing failed: disk full, no permission
+├── SensorError               no such sensor, a broken or a doubled plugin
+├── SolveError                a least squares problem that is not determined or does not converge
+├── QualityError              done, but a quality threshold failed; exit code 3
+└── Interrupted               stopped on request, can be resumed; exit code 4
 """
 
 from __future__ import annotations

@@ -42,9 +42,7 @@ class Window:
     def intersection(self, other: Window) -> Window:
         """Return the common part; it may be empty."""
         col, row = max(self.col, other.col), max(self.row, other.row)
-        return Window(
-            col, row, min(self.stop_col, other.stop_col) - col, min(self.stop_row, other.stop_row) - row
-        )
+        return Window(col, row, min(self.stop_col, other.stop_col) - col, min(self.stop_row, other.stop_row) - row)
 
     def split(self, width: int, height: int) -> list[Window]:
         """Cut into pieces of at most width × height, row by row, from the upper left."""

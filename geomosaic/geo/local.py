@@ -55,7 +55,7 @@ def map_place(crs: CRS, x: float, y: float) -> MapPlace:
     step = 10.0
     ends = to_geographic(np.array([[x, y - step], [x, y + step]]))
     ellipsoid = flat.get_geod()
-    azimuth = ellipsoid.inv(*ends[0], *ends[1])[0]
+    azimuth = ellipsoid.inv(*ends[0], *ends[1])[0] if ellipsoid else 0.0
     return MapPlace(float(longitude), float(latitude), float(azimuth), scale)
 
 

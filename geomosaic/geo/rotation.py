@@ -30,7 +30,8 @@ def r3(angle: float) -> FloatArray:
 
 def omega_phi_kappa(omega: float, phi: float, kappa: float) -> FloatArray:
     """Ground→image rotation R3(κ)·R2(φ)·R1(ω) from angles in radians; shape (3, 3)."""
-    return r3(kappa) @ r2(phi) @ r1(omega)
+    rotation: FloatArray = r3(kappa) @ r2(phi) @ r1(omega)
+    return rotation
 
 
 def angles_of(rotation: FloatArray) -> tuple[float, float, float]:

@@ -100,9 +100,7 @@ def _no_operation(source: CRS, target: CRS) -> InputError:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it would warn of the very grid that the error names
         group = TransformerGroup(source, target, always_xy=True, allow_ballpark=False)
-    grids = sorted(
-        {grid.short_name for op in group.unavailable_operations for grid in op.grids if not grid.available}
-    )
+    grids = sorted({grid.short_name for op in group.unavailable_operations for grid in op.grids if not grid.available})
     what = (
         f"no trustworthy transformation from '{source.name}' (heights: {height_name(source)}) "
         f"to '{target.name}' (heights: {height_name(target)})"

@@ -29,9 +29,7 @@ def _found() -> list[tuple[SensorEntry, EntryPoint]]:
     pairs = []
     for point in entry_points(group=GROUP):
         dist = point.dist
-        entry = SensorEntry(
-            point.name, dist.name if dist else "unknown", dist.version if dist else "", point.value
-        )
+        entry = SensorEntry(point.name, dist.name if dist else "unknown", dist.version if dist else "", point.value)
         pairs.append((entry, point))
     return sorted(pairs, key=lambda pair: (pair[0].name, pair[0].distribution))
 
