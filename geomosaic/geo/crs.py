@@ -10,7 +10,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import pyproj
-import pyproj.network
 from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
@@ -20,7 +19,6 @@ from geomosaic.types import PathLike
 
 DATA = Path(__file__).parent / "data"
 pyproj.datadir.append_data_dir(str(DATA))
-pyproj.network.set_network_enabled(active=False)
 
 EGM96 = "EPSG:5773"
 

@@ -1,0 +1,305 @@
+"""Numba kernels: image coordinates of output pixels, and values at them.
+
+Each has a plain NumPy twin in `reference.py` that computes the same operations in the same order, so both give the same
+bytes; the twin serves small jobs and the tests. No fastmath: results must not depend on how loops are vectorised.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+NEAREST, BILINEAR, CUBIC, LANCZOS = 0, 1, 2, 3
+
+
+@njit(cache=True, nogil=True)
+def coordinates(nodes, places, heights, z_middle, z_inverse, flat, step, first_row, n, cols, rows):  # type: ignore[no-untyped-def]
+    """Fill `cols`, `rows` (R·n, C·n) with image coordinates of the sub-pixels of R output rows from `first_row`.
+
+    `nodes` (ny, nx, 8) are cubic coefficients, `places` (ny, nx, 2) node positions in the height patch (0 = centre of the
+    first height), `heights` the patch. All as `sensor.lattice.Lattice` has them.
+    """
+    height, width = cols.shape
+    dem_rows, dem_cols = heights.shape
+    cells = nodes.shape[1] - 1
+    z = np.empty(width)
+    left = np.empty(8)
+    delta = np.empty(8)
+    for k in range(height):
+        v = (first_row + (k + 0.5) / n) / step
+        j = int(v)
+        fv = v - j
+        for i in range(cells):
+            start = i * step * n
+            stop = min(start + step * n, width)
+            if flat:
+                for m in (0, 4):
+                    a = nodes[j, i, m] + (nodes[j + 1, i, m] - nodes[j, i, m]) * fv
+                    b = nodes[j, i + 1, m] + (nodes[j + 1, i + 1, m] - nodes[j, i + 1, m]) * fv
+                    left[m] = a
+                    delta[m] = b - a
+                for c in range(start, stop):
+                    u = (c + 0.5) / n / step - i
+                    cols[k, c] = left[0] + delta[0] * u
+                    rows[k, c] = left[4] + delta[4] * u
+                continue
+            for m in range(8):
+                a = nodes[j, i, m] + (nodes[j + 1, i, m] - nodes[j, i, m]) * fv
+                b = nodes[j, i + 1, m] + (nodes[j + 1, i + 1, m] - nodes[j, i + 1, m]) * fv
+                left[m] = a
+                delta[m] = b - a
+            xa = places[j, i, 0] + (places[j + 1, i, 0] - places[j, i, 0]) * fv
+            xb = places[j, i + 1, 0] + (places[j + 1, i + 1, 0] - places[j, i + 1, 0]) * fv
+            ya = places[j, i, 1] + (places[j + 1, i, 1] - places[j, i, 1]) * fv
+            yb = places[j, i + 1, 1] + (places[j + 1, i + 1, 1] - places[j, i + 1, 1]) * fv
+            for c in range(start, stop):
+                u = (c + 0.5) / n / step - i
+                x = xa + (xb - xa) * u
+                y = ya + (yb - ya) * u
+                if not (x >= -0.5 and y >= -0.5 and x <= dem_cols - 0.5 and y <= dem_rows - 0.5):
+                    z[c] = np.nan
+                    continue
+                x = min(max(x, 0.0), dem_cols - 1.0)
+                y = min(max(y, 0.0), dem_rows - 1.0)
+                x0 = int(x)
+                y0 = int(y)
+                fx = x - x0
+                fy = y - y0
+                x1 = min(x0 + 1, dem_cols - 1)
+                y1 = min(y0 + 1, dem_rows - 1)
+                top = float(heights[y0, x0])
+                low = float(heights[y1, x0])
+                if fx > 0.0:
+                    top += (heights[y0, x1] - top) * fx
+                    low += (heights[y1, x1] - low) * fx
+                if fy > 0.0:
+                    top += (low - top) * fy
+                z[c] = (top - z_middle) * z_inverse
+            c0, c1, c2, c3, r0, r1, r2, r3 = left
+            d0, d1, d2, d3, e0, e1, e2, e3 = delta
+            for c in range(start, stop):
+                u = (c + 0.5) / n / step - i
+                t = z[c]
+                cols[k, c] = (((c3 + d3 * u) * t + (c2 + d2 * u)) * t + (c1 + d1 * u)) * t + (c0 + d0 * u)
+                rows[k, c] = (((r3 + e3 * u) * t + (r2 + e2 * u)) * t + (r1 + e1 * u)) * t + (r0 + e0 * u)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _bilinear(source, valid, masked, x, y, values):  # type: ignore[no-untyped-def]
+    """Weighted mean of the valid ones of four pixels; taps beyond the window repeat its edge."""
+    height, width, bands = source.shape
+    px = x - 0.5
+    py = y - 0.5
+    i = math.floor(px)
+    j = math.floor(py)
+    a = px - i
+    b = py - j
+    i0 = max(i, 0)
+    j0 = max(j, 0)
+    i1 = min(i + 1, width - 1)
+    j1 = min(j + 1, height - 1)
+    if masked and not (valid[j0, i0] and valid[j0, i1] and valid[j1, i0] and valid[j1, i1]):
+        w00 = (1.0 - a) * (1.0 - b) * valid[j0, i0]
+        w01 = a * (1.0 - b) * valid[j0, i1]
+        w10 = (1.0 - a) * b * valid[j1, i0]
+        w11 = a * b * valid[j1, i1]
+        total = w00 + w01 + w10 + w11
+        for m in range(bands):
+            value = 0.0
+            if w00 > 0.0:
+                value += w00 * source[j0, i0, m]
+            if w01 > 0.0:
+                value += w01 * source[j0, i1, m]
+            if w10 > 0.0:
+                value += w10 * source[j1, i0, m]
+            if w11 > 0.0:
+                value += w11 * source[j1, i1, m]
+            values[m] = value / total
+        return
+    for m in range(bands):
+        p00 = float(source[j0, i0, m])
+        p10 = float(source[j1, i0, m])
+        top = p00 + (float(source[j0, i1, m]) - p00) * a
+        low = p10 + (float(source[j1, i1, m]) - p10) * a
+        values[m] = top + (low - top) * b
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _whole(valid, masked, width, height, i, j, radius):  # type: ignore[no-untyped-def]
+    """Whether all taps i−radius+1 … i+radius in both directions are in the window and valid."""
+    if i - radius + 1 < 0 or j - radius + 1 < 0 or i + radius >= width or j + radius >= height:
+        return False
+    if masked:
+        for q in range(j - radius + 1, j + radius + 1):
+            for p in range(i - radius + 1, i + radius + 1):
+                if not valid[q, p]:
+                    return False
+    return True
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _store(out, out_valid, k, c, values, gain, offset, low, high, whole):  # type: ignore[no-untyped-def]
+    for m in range(out.shape[2]):
+        value = values[m] * gain[m] + offset[m]
+        if whole:
+            value = math.floor(value + 0.5)
+            value = min(max(value, low), high)
+        out[k, c, m] = value
+    out_valid[k, c] = 1
+
+
+@njit(cache=True, nogil=True)
+def sample_nearest(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):  # type: ignore[no-untyped-def]
+    """Value of the pixel that the point falls in; never averaged (n is 1)."""
+    col0, row0, shrink, width, height = place
+    values = np.empty(source.shape[2])
+    for k in range(out.shape[0]):
+        for c in range(out.shape[1]):
+            x = cols[k, c]
+            y = rows[k, c]
+            if not (x >= 0.0 and y >= 0.0 and x < width and y < height):
+                continue
+            i = int((x - col0) / shrink)
+            j = int((y - row0) / shrink)
+            if masked and not valid[j, i]:
+                continue
+            for m in range(source.shape[2]):
+                values[m] = source[j, i, m]
+            _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
+
+
+@njit(cache=True, nogil=True)
+def sample_bilinear(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):  # type: ignore[no-untyped-def]
+    """Bilinear values; with n > 1 the mean of n × n bilinear samples, which is an average over the footprint."""
+    col0, row0, shrink, width, height = place
+    values = np.empty(source.shape[2])
+    if n == 1:
+        for k in range(out.shape[0]):
+            for c in range(out.shape[1]):
+                x = cols[k, c]
+                y = rows[k, c]
+                if not (x >= 0.0 and y >= 0.0 and x < width and y < height):
+                    continue
+                x = (x - col0) / shrink
+                y = (y - row0) / shrink
+                if masked and not valid[int(y), int(x)]:
+                    continue
+                _bilinear(source, valid, masked, x, y, values)
+                _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
+        return
+    total = np.empty(source.shape[2])
+    for k in range(out.shape[0]):
+        for c in range(out.shape[1]):
+            count = 0
+            total[:] = 0.0
+            for q in range(k * n, k * n + n):
+                for p in range(c * n, c * n + n):
+                    x = cols[q, p]
+                    y = rows[q, p]
+                    if not (x >= 0.0 and y >= 0.0 and x < width and y < height):
+                        continue
+                    x = (x - col0) / shrink
+                    y = (y - row0) / shrink
+                    if masked and not valid[int(y), int(x)]:
+                        continue
+                    _bilinear(source, valid, masked, x, y, values)
+                    for m in range(source.shape[2]):
+                        total[m] += values[m]
+                    count += 1
+            if 2 * count >= n * n:
+                for m in range(source.shape[2]):
+                    values[m] = total[m] / count
+                _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
+
+
+@njit(cache=True, nogil=True)
+def sample_cubic(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):  # type: ignore[no-untyped-def]
+    """Cubic convolution with a = −0.5 (Keys 1981), bilinear where its 16 pixels are not all there."""
+    col0, row0, shrink, width, height = place
+    bands = source.shape[2]
+    values = np.empty(bands)
+    for k in range(out.shape[0]):
+        for c in range(out.shape[1]):
+            x = cols[k, c]
+            y = rows[k, c]
+            if not (x >= 0.0 and y >= 0.0 and x < width and y < height):
+                continue
+            x = (x - col0) / shrink
+            y = (y - row0) / shrink
+            if masked and not valid[int(y), int(x)]:
+                continue
+            i = math.floor(x - 0.5)
+            j = math.floor(y - 0.5)
+            if not _whole(valid, masked, source.shape[1], source.shape[0], i, j, 2):
+                _bilinear(source, valid, masked, x, y, values)
+                _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
+                continue
+            t = x - 0.5 - i
+            u0 = ((-0.5 * t + 1.0) * t - 0.5) * t
+            u1 = (1.5 * t - 2.5) * t * t + 1.0
+            u2 = ((-1.5 * t + 2.0) * t + 0.5) * t
+            u3 = (0.5 * t - 0.5) * t * t
+            t = y - 0.5 - j
+            v0 = ((-0.5 * t + 1.0) * t - 0.5) * t
+            v1 = (1.5 * t - 2.5) * t * t + 1.0
+            v2 = ((-1.5 * t + 2.0) * t + 0.5) * t
+            v3 = (0.5 * t - 0.5) * t * t
+            s = source
+            for m in range(bands):
+                a = u0 * s[j - 1, i - 1, m] + u1 * s[j - 1, i, m] + u2 * s[j - 1, i + 1, m] + u3 * s[j - 1, i + 2, m]
+                b = u0 * s[j, i - 1, m] + u1 * s[j, i, m] + u2 * s[j, i + 1, m] + u3 * s[j, i + 2, m]
+                d = u0 * s[j + 1, i - 1, m] + u1 * s[j + 1, i, m] + u2 * s[j + 1, i + 1, m] + u3 * s[j + 1, i + 2, m]
+                e = u0 * s[j + 2, i - 1, m] + u1 * s[j + 2, i, m] + u2 * s[j + 2, i + 1, m] + u3 * s[j + 2, i + 2, m]
+                values[m] = v0 * a + v1 * b + v2 * d + v3 * e
+            _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
+
+
+@njit(cache=True, nogil=True)
+def sample_lanczos(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):  # type: ignore[no-untyped-def]
+    """Lanczos with three lobes, weights normalised to one, bilinear where its 36 pixels are not all there."""
+    col0, row0, shrink, width, height = place
+    bands = source.shape[2]
+    values = np.empty(bands)
+    u = np.empty(6)
+    v = np.empty(6)
+    for k in range(out.shape[0]):
+        for c in range(out.shape[1]):
+            x = cols[k, c]
+            y = rows[k, c]
+            if not (x >= 0.0 and y >= 0.0 and x < width and y < height):
+                continue
+            x = (x - col0) / shrink
+            y = (y - row0) / shrink
+            if masked and not valid[int(y), int(x)]:
+                continue
+            i = math.floor(x - 0.5)
+            j = math.floor(y - 0.5)
+            if not _whole(valid, masked, source.shape[1], source.shape[0], i, j, 3):
+                _bilinear(source, valid, masked, x, y, values)
+                _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
+                continue
+            _lanczos_weights(x - 0.5 - i, u)
+            _lanczos_weights(y - 0.5 - j, v)
+            for m in range(bands):
+                total = 0.0
+                for q in range(6):
+                    line = 0.0
+                    for p in range(6):
+                        line += u[p] * source[j - 2 + q, i - 2 + p, m]
+                    total += v[q] * line
+                values[m] = total
+            _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
+
+
+@njit(cache=True, nogil=True)
+def _lanczos_weights(t, weights):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for p in range(6):
+        d = math.pi * (t + 2.0 - p)
+        w = 1.0 if d == 0.0 else 3.0 * math.sin(d) * math.sin(d / 3.0) / (d * d)
+        weights[p] = w
+        total += w
+    for p in range(6):
+        weights[p] /= total

@@ -1,0 +1,198 @@
+"""Plain NumPy twins of the numba kernels: the same operations in the same order, so the same bytes.
+
+They serve jobs so small that starting the compiler would cost more than it saves, and the tests.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geomosaic.types import AnyArray, FloatArray
+
+Place = tuple[float, float, float, int, int]
+"""First column and row of the window in the image, shrink factor, width and height of the image."""
+
+
+def coordinates(
+    nodes: FloatArray,
+    places: FloatArray,
+    heights: AnyArray,
+    z_middle: float,
+    z_inverse: float,
+    flat: bool,
+    step: int,
+    first_row: int,
+    n: int,
+    cols: FloatArray,
+    rows: FloatArray,
+) -> None:
+    """Fill `cols`, `rows`; see `kernels.coordinates`."""
+    height, width = cols.shape
+    v = (first_row + (np.arange(height) + 0.5) / n) / step
+    j = v.astype(np.int64)
+    fv = (v - j)[:, None, None]
+    i = np.arange(width) // (step * n)
+    u = ((np.arange(width) + 0.5) / n / step - i)[None, :]
+
+    def spread(values: FloatArray) -> FloatArray:
+        """Between nodes: down first, then across."""
+        down = values[j] + (values[j + 1] - values[j]) * fv
+        left, delta = down[:, :-1], down[:, 1:] - down[:, :-1]
+        spread_out: FloatArray = left[:, i] + delta[:, i] * u[..., None]
+        return spread_out
+
+    if flat:
+        image = spread(nodes[..., [0, 4]])
+        cols[...], rows[...] = image[..., 0], image[..., 1]
+        return
+    place = spread(places)
+    t = (_heights(heights, place[..., 0], place[..., 1]) - z_middle) * z_inverse
+    c = spread(nodes)
+    cols[...] = ((c[..., 3] * t + c[..., 2]) * t + c[..., 1]) * t + c[..., 0]
+    rows[...] = ((c[..., 7] * t + c[..., 6]) * t + c[..., 5]) * t + c[..., 4]
+
+
+def _heights(heights: AnyArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Bilinear heights; a tap of no weight may be unknown."""
+    dem_rows, dem_cols = heights.shape
+    inside = (x >= -0.5) & (y >= -0.5) & (x <= dem_cols - 0.5) & (y <= dem_rows - 0.5)
+    x = np.where(inside, np.clip(x, 0.0, dem_cols - 1.0), 0.0)
+    y = np.where(inside, np.clip(y, 0.0, dem_rows - 1.0), 0.0)
+    x0, y0 = x.astype(np.int64), y.astype(np.int64)
+    fx, fy = x - x0, y - y0
+    x1, y1 = np.minimum(x0 + 1, dem_cols - 1), np.minimum(y0 + 1, dem_rows - 1)
+    top, low = heights[y0, x0].astype(np.float64), heights[y1, x0].astype(np.float64)
+    top = np.where(fx > 0.0, top + (heights[y0, x1] - top) * fx, top)
+    low = np.where(fx > 0.0, low + (heights[y1, x1] - low) * fx, low)
+    top = np.where(fy > 0.0, top + (low - top) * fy, top)
+    return np.where(inside, top, np.nan)
+
+
+def sample(
+    name: str,
+    source: AnyArray,
+    valid: AnyArray,
+    masked: bool,
+    cols: FloatArray,
+    rows: FloatArray,
+    n: int,
+    place: Place,
+    gain: FloatArray,
+    offset: FloatArray,
+    low: float,
+    high: float,
+    whole: bool,
+    out: AnyArray,
+    out_valid: AnyArray,
+) -> None:
+    """Fill `out` and `out_valid` where the image is seen; see `kernels.sample_*`."""
+    col0, row0, shrink, width, height = place
+    with np.errstate(invalid="ignore"):
+        inside = (cols >= 0.0) & (rows >= 0.0) & (cols < width) & (rows < height)
+    x, y = (cols[inside] - col0) / shrink, (rows[inside] - row0) / shrink
+    if masked:
+        seen = valid[y.astype(np.int64), x.astype(np.int64)] > 0
+        inside[inside] = seen
+        x, y = x[seen], y[seen]
+    values = _VALUES[name](source, valid, masked, x, y)
+    if n > 1:
+        bands, (sub_rows, sub_cols) = source.shape[2], cols.shape
+        total = np.zeros((sub_rows // n, sub_cols // n, bands))
+        count = np.zeros((sub_rows // n, sub_cols // n), dtype=np.int64)
+        spread = np.zeros((sub_rows, sub_cols, bands))
+        spread[inside] = values
+        for q in range(n):  # the same order of summation as the kernel
+            for p in range(n):
+                total += spread[q::n, p::n]
+                count += inside[q::n, p::n]
+        inside = 2 * count >= n * n
+        values = total[inside] / count[inside][:, None]
+    values = values * gain + offset
+    if whole:
+        values = np.clip(np.floor(values + 0.5), low, high)
+    out[inside] = values
+    out_valid[inside] = 1
+
+
+def _nearest(source: AnyArray, valid: AnyArray, masked: bool, x: FloatArray, y: FloatArray) -> FloatArray:
+    values: FloatArray = source[y.astype(np.int64), x.astype(np.int64)].astype(np.float64)
+    return values
+
+
+def _bilinear(source: AnyArray, valid: AnyArray, masked: bool, x: FloatArray, y: FloatArray) -> FloatArray:
+    height, width, _ = source.shape
+    i, j = np.floor(x - 0.5).astype(np.int64), np.floor(y - 0.5).astype(np.int64)
+    a, b = (x - 0.5 - i)[:, None], (y - 0.5 - j)[:, None]
+    i0, j0, i1, j1 = np.maximum(i, 0), np.maximum(j, 0), np.minimum(i + 1, width - 1), np.minimum(j + 1, height - 1)
+    taps = [(j0, i0), (j0, i1), (j1, i0), (j1, i1)]
+    p00, p01, p10, p11 = (source[tap].astype(np.float64) for tap in taps)
+    top, low = p00 + (p01 - p00) * a, p10 + (p11 - p10) * a
+    values: FloatArray = top + (low - top) * b
+    if masked:
+        known = [valid[tap] > 0 for tap in taps]
+        part = ~(known[0] & known[1] & known[2] & known[3])
+        if part.any():
+            weights = [(1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b]
+            total = np.zeros((int(part.sum()), 1))
+            mean = np.zeros((int(part.sum()), source.shape[2]))
+            for tap, w, k in zip(taps, weights, known, strict=True):
+                share = (w * k[:, None])[part]
+                total = total + share
+                mean = mean + np.where(share > 0.0, share * source[tap][part], 0.0)
+            values[part] = mean / total
+    return values
+
+
+def _convolved(
+    source: AnyArray, valid: AnyArray, masked: bool, x: FloatArray, y: FloatArray, radius: int
+) -> FloatArray:
+    height, width, _ = source.shape
+    values = _bilinear(source, valid, masked, x, y)
+    i, j = np.floor(x - 0.5).astype(np.int64), np.floor(y - 0.5).astype(np.int64)
+    full = (i - radius + 1 >= 0) & (j - radius + 1 >= 0) & (i + radius < width) & (j + radius < height)
+    span = range(1 - radius, radius + 1)
+    if masked:
+        for q in span:
+            for p in span:
+                full[full] = valid[j[full] + q, i[full] + p] > 0
+    i, j = i[full], j[full]
+    u = _WEIGHTS[radius](x[full] - 0.5 - i)
+    v = _WEIGHTS[radius](y[full] - 0.5 - j)
+    total = np.zeros((len(i), source.shape[2]))
+    for q, down in zip(span, v, strict=True):
+        line = np.zeros_like(total)
+        for p, across in zip(span, u, strict=True):
+            line = line + across[:, None] * source[j + q, i + p]
+        total = total + down[:, None] * line
+    values[full] = total
+    return values
+
+
+def _cubic_weights(t: FloatArray) -> list[FloatArray]:
+    return [
+        ((-0.5 * t + 1.0) * t - 0.5) * t,
+        (1.5 * t - 2.5) * t * t + 1.0,
+        ((-1.5 * t + 2.0) * t + 0.5) * t,
+        (0.5 * t - 0.5) * t * t,
+    ]
+
+
+def _lanczos_weights(t: FloatArray) -> list[FloatArray]:
+    weights = []
+    total = np.zeros_like(t)
+    for p in range(6):
+        d = np.pi * (t + 2.0 - p)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            w = np.where(d == 0.0, 1.0, 3.0 * np.sin(d) * np.sin(d / 3.0) / (d * d))
+        weights.append(w)
+        total = total + w
+    return [w / total for w in weights]
+
+
+_WEIGHTS = {2: _cubic_weights, 3: _lanczos_weights}
+_VALUES = {
+    "nearest": _nearest,
+    "bilinear": _bilinear,
+    "cubic": lambda s, v, m, x, y: _convolved(s, v, m, x, y, 2),
+    "lanczos": lambda s, v, m, x, y: _convolved(s, v, m, x, y, 3),
+}

@@ -1,0 +1,199 @@
+"""Pull one block of output pixels out of one image."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.geo.grid import Window
+from geomosaic.sensor.lattice import Lattice
+from geomosaic.surface.model import HeightPatch
+from geomosaic.types import AnyArray, ByteArray, FloatArray
+
+RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average")
+RADIUS = {"nearest": 1, "bilinear": 1, "cubic": 2, "lanczos": 3, "average": 1}
+
+# Beyond this many image pixels per output pixel the image is reduced while it is read.
+MOST_SAMPLES = 16
+# Sub-pixels handled at once: their coordinates stay in a processor's second-level cache.
+STRIP = 65536
+
+
+class Reader(Protocol):
+    """Reads a window of an image: `raster.source.Source`, or an array in tests."""
+
+    def read(self, window: Window, shrink: int = 1) -> tuple[AnyArray, ByteArray | None]:
+        """Values (rows, cols, bands) and validity (rows, cols), None where all are valid."""
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Where the kernels come from; both engines give the same bytes."""
+
+    coordinates: Callable[..., None]
+    sample: Callable[..., None]
+
+
+def numpy_engine() -> Engine:
+    """Kernels in NumPy: nothing to start, slow on large jobs."""
+    from geomosaic.resample import reference
+
+    return Engine(reference.coordinates, reference.sample)
+
+
+def numba_engine() -> Engine:
+    """Compiled kernels."""
+    from geomosaic.resample import kernels
+
+    table: dict[str, Callable[..., None]] = {
+        "nearest": kernels.sample_nearest,
+        "bilinear": kernels.sample_bilinear,
+        "cubic": kernels.sample_cubic,
+        "lanczos": kernels.sample_lanczos,
+    }
+
+    def sample(name: str, *arguments: Any) -> None:
+        table[name](*arguments)
+
+    return Engine(kernels.coordinates, sample)
+
+
+def engine_for(pixels: int) -> Engine:
+    """Choose by the work to do: starting the compiled kernels costs as much as about 1.5 million pixels in NumPy."""
+    return numba_engine() if pixels > 1_500_000 else numpy_engine()
+
+
+@dataclass(frozen=True)
+class Colour:
+    """Linear correction of values, per band: value · gain + offset."""
+
+    gain: FloatArray
+    offset: FloatArray
+
+    @classmethod
+    def identity(cls, bands: int) -> Colour:
+        """Leave values as they are."""
+        return cls(np.ones(bands), np.zeros(bands))
+
+
+def value_range(dtype: str) -> tuple[float, float, bool]:
+    """Lowest and highest value of an output type, and whether it holds whole numbers."""
+    if np.issubdtype(np.dtype(dtype), np.integer):
+        info = np.iinfo(dtype)
+        return float(info.min), float(info.max), True
+    return -math.inf, math.inf, False
+
+
+def supersampling(resampling: str, scale: float) -> tuple[int, int]:
+    """Samples per output pixel along each axis, and reduction on reading, at `scale` image pixels per output pixel.
+
+    One sample serves up to 1.5 image pixels; beyond, bilinear samples about one image pixel apart are averaged, which
+    is the mean over the pixel's footprint. 'nearest' is for classes and never averages.
+    """
+    if resampling == "nearest" or not math.isfinite(scale):
+        return 1, 1
+    shrink = 1
+    while scale / shrink > MOST_SAMPLES:
+        shrink *= 2
+    scale = scale / shrink
+    return (1 if scale <= 1.5 else math.ceil(scale - 1e-6)), shrink
+
+
+def warp(
+    engine: Engine,
+    reader: Reader,
+    size: tuple[int, int],
+    lattice: Lattice,
+    patch: HeightPatch | None,
+    resampling: str,
+    colour: Colour,
+    out: AnyArray,
+    out_valid: ByteArray,
+) -> None:
+    """Fill one block.
+
+    Parameters
+    ----------
+    engine : Engine
+    reader : Reader
+        The image.
+    size : tuple of int
+        Width and height of the image in pixels.
+    lattice : Lattice
+        Of this block and image.
+    patch : HeightPatch or None
+        Heights over the block; None where they play no part.
+    resampling : str
+        One of `RESAMPLING`.
+    colour : Colour
+        Applied to values before they are rounded.
+    out : array (rows, cols, bands)
+        Of the block's size; only seen pixels are written.
+    out_valid : uint8 array (rows, cols)
+        Set to 1 where the image is seen.
+    """
+    if resampling not in RESAMPLING:
+        raise InputError(f"no resampling named '{resampling}'", mend=f"use one of {', '.join(RESAMPLING)}")
+    n, shrink = supersampling(resampling, lattice.scale)
+    kernel = "bilinear" if resampling == "average" or n > 1 else resampling
+    low, high, whole = value_range(str(out.dtype))
+    flat = lattice.flat and (patch is None or not np.isnan(patch.heights).any())
+    z_inverse = 0.0 if lattice.z_half == 0.0 else 1.0 / lattice.z_half
+    if flat or patch is None:
+        flat, places, heights = True, np.zeros((*lattice.nodes.shape[:2], 2)), np.zeros((1, 1), dtype=np.float32)
+    else:
+        t = patch.transform
+        x, y = lattice.surface[..., 0], lattice.surface[..., 1]
+        places = np.stack([t.a * x + t.b * y + t.c - 0.5, t.d * x + t.e * y + t.f - 0.5], axis=-1)
+        heights = patch.heights
+    rows_at_once = max(1, STRIP // (lattice.window.width * n * n))
+    buffer = np.empty((2, rows_at_once * n, lattice.window.width * n))
+    jobs = _strips(lattice, n, rows_at_once)
+    pending = []
+    for start, stop in jobs:
+        cols, rows = buffer[0, : (stop - start) * n], buffer[1, : (stop - start) * n]
+        engine.coordinates(
+            lattice.nodes, places, heights, lattice.z_middle, z_inverse, flat, lattice.step, start, n, cols, rows
+        )
+        pending.append((start, stop))
+        window = _window(cols, rows, size, RADIUS[kernel], shrink)
+        if window is None:
+            continue
+        source, valid = reader.read(window, shrink)
+        place = (float(window.col), float(window.row), float(shrink), size[0], size[1])
+        mask = _ALL_VALID if valid is None else valid
+        engine.sample(
+            kernel, source, mask, valid is not None, cols, rows, n, place, colour.gain, colour.offset,
+            low, high, whole, out[start:stop], out_valid[start:stop],
+        )  # fmt: skip
+
+
+_ALL_VALID = np.ones((1, 1), dtype=np.uint8)
+
+
+def _strips(lattice: Lattice, n: int, rows_at_once: int) -> list[tuple[int, int]]:
+    height = lattice.window.height
+    return [(start, min(start + rows_at_once, height)) for start in range(0, height, rows_at_once)]
+
+
+def _window(
+    cols: FloatArray, rows: FloatArray, size: tuple[int, int], radius: int, shrink: int
+) -> Window | None:
+    """Image window that the points need, on multiples of `shrink`; None where none of them sees the image."""
+    width, height = size
+    with np.errstate(invalid="ignore"):
+        seen = (cols >= 0) & (rows >= 0) & (cols < width) & (rows < height)
+    if not seen.any():
+        return None
+    c, r = cols[seen], rows[seen]
+    margin = (radius + 1) * shrink
+    left = max(0, int(c.min()) - margin) // shrink * shrink
+    top = max(0, int(r.min()) - margin) // shrink * shrink
+    right = min(width, -(-(int(c.max()) + 1 + margin) // shrink) * shrink)
+    bottom = min(height, -(-(int(r.max()) + 1 + margin) // shrink) * shrink)
+    return Window(left, top, right - left, bottom - top)

@@ -1,0 +1,219 @@
+"""The sensor on a lattice in (x, y, z), with the error of interpolating between its nodes measured.
+
+A block of output pixels gets nodes every `step` pixels. At each node the exact model is evaluated at the four Chebyshev
+heights of the block's height range, which makes image (col, row) a cubic in height; between nodes the four coefficients
+are interpolated bilinearly. At every cell centre, where that errs most, the result is held against the exact model, and
+the step is halved until half the tolerance is met. A block depends on nothing but itself: the same pixels come out
+whatever the tiles and threads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.sensor.mapper import MapToImage
+from geomosaic.types import FloatArray
+
+BLOCK_WIDTH, BLOCK_HEIGHT = 1024, 512
+FIRST_STEP, LAST_STEP = 64, 4
+
+_CHEBYSHEV = np.cos((2 * np.arange(4) + 1) * np.pi / 8)
+_TO_CUBIC = np.linalg.inv(np.vander(_CHEBYSHEV, 4, increasing=True))
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Image positions over one block of output pixels.
+
+    Attributes
+    ----------
+    window : Window
+        The block, in pixels of the output grid.
+    step : int
+        Pixels between nodes.
+    nodes : array (rows, cols, 8)
+        Cubic coefficients, constant first, of col then row in the normalised height t = (z − z_middle) / z_half.
+    surface : array (rows, cols, 2)
+        Surface map (x, y) of the nodes.
+    z_middle, z_half : float
+        Height range of the block, in metres of the surface's datum.
+    error : float
+        Largest measured interpolation error in image pixels (NaN where the image is not seen).
+    bounds : tuple of float
+        Left, top, right, bottom of all that the block can see, in image pixels.
+    scale : float
+        Image pixels per output pixel, along the direction where that is most.
+    """
+
+    window: Window
+    step: int
+    nodes: FloatArray
+    surface: FloatArray
+    z_middle: float
+    z_half: float
+    error: float
+    bounds: tuple[float, float, float, float]
+    scale: float
+
+    @property
+    def flat(self) -> bool:
+        """Whether height plays no part in this block."""
+        return self.z_half == 0.0
+
+
+def blocks(window: Window) -> list[Window]:
+    """Blocks, aligned to the output grid, that touch a window; row by row."""
+    first_col, first_row = window.col // BLOCK_WIDTH * BLOCK_WIDTH, window.row // BLOCK_HEIGHT * BLOCK_HEIGHT
+    whole = Window(first_col, first_row, window.stop_col - first_col, window.stop_row - first_row)
+    return whole.split(BLOCK_WIDTH, BLOCK_HEIGHT)
+
+
+def build(
+    mapper: MapToImage, grid: Grid, window: Window, heights: tuple[float, float], tolerance: float
+) -> Lattice | None:
+    """Lattice of one block, or None where the block cannot see the image.
+
+    Parameters
+    ----------
+    mapper : MapToImage
+    grid : Grid
+        The output.
+    window : Window
+        A block of it.
+    heights : tuple of float
+        Lowest and highest height over the block, in metres of the surface's datum.
+    tolerance : float
+        Largest admissible error in image pixels; half of it is used.
+    """
+    low, high = heights
+    middle, half = (low + high) / 2, (high - low) / 2
+    if not mapper.uses_heights:
+        middle, half = 0.0, 0.0
+    step = FIRST_STEP
+    while True:
+        surface, nodes = _nodes(mapper, grid, window, step, middle, half)
+        bounds = _bounds(nodes, half)
+        if bounds is None or _misses(bounds, mapper.model.size, step):
+            return None
+        error, ragged = _error(mapper, grid, window, step, middle, half, surface, nodes)
+        if step <= LAST_STEP or (not ragged and not error > tolerance / 2):
+            break
+        step //= 2
+    return Lattice(window, step, nodes, surface, middle, half, error, bounds, _scale(nodes, step))
+
+
+def _axis(start: int, length: int, step: int) -> FloatArray:
+    """Node positions in pixels: enough cells of `step` to cover the block."""
+    return start + step * np.arange(-(-length // step) + 1, dtype=np.float64)
+
+
+def _nodes(
+    mapper: MapToImage, grid: Grid, window: Window, step: int, middle: float, half: float
+) -> tuple[FloatArray, FloatArray]:
+    cols, rows = _axis(window.col, window.width, step), _axis(window.row, window.height, step)
+    c, r = np.meshgrid(cols, rows)
+    surface = mapper.surface_xy(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
+    shape = (len(rows), len(cols))
+    nodes = np.zeros((*shape, 8))
+    if half == 0.0:
+        image = mapper.image(surface, np.full(len(surface), middle)).reshape(*shape, 2)
+        nodes[..., 0], nodes[..., 4] = image[..., 0], image[..., 1]
+    else:
+        z = np.repeat(middle + half * _CHEBYSHEV, len(surface))
+        image = mapper.image(np.tile(surface, (4, 1)), z).reshape(4, *shape, 2)
+        for axis in (0, 1):
+            for power in range(4):
+                total = _TO_CUBIC[power, 0] * image[0, ..., axis]
+                for k in (1, 2, 3):
+                    total = total + _TO_CUBIC[power, k] * image[k, ..., axis]
+                nodes[..., 4 * axis + power] = total
+    return surface.reshape(*shape, 2), nodes
+
+
+def _at(nodes: FloatArray, t: float) -> FloatArray:
+    """Image (rows, cols, 2) of the nodes at a normalised height."""
+    n = nodes
+    col = ((n[..., 3] * t + n[..., 2]) * t + n[..., 1]) * t + n[..., 0]
+    row = ((n[..., 7] * t + n[..., 6]) * t + n[..., 5]) * t + n[..., 4]
+    return np.stack([col, row], axis=-1)
+
+
+def _bounds(nodes: FloatArray, half: float) -> tuple[float, float, float, float] | None:
+    ends = np.stack([_at(nodes, t) for t in ((-1.0, 0.0, 1.0) if half else (0.0,))])
+    finite = np.isfinite(ends).all(axis=-1)
+    if not finite.any():
+        return None
+    seen = ends[finite]
+    (left, top), (right, bottom) = seen.min(axis=0), seen.max(axis=0)
+    return float(left), float(top), float(right), float(bottom)
+
+
+def _misses(bounds: tuple[float, float, float, float], size: tuple[int, int], step: int) -> bool:
+    left, top, right, bottom = bounds
+    # A coarse lattice may cut a corner of the image: keep a margin as wide as the cells are curved.
+    margin = 2.0 + 0.05 * max(right - left, bottom - top)
+    return right < -margin or bottom < -margin or left > size[0] + margin or top > size[1] + margin
+
+
+def _error(
+    mapper: MapToImage,
+    grid: Grid,
+    window: Window,
+    step: int,
+    middle: float,
+    half: float,
+    surface: FloatArray,
+    nodes: FloatArray,
+) -> tuple[float, bool]:
+    """Largest error at cell centres that see the image, and whether some cell is only partly seen."""
+    rows, cols = nodes.shape[0] - 1, nodes.shape[1] - 1
+    c, r = np.meshgrid(
+        window.col + step * (np.arange(cols) + 0.5), window.row + step * (np.arange(rows) + 0.5), indexing="xy"
+    )
+    xy = mapper.surface_xy(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
+    middle_surface = _centre(surface).reshape(-1, 2)
+    width, height = mapper.model.size
+    worst, ragged = 0.0, False
+    for t in (-1.0, 1.0) if half else (0.0,):
+        exact = mapper.image(xy, np.full(len(xy), middle + half * t))
+        corners = _at(nodes, t)
+        with np.errstate(invalid="ignore"):
+            near = _centre(corners).reshape(-1, 2)
+            miss = np.hypot(*(near - exact).T)
+            inside = (exact > -step).all(axis=1) & (exact[:, 0] < width + step) & (exact[:, 1] < height + step)
+        known = np.isfinite(corners).all(axis=-1)
+        count = sum(known[i : i + rows, j : j + cols].astype(int) for i in (0, 1) for j in (0, 1)).ravel()
+        ragged = ragged or bool(((count > 0) & (count < 4)).any())
+        seen = inside & np.isfinite(miss)
+        if seen.any():
+            worst = max(worst, float(miss[seen].max()))
+    # The surface's own map is interpolated as well: a shift of its place, in output pixels, counts the same.
+    shift = np.hypot(*(middle_surface - xy).T) / _pixel(surface, step)
+    if half and np.isfinite(shift).any():
+        worst = max(worst, float(np.nanmax(shift)))
+    return worst, ragged
+
+
+def _centre(values: FloatArray) -> FloatArray:
+    """Means of the four corners of each cell."""
+    mean: FloatArray = (values[:-1, :-1] + values[1:, :-1] + values[:-1, 1:] + values[1:, 1:]) / 4
+    return mean
+
+
+def _pixel(surface: FloatArray, step: int) -> float:
+    """Size of an output pixel in units of the surface's map."""
+    return float(np.hypot(*(surface[0, 1] - surface[0, 0]))) / step
+
+
+def _scale(nodes: FloatArray, step: int) -> float:
+    """Largest singular value of d(image)/d(output pixel) over the block's nodes, at the middle height."""
+    image = nodes[..., [0, 4]]
+    along, down = np.diff(image, axis=1)[:-1] / step, np.diff(image, axis=0)[:, :-1] / step
+    e, f = (along[..., 0] + down[..., 1]) / 2, (along[..., 0] - down[..., 1]) / 2
+    g, h = (along[..., 1] + down[..., 0]) / 2, (along[..., 1] - down[..., 0]) / 2
+    largest = np.hypot(e, h) + np.hypot(f, g)
+    finite = largest[np.isfinite(largest)]
+    return float(np.median(finite)) if len(finite) else float("nan")
