@@ -15,8 +15,12 @@ NEAREST, BILINEAR, CUBIC, LANCZOS = 0, 1, 2, 3
 
 
 @njit(cache=True, nogil=True)
-def coordinates(nodes, places, heights, z_middle, z_inverse, flat, step, first_row, n, cols, rows):  # type: ignore[no-untyped-def]
+def coordinates(nodes, places, heights, z_middle, z_inverse, flat, step, first_row, n, size, need, cols, rows):  # type: ignore[no-untyped-def]
     """Fill `cols`, `rows` (R·n, C·n) with image coordinates of the sub-pixels of R output rows from `first_row`.
+
+    Cells of 64 x 64 output pixels that `need` (uint8) does not want are left NaN.
+
+    Returns left, top, right, bottom of those that fall in an image of `size`; left > right where none does.
 
     `nodes` (ny, nx, 8) are cubic coefficients, `places` (ny, nx, 2) node positions in the height patch (0 = centre of the
     first height), `heights` the patch. All as `sensor.lattice.Lattice` has them.
@@ -27,6 +31,8 @@ def coordinates(nodes, places, heights, z_middle, z_inverse, flat, step, first_r
     z = np.empty(width)
     left = np.empty(8)
     delta = np.empty(8)
+    image_width, image_height = size
+    least_col, least_row, most_col, most_row = np.inf, np.inf, -np.inf, -np.inf
     for k in range(height):
         v = (first_row + (k + 0.5) / n) / step
         j = int(v)
@@ -34,6 +40,10 @@ def coordinates(nodes, places, heights, z_middle, z_inverse, flat, step, first_r
         for i in range(cells):
             start = i * step * n
             stop = min(start + step * n, width)
+            if not need[(first_row + k // n) // 64, i * step // 64]:
+                cols[k, start:stop] = np.nan
+                rows[k, start:stop] = np.nan
+                continue
             if flat:
                 for m in (0, 4):
                     a = nodes[j, i, m] + (nodes[j + 1, i, m] - nodes[j, i, m]) * fv
@@ -84,6 +94,15 @@ def coordinates(nodes, places, heights, z_middle, z_inverse, flat, step, first_r
                 t = z[c]
                 cols[k, c] = (((c3 + d3 * u) * t + (c2 + d2 * u)) * t + (c1 + d1 * u)) * t + (c0 + d0 * u)
                 rows[k, c] = (((r3 + e3 * u) * t + (r2 + e2 * u)) * t + (r1 + e1 * u)) * t + (r0 + e0 * u)
+        for c in range(width):
+            x = cols[k, c]
+            y = rows[k, c]
+            if x >= 0.0 and y >= 0.0 and x < image_width and y < image_height:
+                least_col = min(least_col, x)
+                most_col = max(most_col, x)
+                least_row = min(least_row, y)
+                most_row = max(most_row, y)
+    return least_col, least_row, most_col, most_row
 
 
 @njit(cache=True, nogil=True, inline="always")

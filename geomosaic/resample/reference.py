@@ -23,16 +23,20 @@ def coordinates(
     step: int,
     first_row: int,
     n: int,
+    size: tuple[int, int],
+    need: AnyArray,
     cols: FloatArray,
     rows: FloatArray,
-) -> None:
-    """Fill `cols`, `rows`; see `kernels.coordinates`."""
+) -> tuple[float, float, float, float]:
+    """Fill `cols`, `rows` and return what they span in the image; see `kernels.coordinates`."""
     height, width = cols.shape
     v = (first_row + (np.arange(height) + 0.5) / n) / step
     j = v.astype(np.int64)
     fv = (v - j)[:, None, None]
     i = np.arange(width) // (step * n)
     u = ((np.arange(width) + 0.5) / n / step - i)[None, :]
+
+    unwanted = need[np.ix_((first_row + np.arange(height) // n) // 64, np.arange(width) // n // 64)] == 0
 
     def spread(values: FloatArray) -> FloatArray:
         """Between nodes: down first, then across."""
@@ -44,12 +48,24 @@ def coordinates(
     if flat:
         image = spread(nodes[..., [0, 4]])
         cols[...], rows[...] = image[..., 0], image[..., 1]
-        return
+        cols[unwanted], rows[unwanted] = np.nan, np.nan
+        return _span(cols, rows, size)
     place = spread(places)
     t = (_heights(heights, place[..., 0], place[..., 1]) - z_middle) * z_inverse
     c = spread(nodes)
     cols[...] = ((c[..., 3] * t + c[..., 2]) * t + c[..., 1]) * t + c[..., 0]
     rows[...] = ((c[..., 7] * t + c[..., 6]) * t + c[..., 5]) * t + c[..., 4]
+    cols[unwanted], rows[unwanted] = np.nan, np.nan
+    return _span(cols, rows, size)
+
+
+def _span(cols: FloatArray, rows: FloatArray, size: tuple[int, int]) -> tuple[float, float, float, float]:
+    with np.errstate(invalid="ignore"):
+        seen = (cols >= 0.0) & (rows >= 0.0) & (cols < size[0]) & (rows < size[1])
+    if not seen.any():
+        return np.inf, np.inf, -np.inf, -np.inf
+    c, r = cols[seen], rows[seen]
+    return float(c.min()), float(r.min()), float(c.max()), float(r.max())
 
 
 def _heights(heights: AnyArray, x: FloatArray, y: FloatArray) -> FloatArray:

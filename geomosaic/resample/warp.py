@@ -11,15 +11,19 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
-from geomosaic.sensor.lattice import Lattice
+from geomosaic.sensor.lattice import BLOCK_HEIGHT, BLOCK_WIDTH, FIRST_STEP, Lattice
 from geomosaic.surface.model import HeightPatch
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
 RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average")
 RADIUS = {"nearest": 1, "bilinear": 1, "cubic": 2, "lanczos": 3, "average": 1}
 
+CELL = FIRST_STEP
+
 # Beyond this many image pixels per output pixel the image is reduced while it is read.
 MOST_SAMPLES = 16
+# Image pixels read at once; larger windows are read strip by strip.
+MOST_PIXELS = 6_000_000
 # Sub-pixels handled at once: their coordinates stay in a processor's second-level cache.
 STRIP = 65536
 
@@ -89,7 +93,7 @@ def value_range(dtype: str) -> tuple[float, float, bool]:
     return -math.inf, math.inf, False
 
 
-def supersampling(resampling: str, scale: float) -> tuple[int, int]:
+def supersampling(resampling: str, scale: float, most: int = MOST_SAMPLES) -> tuple[int, int]:
     """Samples per output pixel along each axis, and reduction on reading, at `scale` image pixels per output pixel.
 
     One sample serves up to 1.5 image pixels; beyond, bilinear samples about one image pixel apart are averaged, which
@@ -98,7 +102,7 @@ def supersampling(resampling: str, scale: float) -> tuple[int, int]:
     if resampling == "nearest" or not math.isfinite(scale):
         return 1, 1
     shrink = 1
-    while scale / shrink > MOST_SAMPLES:
+    while scale / shrink > most:
         shrink *= 2
     scale = scale / shrink
     return (1 if scale <= 1.5 else math.ceil(scale - 1e-6)), shrink
@@ -114,6 +118,8 @@ def warp(
     colour: Colour,
     out: AnyArray,
     out_valid: ByteArray,
+    need: ByteArray | None = None,
+    most_samples: int | None = None,
 ) -> None:
     """Fill one block.
 
@@ -136,10 +142,15 @@ def warp(
         Of the block's size; only seen pixels are written.
     out_valid : uint8 array (rows, cols)
         Set to 1 where the image is seen.
+    need : uint8 array (rows / 64, cols / 64), optional
+        Cells of 64 x 64 pixels that are wanted; all unless given.
+    most_samples : int, optional
+        Image pixels per output pixel beyond which the image is reduced on reading.
     """
     if resampling not in RESAMPLING:
         raise InputError(f"no resampling named '{resampling}'", mend=f"use one of {', '.join(RESAMPLING)}")
-    n, shrink = supersampling(resampling, lattice.scale)
+    n, shrink = supersampling(resampling, lattice.scale, most_samples or MOST_SAMPLES)
+    wanted = _ALL_WANTED if need is None else need
     kernel = "bilinear" if resampling == "average" or n > 1 else resampling
     low, high, whole = value_range(str(out.dtype))
     flat = lattice.flat and (patch is None or not np.isnan(patch.heights).any())
@@ -151,20 +162,28 @@ def warp(
         x, y = lattice.surface[..., 0], lattice.surface[..., 1]
         places = np.stack([t.a * x + t.b * y + t.c - 0.5, t.d * x + t.e * y + t.f - 0.5], axis=-1)
         heights = patch.heights
+    reach = (RADIUS[kernel] + 1) * shrink
+    whole_block = _window(lattice.bounds, size, reach, shrink)
+    at_once = whole_block is not None and whole_block.width * whole_block.height <= MOST_PIXELS * shrink * shrink
+    window: Window | None = None
+    source, valid = np.empty((0, 0, 0)), None
     rows_at_once = max(1, STRIP // (lattice.window.width * n * n))
     buffer = np.empty((2, rows_at_once * n, lattice.window.width * n))
-    jobs = _strips(lattice, n, rows_at_once)
-    pending = []
-    for start, stop in jobs:
+    for start in range(0, lattice.window.height, rows_at_once):
+        stop = min(start + rows_at_once, lattice.window.height)
         cols, rows = buffer[0, : (stop - start) * n], buffer[1, : (stop - start) * n]
-        engine.coordinates(
-            lattice.nodes, places, heights, lattice.z_middle, z_inverse, flat, lattice.step, start, n, cols, rows
-        )
-        pending.append((start, stop))
-        window = _window(cols, rows, size, RADIUS[kernel], shrink)
-        if window is None:
+        span = engine.coordinates(
+            lattice.nodes, places, heights, lattice.z_middle, z_inverse, flat, lattice.step, start, n, size, wanted,
+            cols, rows,
+        )  # fmt: skip
+        needed = _window(span, size, reach, shrink)
+        if needed is None:
             continue
-        source, valid = reader.read(window, shrink)
+        if window is None or needed.intersection(window) != needed:
+            # The block's window is read once; where it is too large, or the lattice's own bounds fell short, the strip's.
+            inside = whole_block is not None and needed.intersection(whole_block) == needed
+            window = whole_block if at_once and inside and whole_block is not None else needed
+            source, valid = reader.read(window, shrink)
         place = (float(window.col), float(window.row), float(shrink), size[0], size[1])
         mask = _ALL_VALID if valid is None else valid
         engine.sample(
@@ -174,26 +193,18 @@ def warp(
 
 
 _ALL_VALID = np.ones((1, 1), dtype=np.uint8)
-
-
-def _strips(lattice: Lattice, n: int, rows_at_once: int) -> list[tuple[int, int]]:
-    height = lattice.window.height
-    return [(start, min(start + rows_at_once, height)) for start in range(0, height, rows_at_once)]
+_ALL_WANTED = np.ones((BLOCK_HEIGHT // CELL, BLOCK_WIDTH // CELL), dtype=np.uint8)
 
 
 def _window(
-    cols: FloatArray, rows: FloatArray, size: tuple[int, int], radius: int, shrink: int
+    span: tuple[float, float, float, float], size: tuple[int, int], reach: int, shrink: int
 ) -> Window | None:
-    """Image window that the points need, on multiples of `shrink`; None where none of them sees the image."""
-    width, height = size
-    with np.errstate(invalid="ignore"):
-        seen = (cols >= 0) & (rows >= 0) & (cols < width) & (rows < height)
-    if not seen.any():
+    """Image window for points that span left, top, right, bottom, on multiples of `shrink`; None where all miss."""
+    (left, top, right, bottom), (width, height) = span, size
+    if not (right >= 0 and bottom >= 0 and left < width and top < height):
         return None
-    c, r = cols[seen], rows[seen]
-    margin = (radius + 1) * shrink
-    left = max(0, int(c.min()) - margin) // shrink * shrink
-    top = max(0, int(r.min()) - margin) // shrink * shrink
-    right = min(width, -(-(int(c.max()) + 1 + margin) // shrink) * shrink)
-    bottom = min(height, -(-(int(r.max()) + 1 + margin) // shrink) * shrink)
-    return Window(left, top, right - left, bottom - top)
+    first_col = int(max(0.0, left - reach)) // shrink * shrink
+    first_row = int(max(0.0, top - reach)) // shrink * shrink
+    last_col = min(width, -(-int(min(float(width), right + 1 + reach)) // shrink) * shrink)
+    last_row = min(height, -(-int(min(float(height), bottom + 1 + reach)) // shrink) * shrink)
+    return Window(first_col, first_row, last_col - first_col, last_row - first_row)

@@ -1,0 +1,79 @@
+"""All images of a job with their common ground: surface and observations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pyproj import CRS
+
+from geomosaic.block.scene import Scene
+from geomosaic.errors import InputError
+from geomosaic.surface.model import Surface
+
+
+@dataclass(frozen=True)
+class ControlPoint:
+    """One image measurement of a point known on the ground.
+
+    Attributes
+    ----------
+    id : str
+    xyz : tuple of float
+        In the block's `crs`, metres.
+    image : str
+        Name of the scene it is measured in.
+    colrow : tuple of float
+        Pixels, corner-based.
+    sigma_xy, sigma_z : float
+        Standard deviations on the ground, metres.
+    sigma_px : float
+        Standard deviation of the measurement, pixels.
+    role : str
+        'control' takes part in adjustments, 'check' only judges them.
+    """
+
+    id: str
+    xyz: tuple[float, float, float]
+    image: str
+    colrow: tuple[float, float]
+    sigma_xy: float = 0.0
+    sigma_z: float = 0.0
+    sigma_px: float = 1.0
+    role: str = "control"
+
+
+@dataclass(frozen=True)
+class Block:
+    """Scenes over one surface.
+
+    Attributes
+    ----------
+    scenes : tuple of Scene
+    surface : Surface or None
+        None where no model uses heights.
+    control : tuple of ControlPoint
+    crs : CRS, optional
+        3-D CRS of the control points.
+    """
+
+    scenes: tuple[Scene, ...]
+    surface: Surface | None
+    control: tuple[ControlPoint, ...] = ()
+    crs: CRS | None = None
+
+    def __post_init__(self) -> None:
+        names = [scene.name for scene in self.scenes]
+        if not names:
+            raise InputError("a block needs at least one image")
+        doubled = sorted({name for name in names if names.count(name) > 1})
+        if doubled:
+            raise InputError(
+                f"two images share the name '{doubled[0]}'", mend="rename one, or list the files one by one"
+            )
+
+    def scene(self, name: str) -> Scene:
+        """Return the scene of that name."""
+        for scene in self.scenes:
+            if scene.name == name:
+                return scene
+        raise InputError(f"no image named '{name}' in the block")

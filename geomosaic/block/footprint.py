@@ -1,0 +1,173 @@
+"""What an image covers on the ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.block.scene import Scene
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import geographic, horizontal
+from geomosaic.geo.transform import Transform
+from geomosaic.sensor.model import HasRays
+from geomosaic.sensor.solve import image_to_ground
+from geomosaic.surface.model import Surface
+from geomosaic.types import FloatArray
+
+if TYPE_CHECKING:
+    from shapely import Polygon
+
+SIDE = 24
+"""Points along each side of the image."""
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """The ground an image shows.
+
+    Attributes
+    ----------
+    name : str
+        Of the scene.
+    ring : array (N, 2)
+        Outline in the output map, not closed.
+    centre : tuple of float
+        The place seen best: the nadir point where the image shows it, else what the image centre shows.
+    sampling : float
+        Ground sampling distance at the centre, in output map units per pixel.
+    complete : bool
+        Whether the whole border of the image meets the surface.
+    """
+
+    name: str
+    ring: FloatArray
+    centre: tuple[float, float]
+    sampling: float
+    complete: bool
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Left, bottom, right, top."""
+        (left, bottom), (right, top) = self.ring.min(axis=0), self.ring.max(axis=0)
+        return float(left), float(bottom), float(right), float(top)
+
+    @property
+    def polygon(self) -> Polygon:
+        """The outline as a valid shapely polygon."""
+        from shapely import Polygon, make_valid
+        from shapely.geometry.polygon import orient
+
+        polygon = Polygon(self.ring)
+        if not polygon.is_valid:
+            whole = make_valid(polygon)
+            parts = [part for part in getattr(whole, "geoms", [whole]) if part.geom_type == "Polygon"]
+            polygon = max(parts, key=lambda part: part.area)
+        return orient(polygon)
+
+
+def footprint(scene: Scene, surface: Surface | None, crs: CRS) -> Footprint:
+    """Project an image's border onto the surface and into the output map.
+
+    Where a part of the border sees no ground (sky, or beyond the DEM), the outline follows the last point inwards that
+    does.
+
+    Raises
+    ------
+    InputError
+        The middle of the image sees no ground; says why as far as it can be told.
+    """
+    model = scene.model
+    width, height = model.size
+    centre = np.array([[width / 2, height / 2]])
+    steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    border = _border(width, height)
+    ground = _ground(scene, np.vstack([centre + steps, border]), surface, crs)
+    if np.isnan(ground[0]).any():
+        raise _no_ground(scene, surface, crs)
+    middle, ring = ground[0], ground[3:]
+    sampling = float(np.sqrt(abs(np.linalg.det(ground[1:3] - middle))))
+    missing = np.isnan(ring).any(axis=1)
+    if missing.any():
+        ring = ring.copy()
+        ring[missing] = _inwards(scene, border[missing], centre[0], surface, crs, middle)
+    best = _nadir(scene, crs)
+    if best is None or not _shows(scene, best, surface, crs):
+        best = (float(middle[0]), float(middle[1]))
+    return Footprint(scene.name, ring, best, sampling, not bool(missing.any()))
+
+
+def _border(width: int, height: int) -> FloatArray:
+    t = np.arange(SIDE) / SIDE
+    one, zero = np.ones(SIDE), np.zeros(SIDE)
+    sides = [np.column_stack(pair) for pair in ((t, zero), (one, t), (1 - t, one), (zero, 1 - t))]
+    # A hair inside, so that the outline belongs to the image.
+    ring: FloatArray = (np.vstack(sides) - 0.5) * (1 - 1e-9) + 0.5
+    return ring * np.array([width, height], dtype=np.float64)
+
+
+def _ground(scene: Scene, colrow: FloatArray, surface: Surface | None, crs: CRS) -> FloatArray:
+    """Image (N, 2) to output map (N, 2)."""
+    xyz = image_to_ground(scene.model, colrow, surface)
+    source = scene.model.crs if surface is None else surface.crs
+    return Transform(horizontal(source), horizontal(crs))(xyz[:, :2])
+
+
+def _inwards(
+    scene: Scene, border: FloatArray, centre: FloatArray, surface: Surface | None, crs: CRS, middle: FloatArray
+) -> FloatArray:
+    """For each border point, the outermost point towards the centre that sees ground, by bisection."""
+    seen, unseen = np.zeros(len(border)), np.ones(len(border))
+    places = np.tile(middle, (len(border), 1))
+    for _ in range(12):
+        trial = (seen + unseen) / 2
+        ground = _ground(scene, centre + (border - centre) * trial[:, None], surface, crs)
+        hit = ~np.isnan(ground).any(axis=1)
+        places[hit] = ground[hit]
+        seen, unseen = np.where(hit, trial, seen), np.where(hit, unseen, trial)
+    return places
+
+
+def _nadir(scene: Scene, crs: CRS) -> tuple[float, float] | None:
+    """Map position of the projection centre of the image's middle, where the model has one."""
+    model = scene.model
+    if not isinstance(model, HasRays):
+        return None
+    origin = model.rays(np.array([[model.size[0] / 2, model.size[1] / 2]]))[0]
+    if model.crs.is_geocentric:
+        lonlat = Transform(model.crs, geographic(model.crs))(origin)[:, :2]
+        place = Transform(horizontal(geographic(model.crs)), horizontal(crs))(lonlat)[0]
+    else:
+        place = Transform(horizontal(model.crs), horizontal(crs))(origin[:, :2])[0]
+    return (float(place[0]), float(place[1])) if np.isfinite(place).all() else None
+
+
+def _shows(scene: Scene, place: tuple[float, float], surface: Surface | None, crs: CRS) -> bool:
+    """Whether a map place falls within the image."""
+    if surface is None:
+        return False
+    xy = Transform(horizontal(crs), horizontal(surface.crs))(np.array([place]))
+    z = surface.height(xy)
+    colrow = scene.model.ground_to_image(Transform(surface.crs, scene.model.crs)(np.column_stack([xy, z])))[0]
+    return bool(0 <= colrow[0] <= scene.model.size[0] and 0 <= colrow[1] <= scene.model.size[1])
+
+
+def _no_ground(scene: Scene, surface: Surface | None, crs: CRS) -> InputError:
+    where = scene.name
+    nadir = _nadir(scene, crs)
+    if surface is not None and nadir is not None:
+        xy = Transform(horizontal(crs), horizontal(surface.crs))(np.array([nadir]))
+        if np.isnan(surface.height(xy)).any():
+            return InputError(
+                f"the image lies outside the DEM: there is no height under the camera at x {nadir[0]:.1f}, "
+                f"y {nadir[1]:.1f} ({horizontal(crs).name})",
+                where=where,
+                mend="check the CRS of the positions and of the DEM, or give a DEM that covers the image",
+            )
+    return InputError(
+        "the middle of the image sees no ground: it looks at the sky, or past the edge of the DEM",
+        where=where,
+        mend="check the angle system and unit (a roll or gimbal turned by 180°, radians for degrees) and the DEM's extent",
+    )

@@ -1,0 +1,34 @@
+"""One image with its sensor model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from geomosaic.sensor.model import SensorModel
+
+
+@dataclass(frozen=True)
+class Scene:
+    """An image file and the model that says where its pixels lie.
+
+    Attributes
+    ----------
+    name : str
+        Unique in its block.
+    path : str
+        The image file.
+    sensor : str
+        Name of the sensor plugin the model comes from.
+    model : SensorModel
+    nodata : float, optional
+        Value of missing pixels, where the file does not say so itself.
+    bands : tuple of int, optional
+        Bands to use, counted from 1; all colour bands unless given.
+    """
+
+    name: str
+    path: str
+    sensor: str
+    model: SensorModel
+    nodata: float | None = None
+    bands: tuple[int, ...] | None = None

@@ -1,0 +1,72 @@
+"""Where the output lies, and how fine it is."""
+
+from __future__ import annotations
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.block.footprint import Footprint, footprint
+from geomosaic.block.scene import Scene
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import geographic, horizontal
+from geomosaic.geo.grid import Bounds, Grid
+from geomosaic.geo.transform import Transform
+from geomosaic.surface.model import Surface
+
+
+def output_crs(scenes: tuple[Scene, ...], surface: Surface | None) -> CRS:
+    """Map CRS of the output where none is given: the surface's or model's own, or the UTM zone it lies in."""
+    model = scenes[0].model
+    own = horizontal(model.crs if surface is None or not model.crs.is_geocentric else surface.crs)
+    if own.is_projected:
+        return own
+    from pyproj.aoi import AreaOfInterest
+    from pyproj.database import query_utm_crs_info
+
+    lon, lat, _ = Transform(model.crs, geographic(model.crs))(np.array([model.seed]))[0]
+    zones = query_utm_crs_info(datum_name="WGS 84", area_of_interest=AreaOfInterest(lon, lat, lon, lat))
+    if not zones:
+        raise InputError(f"no UTM zone at longitude {lon:.3f}, latitude {lat:.3f}", mend="give --dst-crs")
+    return CRS.from_epsg(int(zones[0].code))
+
+
+def footprints(scenes: tuple[Scene, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
+    """Outlines of all scenes in the output map."""
+    return [footprint(scene, surface, crs) for scene in scenes]
+
+
+def nice(resolution: float) -> float:
+    """Round to two significant digits, so that the pixel size can be read and typed."""
+    digits = 1 - int(np.floor(np.log10(resolution)))
+    return float(round(resolution, digits))
+
+
+def output_grid(
+    crs: CRS, outlines: list[Footprint], resolution: float | None = None, bounds: Bounds | None = None
+) -> Grid:
+    """Grid over all footprints, snapped to whole pixels.
+
+    Parameters
+    ----------
+    crs : CRS
+        Horizontal CRS of the output; `outlines` are in it.
+    outlines : list of Footprint
+    resolution : float, optional
+        Map units; the median ground sampling distance of the images unless given, rounded to two digits.
+    bounds : tuple of float, optional
+        Left, bottom, right, top in `crs`, kept as they are given.
+    """
+    each = np.array([outline.bounds for outline in outlines])
+    everything = (each[:, 0].min(), each[:, 1].min(), each[:, 2].max(), each[:, 3].max())
+    if resolution is None:
+        resolution = nice(float(np.median([outline.sampling for outline in outlines])))
+    if bounds is None:
+        return Grid.from_bounds(crs, everything, resolution)
+    grid = Grid.from_bounds(crs, bounds, resolution, snap=False)
+    a, b = everything, grid.bounds
+    if not (a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]):
+        raise InputError(
+            f"no image reaches the bounds {bounds}: the images cover {tuple(round(float(v), 2) for v in everything)}",
+            mend=f"give --bounds as left bottom right top in {crs.name}",
+        )
+    return grid

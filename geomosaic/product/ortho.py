@@ -1,0 +1,174 @@
+"""One image, one ortho."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from geomosaic.block.footprint import Footprint
+from geomosaic.block.scene import Scene
+from geomosaic.errors import InputError
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.product.options import RenderOptions
+from geomosaic.product.photo import Photo, block_ground, pull
+from geomosaic.product.pool import in_order
+from geomosaic.raster.sink import RasterSink
+from geomosaic.resample.warp import Colour, engine_for
+from geomosaic.sensor.lattice import BLOCK_HEIGHT, blocks
+from geomosaic.surface.model import Surface
+from geomosaic.types import AnyArray, ByteArray
+
+
+@dataclass(frozen=True)
+class OrthoResult:
+    """What was made.
+
+    Attributes
+    ----------
+    path : Path
+    grid : Grid
+    valid_pixels : int
+        Pixels that show the image.
+    lattice_error : float
+        Largest measured interpolation error of the geometry, in image pixels.
+    tolerance : float
+        What it had to stay under, in image pixels.
+    scale : float
+        Image pixels per output pixel (median over blocks).
+    seconds : float
+    """
+
+    path: Path
+    grid: Grid
+    valid_pixels: int
+    lattice_error: float
+    tolerance: float
+    scale: float
+    seconds: float
+
+
+@dataclass
+class GeometryRecord:
+    """Worst lattice error and typical scale, gathered block by block."""
+
+    error: float = 0.0
+    scales: list[float] | None = None
+
+    def add(self, error: float, scale: float) -> None:
+        """Take in one block."""
+        self.error = max(self.error, error if np.isfinite(error) else 0.0)
+        self.scales = [*(self.scales or []), scale]
+
+    @property
+    def scale(self) -> float:
+        """Median scale."""
+        return float(np.nanmedian(self.scales)) if self.scales else float("nan")
+
+
+def tiles(grid: Grid, width: int) -> list[Window]:
+    """Work units: rows of blocks, `width` pixels wide, from the upper left."""
+    return grid.window.split(width, BLOCK_HEIGHT)
+
+
+def ortho(
+    scene: Scene,
+    surface: Surface | None,
+    grid: Grid,
+    outline: Footprint,
+    output: Path,
+    options: RenderOptions | None = None,
+) -> OrthoResult:
+    """Rectify one image onto a surface.
+
+    Parameters
+    ----------
+    scene : Scene
+    surface : Surface or None
+        None where the model uses no heights.
+    grid : Grid
+        The output, see `extent.output_grid`.
+    outline : Footprint
+        Of the scene in the output map.
+    output : Path
+        File to write.
+    options : RenderOptions
+
+    Returns
+    -------
+    OrthoResult
+
+    Raises
+    ------
+    InputError
+        The image cannot be read, or shows nothing of the grid.
+    OutputError
+        Writing failed; no file is left under the final name.
+    """
+    options = options or RenderOptions()
+    started = time.perf_counter()
+    photo = Photo.open(scene, surface, grid, outline, options.memory_limit // 2)
+    info = photo.source.info
+    engine = engine_for(_work(grid, photo))
+    record, seen = GeometryRecord(), 0
+    colour = Colour.identity(info.bands)
+    units = tiles(grid, options.tile)
+
+    def render(unit: Window) -> tuple[AnyArray, ByteArray, list[tuple[float, float]]]:
+        values = np.zeros((unit.height, unit.width, info.bands), dtype=info.dtype)
+        valid = np.zeros((unit.height, unit.width), dtype=np.uint8)
+        facts = []
+        if photo.touches(grid.crop(unit).bounds):
+            for block in blocks(unit):
+                part = block.intersection(grid.window)
+                ground = block_ground(surface, grid, part)
+                across = slice(part.col - unit.col, part.stop_col - unit.col)
+                out, out_valid = values[:, across], valid[:, across]
+                lattice = pull(
+                    engine, photo, grid, ground, options.resampling, options.tolerance, colour, out, out_valid
+                )
+                if lattice is not None:
+                    facts.append((lattice.error, lattice.scale))
+        return values, valid, facts
+
+    try:
+        with RasterSink(
+            output,
+            grid,
+            info.bands,
+            info.dtype,
+            nodata=options.nodata,
+            driver=options.driver,
+            creation=options.creation,
+            overwrite=options.overwrite,
+            threads=options.threads,
+            descriptions=info.descriptions,
+            tags={"GEOMOSAIC_SENSOR": scene.sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
+        ) as sink:
+            for done, (unit, (values, valid, facts)) in enumerate(in_order(render, units, options.threads)):
+                sink.write(unit, values, valid)
+                seen += int(np.count_nonzero(valid))
+                for fact in facts:
+                    record.add(*fact)
+                options.report(done + 1, len(units), "ortho")
+            if not seen:
+                raise InputError(
+                    "the image shows nothing of the output area",
+                    where=scene.name,
+                    mend="check --bounds, the DEM's extent and the image's orientation",
+                )
+            sink.finish()
+    finally:
+        photo.source.close()
+    return OrthoResult(
+        output, grid, seen, record.error, options.tolerance, record.scale, time.perf_counter() - started
+    )
+
+
+def _work(grid: Grid, photo: Photo) -> int:
+    """Samples the job will take: output pixels, or image pixels where the output is coarser."""
+    resolution = grid.resolution[0] * grid.resolution[1]
+    each = max(1.0, resolution / max(photo.footprint.sampling**2, 1e-12))
+    return int(grid.width * grid.height * min(each, 256.0))

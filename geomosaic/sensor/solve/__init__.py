@@ -1,0 +1,12 @@
+"""What follows from a sensor model's one map: its inverse, its derivatives, and its parameters from control points.
+
+Everything here works for every `SensorModel`, from `ground_to_image` alone; closed forms are used where a model has them.
+"""
+
+from __future__ import annotations
+
+from geomosaic.sensor.solve.adjust import Resection, fit, resect
+from geomosaic.sensor.solve.inverse import image_to_ground, image_to_height
+from geomosaic.sensor.solve.jacobian import jacobian
+
+__all__ = ["Resection", "fit", "image_to_ground", "image_to_height", "jacobian", "resect"]

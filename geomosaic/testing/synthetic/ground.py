@@ -1,0 +1,113 @@
+"""A ground whose height and colour are known at every point: the truth that rendered photos are judged by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from affine import Affine
+from pyproj import CRS
+
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import has_heights
+from geomosaic.geo.grid import Bounds
+from geomosaic.surface.model import HeightPatch
+from geomosaic.testing.synthetic.land import Land
+from geomosaic.testing.synthetic.relief import bounds, relief
+from geomosaic.types import Float32Array, FloatArray
+
+CHUNK = 1 << 15  # points at a time: what a core's cache holds
+
+
+@dataclass(frozen=True)
+class AnalyticGround:
+    """Relief and colour in closed form; a `Surface`.
+
+    Attributes
+    ----------
+    crs : CRS
+        3-D CRS in metres (projected, or a local one); its heights are those of the relief.
+    origin : (float, float)
+        Where in `crs` the middle of the land lies.
+    base : float
+        Height in metres about which the relief goes up and down.
+    exaggeration : float
+        Factor on the relief; 0 is flat country.
+    wavelength : float
+        Smallest wavelength of the colour in metres. Pixels up to half of it show it without aliasing.
+    bands : int
+        1 to 4: red, green, blue, near infrared.
+    seed : int
+        Which land.
+    spacing : float
+        Nodes of `patch`, metres.
+    """
+
+    crs: CRS
+    origin: tuple[float, float] = (0.0, 0.0)
+    base: float = 450.0
+    exaggeration: float = 1.0
+    wavelength: float = 2.5
+    bands: int = 3
+    seed: int = 7
+    spacing: float = 2.0
+
+    def __post_init__(self) -> None:
+        if self.crs.is_geocentric or not has_heights(self.crs):
+            raise InputError(f"the ground needs a map CRS with heights, not '{self.crs.name}'")
+        if not 1 <= self.bands <= 4:
+            raise InputError(f"the ground has 1 to 4 bands, not {self.bands}")
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Bounds of the height in metres, from the formulas; safe rather than tight."""
+        low, high, _ = bounds()
+        return self.base + self.exaggeration * low, self.base + self.exaggeration * high
+
+    @property
+    def steepest(self) -> float:
+        """Upper bound of the slope in metres per metre."""
+        return abs(self.exaggeration) * bounds()[2]
+
+    @property
+    def datum(self) -> FloatArray:
+        """The point (3,) that coordinate pictures count from: the origin at the base height."""
+        return np.array([*self.origin, self.base])
+
+    def _local(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+        points = np.asarray(xy, dtype=np.float64)
+        return points[:, 0] - self.origin[0], points[:, 1] - self.origin[1]
+
+    def height(self, xy: FloatArray) -> FloatArray:
+        """Heights (N,) in metres at (N, 2) in `crs`."""
+        return self.base + self.exaggeration * relief(*self._local(xy))[0]
+
+    def gradient(self, xy: FloatArray) -> FloatArray:
+        """Slopes dz/dx and dz/dy (N, 2) at (N, 2) in `crs`."""
+        _, zu, zv = relief(*self._local(xy))
+        return self.exaggeration * np.column_stack([zu, zv])
+
+    def texture(self, xy: FloatArray) -> Float32Array:
+        """Radiance (N, bands), 0..1, at (N, 2) in `crs`; NaN where a coordinate is."""
+        u, v = self._local(xy)
+        out = np.empty((len(u), self.bands), dtype=np.float32)
+        land = Land(self.wavelength, self.seed, self.bands)
+        for start in range(0, len(u), CHUNK):
+            part = slice(start, start + CHUNK)
+            seen = np.isfinite(u[part]) & np.isfinite(v[part])
+            pu, pv = np.where(seen, u[part], 0.0), np.where(seen, v[part], 0.0)
+            _, zu, zv = relief(pu, pv)
+            slopes = (self.exaggeration * np.stack([zu, zv])).astype(np.float32)
+            out[part] = land(pu.astype(np.float32), pv.astype(np.float32), slopes[0], slopes[1])
+            out[part][~seen] = np.nan
+        return out
+
+    def patch(self, bounds: Bounds) -> HeightPatch:
+        """Heights at nodes `spacing` apart that cover bounds (left, bottom, right, top) in `crs`, two nodes to spare."""
+        s = self.spacing
+        first_col, last_col = np.floor(bounds[0] / s) - 2, np.ceil(bounds[2] / s) + 2
+        first_row, last_row = np.floor(bounds[1] / s) - 2, np.ceil(bounds[3] / s) + 2
+        x, y = np.arange(first_col, last_col + 1) * s, np.arange(last_row, first_row - 1, -1) * s
+        nodes = np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
+        heights = self.height(nodes).reshape(len(y), len(x)).astype(np.float32)
+        return HeightPatch(heights, Affine(s, 0.0, x[0] - s / 2, 0.0, -s, y[0] + s / 2))

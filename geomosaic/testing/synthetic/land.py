@@ -1,0 +1,193 @@
+"""What the analytic ground looks like from above: fields, woods, a river, roads and a village.
+
+Colours are red, green, blue and near infrared, 0..1, as a display shows them. Each layer is laid over those before it
+with a soft mask. No edge is sharper and no pattern finer than the smallest wavelength asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.testing.synthetic.noise import crowns, patchwork, soft, spline_noise, table
+from geomosaic.testing.synthetic.relief import river
+from geomosaic.testing.synthetic.village import houses
+from geomosaic.types import Float32Array
+
+SUN = (0.64, -0.77)  # mid-morning sun in the south-east: unit vector in (u, v)
+
+FIELDS = np.array(
+    [
+        [0.66, 0.60, 0.43, 0.52],  # ripe wheat
+        [0.58, 0.52, 0.39, 0.48],  # stubble
+        [0.44, 0.37, 0.29, 0.36],  # ploughed
+        [0.37, 0.31, 0.25, 0.32],  # ploughed, wet
+        [0.35, 0.42, 0.24, 0.70],  # meadow
+        [0.39, 0.46, 0.25, 0.76],  # young crop
+        [0.25, 0.33, 0.18, 0.72],  # beet, maize
+        [0.31, 0.38, 0.22, 0.66],  # pasture
+        [0.49, 0.49, 0.31, 0.60],  # hay
+        [0.42, 0.45, 0.27, 0.64],  # grass
+    ],
+    dtype=np.float32,
+)
+LEAF_DARK, LEAF_LIGHT, PINE_LIGHT = (0.09, 0.14, 0.08, 0.34), (0.29, 0.37, 0.18, 0.80), (0.18, 0.27, 0.16, 0.60)
+HEDGE, VERGE, GARDEN = (0.19, 0.26, 0.14, 0.58), (0.45, 0.46, 0.30, 0.56), (0.33, 0.40, 0.23, 0.66)
+WATER, SAND = (0.16, 0.22, 0.22, 0.06), (0.60, 0.56, 0.46, 0.50)
+ASPHALT, GRAVEL = (0.53, 0.52, 0.51, 0.46), (0.61, 0.56, 0.45, 0.55)
+VILLAGE = (205.0, 260.0)
+
+
+@dataclass(frozen=True)
+class Land:
+    """The look of the land.
+
+    Attributes
+    ----------
+    wavelength : float
+        Smallest wavelength in metres; a photo or ortho with pixels of at most half of it shows it without aliasing.
+    seed : int
+        Which land.
+    bands : int
+        1 to 4: red, green, blue, near infrared.
+    """
+
+    wavelength: float = 2.5
+    seed: int = 7
+    bands: int = 3
+
+    def __call__(self, u: Float32Array, v: Float32Array, slope_u: Float32Array, slope_v: Float32Array) -> Float32Array:
+        """Radiance (N, bands), 0..1, at local coordinates (N,) in metres, shaded by the slope of the relief (N,)."""
+        broad, middle = self._noise("broad", u, v, 130.0), self._noise("middle", u, v, 21.0)
+        fine = self._noise("fine", u, v, 2.2)
+        colour = self._fields(u, v, broad, middle, fine)
+        colour = self._woods(colour, u, v, broad, middle)
+        colour = self._river(colour, u, v, middle, fine)
+        colour = self._village(colour, u, v, broad, fine)
+        colour = self._roads(colour, u, v, fine)
+        light = 1 - np.float32(0.8) * (slope_u * np.float32(SUN[0]) + slope_v * np.float32(SUN[1]))
+        light *= 1 + np.float32(0.07) * middle + np.float32(0.12) * broad
+        return np.clip(colour[:, : self.bands] * light[:, None], 0, 1)
+
+    @property
+    def _edge(self) -> float:
+        """Half-width of the sharpest edge in metres."""
+        return 0.42 * self.wavelength
+
+    def _noise(self, name: str, u: Float32Array, v: Float32Array, spacing: float) -> Float32Array:
+        return spline_noise(u, v, max(spacing, 0.9 * self.wavelength), table(self.seed, name, 1)[:, 0])
+
+    def _fields(
+        self, u: Float32Array, v: Float32Array, broad: Float32Array, middle: Float32Array, fine: Float32Array
+    ) -> Float32Array:
+        """Patchwork of fields with rows of crop, hedges and grass strips between them."""
+        bend = np.float32(60.0) * broad
+        c, s = np.float32(np.cos(0.42)), np.float32(np.sin(0.42))
+        along, across = c * u + s * v + bend, c * v - s * u - bend
+        size = max(1.0, self._edge / 2.0)
+        p, q = along * np.float32(1 / (190.0 * size)), across * np.float32(1 / (112.0 * size))
+        random = table(self.seed, "fields", 6)
+        attributes = np.zeros((len(random), 8), dtype=np.float32)
+        attributes[:, :4] = FIELDS[(random[:, 2] * len(FIELDS)).astype(np.int64)] * (0.90 + 0.2 * random[:, 3:4])
+        rows = (random[:, 4] * 4).astype(np.int64)
+        for k in range(3):  # which of three directions the rows of the crop run in, and how clearly
+            attributes[rows == k, 4 + k] = 0.02 + 0.07 * random[rows == k, 5]
+        attributes[:, 7] = 0.4 + 0.9 * random[:, 5]
+        edge = self._edge / (112.0 * size)
+        blended, border = patchwork(p, q, random[:, :2], attributes, edge, min(3.5 * edge, 0.05))
+        stripes = np.zeros_like(u)
+        for k, (turn, length) in enumerate(((0.0, 6.5), (np.pi / 2, 8.0), (0.0, 14.0))):
+            k_wave = 2 * np.pi / max(length, 1.3 * self.wavelength)
+            phase = (along * np.float32(np.sin(turn)) + across * np.float32(np.cos(turn))) * np.float32(k_wave)
+            stripes += blended[:, 4 + k] * np.cos(phase)
+        tone = 1 + stripes + blended[:, 7] * (np.float32(0.16) * fine + np.float32(0.26) * middle)
+        colour = blended[:, :4] * tone[:, None]
+        hedge = soft(self._noise("hedge", u, v, 70.0) - np.float32(0.03), 0.05)
+        leaves = np.clip(np.float32(1) + np.float32(1.6) * fine, 0.3, 1.8)[:, None] * np.asarray(HEDGE, dtype=np.float32)
+        colour = _lay(colour, border * (1 - hedge) * np.float32(0.75), VERGE)
+        return _lay(colour, np.minimum(border * hedge * np.float32(1.3), 1), leaves)
+
+    def _woods(
+        self, colour: Float32Array, u: Float32Array, v: Float32Array, broad: Float32Array, middle: Float32Array
+    ) -> Float32Array:
+        """Woods on the higher ground, and lines of trees; crowns lit from the sun's side."""
+        patches = self._noise("woods", u, v, 260.0) + np.float32(0.22) * broad + np.float32(0.035) * middle
+        village = ((u - VILLAGE[0]) / 380) ** 2 + ((v - VILLAGE[1]) / 300) ** 2
+        patches -= np.exp(-village) * np.float32(0.5)
+        course, slope = river(u)
+        bank = np.abs(v - course) / np.sqrt(1 + slope * slope)
+        riverside = np.exp(-(((bank - 24) / 10) ** 2)) * (self._noise("bank", u, v, 60.0) + np.float32(0.12)) * 2
+        mask = np.maximum(soft(patches - np.float32(0.115), 0.007), soft(riverside - np.float32(0.15), 0.1))
+        near = np.flatnonzero(mask > 1e-4)
+        if not len(near):
+            return colour
+        spacing = max(7.5, 2.6 * self.wavelength)
+        cover, light = crowns(u[near], v[near], spacing, table(self.seed, "crowns", 4), SUN)
+        pine = soft(self._noise("pines", u[near], v[near], 95.0), 0.06)[:, None]
+        bright = np.asarray(LEAF_LIGHT, dtype=np.float32) * (1 - pine) + np.asarray(PINE_LIGHT, dtype=np.float32) * pine
+        dark = np.asarray(LEAF_DARK, dtype=np.float32)
+        leaves = dark + (cover * light)[:, None] * (bright - dark)
+        colour[near] = _lay(colour[near], mask[near], leaves)
+        return colour
+
+    def _river(
+        self, colour: Float32Array, u: Float32Array, v: Float32Array, middle: Float32Array, fine: Float32Array
+    ) -> Float32Array:
+        """Water with pale banks and a little current."""
+        course, slope = river(u)
+        distance = np.abs(v - course) / np.sqrt(1 + slope * slope)
+        half = np.float32(10.0) + np.float32(6.0) * middle
+        sand = soft(self._noise("sand", u, v, 48.0) - np.float32(0.08), 0.06)
+        colour = _lay(colour, soft(half + 6 - distance, max(2.0, self._edge)) * sand, SAND)
+        depth = np.float32(1) + np.float32(0.25) * fine + np.float32(0.35) * np.exp(-(((distance - half) / 5) ** 2))
+        return _lay(colour, soft(half - distance, self._edge), depth[:, None] * np.asarray(WATER, dtype=np.float32))
+
+    def _roads(self, colour: Float32Array, u: Float32Array, v: Float32Array, fine: Float32Array) -> Float32Array:
+        """Two metalled roads, and a pair of farm tracks."""
+        for amplitude, length, phase, offset, half, northward in (
+            (34.0, 260.0, 0.7, -560.0, 1.6, True),
+            (42.0, 310.0, 2.0, 560.0, 1.6, False),
+            (26.0, 300.0, 1.1, -470.0, 1.6, False),
+            (70.0, 520.0, 2.4, 240.0, 3.4, False),
+            (48.0, 430.0, 0.3, 190.0, 3.0, True),
+        ):
+            a, b = (v, u) if northward else (u, v)
+            angle = a * np.float32(1 / length) + np.float32(phase)
+            slope = np.cos(angle) * np.float32(amplitude / length)
+            distance = np.abs(b - offset - np.float32(amplitude) * np.sin(angle)) / np.sqrt(1 + slope * slope)
+            if half > 2:
+                colour = _lay(colour, soft(half + 3 - distance, max(1.5, self._edge)) * np.float32(0.8), VERGE)
+            surface = np.asarray(ASPHALT if half > 2 else GRAVEL, dtype=np.float32)
+            worn = (1 + np.float32(0.08) * fine)[:, None] * surface
+            strength = np.float32(1.0 if half > 2 else 0.8)
+            colour = _lay(colour, soft(half - distance, self._edge) * strength, worn)
+        return colour
+
+    def _village(
+        self, colour: Float32Array, u: Float32Array, v: Float32Array, broad: Float32Array, fine: Float32Array
+    ) -> Float32Array:
+        """Gardens, streets, and houses with ridged roofs and shadows."""
+        reach = ((u - VILLAGE[0]) / 235) ** 2 + ((v - VILLAGE[1]) / 165) ** 2
+        mask = soft(1 + np.float32(1.6) * broad - reach, 0.06)
+        near = np.flatnonzero(mask > 1e-3)
+        if not len(near):
+            return colour
+        local = colour[near]
+        garden = (1 + np.float32(0.5) * fine[near])[:, None] * np.asarray(GARDEN, dtype=np.float32)
+        ground = _lay(local, np.full(len(near), 0.8, dtype=np.float32), garden)
+        cover, light = crowns(u[near], v[near], max(9.0, 2.6 * self.wavelength), table(self.seed, "trees", 4), SUN)
+        sparse = soft(self._noise("orchard", u[near], v[near], 26.0) - np.float32(0.1), 0.05)
+        dark = np.asarray(LEAF_DARK, dtype=np.float32)
+        leaves = dark + (cover * light)[:, None] * (np.asarray(LEAF_LIGHT, dtype=np.float32) - dark)
+        ground = _lay(ground, cover * sparse, leaves)
+        ground = houses(ground, u[near], v[near], self._edge, self.seed, SUN)
+        colour[near] = _lay(local, mask[near], ground)
+        return colour
+
+
+def _lay(under: Float32Array, mask: Float32Array, over: Float32Array | Sequence[float]) -> Float32Array:
+    """Lay a colour (4,) or colours (N, 4) over others (N, 4) where the mask (N,) is 1."""
+    laid: Float32Array = under + mask[:, None] * (np.asarray(over, dtype=np.float32) - under)
+    return laid

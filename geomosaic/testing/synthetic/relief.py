@@ -1,0 +1,88 @@
+"""The relief of the analytic ground: hills, a river valley and rolling country, in closed form with its gradient.
+
+Coordinates here are local: (u, v) metres east and north of the ground's origin.
+
+    z(u, v) = Σ Aᵢ·cos(2π(u·cos θᵢ + v·sin θᵢ)/λᵢ + φᵢ) + Σ Hⱼ·exp(−((u−uⱼ)² + (v−vⱼ)²)/(2·σⱼ²))
+              − D·exp(−(v − r(u))²/(2·W²)),     r(u) the course of the river
+
+Every term is bounded with a bounded slope, so the range of heights and the steepest slope are known without sampling.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geomosaic.types import AnyArray, FloatArray
+
+# amplitude (m), wavelength (m), direction (deg), phase (rad)
+WAVES = np.array(
+    [
+        [9.0, 2900.0, 20.0, 0.4],
+        [7.0, 1700.0, 105.0, 2.1],
+        [4.0, 980.0, 60.0, 4.0],
+        [2.5, 610.0, 150.0, 1.2],
+        [2.2, 370.0, 35.0, 5.2],
+        [1.1, 210.0, 120.0, 0.9],
+    ]
+)
+# height (m), u (m), v (m), sigma (m)
+HILLS = np.array(
+    [
+        [72.0, -620.0, 520.0, 270.0],
+        [48.0, -150.0, 640.0, 210.0],
+        [58.0, 700.0, 470.0, 260.0],
+        [64.0, 430.0, -720.0, 290.0],
+        [40.0, -480.0, -700.0, 220.0],
+        [26.0, 980.0, -300.0, 180.0],
+    ]
+)
+VALLEY_DEPTH, VALLEY_WIDTH = 34.0, 240.0
+# amplitude (m), wavelength / 2π (m), phase (rad) of the river's meanders
+MEANDERS = ((-120.0, 0.0, np.pi / 2), (95.0, 330.0, 0.5), (28.0, 118.0, 1.3))
+
+
+def river(u: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """Course of the river: v (N,) and its slope dv/du (N,) at u (N,), metres."""
+    course, slope = np.zeros_like(u), np.zeros_like(u)
+    for amplitude, length, phase in MEANDERS:
+        angle = u / u.dtype.type(length) + u.dtype.type(phase) if length else np.full_like(u, phase)
+        course += u.dtype.type(amplitude) * np.sin(angle)
+        if length:
+            slope += u.dtype.type(amplitude / length) * np.cos(angle)
+    return course, slope
+
+
+def relief(u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Height above the base (N,) and its derivatives by u and v (N,), metres and metres per metre."""
+    z, zu, zv = np.zeros_like(u), np.zeros_like(u), np.zeros_like(u)
+    for amplitude, length, direction, phase in WAVES:
+        k = 2.0 * np.pi / length
+        ku, kv = k * np.cos(np.radians(direction)), k * np.sin(np.radians(direction))
+        angle = ku * u + kv * v + phase
+        sine = amplitude * np.sin(angle)
+        z += amplitude * np.cos(angle)
+        zu -= ku * sine
+        zv -= kv * sine
+    for height, u0, v0, sigma in HILLS:
+        du, dv = u - u0, v - v0
+        bell = height * np.exp(-(du * du + dv * dv) / (2.0 * sigma**2))
+        z += bell
+        zu -= bell * du / sigma**2
+        zv -= bell * dv / sigma**2
+    course, slope = river(u)
+    across = v - course
+    cut = VALLEY_DEPTH * np.exp(-(across * across) / (2.0 * VALLEY_WIDTH**2))
+    z -= cut
+    zv += cut * across / VALLEY_WIDTH**2
+    zu -= cut * across / VALLEY_WIDTH**2 * slope
+    return z, zu, zv
+
+
+def bounds() -> tuple[float, float, float]:
+    """Lower and upper bound of the height above the base, and an upper bound of the slope; rigorous, not tight."""
+    waves = float(np.abs(WAVES[:, 0]).sum())
+    steepest = float((np.abs(WAVES[:, 0]) * 2.0 * np.pi / WAVES[:, 1]).sum())
+    steepest += float((HILLS[:, 0] * np.exp(-0.5) / HILLS[:, 3]).sum())
+    meander = sum(abs(a / length) for a, length, _ in MEANDERS if length)
+    steepest += VALLEY_DEPTH * np.exp(-0.5) / VALLEY_WIDTH * float(np.hypot(1.0, meander))
+    return -waves - VALLEY_DEPTH, waves + float(HILLS[:, 0].sum()), steepest
