@@ -95,10 +95,9 @@ class AnalyticGround:
         for start in range(0, len(u), CHUNK):
             part = slice(start, start + CHUNK)
             seen = np.isfinite(u[part]) & np.isfinite(v[part])
-            pu, pv = np.where(seen, u[part], 0.0), np.where(seen, v[part], 0.0)
+            pu, pv = (np.where(seen, p[part], 0.0).astype(np.float32) for p in (u, v))
             _, zu, zv = relief(pu, pv)
-            slopes = (self.exaggeration * np.stack([zu, zv])).astype(np.float32)
-            out[part] = land(pu.astype(np.float32), pv.astype(np.float32), slopes[0], slopes[1])
+            out[part] = land(pu, pv, self.exaggeration * zu, self.exaggeration * zv)
             out[part][~seen] = np.nan
         return out
 

@@ -107,7 +107,7 @@ class Land:
         hedge = soft(self._noise("hedge", u, v, 70.0) - np.float32(0.03), 0.05)
         leaves = np.clip(np.float32(1) + np.float32(1.6) * fine, 0.3, 1.8)[:, None] * np.asarray(HEDGE, dtype=np.float32)
         colour = _lay(colour, border * (1 - hedge) * np.float32(0.75), VERGE)
-        return _lay(colour, np.minimum(border * hedge * np.float32(1.3), 1), leaves)
+        return _lay(colour, border * hedge, leaves)
 
     def _woods(
         self, colour: Float32Array, u: Float32Array, v: Float32Array, broad: Float32Array, middle: Float32Array
@@ -120,7 +120,7 @@ class Land:
         bank = np.abs(v - course) / np.sqrt(1 + slope * slope)
         riverside = np.exp(-(((bank - 24) / 10) ** 2)) * (self._noise("bank", u, v, 60.0) + np.float32(0.12)) * 2
         mask = np.maximum(soft(patches - np.float32(0.115), 0.007), soft(riverside - np.float32(0.15), 0.1))
-        near = np.flatnonzero(mask > 1e-4)
+        near = np.flatnonzero(mask > 1e-5)
         if not len(near):
             return colour
         spacing = max(7.5, 2.6 * self.wavelength)
@@ -171,7 +171,7 @@ class Land:
         """Gardens, streets, and houses with ridged roofs and shadows."""
         reach = ((u - VILLAGE[0]) / 235) ** 2 + ((v - VILLAGE[1]) / 165) ** 2
         mask = soft(1 + np.float32(1.6) * broad - reach, 0.06)
-        near = np.flatnonzero(mask > 1e-3)
+        near = np.flatnonzero(mask > 1e-5)
         if not len(near):
             return colour
         local = colour[near]

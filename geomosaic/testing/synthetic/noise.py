@@ -138,5 +138,4 @@ def crowns(
         lit = np.float32(0.62) + np.float32(1.1) * (dp * np.float32(sun[0]) + dq * np.float32(sun[1])) / size
         cover += bump
         light += bump * lit * (np.float32(0.65) + np.float32(0.7) * values[index, 3])
-    light /= np.maximum(cover, np.float32(0.15))
-    return np.minimum(cover * np.float32(1.5), 1), light
+    return 1 - np.exp(np.float32(-2.4) * cover), light / (cover + np.float32(0.08))

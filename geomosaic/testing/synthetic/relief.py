@@ -10,9 +10,11 @@ Every term is bounded with a bounded slope, so the range of heights and the stee
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from geomosaic.types import AnyArray, FloatArray
+from geomosaic.types import AnyArray
 
 # amplitude (m), wavelength (m), direction (deg), phase (rad)
 WAVES = np.array(
@@ -38,32 +40,32 @@ HILLS = np.array(
 )
 VALLEY_DEPTH, VALLEY_WIDTH = 34.0, 240.0
 # amplitude (m), wavelength / 2π (m), phase (rad) of the river's meanders
-MEANDERS = ((-120.0, 0.0, np.pi / 2), (95.0, 330.0, 0.5), (28.0, 118.0, 1.3))
+MEANDERS = ((95.0, 330.0, 0.5), (28.0, 118.0, 1.3))
+RIVER_OFFSET = -120.0
 
 
 def river(u: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Course of the river: v (N,) and its slope dv/du (N,) at u (N,), metres."""
-    course, slope = np.zeros_like(u), np.zeros_like(u)
+    """Course of the river: v (N,) and its slope dv/du (N,) at u (N,), metres; in the precision of u."""
+    course, slope = np.full_like(u, RIVER_OFFSET), np.zeros_like(u)
     for amplitude, length, phase in MEANDERS:
-        angle = u / u.dtype.type(length) + u.dtype.type(phase) if length else np.full_like(u, phase)
-        course += u.dtype.type(amplitude) * np.sin(angle)
-        if length:
-            slope += u.dtype.type(amplitude / length) * np.cos(angle)
+        angle = u * (1.0 / length) + phase
+        course += amplitude * np.sin(angle)
+        slope += amplitude / length * np.cos(angle)
     return course, slope
 
 
-def relief(u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Height above the base (N,) and its derivatives by u and v (N,), metres and metres per metre."""
+def relief(u: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+    """Height above the base (N,) and its derivatives by u and v (N,), metres and metres per metre; precision as given."""
     z, zu, zv = np.zeros_like(u), np.zeros_like(u), np.zeros_like(u)
-    for amplitude, length, direction, phase in WAVES:
-        k = 2.0 * np.pi / length
-        ku, kv = k * np.cos(np.radians(direction)), k * np.sin(np.radians(direction))
+    for amplitude, length, direction, phase in WAVES.tolist():
+        k = 2.0 * math.pi / length
+        ku, kv = k * math.cos(math.radians(direction)), k * math.sin(math.radians(direction))
         angle = ku * u + kv * v + phase
         sine = amplitude * np.sin(angle)
         z += amplitude * np.cos(angle)
         zu -= ku * sine
         zv -= kv * sine
-    for height, u0, v0, sigma in HILLS:
+    for height, u0, v0, sigma in HILLS.tolist():
         du, dv = u - u0, v - v0
         bell = height * np.exp(-(du * du + dv * dv) / (2.0 * sigma**2))
         z += bell
@@ -83,6 +85,6 @@ def bounds() -> tuple[float, float, float]:
     waves = float(np.abs(WAVES[:, 0]).sum())
     steepest = float((np.abs(WAVES[:, 0]) * 2.0 * np.pi / WAVES[:, 1]).sum())
     steepest += float((HILLS[:, 0] * np.exp(-0.5) / HILLS[:, 3]).sum())
-    meander = sum(abs(a / length) for a, length, _ in MEANDERS if length)
+    meander = sum(abs(a / length) for a, length, _ in MEANDERS)
     steepest += VALLEY_DEPTH * np.exp(-0.5) / VALLEY_WIDTH * float(np.hypot(1.0, meander))
     return -waves - VALLEY_DEPTH, waves + float(HILLS[:, 0].sum()), steepest

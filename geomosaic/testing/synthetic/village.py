@@ -42,7 +42,7 @@ def houses(
         np.float32(PLOT / 2) - np.abs(a - (i + np.float32(0.5)) * np.float32(PLOT)),
         np.float32(PLOT / 2) - np.abs(b - (j + np.float32(0.5)) * np.float32(PLOT)),
     )
-    inside = soft(inset - np.float32(2.5 * edge), edge) * (random[:, 6] < KEEP)  # nothing crosses into the next plot
+    inside = soft(inset - np.float32(3.2 * edge), edge) * (random[:, 6] < KEEP)  # nothing crosses into the next plot
     x = a - (i + np.float32(0.5)) * np.float32(PLOT) - (random[:, 0] - np.float32(0.5)) * 5
     y = b - (j + np.float32(0.5)) * np.float32(PLOT) - (random[:, 1] - np.float32(0.5)) * 4
     twist = (random[:, 2] - np.float32(0.5)) * np.float32(0.24) + np.float32(np.pi / 2) * (random[:, 2] > 0.8)

@@ -1,0 +1,225 @@
+"""Photos of the analytic ground: the ray of each pixel's centre, exactly to the relief, then colour and camera effects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import DTypeLike
+from pyproj import CRS
+
+from geomosaic.errors import InputError
+from geomosaic.geo.transform import Transform
+from geomosaic.testing.synthetic.ground import AnalyticGround
+from geomosaic.types import AnyArray, Float32Array, FloatArray
+
+CHUNK = 1 << 16
+TOLERANCE = 1e-7  # metres, height above the relief
+Texture = Callable[[AnalyticGround, FloatArray], AnyArray]
+
+
+class Camera(Protocol):
+    """What a photo is rendered with: a sensor model with rays, or a `PlainCamera`."""
+
+    @property
+    def crs(self) -> CRS:
+        """Cartesian frame of the rays."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """What a photo makes of radiance: value = gain·radiance + offset, per band (one number serves all bands)."""
+
+    gain: tuple[float, ...] = (1.0,)
+    offset: tuple[float, ...] = (0.0,)
+
+
+@dataclass(frozen=True)
+class Vignetting:
+    """Fall of light towards the corners: 1 − a·ρ² − b·ρ⁴, ρ the distance from the image centre, 1 in the corners."""
+
+    a: float = 0.0
+    b: float = 0.0
+
+    def factor(self, colrow: FloatArray, size: tuple[int, int]) -> FloatArray:
+        """Transmission (N,) at image (N, 2)."""
+        half = np.array(size) / 2.0
+        rho2 = ((np.asarray(colrow) - half) ** 2).sum(axis=1) / (half**2).sum()
+        factor: FloatArray = 1.0 - self.a * rho2 - self.b * rho2**2
+        return factor
+
+
+def radiance(ground: AnalyticGround, xyz: FloatArray) -> Float32Array:
+    """Texture of an ordinary photo: the colour of the ground, 0..1."""
+    return ground.texture(xyz[:, :2])
+
+
+def coordinates(ground: AnalyticGround, xyz: FloatArray) -> FloatArray:
+    """Texture whose value *is* the place: x, y, z counted from `ground.datum`, metres.
+
+    Differences, because float32 resolves a northing of 5 500 km to half a metre only, and 1 km to 0.06 mm.
+    """
+    return xyz - ground.datum
+
+
+def intersect(model: Camera, ground: AnalyticGround, colrow: FloatArray) -> FloatArray:
+    """Where lines of sight first meet the relief.
+
+    Exact to `TOLERANCE` in height. A model with `rays` is asked for them; any other is inverted by
+    `geomosaic.sensor.solve.image_to_ground`.
+
+    Parameters
+    ----------
+    colrow : array (N, 2)
+        Image coordinates.
+
+    Returns
+    -------
+    array (N, 3)
+        In `ground.crs`; NaN where a line of sight misses the ground.
+    """
+    rays = getattr(model, "rays", None)
+    if rays is None:
+        from geomosaic.sensor.solve import image_to_ground
+
+        return np.asarray(image_to_ground(model, colrow, ground))  # type: ignore[arg-type]
+    return trace(model.crs, *rays(np.asarray(colrow, dtype=np.float64)), ground)
+
+
+def trace(crs: CRS, origins: FloatArray, directions: FloatArray, ground: AnalyticGround) -> FloatArray:
+    """First points (N, 3) in `ground.crs` where rays (N, 3), (N, 3) of a Cartesian `crs` meet the relief; or NaN.
+
+    A plane at the top of the relief gives two exact points of each ray in map coordinates. Along the straight line through
+    them a step of gap/(fall + steepest slope · run) can never pass the relief, so marching stops before the first
+    hit, wherever the ray comes from. Newton steps with exact map coordinates then take out what is left, including
+    the bend of the ray in the map.
+    """
+    to_map = Transform(crs, ground.crs)
+    foot = np.array([ground.datum, ground.datum + [0.0, 0.0, 1.0]])
+    foot[:, 2] += ground.range[1] - ground.base
+    low, high = to_map.inverse()(foot)
+    up = (high - low) / np.linalg.norm(high - low)
+    fall = -(directions @ up)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.where(fall > 1e-9, ((origins - low) @ up) / fall, np.nan)
+    here, ahead = to_map(origins + t[:, None] * directions), to_map(origins + (t[:, None] + 100.0) * directions)
+    step = (ahead - here) / 100.0
+    t += _march(ground, here, step)
+    point = np.full_like(origins, np.nan, dtype=np.float64)
+    gap = np.full(len(t), np.inf)
+    open_ = np.flatnonzero(np.isfinite(t))
+    for _ in range(12):
+        point[open_] = to_map(origins[open_] + t[open_, None] * directions[open_])
+        xy = point[open_, :2]
+        gap[open_] = point[open_, 2] - ground.height(xy)
+        slope = step[open_, 2] - (ground.gradient(xy) * step[open_, :2]).sum(axis=1)
+        t[open_] -= gap[open_] / slope
+        open_ = open_[~(np.abs(gap[open_]) <= TOLERANCE)]
+        if not len(open_):
+            break
+    point[~(np.abs(gap) <= TOLERANCE)] = np.nan
+    return point
+
+
+def _march(ground: AnalyticGround, start: FloatArray, step: FloatArray) -> FloatArray:
+    """Distance (N,) from `start` along straight lines `step` (per metre) to within 5 cm above the relief, or NaN."""
+    t = np.zeros(len(start))
+    closing = -step[:, 2] + ground.steepest * np.hypot(step[:, 0], step[:, 1])
+    active = np.flatnonzero(np.isfinite(start).all(axis=1) & (step[:, 2] < 0))
+    t[np.setdiff1d(np.arange(len(t)), active)] = np.nan
+    for _ in range(200):
+        point = start[active] + t[active, None] * step[active]
+        gap = point[:, 2] - ground.height(point[:, :2])
+        t[active] += gap / closing[active]
+        active = active[gap > 0.05]
+        if not len(active):
+            return t
+    t[active] = np.nan
+    return t
+
+
+def render(
+    model: Camera,
+    ground: AnalyticGround,
+    *,
+    texture: Texture = radiance,
+    vignetting: Vignetting | None = None,
+    exposure: Exposure | None = None,
+    noise: float = 0.0,
+    seed: int = 0,
+    dtype: DTypeLike = np.uint8,
+    supersample: int = 1,
+) -> AnyArray:
+    """Photograph the ground.
+
+    value = vignetting · gain · texture + offset + noise, for integer types times the largest value of the type,
+    rounded and clipped.
+
+    Parameters
+    ----------
+    model : Camera
+        Any sensor model, or the independent `PlainCamera`.
+    ground : AnalyticGround
+        What is photographed.
+    texture : callable
+        (ground, xyz (N, 3) in `ground.crs`) → values (N, bands): `radiance`, `coordinates`, or one's own.
+    vignetting, exposure : optional
+        Camera effects.
+    noise : float
+        Standard deviation of white Gaussian noise in units of the texture (1/255 is one grey value of uint8).
+    seed : int
+        Of the noise.
+    dtype : dtype
+        uint8, uint16, int16, float32 or float64.
+    supersample : int
+        Values are means of n × n points per pixel.
+
+    Returns
+    -------
+    array (rows, cols, bands)
+        Pixels that see no ground are NaN, 0 for integer types.
+    """
+    kind = np.dtype(dtype)
+    if supersample < 1:
+        raise InputError(f"supersample is {supersample}, not a whole number of at least 1")
+    width, height = model.size
+    rows_at_once = max(1, CHUNK // (width * supersample))
+    inner = (np.arange(supersample) + 0.5) / supersample
+    cols = (np.arange(width)[:, None] + inner).ravel()
+    random = np.random.default_rng(seed)
+    out: AnyArray | None = None
+    for first in range(0, height, rows_at_once):
+        count = min(rows_at_once, height - first)
+        rows = (np.arange(first, first + count)[:, None] + inner).ravel()
+        colrow = np.column_stack([np.tile(cols, len(rows)), np.repeat(rows, len(cols))])
+        values = np.asarray(texture(ground, intersect(model, ground, colrow)), dtype=np.float64)
+        values = values.reshape(count, supersample, width, supersample, -1).mean(axis=(1, 3))
+        centres = np.column_stack(
+            [np.tile(np.arange(width) + 0.5, count), np.repeat(np.arange(first, first + count) + 0.5, width)]
+        )
+        if vignetting is not None:
+            values *= vignetting.factor(centres, model.size).reshape(count, width, 1)
+        if exposure is not None:
+            values = values * np.asarray(exposure.gain) + np.asarray(exposure.offset)
+        if noise > 0:
+            values += random.normal(0.0, noise, values.shape)
+        if out is None:
+            out = np.empty((height, width, values.shape[2]), dtype=kind)
+        out[first : first + count] = _as(values, kind)
+    if out is None:
+        raise InputError(f"the model's image is empty: {width} x {height}")
+    return out
+
+
+def _as(values: FloatArray, kind: np.dtype[AnyArray]) -> AnyArray:  # type: ignore[type-var]
+    """Values to a pixel type; integers are scaled to its largest value."""
+    if kind.kind == "f":
+        return values.astype(kind)
+    top = np.iinfo(kind).max
+    return np.nan_to_num(np.clip(np.rint(values * top), 0, top)).astype(kind)
