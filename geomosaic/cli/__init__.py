@@ -1,1 +1,1 @@
-"""geomosaic.cli."""
+"""The command line: flags in, one call, words out."""

@@ -1,1 +1,1 @@
-"""geomosaic.project."""
+"""Project files and tables, and the objects they describe."""

@@ -1,0 +1,81 @@
+"""How a failure is told: what, where and how to mend it, for people or as JSON."""
+
+from __future__ import annotations
+
+import errno
+import json
+import sys
+import traceback
+
+import click
+
+from geomosaic.errors import GeomosaicError, Interrupted, OutputError, QualityError
+
+INTERRUPTED_BY_KEY = 130
+
+
+def stopped(as_json: bool) -> int:
+    """Tell that Ctrl-C stopped the command."""
+    _tell({"what": "stopped by Ctrl-C"}, as_json)
+    return INTERRUPTED_BY_KEY
+
+
+def failed(error: Exception, *, as_json: bool, debug: bool) -> int:
+    """Tell an error and return the exit code.
+
+    Parameters
+    ----------
+    error : Exception
+    as_json : bool
+        Put one JSON object on standard output instead of words on standard error.
+    debug : bool
+        Show the traceback.
+    """
+    if isinstance(error, click.ClickException):
+        if as_json:
+            where = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else None
+            _tell({"what": error.format_message(), "where": where, "mend": "see --help"}, as_json)
+        else:
+            error.show()
+        return int(error.exit_code)
+    if debug:
+        traceback.print_exception(error)
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        error = OutputError(
+            "the disk is full", where=str(error.filename or ""), mend="free some space and run it again"
+        )
+    if isinstance(error, GeomosaicError):
+        _tell({"what": error.what, "where": error.where, "mend": error.mend}, as_json, error)
+        return error.exit_code
+    if isinstance(error, MemoryError):
+        _tell({"what": "out of memory", "mend": "lower --mem-limit or --threads"}, as_json)
+        return 1
+    _tell(
+        {
+            "what": f"unexpected {type(error).__name__}: {error}",
+            "mend": "this is a fault of geomosaic: please report it with what --debug shows",
+        },
+        as_json,
+    )
+    return 1
+
+
+def _tell(parts: dict[str, str | None], as_json: bool, error: GeomosaicError | None = None) -> None:
+    parts = {"what": parts["what"], "where": parts.get("where"), "mend": parts.get("mend")}
+    if as_json:
+        print(json.dumps({"error": parts}, ensure_ascii=False))
+        return
+    head, colour = ("error", "red")
+    if isinstance(error, QualityError | Interrupted):
+        head, colour = ("quality" if isinstance(error, QualityError) else "interrupted"), "yellow"
+    where = f"{parts['where']}: " if parts["where"] else ""
+    click.echo(f"{click.style(head, fg=colour, bold=True)}: {where}{parts['what']}", err=True, color=_color())
+    if parts["mend"]:
+        click.echo(f"  {click.style('mend', bold=True)}: {parts['mend']}", err=True, color=_color())
+
+
+def _color() -> bool | None:
+    """No colours where NO_COLOR is set; click decides otherwise by the terminal."""
+    import os
+
+    return False if os.environ.get("NO_COLOR") or not sys.stderr.isatty() else None

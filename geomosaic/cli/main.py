@@ -1,0 +1,100 @@
+"""The group of commands and what becomes of their errors; a command's module is imported when it is called."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from typing import Any, NoReturn
+
+import click
+
+import geomosaic
+
+COMMANDS: dict[str, str] = {
+    "demo": "Run the sample block from photos to mosaic, with its accuracy.",
+    "new": "Write a project file from images and tables.",
+    "run": "Run what is stale in a project.",
+    "status": "Show which steps of a project are stale, and why.",
+    "ortho": "Rectify one image.",
+    "mosaic": "Make one mosaic from images.",
+    "sensors": "List sensors, or show the inputs of one.",
+}
+"""Short help by command: `geomosaic --help` imports none of them."""
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are modules `geomosaic.cli.<name>` with an attribute `command`."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names in the order of the table."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import one command."""
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = import_module(f"geomosaic.cli.{cmd_name}").command
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Suggest the command that was meant."""
+        name = args[0] if args else ""
+        if name and not name.startswith("-") and name not in COMMANDS:
+            import difflib
+
+            close = difflib.get_close_matches(name, COMMANDS, 1)
+            hint = f" Did you mean '{close[0]}'?" if close else ""
+            ctx.fail(f"No such command '{name}'.{hint}")
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the table."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(
+    cls=LazyGroup,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="Exit codes: 0 done, 1 failed, 2 usage, 3 done but a quality threshold failed, "
+    "4 interrupted and resumable, 130 stopped by Ctrl-C.",
+)
+@click.version_option(geomosaic.__version__, prog_name="geomosaic", message="%(prog)s %(version)s")
+def cli() -> None:
+    """From raw photos and scenes to georeferenced, colour-balanced mosaics."""
+
+
+def main(arguments: list[str] | None = None) -> NoReturn:
+    """Run the command line and exit.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Instead of the process's own.
+    """
+    words = sys.argv[1:] if arguments is None else arguments
+    sys.exit(run(words))
+
+
+def run(words: list[str]) -> int:
+    """Run the command line and return the exit code."""
+    as_json, debug = "--json" in words, "--debug" in words
+    try:
+        result: Any = cli.main(args=words, prog_name="geomosaic", standalone_mode=False)
+        return result if isinstance(result, int) else 0
+    except click.exceptions.Exit as stop:
+        return int(stop.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        from geomosaic.cli.failure import stopped
+
+        return stopped(as_json)
+    except BrokenPipeError:
+        # The reader of our output has gone (`| head`); that is no error of ours.
+        sys.stderr.close()
+        return 0
+    except Exception as error:
+        from geomosaic.cli.failure import failed
+
+        return failed(error, as_json=as_json, debug=debug)

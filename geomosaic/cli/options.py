@@ -1,0 +1,142 @@
+"""Options that commands share, named as rio names them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average")
+LEAST_MEMORY = 64 << 20
+UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+
+
+def size(ctx: click.Context, param: click.Parameter, value: str | None) -> int | None:
+    """Bytes of a size such as 512M or 2G."""
+    if value is None:
+        return None
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", value, re.IGNORECASE)
+    if not found:
+        raise click.BadParameter(f"'{value}' is not a size; write 512M or 2G")
+    number = int(float(found[1]) * UNITS[found[2].upper()])
+    if number < LEAST_MEMORY:
+        raise click.BadParameter(f"'{value}' is too little memory to work in; give at least 64M")
+    return number
+
+
+def pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
+    """NAME=VALUE, given any number of times."""
+    out = {}
+    for value in values:
+        name, mark, text = value.partition("=")
+        if not mark or not name.strip():
+            raise click.BadParameter(f"'{value}' is not NAME=VALUE")
+        out[name.strip()] = text.strip()
+    return out
+
+
+FILE = click.Path(path_type=Path)
+
+
+def stack(*decorators: Callable[[Any], Any]) -> Callable[[Function], Function]:
+    """Apply decorators so that options appear in `--help` in the order given here."""
+
+    def apply(function: Function) -> Function:
+        for decorator in reversed(decorators):
+            function = decorator(function)
+        return function
+
+    return apply
+
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+debug_option = click.option("--debug", is_flag=True, expose_value=False, help="Show the traceback of an error.")
+
+machine_options = stack(
+    click.option("--threads", type=click.IntRange(1), help="Worker threads.  [default: all processors]"),
+    click.option(
+        "--mem-limit",
+        callback=size,
+        metavar="SIZE",
+        help="Memory the run may hold, such as 512M or 2G.  [default: 2G]",
+    ),
+    json_option,
+    debug_option,
+)
+
+image_options = stack(
+    click.option("--sensor", help="Sensor of the images; see `geomosaic sensors`."),
+    click.option("--camera", type=FILE, help="Camera description (TOML)."),
+    click.option("--exterior", type=FILE, help="Orientation table: image, x, y, z and angles."),
+    click.option("--exterior-crs", "crs", metavar="CRS", help="CRS of the positions, such as EPSG:32633."),
+    click.option(
+        "--heights",
+        metavar="DATUM",
+        help="Vertical datum of the positions: ellipsoidal, egm96, an EPSG code or a geoid grid file.",
+    ),
+    click.option(
+        "--angles",
+        default="opk",
+        show_default=True,
+        help="Angle system of the table: opk, pok, matrix, rpy, dji.",
+    ),
+    click.option(
+        "--angle-unit",
+        type=click.Choice(["deg", "gon", "rad"]),
+        default="deg",
+        show_default=True,
+        help="Unit of the angles.",
+    ),
+    click.option(
+        "--option",
+        "sensor_options",
+        multiple=True,
+        callback=pairs,
+        metavar="NAME=VALUE",
+        help="Any other input of the sensor.",
+    ),
+    click.option("--dem", type=FILE, help="Digital elevation model."),
+    click.option("--height", type=float, metavar="METRES", help="One height for all the ground, instead of a DEM."),
+    click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM or of --height."),
+)
+
+output_options = stack(
+    click.option("--dst-crs", metavar="CRS", help="CRS of the output.  [default: that of the DEM or the positions]"),
+    click.option("--res", type=float, metavar="UNITS", help="Pixel size in map units.  [default: that of the images]"),
+    click.option(
+        "--bounds",
+        type=float,
+        nargs=4,
+        metavar="LEFT BOTTOM RIGHT TOP",
+        help="Area in map units.  [default: all images]",
+    ),
+    click.option(
+        "--resampling", type=click.Choice(RESAMPLING), default="bilinear", show_default=True, help="Resampling method."
+    ),
+    click.option(
+        "--tolerance",
+        type=click.FloatRange(0, min_open=True),
+        default=0.02,
+        show_default=True,
+        help="Largest geometric error of the lattice, in image pixels.",
+    ),
+    click.option("--nodata", type=float, help="Value of unseen pixels.  [default: a mask]"),
+    click.option(
+        "-f", "--driver", type=click.Choice(["COG", "GTiff"]), default="COG", show_default=True, help="File format."
+    ),
+    click.option(
+        "--co",
+        "creation",
+        multiple=True,
+        callback=pairs,
+        metavar="NAME=VALUE",
+        help="Creation option of the format, as GDAL names it.",
+    ),
+    click.option("-o", "--output", type=FILE, required=True, help="File to write."),
+    click.option("--overwrite", is_flag=True, help="Replace the output if it exists."),
+)

@@ -1,0 +1,44 @@
+"""`geomosaic sensors`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import click
+
+from geomosaic.cli.options import debug_option, json_option
+from geomosaic.cli.talk import answer
+from geomosaic.sensor.registry import SensorEntry, installed, plugin
+
+
+@click.command()
+@click.argument("name", required=False)
+@json_option
+@debug_option
+def command(name: str | None, as_json: bool) -> None:
+    """List the installed sensors; with NAME, show what that one needs.
+
+    The list loads no plugin, so a broken one does no harm; naming it shows why it fails.
+    """
+    if name is None:
+        entries = installed()
+        answer({"sensors": [asdict(entry) for entry in entries]}, _table(entries), as_json)
+        return
+    loaded = plugin(name)
+    words = [f"{loaded.name}: {loaded.summary}", "", "inputs:"]
+    width = max((len(entry.name) for entry in loaded.inputs), default=0)
+    for entry in loaded.inputs:
+        extra = [entry.unit] if entry.unit else []
+        extra += [f"default {entry.default}"] if entry.default is not None else []
+        tail = f" [{', '.join(extra)}]" if extra else ""
+        words.append(f"  {entry.name:<{width}}  {entry.text}{tail}")
+    words += ["", "In a project these are keys of [sensor]; on the command line --option NAME=VALUE."]
+    result = {"name": loaded.name, "summary": loaded.summary, "inputs": [asdict(entry) for entry in loaded.inputs]}
+    answer(result, "\n".join(words), as_json)
+
+
+def _table(entries: list[SensorEntry]) -> str:
+    if not entries:
+        return "no sensors are installed"
+    width = max(len(entry.name) for entry in entries)
+    return "\n".join(f"{entry.name:<{width}}  {entry.distribution} {entry.version}" for entry in entries)

@@ -1,0 +1,84 @@
+"""What commands print: results, notes and progress."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, TextIO
+
+import click
+
+from geomosaic.errors import GeomosaicWarning
+
+Progress = Callable[[int, int, str], None]
+
+
+def say(text: str = "") -> None:
+    """Tell a person something, on standard error."""
+    click.echo(text, err=True)
+
+
+def answer(result: Mapping[str, Any], words: str, as_json: bool) -> None:
+    """Put the result on standard output: one JSON object, or words."""
+    if as_json:
+        print(json.dumps(result, ensure_ascii=False, default=str))
+    else:
+        click.echo(words)
+
+
+@contextmanager
+def notes() -> Iterator[None]:
+    """Print geomosaic's warnings as notes, each once, and keep everyone else's quiet."""
+    told: set[str] = set()
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if issubclass(category, GeomosaicWarning) and str(message) not in told:
+            told.add(str(message))
+            say(f"note: {message}")
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", GeomosaicWarning)
+        warnings.showwarning = show
+        yield
+
+
+def wants_bars(as_json: bool) -> bool:
+    """Whether there is someone to look at progress bars."""
+    return not as_json and sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+
+
+@contextmanager
+def progress(as_json: bool) -> Iterator[Progress | None]:
+    """Progress bars on a terminal, one per stage; None elsewhere."""
+    if not wants_bars(as_json):
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description:<12}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        tasks: dict[str, Any] = {}
+
+        def report(done: int, total: int, stage: str) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done, total=total)
+
+        yield report

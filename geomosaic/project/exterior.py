@@ -1,0 +1,122 @@
+"""Exterior orientations from a table: one row per image, position and the angles of a named system."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from geomosaic.errors import InputError
+from geomosaic.project.names import did_you_mean, find_by_name, missing_row, stem
+from geomosaic.project.tables import Table, read_table
+from geomosaic.types import PathLike
+
+MATRIX = tuple(f"r{row}{col}" for row in (1, 2, 3) for col in (1, 2, 3))
+
+SYSTEMS: Mapping[str, tuple[str, ...]] = {
+    "opk": ("omega", "phi", "kappa"),
+    "pok": ("phi", "omega", "kappa"),
+    "matrix": MATRIX,
+    "rpy": ("roll", "pitch", "yaw"),
+    "dji": ("gimbal_yaw", "gimbal_pitch", "gimbal_roll"),
+}
+"""Columns of each angle system."""
+
+SYSTEM_NAMES: Mapping[str, str] = {
+    "opk": "omega, phi, kappa: R3(kappa) R2(phi) R1(omega)",
+    "pok": "phi first: R3(kappa) R1(omega) R2(phi)",
+    "matrix": "rotation matrix ground to image, r11 to r33",
+    "rpy": "roll, pitch, yaw of the platform",
+    "dji": "DJI gimbal yaw, pitch, roll",
+}
+
+
+@dataclass(frozen=True)
+class Exterior:
+    """Position and attitude of one image as the table has them.
+
+    Attributes
+    ----------
+    image : str
+        Name in the table.
+    position : tuple of float
+        x, y, z in the table's CRS.
+    angles : mapping of str to float
+        By column of the angle system, in the table's unit.
+    line : int
+        Of the table.
+    """
+
+    image: str
+    position: tuple[float, float, float]
+    angles: Mapping[str, float]
+    line: int
+
+
+@dataclass(frozen=True)
+class ExteriorTable:
+    """All rows, by image name."""
+
+    path: str
+    system: str
+    rows: Mapping[str, Exterior]
+
+    def row(self, image: str) -> Exterior:
+        """Return the row of an image file, by name with or without extension."""
+        found = find_by_name(self.rows, image)
+        if found is None:
+            raise missing_row(self.path, image, [stem(name) for name in self.rows])
+        return found
+
+    def unused(self, images: Iterable[str]) -> list[str]:
+        """Names in the table that belong to none of the images."""
+        used = {row.image for row in (find_by_name(self.rows, image) for image in images) if row}
+        return [name for name in self.rows if name not in used]
+
+
+def read_exterior(path: PathLike, system: str) -> ExteriorTable:
+    """Read an orientation table.
+
+    Parameters
+    ----------
+    path : path
+        Text with the columns image, x, y, z and those of the angle system.
+    system : str
+        One of `SYSTEMS`.
+
+    Raises
+    ------
+    InputError
+        Names file and line.
+    """
+    if system not in SYSTEMS:
+        raise InputError(
+            f"no angle system named '{system}'",
+            where=str(path),
+            mend=f"{did_you_mean(system, SYSTEMS)} Known are: {', '.join(SYSTEMS)}".strip(),
+        )
+    columns = SYSTEMS[system]
+    wanted = ("image", "x", "y", "z", *columns)
+    table = read_table(path, "orientation table", ",".join(wanted))
+    try:
+        table.require(*wanted, what=f"orientations in the system '{system}'")
+    except InputError as error:
+        other = systems_of(table)
+        if other:
+            error.mend = f"these columns look like the system '{other[0]}'; declare it, or rename the columns"
+        raise
+    rows: dict[str, Exterior] = {}
+    lines: dict[str, int] = {}
+    for row in table:
+        image = row.text("image")
+        bare = stem(image)
+        if bare in lines:
+            raise InputError(f"image '{image}' has a row already, on line {lines[bare]}", where=row.where)
+        lines[bare] = row.line
+        x, y, z = (row.number(axis) for axis in "xyz")
+        rows[image] = Exterior(image, (x, y, z), {name: row.number(name) for name in columns}, row.line)
+    return ExteriorTable(str(path), system, rows)
+
+
+def systems_of(table: Table) -> list[str]:
+    """Angle systems whose columns the table has."""
+    return [system for system, columns in SYSTEMS.items() if set(columns) <= set(table.columns)]

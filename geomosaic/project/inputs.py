@@ -1,0 +1,68 @@
+"""What a block is made of, as plain values: the same whether they come from a project file or from the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class BlockInputs:
+    """Files and declarations that describe a block.
+
+    Attributes
+    ----------
+    images : tuple of Path
+    sensor : str
+        Name of the sensor plugin.
+    options : mapping
+        The plugin's own inputs, the same for all images.
+    base : Path
+        Folder that relative file names in `options` start from.
+    camera : Path, optional
+        Camera description (TOML).
+    exterior : Path, optional
+        Orientation table.
+    crs : str, optional
+        CRS of positions and control points.
+    heights : str, optional
+        Vertical datum of positions and control points.
+    angles : str
+        Angle system of the orientation table.
+    angle_unit : str
+        'deg', 'gon' or 'rad'.
+    dem : Path, optional
+        Digital elevation model.
+    height : float, optional
+        A constant height in metres, instead of a DEM.
+    dem_heights : str, optional
+        Vertical datum of the DEM or of `height`; overrides what the DEM's file says.
+    control : Path, optional
+        Control and check points.
+    nodata : float, optional
+        Value of missing pixels of images that do not say so themselves.
+    """
+
+    images: tuple[Path, ...]
+    sensor: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    base: Path = Path()
+    camera: Path | None = None
+    exterior: Path | None = None
+    crs: str | None = None
+    heights: str | None = None
+    angles: str = "opk"
+    angle_unit: str = "deg"
+    dem: Path | None = None
+    height: float | None = None
+    dem_heights: str | None = None
+    control: Path | None = None
+    nodata: float | None = None
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that is read."""
+        tables = (self.camera, self.exterior, self.dem, self.control)
+        return (*self.images, *(path for path in tables if path is not None))

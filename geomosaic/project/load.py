@@ -1,0 +1,208 @@
+"""Reading a project file: all its errors at once, each with its line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from geomosaic.errors import InputError
+from geomosaic.project.camera import read_toml
+from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.names import did_you_mean
+from geomosaic.project.schema import ProjectFile
+from geomosaic.project.tables import read_text
+from geomosaic.types import PathLike
+
+LARGEST = 16 << 20
+
+
+@dataclass(frozen=True)
+class Project:
+    """A project file and the folder its relative paths start from.
+
+    Attributes
+    ----------
+    path : Path
+        Absolute.
+    settings : ProjectFile
+    images : tuple of Path
+        The files the patterns match, in the order of the patterns, then of their names.
+    """
+
+    path: Path
+    settings: ProjectFile
+    images: tuple[Path, ...]
+
+    @property
+    def folder(self) -> Path:
+        """Where relative paths start."""
+        return self.path.parent
+
+    @property
+    def name(self) -> str:
+        """The name that outputs carry."""
+        return self.settings.project.name
+
+    @property
+    def output(self) -> Path:
+        """Folder of the outputs."""
+        return self.folder / self.settings.output.folder
+
+    @property
+    def state(self) -> Path:
+        """Folder where the project keeps what it knows about its steps."""
+        return self.folder / ".geomosaic" / self.path.stem
+
+    def file(self, path: str | None) -> Path | None:
+        """Resolve a path of the project file."""
+        return None if path is None else self.folder / path
+
+    @property
+    def inputs(self) -> BlockInputs:
+        """The block the project describes."""
+        s = self.settings
+        return BlockInputs(
+            images=self.images,
+            sensor=s.sensor.name,
+            options=s.sensor.options,
+            base=self.folder,
+            camera=self.file(s.sensor.camera),
+            exterior=self.file(s.exterior.file),
+            crs=s.exterior.crs,
+            heights=_datum(self.folder, s.exterior.heights),
+            angles=s.exterior.angles,
+            angle_unit=s.exterior.angle_unit,
+            dem=self.file(s.dem.file) if s.dem else None,
+            height=s.dem.height if s.dem else None,
+            dem_heights=_datum(self.folder, s.dem.heights) if s.dem else None,
+            control=self.file(s.control.file) if s.control else None,
+            nodata=s.project.nodata,
+        )
+
+
+def _datum(folder: Path, heights: str | None) -> str | None:
+    """Resolve a vertical datum that is given as a geoid grid's path."""
+    if heights is not None and heights.lower().endswith((".tif", ".gtx")):
+        return str(folder / heights)
+    return heights
+
+
+def load_project(path: PathLike) -> Project:
+    """Read and check a project file and find its images.
+
+    Raises
+    ------
+    InputError
+        Lists everything that is wrong, with lines.
+    """
+    file = Path(path).resolve()
+    text = read_text(path, "project file", LARGEST)
+    values = read_toml(path, "project file", LARGEST)
+    if "format" not in values:
+        raise InputError(
+            "this is no project file: it has no 'format'", where=str(path), mend="write format = 1 on its first line"
+        )
+    try:
+        settings = ProjectFile.model_validate(values)
+    except ValidationError as error:
+        raise _all_errors(error, str(path), text) from None
+    return Project(file, settings, find_images(file.parent, settings.project.images, f"{path}, [project] images"))
+
+
+def find_images(folder: Path, patterns: list[str], where: str) -> tuple[Path, ...]:
+    """Files that match patterns relative to a folder, each once.
+
+    Raises
+    ------
+    InputError
+        A pattern matches nothing, or a file that is named does not exist.
+    """
+    found: dict[Path, None] = {}
+    for pattern in patterns:
+        if any(mark in pattern for mark in "*?["):
+            base = Path(pattern)
+            root, rest = (
+                (Path(base.anchor), str(base.relative_to(base.anchor))) if base.is_absolute() else (folder, pattern)
+            )
+            matches = sorted(match for match in root.glob(rest) if match.is_file() and not match.name.startswith("."))
+            if not matches:
+                raise InputError(f"'{pattern}' matches no file in {root}", where=where, mend="check the pattern")
+        else:
+            matches = [folder / pattern]
+            if not matches[0].is_file():
+                near = [entry.name for entry in matches[0].parent.glob("*")] if matches[0].parent.is_dir() else []
+                hint = did_you_mean(matches[0].name, near)
+                raise InputError(f"image '{pattern}' does not exist", where=where, mend=hint or "check the path")
+        found.update(dict.fromkeys(matches))
+    return tuple(found)
+
+
+def _all_errors(error: ValidationError, path: str, text: str) -> InputError:
+    """Make one message of all that pydantic found."""
+    lines = []
+    for item in error.errors(include_url=False):
+        place = [str(part) for part in item["loc"]]
+        at = _line(text, place)
+        shown = f"[{place[0]}] {'.'.join(place[1:])}" if len(place) > 1 else (place[0] if place else "file")
+        lines.append(f"{f'line {at}: ' if at else ''}{shown}: {_words(item, place)}")
+    if len(lines) == 1:
+        return InputError(lines[0], where=path, mend="mend it in the project file")
+    return InputError(
+        f"{len(lines)} errors\n    " + "\n    ".join(lines), where=path, mend="mend them in the project file"
+    )
+
+
+def _words(item: Mapping[str, Any], place: list[str]) -> str:
+    kind = item["type"]
+    if kind == "extra_forbidden":
+        return f"unknown key. {did_you_mean(place[-1], _keys(place[:-1]))}".rstrip()
+    if kind == "missing":
+        return "is missing"
+    message = str(item["msg"]).removeprefix("Value error, ")
+    shown = item.get("input")
+    plain = isinstance(shown, str | int | float) and kind != "value_error"
+    return f"{message[:1].lower()}{message[1:]}" + (f" (it is {shown!r})"[:80] if plain else "")
+
+
+def _keys(place: list[str]) -> list[str]:
+    """Keys of a section."""
+    model: Any = ProjectFile
+    for part in place:
+        field = model.model_fields.get(part)
+        if field is None:
+            return []
+        kinds = [kind for kind in (field.annotation, *getattr(field.annotation, "__args__", ())) if _is_model(kind)]
+        if not kinds:
+            return []
+        model = kinds[0]
+    return list(model.model_fields)
+
+
+def _is_model(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, BaseModel)
+
+
+def _line(text: str, place: list[str]) -> int | None:
+    """Line of a key, or of its section, found in the text as written."""
+    section: str | None = None
+    section_line: int | None = None
+    for number, line in enumerate(text.splitlines(), start=1):
+        header = re.match(r"\s*\[+\s*([\w.\-\"]+)\s*\]+", line)
+        if header:
+            section = header[1].strip('"')
+            if place and section == place[0] and section_line is None:
+                section_line = number
+            continue
+        key = re.match(r"\s*\"?([\w\-]+)\"?\s*[.=]", line)
+        if not key:
+            continue
+        if (section is None and place[:1] == [key[1]]) or (
+            len(place) > 1 and section == place[0] and key[1] == place[1]
+        ):
+            return number
+    return section_line

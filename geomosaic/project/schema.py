@@ -1,0 +1,132 @@
+"""What may stand in a project file; pydantic checks it at this edge and nowhere further in."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+
+def _plain_path(text: str) -> str:
+    """Refuse names that GDAL would open as something other than a file on this machine."""
+    if not text.strip():
+        raise ValueError("the path is empty")
+    if "\0" in text or "://" in text or text.lstrip().startswith(("/vsi", "\\vsi", "<")):
+        raise ValueError(f"'{text[:60]}' is not the path of a file")
+    return text
+
+
+FilePath = Annotated[str, AfterValidator(_plain_path)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Section(BaseModel):
+    """A table of the project file; unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+
+
+class ProjectSection(Section):
+    """[project]."""
+
+    name: str = Field("mosaic", min_length=1, max_length=100, pattern=r"^[^/\\\0]+$")
+    images: list[FilePath] = Field(min_length=1)
+    nodata: float | None = None
+
+
+class SensorSection(BaseModel):
+    """[sensor]: name and camera file; every other key is an input of the plugin, which checks it."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    name: str
+    camera: FilePath | None = None
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Inputs of the plugin."""
+        return dict(self.model_extra or {})
+
+
+class ExteriorSection(Section):
+    """[exterior]."""
+
+    file: FilePath | None = None
+    crs: str | None = None
+    heights: str | None = None
+    angles: str = "opk"
+    angle_unit: Literal["deg", "gon", "rad"] = "deg"
+
+
+class DemSection(Section):
+    """[dem]: a file or a constant height."""
+
+    file: FilePath | None = None
+    height: Finite | None = None
+    heights: str | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> DemSection:
+        if (self.file is None) == (self.height is None):
+            raise ValueError("give either file or height")
+        return self
+
+
+class ControlSection(Section):
+    """[control]."""
+
+    file: FilePath
+
+
+class OutputSection(Section):
+    """[output]."""
+
+    folder: FilePath = "output"
+    crs: str | None = None
+    resolution: Positive | None = None
+    bounds: tuple[Finite, Finite, Finite, Finite] | None = None
+    resampling: Literal["nearest", "bilinear", "cubic", "lanczos", "average"] = "bilinear"
+    tolerance: Positive = 0.02
+    driver: Literal["COG", "GTiff"] = "COG"
+    creation: dict[str, str | int] = Field(default_factory=dict)
+    nodata: float | None = None
+    orthos: bool = False
+
+
+class MosaicSection(Section):
+    """[mosaic]."""
+
+    feather: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    balance: bool = True
+    labels: bool = True
+
+
+class QualitySection(Section):
+    """[quality]: thresholds, and a reference image to compare with."""
+
+    max_control_rms_px: Positive | None = None
+    max_check_rms_px: Positive | None = None
+    max_lattice_error_px: Positive | None = None
+    max_registration_px: Positive | None = None
+    reference: FilePath | None = None
+
+    @model_validator(mode="after")
+    def _judged(self) -> QualitySection:
+        if self.max_registration_px is not None and self.reference is None:
+            raise ValueError("max_registration_px needs a reference to compare with")
+        return self
+
+
+class ProjectFile(Section):
+    """The whole file."""
+
+    format: Literal[1]
+    project: ProjectSection
+    sensor: SensorSection
+    exterior: ExteriorSection = Field(default_factory=ExteriorSection)
+    dem: DemSection | None = None
+    control: ControlSection | None = None
+    output: OutputSection = Field(default_factory=OutputSection)
+    mosaic: MosaicSection = Field(default_factory=MosaicSection)
+    quality: QualitySection = Field(default_factory=QualitySection)
