@@ -134,7 +134,7 @@ class Grid:
         """Return the grid of one window of this grid."""
         return replace(
             self,
-            transform=self.transform * Affine.translation(window.col, window.row),
+            transform=self.transform @ Affine.translation(window.col, window.row),
             width=window.width,
             height=window.height,
         )
@@ -143,7 +143,7 @@ class Grid:
         """Return the same area in pixels `factor` times as large, the last row and column reaching over."""
         return replace(
             self,
-            transform=self.transform * Affine.scale(factor),
+            transform=self.transform @ Affine.scale(factor),
             width=-(-self.width // factor),
             height=-(-self.height // factor),
         )

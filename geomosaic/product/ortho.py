@@ -13,10 +13,11 @@ from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.options import RenderOptions
-from geomosaic.product.photo import Photo, block_ground, pull
+from geomosaic.product.photo import Photo, pull
 from geomosaic.product.pool import in_order
 from geomosaic.raster.sink import RasterSink
 from geomosaic.resample.warp import Colour, engine_for
+from geomosaic.sensor.ground import block_ground
 from geomosaic.sensor.lattice import BLOCK_HEIGHT, blocks
 from geomosaic.surface.model import Surface
 from geomosaic.types import AnyArray, ByteArray
@@ -126,11 +127,10 @@ def ortho(
                 ground = block_ground(surface, grid, part)
                 across = slice(part.col - unit.col, part.stop_col - unit.col)
                 out, out_valid = values[:, across], valid[:, across]
-                lattice = pull(
+                used = pull(
                     engine, photo, grid, ground, options.resampling, options.tolerance, colour, out, out_valid
                 )
-                if lattice is not None:
-                    facts.append((lattice.error, lattice.scale))
+                facts += [(lattice.error, lattice.scale) for lattice in used]
         return values, valid, facts
 
     try:

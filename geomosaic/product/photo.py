@@ -9,14 +9,13 @@ import numpy as np
 from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import horizontal
-from geomosaic.geo.grid import Bounds, Grid, Window
-from geomosaic.geo.transform import Transform
+from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.raster.source import Source
-from geomosaic.resample.warp import Colour, Engine, warp
+from geomosaic.resample.warp import CELL, Colour, Engine, warp
+from geomosaic.sensor.ground import BlockGround
 from geomosaic.sensor.lattice import Lattice, build
 from geomosaic.sensor.mapper import MapToImage
-from geomosaic.surface.model import HeightPatch, Surface
+from geomosaic.surface.model import Surface
 from geomosaic.types import AnyArray, ByteArray
 
 
@@ -52,37 +51,6 @@ class Photo:
         return a[0] <= b[2] and b[0] <= a[2] and a[1] <= b[3] and b[1] <= a[3]
 
 
-@dataclass(frozen=True)
-class BlockGround:
-    """Heights over one block of output pixels."""
-
-    window: Window
-    patch: HeightPatch | None
-    heights: tuple[float, float]
-
-    @property
-    def unknown(self) -> bool:
-        """Whether no height is known here."""
-        return bool(np.isnan(self.heights[0]))
-
-
-def block_ground(surface: Surface | None, grid: Grid, window: Window) -> BlockGround:
-    """Read the heights of one block."""
-    if surface is None:
-        return BlockGround(window, None, (0.0, 0.0))
-    cols = np.linspace(window.col, window.stop_col, 5)
-    rows = np.linspace(window.row, window.stop_row, 5)
-    c, r = np.meshgrid(cols, rows)
-    xy = Transform(horizontal(grid.crs), horizontal(surface.crs))(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
-    xy = xy[np.isfinite(xy).all(axis=1)]
-    if not len(xy):
-        return BlockGround(window, None, (float("nan"), float("nan")))
-    (left, bottom), (right, top) = xy.min(axis=0), xy.max(axis=0)
-    margin = 0.01 * max(right - left, top - bottom)
-    patch = surface.patch((left - margin, bottom - margin, right + margin, top + margin))
-    return BlockGround(window, patch, patch.range)
-
-
 def pull(
     engine: Engine,
     photo: Photo,
@@ -95,14 +63,26 @@ def pull(
     out_valid: ByteArray,
     need: ByteArray | None = None,
     most_samples: int | None = None,
-) -> Lattice | None:
-    """Fill one block from one photo; None where the photo does not see it."""
+) -> list[Lattice]:
+    """Fill one block from one photo; returns the lattices used, none where the photo does not see it."""
     if ground.unknown:
-        return None
-    lattice = build(photo.mapper, grid, ground.window, ground.heights, tolerance)
-    if lattice is None:
-        return None
+        return []
+    lattices = build(photo.mapper, grid, ground, tolerance)
     patch = ground.patch if photo.mapper.uses_heights else None
-    size = photo.scene.model.size
-    warp(engine, photo.source, size, lattice, patch, resampling, colour, out, out_valid, need, most_samples)
-    return lattice
+    size, block = photo.scene.model.size, ground.window
+    for lattice in lattices:
+        part = lattice.window
+        col, row = part.col - block.col, part.row - block.row
+        inside = slice(row, row + part.height), slice(col, col + part.width)
+        wanted = None
+        if need is not None:
+            wanted = np.ascontiguousarray(
+                need[row // CELL : -(-(row + part.height) // CELL), col // CELL : -(-(col + part.width) // CELL)]
+            )
+            if not wanted.any():
+                continue
+        warp(
+            engine, photo.source, size, lattice, patch, resampling, colour, out[inside], out_valid[inside],
+            wanted, most_samples,
+        )  # fmt: skip
+    return lattices

@@ -79,8 +79,8 @@ def coordinates(nodes, places, heights, z_middle, z_inverse, flat, step, first_r
                 fy = y - y0
                 x1 = min(x0 + 1, dem_cols - 1)
                 y1 = min(y0 + 1, dem_rows - 1)
-                top = float(heights[y0, x0])
-                low = float(heights[y1, x0])
+                top = np.float64(heights[y0, x0])
+                low = np.float64(heights[y1, x0])
                 if fx > 0.0:
                     top += (heights[y0, x1] - top) * fx
                     low += (heights[y1, x1] - low) * fx
@@ -138,10 +138,10 @@ def _bilinear(source, valid, masked, x, y, values):  # type: ignore[no-untyped-d
             values[m] = value / total
         return
     for m in range(bands):
-        p00 = float(source[j0, i0, m])
-        p10 = float(source[j1, i0, m])
-        top = p00 + (float(source[j0, i1, m]) - p00) * a
-        low = p10 + (float(source[j1, i1, m]) - p10) * a
+        p00 = np.float64(source[j0, i0, m])
+        p10 = np.float64(source[j1, i0, m])
+        top = p00 + (np.float64(source[j0, i1, m]) - p00) * a
+        low = p10 + (np.float64(source[j1, i1, m]) - p10) * a
         values[m] = top + (low - top) * b
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
-from geomosaic.sensor.lattice import BLOCK_HEIGHT, BLOCK_WIDTH, FIRST_STEP, Lattice
+from geomosaic.sensor.lattice import FIRST_STEP, Lattice
 from geomosaic.surface.model import HeightPatch
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
@@ -150,7 +150,8 @@ def warp(
     if resampling not in RESAMPLING:
         raise InputError(f"no resampling named '{resampling}'", mend=f"use one of {', '.join(RESAMPLING)}")
     n, shrink = supersampling(resampling, lattice.scale, most_samples or MOST_SAMPLES)
-    wanted = _ALL_WANTED if need is None else need
+    shape = -(-lattice.window.height // CELL), -(-lattice.window.width // CELL)
+    wanted = np.ones(shape, dtype=np.uint8) if need is None else need
     kernel = "bilinear" if resampling == "average" or n > 1 else resampling
     low, high, whole = value_range(str(out.dtype))
     flat = lattice.flat and (patch is None or not np.isnan(patch.heights).any())
@@ -193,7 +194,6 @@ def warp(
 
 
 _ALL_VALID = np.ones((1, 1), dtype=np.uint8)
-_ALL_WANTED = np.ones((BLOCK_HEIGHT // CELL, BLOCK_WIDTH // CELL), dtype=np.uint8)
 
 
 def _window(

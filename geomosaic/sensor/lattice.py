@@ -14,11 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.sensor.ground import BlockGround
 from geomosaic.sensor.mapper import MapToImage
 from geomosaic.types import FloatArray
 
 BLOCK_WIDTH, BLOCK_HEIGHT = 1024, 512
 FIRST_STEP, LAST_STEP = 64, 4
+SMALLEST = FIRST_STEP
 
 _CHEBYSHEV = np.cos((2 * np.arange(4) + 1) * np.pi / 8)
 _TO_CUBIC = np.linalg.inv(np.vander(_CHEBYSHEV, 4, increasing=True))
@@ -71,38 +73,66 @@ def blocks(window: Window) -> list[Window]:
     return whole.split(BLOCK_WIDTH, BLOCK_HEIGHT)
 
 
-def build(
-    mapper: MapToImage, grid: Grid, window: Window, heights: tuple[float, float], tolerance: float
-) -> Lattice | None:
-    """Lattice of one block, or None where the block cannot see the image.
+def build(mapper: MapToImage, grid: Grid, ground: BlockGround, tolerance: float) -> list[Lattice]:
+    """Lattices of one block: one as a rule, several smaller ones where a cubic cannot follow the block's relief.
 
     Parameters
     ----------
     mapper : MapToImage
     grid : Grid
         The output.
-    window : Window
-        A block of it.
-    heights : tuple of float
-        Lowest and highest height over the block, in metres of the surface's datum.
+    ground : BlockGround
+        The block and its heights.
     tolerance : float
         Largest admissible error in image pixels; half of it is used.
+
+    Returns
+    -------
+    list of Lattice
+        Disjoint parts of the block that may see the image; empty where it is not seen or no height is known.
     """
-    low, high = heights
+    return _build(mapper, grid, ground, ground.window, tolerance)
+
+
+def _build(
+    mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, tolerance: float
+) -> list[Lattice]:
+    low, high = _heights(mapper, grid, ground, window)
+    if np.isnan(low):
+        return []
     middle, half = (low + high) / 2, (high - low) / 2
-    if not mapper.uses_heights:
-        middle, half = 0.0, 0.0
-    step = FIRST_STEP
+    step, before = FIRST_STEP, np.inf
     while True:
         surface, nodes = _nodes(mapper, grid, window, step, middle, half)
         bounds = _bounds(nodes, half)
-        if bounds is None or _misses(bounds, mapper.model.size, step):
-            return None
+        if bounds is None or _misses(bounds, mapper.model.size):
+            return []
         error, ragged = _error(mapper, grid, window, step, middle, half, surface, nodes)
-        if step <= LAST_STEP or (not ragged and not error > tolerance / 2):
+        good = not error > tolerance / 2
+        if step <= LAST_STEP or (good and not ragged):
             break
-        step //= 2
-    return Lattice(window, step, nodes, surface, middle, half, error, bounds, _scale(nodes, step))
+        if not good and error > before / 2 and half and window.width > SMALLEST and window.height > SMALLEST:
+            # Closer nodes do not help: the relief is too high for one cubic. Smaller parts have less of it.
+            parts = window.split(_half(window.width), _half(window.height))
+            return [lattice for part in parts for lattice in _build(mapper, grid, ground, part, tolerance)]
+        step, before = step // 2, error
+    return [Lattice(window, step, nodes, surface, middle, half, error, bounds, _scale(nodes, step))]
+
+
+def _half(length: int) -> int:
+    return length // 2 // SMALLEST * SMALLEST or SMALLEST
+
+
+def _heights(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window) -> tuple[float, float]:
+    """Height range of a part of the block, in metres of the surface's datum."""
+    if not mapper.uses_heights:
+        return (0.0, 0.0) if not ground.unknown else ground.heights
+    if window == ground.window:
+        return ground.heights
+    c, r = np.meshgrid(
+        np.linspace(window.col, window.stop_col, 5), np.linspace(window.row, window.stop_row, 5)
+    )
+    return ground.over(mapper.surface_xy(grid.xy(np.column_stack([c.ravel(), r.ravel()]))))
 
 
 def _axis(start: int, length: int, step: int) -> FloatArray:
@@ -151,7 +181,7 @@ def _bounds(nodes: FloatArray, half: float) -> tuple[float, float, float, float]
     return float(left), float(top), float(right), float(bottom)
 
 
-def _misses(bounds: tuple[float, float, float, float], size: tuple[int, int], step: int) -> bool:
+def _misses(bounds: tuple[float, float, float, float], size: tuple[int, int]) -> bool:
     left, top, right, bottom = bounds
     # A coarse lattice may cut a corner of the image: keep a margin as wide as the cells are curved.
     margin = 2.0 + 0.05 * max(right - left, bottom - top)

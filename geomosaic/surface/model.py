@@ -31,7 +31,7 @@ class HeightPatch:
     @property
     def range(self) -> tuple[float, float]:
         """Lowest and highest known height; NaN where none is known."""
-        if np.isnan(self.heights).all():
+        if not np.isfinite(self.heights).any():
             return float("nan"), float("nan")
         return float(np.nanmin(self.heights)), float(np.nanmax(self.heights))
 

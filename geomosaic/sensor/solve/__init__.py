@@ -1,6 +1,6 @@
 """What follows from a sensor model's one map: its inverse, its derivatives, and its parameters from control points.
 
-Everything here works for every `SensorModel`, from `ground_to_image` alone; closed forms are used where a model has them.
+All of it works for every `SensorModel`, from `ground_to_image` alone; closed forms are used where a model has them.
 """
 
 from __future__ import annotations

@@ -34,8 +34,8 @@ class Resection(Generic[Model]):
     residuals : array (N, 2)
         Measured minus computed (col, row) in pixels; NaN for points that took no part.
     sigma0 : float
-        Standard deviation of unit weight: 1 where the sigmas given describe the residuals, pixels where none were given;
-        NaN without redundancy.
+        Standard deviation of unit weight: about 1 where the sigmas given describe the residuals; in pixels where none
+        were given; NaN without redundancy.
     redundancy : int
         Observations, a-priori values among them, minus unknowns.
     iterations : int
@@ -95,10 +95,17 @@ def resect(
     start = model.parameters.values.copy()
     values, damping = start.copy(), 0.0
     residuals = problem.residuals(model)
-    seen = np.isfinite(residuals).all(axis=1)
+    seen = _seen(residuals)
     problem.need_enough(seen)
     cost = problem.cost(residuals, seen, values)
-    for iteration in range(1, ROUNDS + 1):
+    iteration = 0
+    while True:
+        iteration += 1
+        if iteration > ROUNDS:
+            raise SolveError(
+                f"the adjustment did not converge in {ROUNDS} rounds",
+                mend="check the start values, the points and their CRS",
+            )
         here = model.with_values(values)
         design = problem.design(here, seen)
         problem.need_determined(design)
@@ -112,7 +119,7 @@ def resect(
         if trial_cost <= cost * (1.0 + 1e-12) or moved < STEP_GOAL:
             gain = cost - trial_cost
             values, residuals, damping = trial, trial_residuals, damping * 0.1 if damping > 1e-9 else 0.0
-            seen = np.isfinite(residuals).all(axis=1)
+            seen = _seen(residuals)
             cost = problem.cost(residuals, seen, values)
             if moved < STEP_GOAL or (gain <= 1e-15 * cost and moved < 1e-4):
                 break
@@ -124,11 +131,6 @@ def resect(
                 raise SolveError(
                     "the adjustment does not converge", mend="check the start values, the points and their CRS"
                 )
-    else:
-        raise SolveError(
-            f"the adjustment did not converge in {ROUNDS} rounds",
-            mend="check the start values, the points and their CRS",
-        )
     return problem.result(model.with_values(values), residuals, seen, values, iteration)
 
 
@@ -166,7 +168,7 @@ class _Problem:
     weights: FloatArray  # 1 / sigma, (N, 2)
     known_sigmas: bool
     sigmas: FloatArray  # (P,) a priori
-    free: FloatArray | BoolArray  # (P,) which are estimated
+    free: BoolArray  # (P,) which are estimated
 
     @classmethod
     def of(
@@ -231,7 +233,7 @@ class _Problem:
     def design(self, model: SensorModel, seen: BoolArray) -> FloatArray:
         by_parameters = jacobian(model, self.xyz[seen])[0][:, :, self.free] * self.weights[seen][:, :, None]
         image = by_parameters.reshape(-1, by_parameters.shape[2])
-        image = image[np.isfinite(image).all(axis=1)] if not np.isfinite(image).all() else image
+        image[~np.isfinite(image).all(axis=1)] = 0.0  # a difference that left the visible part pulls at nothing
         priors = np.eye(image.shape[1])[self.prior] / self.sigmas[self.free][self.prior][:, None]
         return np.vstack([image, priors])
 
@@ -247,7 +249,7 @@ class _Problem:
         if observations < unknowns:
             names = ", ".join(np.array(self.names)[self.free])
             raise SolveError(
-                f"{int(seen.sum())} points give {observations} observations for {unknowns} unknown parameters ({names})",
+                f"{int(seen.sum())} points give {observations} observations for {unknowns} unknowns ({names})",
                 mend=f"give at least {-(-(unknowns - int(self.prior.sum())) // 2)} points, or fix parameters",
             )
 
@@ -288,6 +290,11 @@ class _Problem:
         left = np.where(seen[:, None], residuals, np.nan)
         sigmas = np.sqrt(np.diag(covariance))
         return Resection(model, sigmas, covariance, left, sigma0, redundancy, iterations, _ratio(singular))
+
+
+def _seen(residuals: FloatArray) -> BoolArray:
+    seen: BoolArray = np.isfinite(residuals.sum(axis=1))
+    return seen
 
 
 def _ratio(singular: FloatArray) -> float:

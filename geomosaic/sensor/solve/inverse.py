@@ -7,7 +7,7 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import has_heights, horizontal
-from geomosaic.sensor.model import HasRays, SensorModel
+from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve.march import first_meeting
 from geomosaic.sensor.solve.sight import SightLines
 from geomosaic.surface.model import Surface
@@ -66,10 +66,6 @@ def image_to_ground(model: SensorModel, colrow: FloatArray, surface: Surface | N
     if has_heights(model.crs):
         if surface is None:
             raise InputError("the lines of sight of this sensor need a surface", mend="give a DEM or a height")
-        if isinstance(model, HasRays):
-            from geomosaic.surface.rays import intersect
-
-            return intersect(surface, model.crs, *model.rays(image))
         return first_meeting(SightLines.of(model, image, surface.crs), surface)
     if surface is None:
         return image_to_height(model, image, 0.0, model.crs)

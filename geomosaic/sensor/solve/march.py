@@ -88,7 +88,7 @@ def _cell(surface: Surface, positions: FloatArray) -> float:
     """Cell size of the surface's own heights, read off a small patch."""
     x, y = np.median(positions[:, -1], axis=0)
     transform = surface.patch((x, y, x, y)).transform  # map to cells
-    return 1.0 / max(np.hypot(transform.a, transform.d), np.hypot(transform.b, transform.e), 1e-12)
+    return float(1.0 / max(np.hypot(transform.a, transform.d), np.hypot(transform.b, transform.e), 1e-12))
 
 
 def _lagrange(nodes: FloatArray, at: FloatArray) -> FloatArray:
@@ -160,7 +160,9 @@ class _Bracket:
             if not len(active):
                 break
             a, b, fa, fb = upper[active], lower[active], f_upper[active], f_lower[active]
-            share = np.where(fb > fa, fa / np.where(fb > fa, fa - fb, 1.0), 0.5) if turn % 3 < 2 else np.full(len(a), 0.5)
+            share = (
+                np.where(fb > fa, fa / np.where(fb > fa, fa - fb, 1.0), 0.5) if turn % 3 < 2 else np.full(len(a), 0.5)
+            )
             middle = a + (b - a) * share
             start = xy_upper[active] + (xy_lower - xy_upper)[active] * share[:, None]
             f, xy = self._excess(middle, active, start)

@@ -64,7 +64,7 @@ class SightLines:
         """
         if has_heights(model.crs) and not has_heights(crs):
             raise HeightDatumError(
-                f"the heights of '{crs.name}' have no vertical datum, so they cannot meet a model in '{model.crs.name}'",
+                f"the heights of '{crs.name}' have no vertical datum: they cannot meet a model in '{model.crs.name}'",
                 mend="declare the heights: 'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid",
             )
         to_model = Transform(crs, model.crs)

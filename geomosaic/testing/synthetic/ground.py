@@ -13,7 +13,7 @@ from geomosaic.geo.crs import has_heights
 from geomosaic.geo.grid import Bounds
 from geomosaic.surface.model import HeightPatch
 from geomosaic.testing.synthetic.land import Land
-from geomosaic.testing.synthetic.relief import bounds, relief
+from geomosaic.testing.synthetic.relief import bounds, heights, relief
 from geomosaic.types import Float32Array, FloatArray
 
 CHUNK = 1 << 15  # points at a time: what a core's cache holds
@@ -80,12 +80,17 @@ class AnalyticGround:
 
     def height(self, xy: FloatArray) -> FloatArray:
         """Heights (N,) in metres at (N, 2) in `crs`."""
-        return self.base + self.exaggeration * relief(*self._local(xy))[0]
+        return self.base + self.exaggeration * heights(*self._local(xy))
 
     def gradient(self, xy: FloatArray) -> FloatArray:
         """Slopes dz/dx and dz/dy (N, 2) at (N, 2) in `crs`."""
         _, zu, zv = relief(*self._local(xy))
         return self.exaggeration * np.column_stack([zu, zv])
+
+    def height_and_gradient(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """`height` (N,) and `gradient` (N, 2) for the price of one."""
+        z, zu, zv = relief(*self._local(xy))
+        return self.base + self.exaggeration * z, self.exaggeration * np.column_stack([zu, zv])
 
     def texture(self, xy: FloatArray) -> Float32Array:
         """Radiance (N, bands), 0..1, at (N, 2) in `crs`; NaN where a coordinate is."""

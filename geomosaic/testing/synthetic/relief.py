@@ -11,6 +11,7 @@ Every term is bounded with a bounded slope, so the range of heights and the stee
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -80,11 +81,34 @@ def relief(u: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
     return z, zu, zv
 
 
+def heights(u: AnyArray, v: AnyArray) -> AnyArray:
+    """Height above the base (N,), in the precision given: `relief` without its derivatives."""
+    z = np.zeros_like(u)
+    for amplitude, length, direction, phase in WAVES.tolist():
+        k = 2.0 * math.pi / length
+        z += amplitude * np.cos(k * math.cos(math.radians(direction)) * u + k * math.sin(math.radians(direction)) * v + phase)
+    for height, u0, v0, sigma in HILLS.tolist():
+        z += height * np.exp(((u - u0) ** 2 + (v - v0) ** 2) * (-0.5 / sigma**2))
+    across = v - river(u)[0]
+    z -= VALLEY_DEPTH * np.exp(across * across * (-0.5 / VALLEY_WIDTH**2))
+    return z
+
+
+@lru_cache(maxsize=1)
 def bounds() -> tuple[float, float, float]:
     """Lower and upper bound of the height above the base, and an upper bound of the slope; rigorous, not tight."""
     waves = float(np.abs(WAVES[:, 0]).sum())
     steepest = float((np.abs(WAVES[:, 0]) * 2.0 * np.pi / WAVES[:, 1]).sum())
-    steepest += float((HILLS[:, 0] * np.exp(-0.5) / HILLS[:, 3]).sum())
     meander = sum(abs(a / length) for a, length, _ in MEANDERS)
-    steepest += VALLEY_DEPTH * np.exp(-0.5) / VALLEY_WIDTH * float(np.hypot(1.0, meander))
+    steepest += VALLEY_DEPTH * math.exp(-0.5) / VALLEY_WIDTH * math.hypot(1.0, meander)
+    # The hills stand apart, so their slopes hardly add up: the largest at nodes, plus what the curvature can add
+    # between them (|second derivatives| of a bell are at most H/σ²). Beyond the nodes they have died away.
+    node = 20.0
+    u, v = (p.ravel() for p in np.meshgrid(*[np.arange(-2500.0, 2500.0, node)] * 2))
+    du, dv = np.zeros_like(u), np.zeros_like(u)
+    for height, u0, v0, sigma in HILLS.tolist():
+        bell = height / sigma**2 * np.exp(-((u - u0) ** 2 + (v - v0) ** 2) / (2.0 * sigma**2))
+        du -= bell * (u - u0)
+        dv -= bell * (v - v0)
+    steepest += float(np.hypot(du, dv).max()) + node / math.sqrt(2.0) * float((HILLS[:, 0] / HILLS[:, 3] ** 2).sum())
     return -waves - VALLEY_DEPTH, waves + float(HILLS[:, 0].sum()), steepest

@@ -1,0 +1,56 @@
+"""GDAL's settings while geomosaic reads and writes: one place, the same in every thread."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import rasterio
+
+CACHE_BYTES = 96 << 20
+"""Decoded blocks that GDAL keeps, over all files and threads of the process."""
+
+READ_DRIVERS = (
+    "GTiff",
+    "JPEG",
+    "PNG",
+    "JP2OpenJPEG",
+    "VRT",
+    "HFA",
+    "ENVI",
+    "NITF",
+    "DIMAP",
+    "BMP",
+    "GPKG",
+)
+"""Formats that are opened; GDAL has many more, some of which run code or fetch addresses that a file names."""
+
+_SETTINGS: dict[str, Any] = {
+    "GDAL_CACHEMAX": CACHE_BYTES,
+    # Sidecars (.tfw, .aux.xml, .ovr) are looked for by name; a folder of 100,000 photos is never listed.
+    "GDAL_DISABLE_READDIR_ON_OPEN": "TRUE",
+    "GDAL_TIFF_INTERNAL_MASK": "YES",
+    # A DEM that declares its vertical datum must not lose it.
+    "GTIFF_REPORT_COMPD_CS": "YES",
+    "GDAL_VRT_ENABLE_PYTHON": "NO",
+    "VRT_VIRTUAL_OVERVIEWS": "NO",
+}
+
+logging.getLogger("rasterio").addHandler(logging.NullHandler())  # GDAL's messages come back as exceptions
+
+
+def environment(**settings: Any) -> Any:
+    """Return a context manager in which GDAL works with geomosaic's settings.
+
+    Options hold for the thread that enters it, so every thread enters its own.
+
+    Parameters
+    ----------
+    **settings
+        GDAL configuration options to add or change.
+
+    Returns
+    -------
+    rasterio.Env
+    """
+    return rasterio.Env(**{**_SETTINGS, **settings})

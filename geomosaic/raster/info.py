@@ -1,0 +1,236 @@
+"""What a raster file is, found without reading a pixel."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+from affine import Affine
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+from rasterio.enums import ColorInterp, MaskFlags
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+from geomosaic.errors import RasterReadError
+from geomosaic.raster.environment import READ_DRIVERS, environment
+from geomosaic.types import PathLike
+
+DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
+# A block larger than this costs more to decode again for a neighbour window than a whole copy costs.
+_LARGE_BLOCK = 32 << 20
+# Formats and files behind a VRT that are decoded from the top, whatever window is asked for.
+_SEQUENTIAL = ("JPEG", "PNG")
+_SEQUENTIAL_SUFFIXES = (".jpg", ".jpeg", ".png")
+
+
+@dataclass(frozen=True)
+class SourceInfo:
+    """A raster file in numbers.
+
+    Attributes
+    ----------
+    path : str
+        As given.
+    driver : str
+        GDAL's short name of the format.
+    width, height : int
+        Pixels.
+    bands : int
+        Number of bands without alpha.
+    alpha : int or None
+        Band number (from 1) of the alpha band.
+    dtype : str
+        NumPy name of the sample type; where bands differ, a type that holds them all.
+    nodata : float or None
+        The value of the first band that marks a missing pixel.
+    nodatas : tuple
+        The same for every band without alpha.
+    crs : CRS or None
+        Horizontal, or with a vertical part where the file declares one.
+    transform : Affine or None
+        Corner-based pixel to map; None where the file has none.
+    tiled : bool
+        Stored in blocks narrower than the image.
+    direct : bool
+        An uncompressed tiled TIFF (see `open_raster`).
+    windowed : bool
+        A small window costs little; otherwise the format decodes the image from the top or in huge blocks.
+    masked : bool
+        The file marks missing pixels by nodata, alpha or a mask band.
+    mask_band : bool
+        It does so by a mask band.
+    descriptions, units, colors : tuple
+        Per band without alpha: description, unit of the values, colour (red, green, blue, gray, palette ...).
+    scales, offsets : tuple of float
+        Per band: value = stored × scale + offset.
+    """
+
+    path: str
+    driver: str
+    width: int
+    height: int
+    bands: int
+    alpha: int | None
+    dtype: str
+    nodata: float | None
+    nodatas: tuple[float | None, ...]
+    crs: CRS | None
+    transform: Affine | None
+    tiled: bool
+    direct: bool
+    windowed: bool
+    masked: bool
+    mask_band: bool
+    descriptions: tuple[str | None, ...]
+    units: tuple[str | None, ...]
+    colors: tuple[str, ...]
+    scales: tuple[float, ...]
+    offsets: tuple[float, ...]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width, height."""
+        return self.width, self.height
+
+
+def open_raster(path: PathLike, *, direct: bool = False) -> Any:
+    """Open a raster for reading, in a format of the allow-list; returns rasterio's dataset.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    direct : bool
+        Read uncompressed TIFFs straight from the file, 2 to 5 times as fast as through GDAL's block cache. Only for
+        tiled ones: with strips, GDAL would not notice a truncated file.
+
+    Raises
+    ------
+    RasterReadError
+        The file is missing, a folder, or no raster that can be read.
+    """
+    file = Path(path)
+    if not file.exists():
+        raise RasterReadError("the file does not exist", where=str(path), mend="check the path")
+    if file.is_dir():
+        raise RasterReadError("this is a folder, not a raster", where=str(path), mend="name the file in it")
+    reason: Exception | None = None
+    with environment(GTIFF_DIRECT_IO="YES" if direct else "NO"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        for driver in READ_DRIVERS:
+            try:
+                return rasterio.open(str(path), driver=driver)
+            except (RasterioError, OSError) as error:
+                # The driver that knew the format says why; the others only that they do not know it.
+                if reason is None or "not recognized" in str(reason):
+                    reason = error
+    raise RasterReadError(
+        f"this is not a raster that can be read ({_short(reason or OSError('empty'))})",
+        where=str(path),
+        mend=f"check that the file is whole and of a known format ({', '.join(READ_DRIVERS)}), or convert it to "
+        "GeoTIFF with gdal_translate",
+    ) from reason
+
+
+def inspect(path: PathLike) -> SourceInfo:
+    """Describe a raster file without reading pixels.
+
+    Raises
+    ------
+    RasterReadError
+        The file is missing, no raster, or of a sample type that is not supported (complex).
+    """
+    with environment(), open_raster(path) as dataset:
+        return describe(dataset, str(path))
+
+
+def describe(dataset: Any, path: str) -> SourceInfo:
+    """Describe an open rasterio dataset; `path` is the name used in errors."""
+    if dataset.count == 0:
+        found = ", ".join(dataset.subdatasets[:4])
+        raise RasterReadError(
+            f"the file has no band of its own{f' but subdatasets: {found}' if found else ''}",
+            where=path,
+            mend="extract one image with gdal_translate",
+        )
+    colors = dataset.colorinterp
+    numbers = [i for i, color in enumerate(colors) if color != ColorInterp.alpha] or [0]
+    alpha = next((i + 1 for i, color in enumerate(colors) if color == ColorInterp.alpha and i not in numbers), None)
+    types = {dataset.dtypes[i] for i in numbers}
+    if not types <= set(DTYPES):
+        raise RasterReadError(
+            f"samples of type {', '.join(sorted(types - set(DTYPES)))} are not supported",
+            where=path,
+            mend="convert to uint8, uint16, int16 or float32 (for complex radar data: the amplitude)",
+        )
+    nodatas = tuple(dataset.nodatavals[i] for i in numbers)
+    flags = dataset.mask_flag_enums[numbers[0]]
+    mask_band = MaskFlags.per_dataset in flags and MaskFlags.alpha not in flags
+    rows, cols = dataset.block_shapes[numbers[0]]
+    transform = dataset.transform
+    return SourceInfo(
+        path=path,
+        driver=dataset.driver,
+        width=dataset.width,
+        height=dataset.height,
+        bands=len(numbers),
+        alpha=alpha,
+        dtype=np.result_type(*types).name,
+        nodata=nodatas[0],
+        nodatas=nodatas,
+        crs=_crs(dataset, path),
+        transform=None if transform == Affine.identity() else transform,
+        tiled=cols < dataset.width,
+        direct=dataset.driver == "GTiff" and cols < dataset.width and _compression(dataset) is None,
+        windowed=_windowed(dataset, rows, cols),
+        masked=mask_band or alpha is not None or any(value is not None for value in nodatas),
+        mask_band=mask_band,
+        descriptions=tuple(dataset.descriptions[i] for i in numbers),
+        units=tuple(dataset.units[i] or None for i in numbers),
+        colors=tuple(colors[i].name for i in numbers),
+        scales=tuple(float(dataset.scales[i]) for i in numbers),
+        offsets=tuple(float(dataset.offsets[i]) for i in numbers),
+    )
+
+
+def _crs(dataset: Any, path: str) -> CRS | None:
+    """Carry the CRS over as text: rasterio and pyproj have PROJ databases of their own."""
+    if dataset.crs is None:
+        return None
+    try:
+        return CRS.from_wkt(dataset.crs.to_wkt(version="WKT2_2019"))
+    except CRSError as error:
+        raise RasterReadError(
+            f"the CRS of the file cannot be understood ({_short(error)})",
+            where=path,
+            mend="assign one with gdal_edit -a_srs",
+        ) from error
+
+
+def _windowed(dataset: Any, rows: int, cols: int) -> bool:
+    """Say whether a window can be read without decoding much more than the window."""
+    if dataset.driver in _SEQUENTIAL:
+        return False
+    if dataset.driver == "VRT":
+        return not any(name.lower().endswith(_SEQUENTIAL_SUFFIXES) for name in dataset.files)
+    if dataset.driver == "GTiff" and _compression(dataset) is None:
+        return True
+    if dataset.driver == "GTiff" and cols == dataset.width and rows < dataset.height:
+        return False
+    samples = rows * cols * (dataset.count if dataset.tags(ns="IMAGE_STRUCTURE").get("INTERLEAVE") == "PIXEL" else 1)
+    return samples * int(np.dtype(dataset.dtypes[0]).itemsize) <= _LARGE_BLOCK
+
+
+def _compression(dataset: Any) -> str | None:
+    value = dataset.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION")
+    return None if value is None else str(value)
+
+
+def _short(error: BaseException) -> str:
+    """First line of what GDAL said."""
+    cause = error.__cause__ or error
+    return (str(cause).strip().splitlines() or [type(cause).__name__])[0][:200]

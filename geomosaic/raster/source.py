@@ -1,0 +1,208 @@
+"""Images read by windows from any thread: values, validity, and reduced to a fraction of their size."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio.windows
+from rasterio.errors import RasterioError
+
+from geomosaic.errors import InputError, RasterReadError
+from geomosaic.geo.grid import Window
+from geomosaic.raster.environment import environment
+from geomosaic.raster.info import SourceInfo, describe, inspect, open_raster
+from geomosaic.raster.shrink import block_mean
+from geomosaic.raster.validity import combine, missing_by_value, usable_nodata
+from geomosaic.raster.whole import InMemory, OnDisk
+from geomosaic.types import AnyArray, ByteArray, PathLike
+
+__all__ = ["Source", "SourceInfo", "inspect"]
+
+# Full-resolution bytes that are held at once while an image is reduced or copied to scratch.
+_STRIP_BYTES = 16 << 20
+
+
+class Source:
+    """A raster file, read by windows from any number of threads.
+
+    Every thread has a GDAL handle of its own, opened when it first reads. A format that knows no windows (JPEG, PNG,
+    compressed strips) is decoded once, on the first read, and kept whole: in memory where it fits `memory_limit`,
+    otherwise as raw rows in a scratch folder. Nothing is written next to the image.
+
+    Parameters
+    ----------
+    path : path
+        The raster.
+    nodata : float, optional
+        Value of missing pixels; replaces what the file says.
+    bands : sequence of int, optional
+        Band numbers from 1 to read, in this order; all but alpha by default.
+    memory_limit : int
+        Bytes that the source may hold between reads.
+    scratch : Path, optional
+        Folder for a scratch copy; the system's temporary folder by default.
+
+    Raises
+    ------
+    RasterReadError
+        Missing file, no raster, or unsupported sample type.
+    InputError
+        A band that the file does not have.
+    """
+
+    def __init__(
+        self,
+        path: PathLike,
+        *,
+        nodata: float | None = None,
+        bands: Sequence[int] | None = None,
+        memory_limit: int = 512 << 20,
+        scratch: Path | None = None,
+    ) -> None:
+        self._path = str(path)
+        self._local = threading.local()
+        self._lock = threading.Lock()
+        self._handles: list[Any] = []
+        self._whole: InMemory | OnDisk | None = None
+        self._memory_limit = memory_limit
+        self._scratch = scratch
+        with environment(), open_raster(path) as dataset:
+            self.info: SourceInfo = describe(dataset, self._path)
+            plain = [i for i in dataset.indexes if i != self.info.alpha]
+            self.bands: tuple[int, ...] = tuple(plain if bands is None else bands)
+            if not self.bands or any(band not in dataset.indexes for band in self.bands):
+                raise InputError(
+                    f"bands {list(self.bands)} were asked for, the file has bands 1 to {dataset.count}",
+                    where=self._path,
+                    mend="name bands of the file, counted from 1",
+                )
+            self._block_rows = int(dataset.block_shapes[self.bands[0] - 1][0])
+            declared = dataset.nodatavals
+        self._dtype = np.dtype(self.info.dtype)
+        values = [declared[band - 1] if nodata is None else nodata for band in self.bands]
+        self._nodata = tuple(usable_nodata(self._dtype, value) for value in values)
+
+    def __enter__(self) -> Source:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the handles of all threads and free what is held."""
+        with self._lock:
+            handles, self._handles = self._handles, []
+            self._local = threading.local()
+            for handle in handles:
+                handle.close()
+            if self._whole is not None:
+                self._whole.close()
+                self._whole = None
+
+    @property
+    def dtype(self) -> np.dtype[np.generic]:
+        """Type of the samples of a full-resolution read."""
+        return self._dtype
+
+    def read(self, window: Window, shrink: int = 1) -> tuple[AnyArray, ByteArray | None]:
+        """Read a window.
+
+        Parameters
+        ----------
+        window : Window
+            Inside the image, in full-resolution pixels; column and row are multiples of `shrink`.
+        shrink : int
+            1 reads the pixels; s > 1 gives the means of the valid pixels of s × s blocks, where blocks at the end
+            average what exists.
+
+        Returns
+        -------
+        values : array (rows, cols, bands), C-contiguous
+            In the file's type, float32 where shrink > 1; arbitrary where not valid.
+        valid : uint8 array (rows, cols) of 1 and 0, or None
+            None where every pixel is valid. A block is valid where any pixel of it is.
+
+        Raises
+        ------
+        RasterReadError
+            The data is truncated or damaged.
+        """
+        image = Window(0, 0, self.info.width, self.info.height)
+        if window.empty or window.intersection(image) != window:
+            raise ValueError(f"{window} does not lie inside the {image.width} x {image.height} image {self._path}")
+        if shrink == 1:
+            return self._read_full(window)
+        if shrink < 1 or window.col % shrink or window.row % shrink:
+            raise ValueError(f"{window} does not start at a multiple of shrink {shrink}")
+        return self._read_reduced(window, shrink)
+
+    def _read_reduced(self, window: Window, shrink: int) -> tuple[AnyArray, ByteArray | None]:
+        row_bytes = window.width * len(self.bands) * self._dtype.itemsize
+        rows = shrink * max(1, _STRIP_BYTES // (row_bytes * shrink))
+        shape = (-(-window.height // shrink), -(-window.width // shrink))
+        means = np.empty((*shape, len(self.bands)), dtype=np.float32)
+        valid: ByteArray | None = None
+        for strip in window.split(window.width, rows):
+            at = (strip.row - window.row) // shrink
+            part, part_valid = block_mean(*self._read_full(strip), shrink)
+            means[at : at + len(part)] = part
+            if part_valid is not None:
+                if valid is None:
+                    valid = np.ones(shape, dtype=np.uint8)
+                valid[at : at + len(part)] = part_valid
+        return means, valid
+
+    def _read_full(self, window: Window) -> tuple[AnyArray, ByteArray | None]:
+        if self.info.windowed:
+            return self._decode(window)
+        with self._lock:
+            if self._whole is None:
+                self._whole = self._decode_whole()
+            whole = self._whole
+        return whole.read(window)
+
+    def _decode_whole(self) -> InMemory | OnDisk:
+        """Decode an image that knows no windows, once."""
+        width, height, bands = self.info.width, self.info.height, len(self.bands)
+        row_bytes = width * bands * self._dtype.itemsize
+        if height * (row_bytes + width) <= self._memory_limit:
+            return InMemory(*self._decode(Window(0, 0, width, height)))
+        strip = self._block_rows * max(1, _STRIP_BYTES // (row_bytes * self._block_rows))
+        return OnDisk(self._scratch, (height, width, bands), self._dtype, self._decode, strip, self._path)
+
+    def _decode(self, window: Window) -> tuple[AnyArray, ByteArray | None]:
+        """Read a window through this thread's GDAL handle."""
+        values = np.empty((window.height, window.width, len(self.bands)), dtype=self._dtype)
+        area = rasterio.windows.Window(window.col, window.row, window.width, window.height)
+        mask: AnyArray | None = None
+        try:
+            with environment():
+                dataset = self._dataset()
+                # GDAL writes through the strides, so pixels come out interleaved without a second copy.
+                dataset.read(list(self.bands), window=area, out=np.moveaxis(values, -1, 0))
+                if self.info.alpha is not None:
+                    mask = dataset.read(self.info.alpha, window=area)
+                elif self.info.mask_band:
+                    mask = dataset.read_masks(self.bands[0], window=area)
+        except (RasterioError, OSError) as error:
+            cause = str(error.__cause__ or error).strip().splitlines()
+            raise RasterReadError(
+                f"columns {window.col} to {window.stop_col}, rows {window.row} to {window.stop_row} cannot be read "
+                f"({cause[0] if cause else error}); the file is truncated or damaged",
+                where=self._path,
+                mend="copy the file again from where it came, or leave the image out",
+            ) from error
+        return values, combine(missing_by_value(values, self._nodata), mask)
+
+    def _dataset(self) -> Any:
+        """Return this thread's handle."""
+        dataset = getattr(self._local, "dataset", None)
+        if dataset is None:
+            dataset = open_raster(self._path, direct=self.info.direct)
+            self._local.dataset = dataset
+            self._handles.append(dataset)
+        return dataset

@@ -1,0 +1,74 @@
+"""Which pixels hold a measurement: nodata values, alpha, NaN. A mask of its own, so true black stays valid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from geomosaic.types import AnyArray, BoolArray, ByteArray
+
+
+def usable_nodata(dtype: np.dtype[Any], nodata: float | None) -> float | None:
+    """Return the nodata value as the sample type holds it; None where no sample can have that value."""
+    if nodata is None or (np.isnan(nodata) and dtype.kind != "f"):
+        return None
+    if dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            return float(np.asarray(nodata).astype(dtype))
+    limits = np.iinfo(dtype)
+    return nodata if float(nodata).is_integer() and limits.min <= nodata <= limits.max else None
+
+
+def missing_by_value(values: AnyArray, nodata: Sequence[float | None]) -> BoolArray | None:
+    """Find the pixels whose values say that nothing was measured.
+
+    Unsigned integers use nodata for an ordinary grey value (0 or 255), so a pixel is missing only where every band
+    has it. Signed and floating point types use an impossible one (-9999), which must never enter a sum: there one
+    band is enough. NaN and infinity always miss.
+
+    Parameters
+    ----------
+    values : array (rows, cols, bands)
+    nodata : sequence of float or None
+        Per band, already through `usable_nodata`.
+
+    Returns
+    -------
+    bool array (rows, cols), or None
+        True where missing; None where no value could say so or none does.
+    """
+    found: BoolArray | None = None
+    if values.dtype.kind == "f":
+        for band in range(values.shape[2]):
+            bad = ~np.isfinite(values[:, :, band])
+            if bad.any():
+                found = bad if found is None else found | bad
+    if any(value is not None for value in nodata):
+        ordinary = values.dtype.kind == "u"
+        marked: BoolArray | None = None
+        for band, value in enumerate(nodata):
+            if value is None:
+                hit = np.zeros(values.shape[:2], dtype=bool)
+            else:
+                hit = values[:, :, band] == value
+            if marked is None:
+                marked = hit
+            elif ordinary:
+                marked &= hit
+            else:
+                marked |= hit
+        if marked is not None and marked.any():
+            found = marked if found is None else found | marked
+    return found
+
+
+def combine(missing: BoolArray | None, mask: AnyArray | None) -> ByteArray | None:
+    """Join values that say 'missing' and a mask or alpha band (0 = missing) to 1/0 bytes; None where all are valid."""
+    if mask is None:
+        return None if missing is None else (~missing).view(np.uint8)
+    valid = mask != 0
+    if missing is not None:
+        valid &= ~missing
+    return None if valid.all() else valid.view(np.uint8)

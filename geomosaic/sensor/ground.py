@@ -1,0 +1,55 @@
+"""Heights over one block of output pixels, whatever CRS the surface has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.geo.crs import horizontal
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.geo.transform import Transform
+from geomosaic.surface.model import HeightPatch, Surface
+from geomosaic.types import FloatArray
+
+
+@dataclass(frozen=True)
+class BlockGround:
+    """Heights over one block of output pixels."""
+
+    window: Window
+    patch: HeightPatch | None
+    heights: tuple[float, float]
+
+    @property
+    def unknown(self) -> bool:
+        """Whether no height is known here."""
+        return bool(np.isnan(self.heights[0]))
+
+    def over(self, surface_xy: FloatArray) -> tuple[float, float]:
+        """Lowest and highest height within the bounds of some places (N, 2) of the surface's map; NaN where unknown."""
+        if self.patch is None:
+            return self.heights
+        t = self.patch.transform
+        x, y = surface_xy[:, 0], surface_xy[:, 1]
+        col, row = t.a * x + t.b * y + t.c - 0.5, t.d * x + t.e * y + t.f - 0.5
+        first_col, first_row = (max(0, int(np.floor(np.nanmin(v) - 1e-6)) - 1) for v in (col, row))
+        last_col, last_row = (int(np.ceil(np.nanmax(v) + 1e-6)) + 2 for v in (col, row))
+        return HeightPatch(self.patch.heights[first_row:last_row, first_col:last_col], t).range
+
+
+def block_ground(surface: Surface | None, grid: Grid, window: Window) -> BlockGround:
+    """Read the heights of one block."""
+    if surface is None:
+        return BlockGround(window, None, (0.0, 0.0))
+    cols = np.linspace(window.col, window.stop_col, 5)
+    rows = np.linspace(window.row, window.stop_row, 5)
+    c, r = np.meshgrid(cols, rows)
+    xy = Transform(horizontal(grid.crs), horizontal(surface.crs))(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
+    xy = xy[np.isfinite(xy).all(axis=1)]
+    if not len(xy):
+        return BlockGround(window, None, (float("nan"), float("nan")))
+    (left, bottom), (right, top) = xy.min(axis=0), xy.max(axis=0)
+    margin = 0.01 * max(right - left, top - bottom)
+    patch = surface.patch((left - margin, bottom - margin, right + margin, top + margin))
+    return BlockGround(window, patch, patch.range)

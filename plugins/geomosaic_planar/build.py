@@ -1,0 +1,158 @@
+"""The plugin's door: one of a transform, control points or coefficients to a model."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import horizontal
+from geomosaic.sensor.plugin import SensorInput, SensorRequest
+from geomosaic.types import FloatArray
+from geomosaic_planar.fit import fit_planar
+from geomosaic_planar.model import PlanarModel
+from geomosaic_planar.terms import KINDS, MAX_ORDER, parameter_names
+
+SOURCES = ("transform", "geotransform", "points", "coefficients")
+
+
+class PlanarPlugin:
+    """Sensor 'planar'."""
+
+    name = "planar"
+    summary = "plane transformations of flat ground: conformal, affine, projective, polynomial of order 1 to 5"
+    inputs = (
+        SensorInput("transform", "a, b, c, d, e, f: pixel corner to map, x = a col + b row + c, y = d col + e row + f"),
+        SensorInput("geotransform", "the same in GDAL's order: c, a, b, f, d, e"),
+        SensorInput("points", "control points, each with x, y, col, row and optionally sigma (pixels)"),
+        SensorInput("coefficients", "coefficients ground to image, by name or in the order of `parameters`", "px"),
+        SensorInput("kind", f"{', '.join(KINDS)}; for points and coefficients", default="affine"),
+        SensorInput("order", f"degree of a polynomial, 1 to {MAX_ORDER}", default="1"),
+        SensorInput("centre", "map x, y that the coefficients count from", "map units", "0, 0"),
+        SensorInput("scale", "map units that the coefficients count as 1", "map units", "1"),
+    )
+    model = PlanarModel
+
+    def build(self, request: SensorRequest) -> PlanarModel:
+        """Make the model of one image.
+
+        Raises
+        ------
+        InputError
+            An input is missing, unknown or out of range.
+        SolveError
+            The control points do not determine the transformation.
+        """
+        where = request.image
+        options = request.options
+        known = [entry.name for entry in self.inputs]
+        for key in options:
+            if key not in known:
+                close = difflib.get_close_matches(str(key), known, 1)
+                hint = f"did you mean '{close[0]}'? " if close else ""
+                raise InputError(
+                    f"sensor 'planar' has no input '{key}'", where=where, mend=f"{hint}it has {', '.join(known)}"
+                )
+        given = [source for source in SOURCES if source in options]
+        if len(given) != 1:
+            what = f"{' and '.join(given)} are given together" if given else "there is nothing to place the image with"
+            raise InputError(what, where=where, mend=f"give one of {', '.join(SOURCES)}")
+        if request.crs is None or request.crs.is_geocentric:
+            raise InputError("sensor 'planar' needs a horizontal CRS", where=where, mend="name one, e.g. EPSG:32633")
+        crs = horizontal(request.crs)
+        if given[0] in ("transform", "geotransform"):
+            return _georeferenced(request, crs, given[0])
+        kind, order = _kind(options, where)
+        if given[0] == "points":
+            xy, colrow, weights = _points(options["points"], where)
+            fitted = fit_planar(kind, xy, colrow, weights, order=order, where=where)
+            return PlanarModel.of(
+                kind, order, crs, request.size, fitted.centre, fitted.scale, fitted.values, where=where
+            )
+        values = _coefficients(options["coefficients"], kind, order, where)
+        centre = np.array(_numbers(options.get("centre", (0.0, 0.0)), 2, "centre", where))
+        scale = _numbers([options.get("scale", 1.0)], 1, "scale", where)[0]
+        if scale <= 0.0:
+            raise InputError("input 'scale' must be greater than 0", where=where)
+        return PlanarModel.of(kind, order, crs, request.size, centre, scale, values, where=where)
+
+
+def _georeferenced(request: SensorRequest, crs: CRS, option: str) -> PlanarModel:
+    """Affine model, held fixed, from a pixel → map transform."""
+    where = request.image
+    raw = list(request.options[option]) if isinstance(request.options[option], Sequence) else request.options[option]
+    if isinstance(raw, list) and len(raw) == 9:  # an affine matrix with its last line
+        raw = raw[:6]
+    numbers = _numbers(raw, 6, option, where)
+    a, b, c, d, e, f = (numbers[i] for i in (1, 2, 0, 4, 5, 3)) if option == "geotransform" else numbers
+    width, height = request.size
+    half = np.array([width, height]) / 2.0
+    matrix = np.array([[a, b], [d, e]])
+    pixel = float(np.abs(matrix).max())
+    if pixel == 0.0 or abs(np.linalg.det(matrix)) < 1e-12 * pixel**2:
+        raise InputError(f"input '{option}' maps the image onto a line", where=where)
+    # The inverse is written about the middle of the image: no cancellation of large map coordinates.
+    centre = matrix @ half + [c, f]
+    scale = float(np.abs(matrix @ (half * [[1, 1], [1, -1]]).T).max())
+    inverse = np.linalg.inv(matrix) * scale
+    values = np.column_stack([half, inverse]).ravel()
+    return PlanarModel.of("affine", 1, crs, request.size, centre, scale, values, sigma=0.0, where=where)
+
+
+def _kind(options: Mapping[str, Any], where: str) -> tuple[str, int]:
+    kind, order = options.get("kind", "affine"), options.get("order", 1)
+    if kind not in KINDS:
+        raise InputError(f"input 'kind' is '{kind}'", where=where, mend=f"choose one of {', '.join(KINDS)}")
+    if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= MAX_ORDER:
+        raise InputError(f"input 'order' is {order}", where=where, mend=f"give a whole number from 1 to {MAX_ORDER}")
+    if kind != "polynomial" and order != 1:
+        raise InputError(f"input 'order' has no meaning for kind '{kind}'", where=where, mend="use kind = polynomial")
+    return kind, order
+
+
+def _points(points: Any, where: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Map positions, image positions and weights of control points."""
+    if not isinstance(points, Sequence) or isinstance(points, str) or not points:
+        raise InputError("input 'points' is not a list of points", where=where)
+    rows = []
+    for index, point in enumerate(points, 1):
+        if not isinstance(point, Mapping):
+            raise InputError(f"control point {index} is not a table of x, y, col, row", where=where)
+        missing = [key for key in ("x", "y", "col", "row") if key not in point]
+        if missing:
+            raise InputError(f"control point {index} has no {', '.join(missing)}", where=where)
+        row = [point[key] for key in ("x", "y", "col", "row")] + [point.get("sigma", 1.0)]
+        rows.append(_numbers(row, 5, f"points, number {index}", where))
+        if rows[-1][4] <= 0.0:
+            raise InputError(f"control point {index} has a sigma that is not greater than 0", where=where)
+    table = np.array(rows)
+    return table[:, :2], table[:, 2:4], 1.0 / table[:, 4] ** 2
+
+
+def _coefficients(given: Any, kind: str, order: int, where: str) -> FloatArray:
+    names = parameter_names(kind, order)
+    if isinstance(given, Mapping):
+        if set(given) != set(names):
+            raise InputError(
+                "input 'coefficients' does not name what this kind has", where=where, mend=f"give {', '.join(names)}"
+            )
+        given = [given[name] for name in names]
+    return np.array(_numbers(given, len(names), "coefficients", where))
+
+
+def _numbers(given: Any, count: int, option: str, where: str) -> list[float]:
+    """Read a list of finite numbers."""
+    good = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) and len(given) == count
+    try:
+        numbers = [float(value) for value in given] if good else []
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        noun = "one finite number" if count == 1 else f"{count} finite numbers"
+        raise InputError(f"input '{option}' is not {noun}: {given!r}", where=where)
+    return numbers

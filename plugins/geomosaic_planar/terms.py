@@ -1,0 +1,99 @@
+"""The plane transformations ground → image, on normalised ground coordinates (u, v).
+
+u = (x − x₀)/s and v = (y − y₀)/s bring the ground to about [−1, 1]; with one scale s for both axes a conformal map
+stays conformal. Coefficients are in pixels (those of a projective denominator have no unit).
+
+conformal    X = a·u − b·v + TX, Y = a·v + b·u + TY; col = X, row = −Y (Wolf & Dewitt, equation 9-1; the image's y axis
+             points down, so rows are turned to a right-handed system first, as the text asks)
+affine       polynomial of order 1
+projective   col = (a0 + a1·u + a2·v)/w, row = (b0 + b1·u + b2·v)/w, w = 1 + c1·u + c2·v; seen where w > 0
+polynomial   col = Σ aᵢⱼ uⁱ vʲ, row = Σ bᵢⱼ uⁱ vʲ over i + j ≤ order
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geomosaic.types import FloatArray
+
+KINDS = ("conformal", "affine", "projective", "polynomial")
+MAX_ORDER = 5
+
+
+def exponents(order: int) -> list[tuple[int, int]]:
+    """Powers (i, j) of u and v, by degree: 1, u, v, u², u·v, v², ..."""
+    return [(degree - j, j) for degree in range(order + 1) for j in range(degree + 1)]
+
+
+def parameter_names(kind: str, order: int) -> tuple[str, ...]:
+    """Names of the coefficients, in their order."""
+    if kind == "conformal":
+        return ("a", "b", "tx", "ty")
+    if kind == "projective":
+        return ("a0", "a1", "a2", "b0", "b1", "b2", "c1", "c2")
+    powers = exponents(order)
+    return tuple(f"a{i}{j}" for i, j in powers) + tuple(f"b{i}{j}" for i, j in powers)
+
+
+def least_points(kind: str, order: int) -> int:
+    """Fewest control points that determine a kind."""
+    return -(-len(parameter_names(kind, order)) // 2)
+
+
+def basis(order: int, uv: FloatArray) -> FloatArray:
+    """Monomials (N, T) at (u, v) (N, 2)."""
+    u, v = uv.T
+    return np.column_stack([u**i * v**j for i, j in exponents(order)])
+
+
+def basis_slopes(order: int, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Derivatives (N, T) of the monomials by u and by v."""
+    u, v = uv.T
+    zero = np.zeros_like(u)
+    by_u = np.column_stack([i * u ** (i - 1) * v**j if i else zero for i, j in exponents(order)])
+    by_v = np.column_stack([j * u**i * v ** (j - 1) if j else zero for i, j in exponents(order)])
+    return by_u, by_v
+
+
+def evaluate(kind: str, order: int, values: FloatArray, uv: FloatArray) -> FloatArray:
+    """Image (N, 2) of normalised ground (N, 2)."""
+    u, v = uv.T
+    if kind == "conformal":
+        a, b, tx, ty = values
+        return np.column_stack([a * u - b * v + tx, -(a * v + b * u + ty)])
+    if kind == "projective":
+        w = 1.0 + values[6] * u + values[7] * v
+        w = np.where(w > 0.0, w, np.nan)
+        return basis(1, uv) @ values[:6].reshape(2, 3).T / w[:, None]
+    return basis(order, uv) @ values.reshape(2, -1).T
+
+
+def derivatives(kind: str, order: int, values: FloatArray, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of (col, row) by the coefficients (N, 2, P) and by (u, v) (N, 2, 2)."""
+    count = len(uv)
+    u, v = uv.T
+    by_values = np.zeros((count, 2, len(values)))
+    by_uv = np.empty((count, 2, 2))
+    if kind == "conformal":
+        a, b = values[:2]
+        by_values[:, 0, 0], by_values[:, 0, 1], by_values[:, 0, 2] = u, -v, 1.0
+        by_values[:, 1, 0], by_values[:, 1, 1], by_values[:, 1, 3] = -v, -u, -1.0
+        by_uv[:] = [[a, -b], [-b, -a]]
+        by_uv[~np.isfinite(uv).all(axis=1)] = np.nan
+        return by_values, by_uv
+    if kind == "projective":
+        w = 1.0 + values[6] * u + values[7] * v
+        w = np.where(w > 0.0, w, np.nan)[:, None]
+        image = evaluate(kind, order, values, uv)
+        terms = basis(1, uv) / w
+        by_values[:, 0, :3] = by_values[:, 1, 3:6] = terms
+        by_values[:, :, 6:] = -image[:, :, None] * (uv / w)[:, None, :]
+        by_values[np.isnan(w[:, 0])] = np.nan
+        by_uv[:] = (values[:6].reshape(2, 3)[:, 1:] - image[:, :, None] * values[6:]) / w[:, :, None]
+        return by_values, by_uv
+    terms = basis(order, uv)
+    size = terms.shape[1]
+    by_values[:, 0, :size] = by_values[:, 1, size:] = terms
+    for axis, slopes in enumerate(basis_slopes(order, uv)):
+        by_uv[:, :, axis] = slopes @ values.reshape(2, -1).T
+    return by_values, by_uv

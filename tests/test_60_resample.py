@@ -1,0 +1,199 @@
+"""The kernels against their twins, against analytic images, and against white noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import GROUND, MAP, ArrayReader, Hills, PinholeOverMap
+
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.resample.warp import RESAMPLING, Colour, numba_engine, numpy_engine, supersampling, warp
+from geomosaic.sensor.ground import block_ground
+from geomosaic.sensor.lattice import build
+from geomosaic.sensor.mapper import MapToImage
+
+MODEL = PinholeOverMap()
+SMALL = PinholeOverMap(size=(250, 200), focal=250.0)
+
+
+def grid_of(resolution: float) -> Grid:
+    return Grid.from_bounds(MAP, (499600.0, 5499650.0, 500400.0, 5500350.0), resolution)
+
+
+def warped(engine, values, resampling, resolution=1.0, valid=None, dtype=None, window=None, surface=None, model=MODEL):
+    grid = grid_of(resolution)
+    window = window or grid.window
+    surface = surface or Hills()
+    ground = block_ground(surface, grid, window)
+    mapper = MapToImage.between(MAP, GROUND, model)
+    (lattice,) = build(mapper, grid, ground, 0.02)
+    out = np.zeros((window.height, window.width, values.shape[2]), dtype=dtype or values.dtype)
+    out_valid = np.zeros(out.shape[:2], dtype=np.uint8)
+    reader = ArrayReader(values, valid)
+    warp(engine, reader, model.size, lattice, ground.patch, resampling, Colour.identity(values.shape[2]), out, out_valid)
+    return grid, lattice, out, out_valid
+
+
+def image(dtype: str, bands: int) -> np.ndarray:
+    rng = np.random.default_rng(4)
+    values = rng.integers(0, 250, (SMALL.size[1], SMALL.size[0], bands)).astype(dtype)
+    return values - 100 if dtype == "int16" else values
+
+
+@pytest.mark.parametrize("resampling", RESAMPLING)
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "int16", "float32"])
+@pytest.mark.parametrize("masked", [False, True])
+def test_twins_give_the_same_bytes(resampling: str, dtype: str, masked: bool) -> None:
+    values = image(dtype, 1 if dtype == "uint16" else 3)
+    valid = None
+    if masked:
+        valid = (np.random.default_rng(5).random(values.shape[:2]) > 0.02).astype(np.uint8)
+    for resolution in (4.0, 10.0):
+        results = [warped(e(), values, resampling, resolution, valid, model=SMALL)[2:] for e in (numba_engine, numpy_engine)]
+        assert np.array_equal(results[0][1], results[1][1])
+        if resampling == "lanczos":  # the sine of two libraries may differ in the last bit
+            close = np.abs(results[0][0].astype(float) - results[1][0]) <= (1e-4 if dtype == "float32" else 1)
+            assert close.all()
+        else:
+            assert np.array_equal(results[0][0], results[1][0])
+        assert results[0][1].mean() > 0.5
+
+
+@pytest.mark.parametrize("resampling", ["bilinear", "cubic", "lanczos"])
+def test_a_ramp_comes_back_as_its_own_coordinates(resampling: str) -> None:
+    """The image's value is its own (col, row): what comes out must be the exact projection of the pixel's centre."""
+    c, r = np.meshgrid(np.arange(MODEL.size[0]) + 0.5, np.arange(MODEL.size[1]) + 0.5)
+    ramp = np.stack([c, r], axis=-1).astype(np.float32)
+    hills = Hills(spacing=1.0)
+    grid, lattice, out, valid = warped(numba_engine(), ramp, resampling, surface=hills)
+    rows, cols = np.nonzero(valid)
+    xy = grid.xy(np.column_stack([cols + 0.5, rows + 0.5]))
+    exact = MODEL.ground_to_image(np.column_stack([xy, hills.height(xy)]))
+    inside = (exact > 4).all(axis=1) & (exact[:, 0] < MODEL.size[0] - 4) & (exact[:, 1] < MODEL.size[1] - 4)
+    miss = np.hypot(*(out[rows, cols] - exact)[inside].T)
+    limit = 0.01 if resampling != "lanczos" else 0.03  # Lanczos does not reproduce a ramp exactly
+    assert np.sqrt((miss**2).mean()) < limit
+    assert miss.max() < 0.05
+    assert lattice.error <= 0.01
+
+
+@pytest.mark.parametrize(("tolerance", "amplitude"), [(0.1, 200.0), (0.02, 200.0), (0.02, 60.0), (0.002, 60.0)])
+def test_lattice_keeps_its_tolerance_against_every_pixel(tolerance: float, amplitude: float) -> None:
+    from scipy.interpolate import RegularGridInterpolator
+
+    grid = grid_of(0.5)
+    ground = block_ground(Hills(amplitude=amplitude), grid, Window(0, 512, 1024, 512))
+    lattices = build(MapToImage.between(MAP, GROUND, MODEL), grid, ground, tolerance)
+    patch = ground.patch
+    t, (h, w) = patch.transform, patch.heights.shape
+    # Heights as the patch has them: what is judged here is the lattice, not the spacing of the DEM.
+    heights = RegularGridInterpolator((np.arange(h), np.arange(w)), patch.heights.astype(float))
+    pixels, largest, reported = 0, 0.0, 0.0
+    for lattice in lattices:
+        window = lattice.window
+        cols, rows = np.empty((2, window.height, window.width))
+        x, y = lattice.surface[..., 0], lattice.surface[..., 1]
+        places = np.stack([t.a * x + t.b * y + t.c - 0.5, t.d * x + t.e * y + t.f - 0.5], axis=-1)
+        numba_engine().coordinates(
+            lattice.nodes, places, patch.heights, lattice.z_middle, 1 / lattice.z_half, False, lattice.step, 0, 1,
+            MODEL.size, np.ones((8, 16), dtype=np.uint8), cols, rows,
+        )  # fmt: skip
+        cc, rr = np.meshgrid(window.col + np.arange(window.width) + 0.5, window.row + np.arange(window.height) + 0.5)
+        xy = grid.xy(np.column_stack([cc.ravel(), rr.ravel()]))
+        z = heights((np.column_stack([t.a * xy[:, 0] + t.c, t.e * xy[:, 1] + t.f]) - 0.5)[:, ::-1])
+        exact = MODEL.ground_to_image(np.column_stack([xy, z]))
+        seen = (exact > 0).all(axis=1) & (exact < np.array(MODEL.size)).all(axis=1)
+        miss = np.hypot(cols.ravel() - exact[:, 0], rows.ravel() - exact[:, 1])[seen]
+        largest, reported = max(largest, miss.max()), max(reported, lattice.error)
+        pixels += window.width * window.height
+    assert pixels == 1024 * 512
+    assert largest <= tolerance
+    assert reported <= tolerance
+    assert largest <= 2.0 * reported + 1e-9  # the measured error is an honest one
+
+
+def test_white_noise_keeps_the_deviation_of_the_block_mean() -> None:
+    """Ten times coarser: the deviation must be that of the mean of 100 pixels, not five to seven times it."""
+    rng = np.random.default_rng(1)
+    values = rng.normal(128, 72, (MODEL.size[1], MODEL.size[0], 1)).astype(np.float32)
+    for resampling in ("bilinear", "cubic", "lanczos", "average"):
+        _, lattice, out, valid = warped(numba_engine(), values, resampling, resolution=10.0 * 0.95, surface=Hills(amplitude=0.01))
+        assert 9.0 < lattice.scale < 11.0
+        deviation = out[valid > 0].std()
+        assert deviation == pytest.approx(72 / lattice.scale, rel=0.12)
+    _, _, out, valid = warped(numba_engine(), values, "nearest", resolution=10.0)
+    assert out[valid > 0].std() > 60  # classes are never averaged
+
+
+def test_shrinking_on_reading_agrees_with_sampling() -> None:
+    rng = np.random.default_rng(2)
+    smooth = np.add.outer(np.sin(np.arange(MODEL.size[1]) / 60), np.cos(np.arange(MODEL.size[0]) / 80))
+    values = (100 + 40 * smooth + rng.normal(0, 5, smooth.shape))[..., None].astype(np.float32)
+    grid = grid_of(10.0)
+    window = grid.window
+    ground = block_ground(Hills(), grid, window)
+    lattice = build(MapToImage.between(MAP, GROUND, MODEL), grid, ground, 0.02)[0]
+    results = []
+    for most in (16, 3):
+        out, valid = np.zeros((*grid.shape, 1), dtype=np.float32), np.zeros(grid.shape, dtype=np.uint8)
+        warp(
+            numpy_engine(), ArrayReader(values), MODEL.size, lattice, ground.patch, "average", Colour.identity(1), out,
+            valid, None, most,
+        )  # fmt: skip
+        results.append((out, valid))
+    both = (results[0][1] > 0) & (results[1][1] > 0)
+    assert both.mean() > 0.3
+    assert np.abs(results[0][0] - results[1][0])[both].std() < 1.5
+
+
+def test_black_stays_and_nodata_never_bleeds() -> None:
+    values = np.full((MODEL.size[1], MODEL.size[0], 1), 200, dtype=np.uint8)
+    values[300:500, 300:700] = 0  # true black
+    valid = np.ones(values.shape[:2], dtype=np.uint8)
+    valid[:, 500:520] = 0
+    values[:, 500:520] = 255  # garbage under the mask
+    for resampling in RESAMPLING:
+        _, _, out, seen = warped(numba_engine(), values, resampling, 1.0, valid)
+        assert (out[seen > 0] == 0).sum() > 10000
+        assert out[seen > 0].max() <= (200 if resampling not in ("cubic", "lanczos") else 230)
+        assert (out[seen == 0] == 0).all()
+
+
+def test_colour_is_applied_before_rounding() -> None:
+    values = np.full((MODEL.size[1], MODEL.size[0], 1), 101, dtype=np.uint8)
+    grid = grid_of(2.0)
+    ground = block_ground(Hills(), grid, grid.window)
+    lattice = build(MapToImage.between(MAP, GROUND, MODEL), grid, ground, 0.02)[0]
+    for gain, offset, expected in ((1.5, 0.0, 152), (1.0, -200.0, 0), (3.0, 0.0, 255)):
+        out, valid = np.zeros((*grid.shape, 1), dtype=np.uint8), np.zeros(grid.shape, dtype=np.uint8)
+        colour = Colour(np.array([gain]), np.array([offset]))
+        warp(numba_engine(), ArrayReader(values), MODEL.size, lattice, ground.patch, "bilinear", colour, out, valid)
+        assert (out[valid > 0] == expected).all()
+
+
+def test_unknown_heights_leave_unknown_pixels_only() -> None:
+    class Holed(Hills):
+        def patch(self, bounds):
+            patch = super().patch(bounds)
+            heights = patch.heights.copy()
+            heights[60:80, 60:80] = np.nan
+            return type(patch)(heights, patch.transform)
+
+    values = np.full((MODEL.size[1], MODEL.size[0], 1), 9, dtype=np.uint8)
+    counts = []
+    for surface in (Hills(), Holed()):
+        _, _, out, valid = warped(numba_engine(), values, "bilinear", surface=surface)
+        assert (out[valid > 0] == 9).all()
+        counts.append(int(valid.sum()))
+    assert 19 * 19 * 25 <= counts[0] - counts[1] <= 21 * 21 * 25 + 100
+
+
+def test_supersampling_rule() -> None:
+    assert supersampling("bilinear", 1.0) == (1, 1)
+    assert supersampling("bilinear", 10.0) == (10, 1)
+    assert supersampling("nearest", 10.0) == (1, 1)
+    n, shrink = supersampling("cubic", 100.0)
+    assert shrink == 8
+    assert n == 13
+
+
