@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from affine import Affine
 from pyproj import CRS
 
 from geomosaic.errors import InputError
@@ -85,8 +86,10 @@ class PlanarPlugin:
 def _georeferenced(request: SensorRequest, crs: CRS, option: str) -> PlanarModel:
     """Affine model, held fixed, from a pixel → map transform."""
     where = request.image
-    raw = list(request.options[option]) if isinstance(request.options[option], Sequence) else request.options[option]
-    if isinstance(raw, list) and len(raw) == 9:  # an affine matrix with its last line
+    raw = request.options[option]
+    if isinstance(raw, Affine):
+        raw = [raw.a, raw.b, raw.c, raw.d, raw.e, raw.f]
+    elif isinstance(raw, list | tuple) and len(raw) == 9:  # an affine matrix with its last line
         raw = raw[:6]
     numbers = _numbers(raw, 6, option, where)
     a, b, c, d, e, f = (numbers[i] for i in (1, 2, 0, 4, 5, 3)) if option == "geotransform" else numbers

@@ -128,8 +128,8 @@ def _solve(
             where=where,
             mend="spread the points over the image, or choose a simpler kind",
         )
-    solution = (turned.T @ ((left.T @ right) / singular)) / length
     root = turned.T / singular
+    solution = ((root @ (left.T @ right)).T / length).T
     return solution, float(singular[0] / singular[-1]), (root @ root.T) / np.outer(length, length)
 
 
