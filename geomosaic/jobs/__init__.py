@@ -1,1 +1,1 @@
-"""geomosaic.jobs."""
+"""Steps that know what they depend on; only what is stale runs again."""

@@ -1,0 +1,192 @@
+"""Run what is stale, in order."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import InputError, OutputError, OutputExistsError
+from geomosaic.jobs.digest import Hashes, ingredients
+from geomosaic.jobs.lock import project_lock
+from geomosaic.jobs.manifest import Manifest, Record
+from geomosaic.jobs.step import Job, Progress, State, Step
+from geomosaic.jobs.stop import Stop, on_sigterm
+
+MANIFEST, LOCK = "manifest.json", "lock"
+
+
+def no_progress(done: int, total: int, stage: str) -> None:
+    """Report to no one; can be sent to another process."""
+
+
+def status(job: Job) -> list[State]:
+    """Say of each step whether it is fresh, and if not, why."""
+    manifest = Manifest.load(job.state / MANIFEST)
+    hashes = Hashes(manifest.hashes)
+    states: list[State] = []
+    stale: dict[Path, str] = {}
+    for step in job.steps:
+        state = _state(job, step, manifest, hashes, stale)
+        if not state.fresh:
+            stale |= dict.fromkeys(step.outputs, step.name)
+        states.append(state)
+    return states
+
+
+def run(
+    job: Job,
+    *,
+    only: Sequence[str] = (),
+    force: bool = False,
+    progress: Progress | None = None,
+    executor: Executor | None = None,
+) -> list[State]:
+    """Run the stale steps.
+
+    Parameters
+    ----------
+    job : Job
+    only : sequence of str
+        Names of the steps wanted; the steps they read from run too where stale.
+    force : bool
+        Run the wanted steps whether stale or not.
+    progress : callable, optional
+        Called with (done, total, stage); reaches the steps where they run in this process.
+    executor : concurrent.futures.Executor, optional
+        Where steps run; in this thread unless given.
+
+    Returns
+    -------
+    list of State
+        One per step that was looked at; `reason` says why it ran, or 'fresh'.
+
+    Raises
+    ------
+    InputError
+        No step of that name, or another run is under way.
+    OutputExistsError
+        An output exists that no run of this job has made.
+    Interrupted
+        SIGTERM; what is done stays done.
+    """
+    wanted = _wanted(job.steps, only)
+    stop = Stop()
+    with project_lock(job.state / LOCK), on_sigterm(stop):
+        manifest = Manifest.load(job.state / MANIFEST)
+        hashes = Hashes(manifest.hashes)
+        states = []
+        for step in wanted:
+            stop.check()
+            state = _state(job, step, manifest, hashes, {})
+            forced = force and (not only or step.name in only)
+            if forced or not state.fresh:
+                _claim(job, step, manifest)
+                parts = _ingredients(job, step, hashes)
+                started = time.perf_counter()
+                facts = _execute(step, stop.watching(progress), executor)
+                record = _record(job, step, parts, facts, time.perf_counter() - started, hashes)
+                manifest.records[step.name] = record
+                manifest.save()
+                reason = "forced" if state.fresh else state.reason
+                state = State(step.name, False, reason, record.seconds, record.finished)
+            states.append(state)
+        manifest.save()
+    return states
+
+
+def _ingredients(job: Job, step: Step, hashes: Hashes) -> dict[str, str]:
+    """Everything the step's result depends on, as it is now."""
+    files = {job.name(path): hashes.of(path) for path in step.inputs}
+    return ingredients(step.name, step.version, step.parameters, files)
+
+
+def _claim(job: Job, step: Step, manifest: Manifest) -> None:
+    """Refuse to write over files that are not ours; note down those that will be."""
+    outputs = {job.name(path): path for path in step.outputs}
+    foreign = [path for name, path in outputs.items() if path.exists() and name not in manifest.owned]
+    if foreign:
+        raise OutputExistsError(
+            f"step '{step.name}' would write over a file that this project has not made",
+            where=str(foreign[0]),
+            mend="move it away, or give the project another output folder",
+        )
+    manifest.owned.update(outputs)
+    manifest.save()
+
+
+def _execute(step: Step, progress: Progress, executor: Executor | None) -> Mapping[str, Any]:
+    if executor is None:
+        return step.run(progress)
+    return executor.submit(step.run, no_progress).result()
+
+
+def _record(
+    job: Job, step: Step, parts: Mapping[str, str], facts: Mapping[str, Any], seconds: float, hashes: Hashes
+) -> Record:
+    missing = [path for path in step.outputs if not path.is_file()]
+    if missing:
+        raise OutputError(f"step '{step.name}' ended without its output", where=str(missing[0]))
+    outputs = {job.name(path): hashes.of(path) for path in step.outputs}
+    finished = datetime.now(UTC).isoformat(timespec="seconds")
+    return Record(parts, outputs, facts, round(seconds, 3), finished)
+
+
+def _wanted(steps: Sequence[Step], only: Sequence[str]) -> list[Step]:
+    """Steps asked for, and before them those whose outputs they read."""
+    names = [step.name for step in steps]
+    for name in only:
+        if name not in names:
+            raise InputError(f"no step named '{name}'", mend=f"steps of this project are: {', '.join(names)}")
+    if not only:
+        return list(steps)
+    maker = {path: step for step in steps for path in step.outputs}
+    needed: set[str] = set()
+    queue = [step for step in steps if step.name in only]
+    while queue:
+        step = queue.pop()
+        if step.name not in needed:
+            needed.add(step.name)
+            queue += [maker[path] for path in step.inputs if path in maker]
+    return [step for step in steps if step.name in needed]
+
+
+def _state(job: Job, step: Step, manifest: Manifest, hashes: Hashes, stale: Mapping[Path, str]) -> State:
+    record = manifest.records.get(step.name)
+    if record is None:
+        return State(step.name, False, "never run")
+    because = _because(job, step, record, hashes, stale)
+    return State(step.name, because is None, because or "fresh", record.seconds, record.finished)
+
+
+def _because(job: Job, step: Step, record: Record, hashes: Hashes, stale: Mapping[Path, str]) -> str | None:
+    """First reason for running again."""
+    for path in step.inputs:
+        if path in stale:
+            return f"step '{stale[path]}' is stale"
+        if not path.is_file():
+            return f"{path.name} is missing"
+    now = _ingredients(job, step, hashes)
+    changed = [name for name in {**record.ingredients, **now} if record.ingredients.get(name) != now.get(name)]
+    if changed:
+        return _change(changed)
+    for path in step.outputs:
+        if not path.is_file():
+            return f"output {path.name} is missing"
+        if record.outputs.get(job.name(path)) != hashes.of(path):
+            return f"output {path.name} was changed"
+    return None
+
+
+def _change(names: list[str]) -> str:
+    kind, _, rest = names[0].partition(" ")
+    shown = {
+        "file": f"{Path(rest).name} changed",
+        "parameter": f"'{rest}' changed",
+        "library": f"{rest} has another version",
+        "step": "geomosaic computes it differently now",
+    }.get(kind, "its ingredients changed")
+    return shown if len(names) == 1 else f"{shown}, and {len(names) - 1} more"

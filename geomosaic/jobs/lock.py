@@ -1,0 +1,66 @@
+"""One run at a time: a lock that the operating system frees when its holder dies."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from geomosaic.errors import InputError, OutputError
+
+
+@contextmanager
+def project_lock(path: Path) -> Iterator[None]:
+    """Hold a lock file, or stop at once where another run holds it.
+
+    The lock is on the open file, not on its being there: a run that was killed leaves a file but no lock.
+
+    Raises
+    ------
+    InputError
+        Another run is under way.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("a+", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(
+            f"the project's folder cannot be written: {error.strerror}", where=str(path), mend="check its permissions"
+        ) from error
+    with file:
+        if not _try_lock(file.fileno()):
+            file.seek(0)
+            holder = file.read(64).strip()
+            raise InputError(
+                f"another run of this project is under way{f' (process {holder})' if holder else ''}",
+                where=str(path.parent.parent.parent),
+                mend="wait until it ends, or stop it",
+            )
+        file.seek(0)
+        file.truncate()
+        file.write(str(os.getpid()))
+        file.flush()
+        yield
+
+
+def _try_lock(handle: int) -> bool:
+    """Take an exclusive lock without waiting."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        try:
+            # A byte far beyond the text, so that the holder's number stays readable.
+            os.lseek(handle, 1 << 20, os.SEEK_SET)
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True

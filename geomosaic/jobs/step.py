@@ -1,0 +1,83 @@
+"""A step of a job: what it reads, what it writes, and the function that does it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step.
+
+    Attributes
+    ----------
+    name : str
+    run : callable
+        Takes a progress function, writes the outputs and returns facts as JSON values. Picklable where the executor is
+        another process.
+    parameters : mapping
+        JSON values that the result depends on.
+    inputs : tuple of Path
+        Files the result depends on, by content.
+    outputs : tuple of Path
+        Files the step writes.
+    version : int
+        Raised when the step's code gives another result.
+    """
+
+    name: str
+    run: Callable[[Progress], Mapping[str, Any]]
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    inputs: tuple[Path, ...] = ()
+    outputs: tuple[Path, ...] = ()
+    version: int = 1
+
+
+@dataclass(frozen=True)
+class Job:
+    """Steps in the order they run; a step reads what earlier ones write.
+
+    Attributes
+    ----------
+    steps : tuple of Step
+    root : Path
+        Folder that paths are named from, so that a job can be moved.
+    state : Path
+        Folder of the manifest and the lock.
+    """
+
+    steps: tuple[Step, ...]
+    root: Path
+    state: Path
+
+    def name(self, path: Path) -> str:
+        """Name of a file: relative to the root where it lies in it."""
+        return path.relative_to(self.root).as_posix() if path.is_relative_to(self.root) else str(path)
+
+
+@dataclass(frozen=True)
+class State:
+    """Whether a step has to run.
+
+    Attributes
+    ----------
+    name : str
+    fresh : bool
+    reason : str
+        'fresh', 'never run', or what has changed.
+    seconds : float, optional
+        How long the last run took.
+    finished : str, optional
+        When it ended (ISO 8601, UTC).
+    """
+
+    name: str
+    fresh: bool
+    reason: str
+    seconds: float | None = None
+    finished: str | None = None
