@@ -1,0 +1,128 @@
+"""GDAL as the maker of the pieces of a TIFF: one tile, compressed, and the tags that describe a raster."""
+
+from __future__ import annotations
+
+import warnings
+import zlib
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+import rasterio.crs
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.io import MemoryFile
+
+from geomosaic.errors import InputError
+from geomosaic.geo.grid import Grid
+from geomosaic.raster import tiff
+from geomosaic.raster.environment import environment
+from geomosaic.raster.tiff import Directory, Field
+from geomosaic.types import AnyArray, ByteArray
+
+BLOCK = 512
+
+
+def tile_profile(bands: int, dtype: str, options: Mapping[str, str]) -> dict[str, Any]:
+    """Return rasterio's arguments for a GeoTIFF of one tile."""
+    return {
+        "driver": "GTiff",
+        "width": BLOCK,
+        "height": BLOCK,
+        "count": bands,
+        "dtype": dtype,
+        "tiled": True,
+        "blockxsize": BLOCK,
+        "blockysize": BLOCK,
+        "interleave": "pixel",
+        **{key.lower(): value for key, value in options.items()},
+    }
+
+
+def encode_tile(values: AnyArray, profile: Mapping[str, Any]) -> bytes:
+    """Compress one tile of shape (BLOCK, BLOCK, bands) as the profile says; the bytes that stand in a TIFF.
+
+    A pure function of its arguments, safe in any thread.
+    """
+    _, data = _one_tile_file(values, profile)
+    return data
+
+
+def _one_tile_file(values: AnyArray, profile: Mapping[str, Any], **described: Any) -> tuple[Directory, bytes]:
+    with environment(), warnings.catch_warnings(), MemoryFile() as memory:
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        tags, descriptions = described.pop("tags", {}), described.pop("descriptions", ())
+        with memory.open(**profile, **described) as dataset:
+            for band, text in enumerate(descriptions, start=1):
+                if text:
+                    dataset.set_band_description(band, text)
+            if tags:
+                dataset.update_tags(**tags)
+            dataset.write(np.moveaxis(values, -1, 0))
+        data = bytes(memory.getbuffer())
+    directory = tiff.read_directories(BytesIO(data))[0]
+    offset, count = directory[tiff.TILE_OFFSETS].integers[0], directory[tiff.TILE_COUNTS].integers[0]
+    return directory, data[offset : offset + count]
+
+
+def describe_raster(
+    grid: Grid,
+    profile: Mapping[str, Any],
+    *,
+    nodata: float | None,
+    descriptions: Sequence[str | None],
+    tags: Mapping[str, str],
+    where: str,
+) -> Directory:
+    """Return the tags that GDAL writes for a raster of this grid and profile, without the tiles' places.
+
+    Raises
+    ------
+    InputError
+        GDAL refuses the creation options.
+    """
+    values = np.zeros((BLOCK, BLOCK, profile["count"]), dtype=profile["dtype"])
+    values[0, 0] = 1  # not empty, so that the tile is written whatever the options say
+    try:
+        directory, _ = _one_tile_file(
+            values,
+            profile,
+            crs=rasterio.crs.CRS.from_wkt(grid.crs.to_wkt()),
+            transform=grid.transform,
+            nodata=nodata,
+            tags=dict(tags),
+            descriptions=tuple(descriptions),
+        )
+    except (RasterioError, ValueError, OSError) as error:
+        raise InputError(
+            f"GDAL refuses these creation options ({error.__cause__ or error})",
+            where=where,
+            mend="see the creation options of GDAL's GTiff driver",
+        ) from error
+    for tag in (tiff.TILE_OFFSETS, tiff.TILE_COUNTS):
+        del directory[tag]
+    return {**directory, tiff.WIDTH: Field.of(4, grid.width), tiff.LENGTH: Field.of(4, grid.height)}
+
+
+MASK_TAGS: Directory = {
+    tiff.NEW_SUBFILE_TYPE: Field.of(4, 4),
+    tiff.BITS: Field.of(3, 1),
+    tiff.COMPRESSION: Field.of(3, 8),
+    tiff.PHOTOMETRIC: Field.of(3, 4),
+    tiff.SAMPLES: Field.of(3, 1),
+    tiff.PLANAR: Field.of(3, 1),
+    tiff.TILE_WIDTH: Field.of(3, BLOCK),
+    tiff.TILE_LENGTH: Field.of(3, BLOCK),
+}
+"""Tags of an internal mask: one bit per pixel, deflate, as GDAL makes them."""
+
+
+def encode_mask(valid: ByteArray | None) -> bytes:
+    """Compress a mask tile of 1 and 0, shape (BLOCK, BLOCK), to one bit per pixel; None is all ones."""
+    return _ones() if valid is None else zlib.compress(np.packbits(valid, axis=1).tobytes(), 6)
+
+
+@lru_cache
+def _ones() -> bytes:
+    return zlib.compress(b"\xff" * (BLOCK * BLOCK // 8), 6)

@@ -1,0 +1,154 @@
+"""Tiled TIFF files put together tile by tile, so that their bytes depend on the pixels and on nothing else.
+
+GDAL writes blocks when its cache, shared by all files and threads of the process, runs full; their order in a file is
+then a matter of chance. Here GDAL still makes every piece (geo-referencing tags, compressed tiles), and this module
+lays the pieces out: tiles row by row, then the mask's tiles, then the directories. A failed write is known at once.
+
+Structures after TIFF Revision 6.0 (Adobe, 1992) sections 2 and 15, and the BigTIFF layout of libtiff.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from geomosaic.types import PathLike
+
+NEW_SUBFILE_TYPE, WIDTH, LENGTH, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
+STRIP_OFFSETS, SAMPLES, STRIP_COUNTS, PLANAR = 273, 277, 279, 284
+TILE_WIDTH, TILE_LENGTH, TILE_OFFSETS, TILE_COUNTS = 322, 323, 324, 325
+
+_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
+_INTEGERS = {1: "B", 3: "H", 4: "I", 16: "Q"}
+
+
+@dataclass(frozen=True)
+class Field:
+    """One tag's value as it stands in the file: type, count and little-endian bytes."""
+
+    type: int
+    count: int
+    data: bytes
+
+    @classmethod
+    def of(cls, type_: int, *values: int) -> Field:
+        """Make a field of unsigned integers: type 3 (16 bit), 4 (32 bit) or 16 (64 bit)."""
+        return cls(type_, len(values), struct.pack(f"<{len(values)}{_INTEGERS[type_]}", *values))
+
+    @property
+    def integers(self) -> tuple[int, ...]:
+        """The values of an unsigned integer field."""
+        return struct.unpack(f"<{self.count}{_INTEGERS[self.type]}", self.data)
+
+
+Directory = dict[int, Field]
+
+
+def read_directories(file: BinaryIO) -> list[Directory]:
+    """Read all main directories of a little-endian TIFF or BigTIFF, in file order.
+
+    Raises
+    ------
+    ValueError
+        Not such a file, or it ends before its directories do.
+    """
+    file.seek(0)
+    head = file.read(16)
+    if head[:4] == b"II*\0":
+        big, offset = False, struct.unpack_from("<I", head, 4)[0]
+    elif head[:4] == b"II+\0" and len(head) == 16:
+        big, offset = True, struct.unpack_from("<Q", head, 8)[0]
+    else:
+        raise ValueError("not a little-endian TIFF")
+    directories: list[Directory] = []
+    while offset:
+        directory, offset = _read_directory(file, offset, big)
+        directories.append(directory)
+    return directories
+
+
+def _take(file: BinaryIO, size: int) -> bytes:
+    data = file.read(size)
+    if len(data) != size:
+        raise ValueError("the file ends inside a directory")
+    return data
+
+
+def _read_directory(file: BinaryIO, offset: int, big: bool) -> tuple[Directory, int]:
+    file.seek(offset)
+    count = struct.unpack("<Q" if big else "<H", _take(file, 8 if big else 2))[0]
+    entry = "<HHQ8s" if big else "<HHI4s"
+    size = struct.calcsize(entry)
+    table = _take(file, count * size)
+    following = struct.unpack("<Q" if big else "<I", _take(file, 8 if big else 4))[0]
+    directory: Directory = {}
+    for i in range(count):
+        tag, type_, number, inline = struct.unpack_from(entry, table, i * size)
+        length = number * _SIZES[type_]
+        if length > len(inline):
+            file.seek(struct.unpack("<Q" if big else "<I", inline)[0])
+            inline = _take(file, length)
+        directory[tag] = Field(type_, number, inline[:length])
+    return directory, following
+
+
+def write_header(file: BinaryIO, *, big: bool) -> None:
+    """Write a header whose first directory is not known yet; 16 bytes for both kinds."""
+    file.write(struct.pack("<2sHHHQ", b"II", 43, 8, 0, 0) if big else struct.pack("<2sHI8x", b"II", 42, 0))
+
+
+def write_directories(file: BinaryIO, directories: list[Directory], *, big: bool) -> None:
+    """Append directories to a file that has a header, and link them.
+
+    Raises
+    ------
+    OverflowError
+        The file is too large for classic TIFF.
+    """
+    link = 8 if big else 4  # where the offset of the next directory goes
+    for directory in directories:
+        end = file.seek(0, 2)
+        file.write(bytes(-end % 16))
+        start = file.tell()
+        data, following = _layout(directory, start, big)
+        if not big and start + len(data) >= 1 << 32:
+            raise OverflowError("more than 4 GB need BigTIFF")
+        file.write(data)
+        file.seek(link)
+        file.write(struct.pack("<Q" if big else "<I", start))
+        link = following
+
+
+def _layout(directory: Directory, start: int, big: bool) -> tuple[bytes, int]:
+    """Return a directory's bytes, with the values too long for its table behind it, and where its link stands."""
+    room, count, entry, pointer = (8, "<Q", "<HHQ8s", "<Q") if big else (4, "<H", "<HHI4s", "<I")
+    table, extra = bytearray(struct.pack(count, len(directory))), bytearray()
+    following = start + len(table) + len(directory) * struct.calcsize(entry)
+    for tag, field in sorted(directory.items()):
+        data = field.data
+        if len(data) > room:
+            at = following + room + len(extra)
+            extra += bytes(-at % 8)
+            data = struct.pack(pointer, (following + room + len(extra)) & (1 << 8 * room) - 1)
+            extra += field.data
+        table += struct.pack(entry, tag, field.type, field.count, data)
+    return bytes(table) + bytes(room) + bytes(extra), following
+
+
+def is_whole(path: PathLike) -> bool:
+    """Say whether all tiles and strips that a little-endian TIFF names lie inside the file."""
+    with Path(path).open("rb") as file:
+        try:
+            directories = read_directories(file)
+        except (ValueError, KeyError, struct.error):
+            return False
+        size = file.seek(0, 2)
+    for directory in directories:
+        for offsets, counts in ((TILE_OFFSETS, TILE_COUNTS), (STRIP_OFFSETS, STRIP_COUNTS)):
+            if offsets in directory:
+                pairs = zip(directory[offsets].integers, directory[counts].integers, strict=True)
+                if any(offset + count > size for offset, count in pairs):
+                    return False
+    return bool(directories)
