@@ -31,7 +31,11 @@ class PinholeOverMap:
     @property
     def parameters(self) -> Parameters:
         return Parameters(
-            ("x", "y", "z"), ("m",) * 3, np.array(self.centre), np.full(3, np.inf), np.full(3, self.centre[2] / self.focal)
+            ("x", "y", "z"),
+            ("m",) * 3,
+            np.array(self.centre),
+            np.full(3, np.inf),
+            np.full(3, self.centre[2] / self.focal),
         )
 
     @property

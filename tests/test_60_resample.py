@@ -30,7 +30,9 @@ def warped(engine, values, resampling, resolution=1.0, valid=None, dtype=None, w
     out = np.zeros((window.height, window.width, values.shape[2]), dtype=dtype or values.dtype)
     out_valid = np.zeros(out.shape[:2], dtype=np.uint8)
     reader = ArrayReader(values, valid)
-    warp(engine, reader, model.size, lattice, ground.patch, resampling, Colour.identity(values.shape[2]), out, out_valid)
+    warp(
+        engine, reader, model.size, lattice, ground.patch, resampling, Colour.identity(values.shape[2]), out, out_valid
+    )
     return grid, lattice, out, out_valid
 
 
@@ -49,7 +51,9 @@ def test_twins_give_the_same_bytes(resampling: str, dtype: str, masked: bool) ->
     if masked:
         valid = (np.random.default_rng(5).random(values.shape[:2]) > 0.02).astype(np.uint8)
     for resolution in (4.0, 10.0):
-        results = [warped(e(), values, resampling, resolution, valid, model=SMALL)[2:] for e in (numba_engine, numpy_engine)]
+        results = [
+            warped(e(), values, resampling, resolution, valid, model=SMALL)[2:] for e in (numba_engine, numpy_engine)
+        ]
         assert np.array_equal(results[0][1], results[1][1])
         if resampling == "lanczos":  # the sine of two libraries may differ in the last bit
             close = np.abs(results[0][0].astype(float) - results[1][0]) <= (1e-4 if dtype == "float32" else 1)
@@ -117,7 +121,9 @@ def test_white_noise_keeps_the_deviation_of_the_block_mean() -> None:
     rng = np.random.default_rng(1)
     values = rng.normal(128, 72, (MODEL.size[1], MODEL.size[0], 1)).astype(np.float32)
     for resampling in ("bilinear", "cubic", "lanczos", "average"):
-        _, lattice, out, valid = warped(numba_engine(), values, resampling, resolution=10.0 * 0.95, surface=Hills(amplitude=0.01))
+        _, lattice, out, valid = warped(
+            numba_engine(), values, resampling, resolution=10.0 * 0.95, surface=Hills(amplitude=0.01)
+        )
         assert 9.0 < lattice.scale < 11.0
         deviation = out[valid > 0].std()
         assert deviation == pytest.approx(72 / lattice.scale, rel=0.12)
@@ -195,5 +201,3 @@ def test_supersampling_rule() -> None:
     n, shrink = supersampling("cubic", 100.0)
     assert shrink == 8
     assert n == 13
-
-

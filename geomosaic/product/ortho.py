@@ -127,9 +127,7 @@ def ortho(
                 ground = block_ground(surface, grid, part)
                 across = slice(part.col - unit.col, part.stop_col - unit.col)
                 out, out_valid = values[:, across], valid[:, across]
-                used = pull(
-                    engine, photo, grid, ground, options.resampling, options.tolerance, colour, out, out_valid
-                )
+                used = pull(engine, photo, grid, ground, options.resampling, options.tolerance, colour, out, out_valid)
                 facts += [(lattice.error, lattice.scale) for lattice in used]
         return values, valid, facts
 
@@ -162,9 +160,7 @@ def ortho(
             sink.finish()
     finally:
         photo.source.close()
-    return OrthoResult(
-        output, grid, seen, record.error, options.tolerance, record.scale, time.perf_counter() - started
-    )
+    return OrthoResult(output, grid, seen, record.error, options.tolerance, record.scale, time.perf_counter() - started)
 
 
 def _work(grid: Grid, photo: Photo) -> int:

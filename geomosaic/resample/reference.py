@@ -212,3 +212,44 @@ _VALUES = {
     "cubic": lambda s, v, m, x, y: _convolved(s, v, m, x, y, 2),
     "lanczos": lambda s, v, m, x, y: _convolved(s, v, m, x, y, 3),
 }
+
+
+def accumulate(
+    values: AnyArray,
+    valid: AnyArray,
+    weight: AnyArray,
+    factor: int,
+    margin: int,
+    index: int,
+    total: AnyArray,
+    sums: AnyArray,
+    best: AnyArray,
+    label: AnyArray,
+) -> None:
+    """Add one image's weighted values; see `kernels.accumulate`."""
+    height, width, _ = values.shape
+    v = (np.arange(height) + 0.5) / factor - 0.5 + margin
+    u = (np.arange(width) + 0.5) / factor - 0.5 + margin
+    j, i = v.astype(np.int64)[:, None], u.astype(np.int64)[None, :]
+    fv, fu = (v[:, None] - j).astype(np.float32), (u[None, :] - i).astype(np.float32)
+    top = weight[j, i] + (weight[j, i + 1] - weight[j, i]) * fu
+    low = weight[j + 1, i] + (weight[j + 1, i + 1] - weight[j + 1, i]) * fu
+    w = np.where(valid > 0, top + (low - top) * fv, np.float32(0.0)).astype(np.float32)
+    seen = w > 0.0
+    total[seen] += w[seen][:, None] * values[seen]
+    sums[seen] += w[seen]
+    better = w > best
+    best[better] = w[better]
+    label[better] = index
+
+
+def finish(
+    total: AnyArray, sums: AnyArray, low: float, high: float, whole: bool, out: AnyArray, out_valid: AnyArray
+) -> None:
+    """Divide by the sum of weights, round, and store; see `kernels.finish`."""
+    seen = sums > 0.0
+    values = (total[seen] / sums[seen][:, None]).astype(np.float64)
+    if whole:
+        values = np.clip(np.floor(values + 0.5), low, high)
+    out[seen] = values
+    out_valid[seen] = 1

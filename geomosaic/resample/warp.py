@@ -39,15 +39,17 @@ class Reader(Protocol):
 class Engine:
     """Where the kernels come from; both engines give the same bytes."""
 
-    coordinates: Callable[..., None]
+    coordinates: Callable[..., tuple[float, float, float, float]]
     sample: Callable[..., None]
+    accumulate: Callable[..., None]
+    finish: Callable[..., None]
 
 
 def numpy_engine() -> Engine:
     """Kernels in NumPy: nothing to start, slow on large jobs."""
     from geomosaic.resample import reference
 
-    return Engine(reference.coordinates, reference.sample)
+    return Engine(reference.coordinates, reference.sample, reference.accumulate, reference.finish)
 
 
 def numba_engine() -> Engine:
@@ -64,7 +66,7 @@ def numba_engine() -> Engine:
     def sample(name: str, *arguments: Any) -> None:
         table[name](*arguments)
 
-    return Engine(kernels.coordinates, sample)
+    return Engine(kernels.coordinates, sample, kernels.accumulate, kernels.finish)
 
 
 def engine_for(pixels: int) -> Engine:
@@ -196,9 +198,7 @@ def warp(
 _ALL_VALID = np.ones((1, 1), dtype=np.uint8)
 
 
-def _window(
-    span: tuple[float, float, float, float], size: tuple[int, int], reach: int, shrink: int
-) -> Window | None:
+def _window(span: tuple[float, float, float, float], size: tuple[int, int], reach: int, shrink: int) -> Window | None:
     """Image window for points that span left, top, right, bottom, on multiples of `shrink`; None where all miss."""
     (left, top, right, bottom), (width, height) = span, size
     if not (right >= 0 and bottom >= 0 and left < width and top < height):

@@ -94,9 +94,7 @@ def build(mapper: MapToImage, grid: Grid, ground: BlockGround, tolerance: float)
     return _build(mapper, grid, ground, ground.window, tolerance)
 
 
-def _build(
-    mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, tolerance: float
-) -> list[Lattice]:
+def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, tolerance: float) -> list[Lattice]:
     low, high = _heights(mapper, grid, ground, window)
     if np.isnan(low):
         return []
@@ -129,9 +127,7 @@ def _heights(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window
         return (0.0, 0.0) if not ground.unknown else ground.heights
     if window == ground.window:
         return ground.heights
-    c, r = np.meshgrid(
-        np.linspace(window.col, window.stop_col, 5), np.linspace(window.row, window.stop_row, 5)
-    )
+    c, r = np.meshgrid(np.linspace(window.col, window.stop_col, 5), np.linspace(window.row, window.stop_row, 5))
     return ground.over(mapper.surface_xy(grid.xy(np.column_stack([c.ravel(), r.ravel()]))))
 
 

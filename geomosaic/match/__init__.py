@@ -1,0 +1,1 @@
+"""Finding the same ground in two images."""

@@ -1,0 +1,132 @@
+"""How far two pictures of the same ground lie apart, tile by tile, to a few hundredths of a pixel.
+
+Whole pixels come from the peak of the normalised cross-correlation (by FFT), fractions from least squares matching with two
+shifts, a gain and an offset (Förstner 1982; Gruen 1985 without the affine terms).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.types import AnyArray, BoolArray, FloatArray
+
+ROUNDS = 12
+CONVERGED = 1e-3
+
+
+@dataclass(frozen=True)
+class Shifts:
+    """Shifts of tiles.
+
+    Attributes
+    ----------
+    places : array (N, 2)
+        (col, row) of the tiles' centres.
+    shifts : array (N, 2)
+        (col, row) of the second picture's content minus the first's, in pixels; NaN where nothing matched.
+    correlation : array (N,)
+        Of the matched tiles, 0 to 1.
+    """
+
+    places: FloatArray
+    shifts: FloatArray
+    correlation: FloatArray
+
+    @property
+    def matched(self) -> BoolArray:
+        """Which tiles matched."""
+        found: BoolArray = np.isfinite(self.shifts).all(axis=1)
+        return found
+
+    @property
+    def rms(self) -> float:
+        """Root mean square length of the shifts in pixels."""
+        found = self.shifts[self.matched]
+        return float(np.sqrt((found**2).sum(axis=1).mean())) if len(found) else float("nan")
+
+    @property
+    def robust_rms(self) -> float:
+        """The same from the median length: what the RMS would be without gross mismatches.
+
+        For normal errors in both axes the length's median is 1.1774 σ, its RMS 1.4142 σ.
+        """
+        found = self.shifts[self.matched]
+        return float(np.median(np.hypot(*found.T)) * 1.4142 / 1.1774) if len(found) else float("nan")
+
+
+def shifts(
+    first: AnyArray, second: AnyArray, valid: BoolArray, tile: int = 64, reach: int = 8, least_correlation: float = 0.7
+) -> Shifts:
+    """Measure the shift of `second` against `first` in tiles.
+
+    Parameters
+    ----------
+    first, second : array (rows, cols)
+        Grey values on the same grid.
+    valid : bool array (rows, cols)
+        Pixels that both have; tiles with others are left out.
+    tile : int
+        Side of a tile in pixels.
+    reach : int
+        Largest shift looked for, in pixels.
+    least_correlation : float
+        Tiles that match worse are NaN.
+    """
+    places, found, quality = [], [], []
+    margin = reach + 2
+    rows, cols = first.shape
+    for top in range(margin, rows - tile - margin + 1, tile):
+        for left in range(margin, cols - tile - margin + 1, tile):
+            outer = slice(top - margin, top + tile + margin), slice(left - margin, left + tile + margin)
+            if not valid[outer].all():
+                continue
+            shift, correlation = _tile(first[outer].astype(float), second[outer].astype(float), margin, reach)
+            places.append((left + tile / 2, top + tile / 2))
+            found.append(shift if correlation >= least_correlation else (np.nan, np.nan))
+            quality.append(correlation)
+    return Shifts(np.array(places).reshape(-1, 2), np.array(found).reshape(-1, 2), np.array(quality))
+
+
+def _tile(a: FloatArray, b: FloatArray, margin: int, reach: int) -> tuple[tuple[float, float], float]:
+    from scipy.ndimage import shift as moved
+
+    inner = slice(margin, -margin), slice(margin, -margin)
+    template = a[inner]
+    if template.std() < 1e-9:
+        return (np.nan, np.nan), 0.0
+    dx, dy = _whole(template, b, margin, reach)
+    gy, gx = np.gradient(a)
+    columns = np.column_stack([gx[inner].ravel(), gy[inner].ravel(), template.ravel(), np.ones(template.size)])
+    x, y = float(dx), float(dy)
+    correlation = 0.0
+    for _ in range(ROUNDS):
+        there = moved(b, (-y, -x), order=3, mode="nearest")[inner]
+        correlation = float(np.corrcoef(there.ravel(), template.ravel())[0, 1]) if there.std() > 1e-9 else 0.0
+        solution = np.linalg.lstsq(columns, there.ravel(), rcond=None)[0]
+        gain = solution[2] if abs(solution[2]) > 1e-6 else 1.0
+        step = -solution[:2] / gain
+        x, y = x + float(step[0]), y + float(step[1])
+        if max(abs(x - dx), abs(y - dy)) > 2.0:
+            return (np.nan, np.nan), 0.0
+        if np.hypot(*step) < CONVERGED:
+            break
+    return (x, y), correlation
+
+
+def _whole(template: FloatArray, b: FloatArray, margin: int, reach: int) -> tuple[int, int]:
+    """Whole-pixel shift with the largest normalised cross-correlation."""
+    from scipy.signal import fftconvolve
+
+    t = template - template.mean()
+    size = template.size
+    window = b[margin - reach : b.shape[0] - margin + reach, margin - reach : b.shape[1] - margin + reach]
+    window = window - window.mean()
+    cross = fftconvolve(window, t[::-1, ::-1], mode="valid")
+    box = np.ones_like(t)
+    mean = fftconvolve(window, box, mode="valid") / size
+    power = fftconvolve(window**2, box, mode="valid") / size - mean**2
+    score = cross / np.sqrt(np.maximum(power, 1e-12))
+    row, col = np.unravel_index(int(np.argmax(score)), score.shape)
+    return int(col) - reach, int(row) - reach

@@ -1,0 +1,208 @@
+"""One block of a mosaic: geometry, value, colour, blend, in one go from the raw images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.product.photo import pull
+from geomosaic.product.photos import Photos
+from geomosaic.raster.burn import burn
+from geomosaic.resample.warp import CELL, Colour, Engine, value_range
+from geomosaic.seam.feather import halo, reduction, weights
+from geomosaic.sensor.ground import BlockGround, block_ground
+from geomosaic.types import AnyArray, ByteArray
+
+
+@dataclass(frozen=True)
+class Seams:
+    """Who shows what.
+
+    Attributes
+    ----------
+    regions : list of geometry
+        The share of each image, in the output map.
+    outlines : list of geometry
+        Footprints.
+    feather : float
+        Width of the transition in output pixels.
+    """
+
+    regions: list[Any]
+    outlines: list[Any]
+    feather: float
+
+
+@dataclass(frozen=True)
+class MosaicBlock:
+    """Pixels of one block.
+
+    Attributes
+    ----------
+    values : array (rows, cols, bands)
+    valid : uint8 array (rows, cols)
+    label : array (rows, cols)
+        Number of the image with the most weight, counted from 1; 0 where none.
+    facts : list of (error, scale)
+        Of the lattices used.
+    """
+
+    values: AnyArray
+    valid: ByteArray
+    label: AnyArray
+    facts: list[tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Blender:
+    """Renders blocks of a mosaic; a block depends on nothing but itself."""
+
+    photos: Photos
+    grid: Grid
+    seams: Seams
+    colours: list[Colour]
+    engine: Engine
+    resampling: str
+    tolerance: float
+
+    def block(self, window: Window) -> MosaicBlock:
+        """Render one block."""
+        bands, dtype = self.photos.info.bands, self.photos.info.dtype
+        values = np.zeros((window.height, window.width, bands), dtype=dtype)
+        valid = np.zeros((window.height, window.width), dtype=np.uint8)
+        label = np.zeros(valid.shape, dtype=np.int32)
+        facts: list[tuple[float, float]] = []
+        near = self.photos.near(window)
+        if not near:
+            return MosaicBlock(values, valid, label, facts)
+        ground = block_ground(self.photos.block.surface, self.grid, window)
+        if ground.unknown:
+            return MosaicBlock(values, valid, label, facts)
+        shares = self._shares(window, near)
+        if len(shares) == 1:
+            facts += self._pull(shares[0].index, ground, values, valid, None)
+            label[valid > 0] = shares[0].index + 1
+        elif shares:
+            facts += self._blend(ground, shares, values, valid, label)
+        facts += self._fill(ground, near, values, valid, label)
+        return MosaicBlock(values, valid, label, facts)
+
+    def _pull(
+        self, index: int, ground: BlockGround, out: AnyArray, valid: ByteArray, need: ByteArray | None
+    ) -> list[tuple[float, float]]:
+        lattices = pull(
+            self.engine, self.photos[index], self.grid, ground, self.resampling, self.tolerance,
+            self.colours[index], out, valid, need,
+        )  # fmt: skip
+        return [(lattice.error, lattice.scale) for lattice in lattices]
+
+    def _shares(self, window: Window, near: list[int]) -> list[_Share]:
+        """Weights of the images that have any in the block."""
+        import shapely
+
+        feather = self.seams.feather
+        factor = reduction(feather)
+        margin = halo(feather, factor)
+        reduced = self._reduced(window, factor, margin)
+        frame = shapely.box(*reduced.bounds)
+        close = [i for i in near if self.seams.regions[i].intersects(frame)]
+        if len(close) == 1 and self.seams.regions[close[0]].covers(frame):
+            return [_Share(close[0], None, factor, margin)]
+        label = burn([(self.seams.regions[i], i) for i in close], reduced)
+        shares = []
+        for i in close:
+            footprint = burn([(self.seams.outlines[i], 1)], reduced) == 1
+            weight = weights(label, i, footprint, feather, factor)
+            if weight.any():
+                shares.append(_Share(i, weight, factor, margin))
+        return shares
+
+    def _reduced(self, window: Window, factor: int, margin: int) -> Grid:
+        """Grid of the weights: the block in cells of `factor` pixels, with a margin."""
+        cols, rows = -(-window.width // factor), -(-window.height // factor)
+        corner = Window(
+            window.col - margin * factor,
+            window.row - margin * factor,
+            (cols + 2 * margin) * factor,
+            (rows + 2 * margin) * factor,
+        )
+        return self.grid.crop(corner).coarser(factor)
+
+    def _blend(
+        self, ground: BlockGround, shares: list[_Share], values: AnyArray, valid: ByteArray, label: AnyArray
+    ) -> list[tuple[float, float]]:
+        shape, bands = valid.shape, values.shape[2]
+        total = np.zeros((*shape, bands), dtype=np.float32)
+        sums, best = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
+        facts = []
+        for share in shares:
+            assert share.weight is not None
+            need = share.need(shape)
+            if not need.any():
+                continue
+            own = np.zeros((*shape, bands), dtype=np.float32)
+            seen = np.zeros(shape, dtype=np.uint8)
+            facts += self._pull(share.index, ground, own, seen, need)
+            self.engine.accumulate(
+                own, seen, share.weight, share.factor, share.margin, share.index + 1, total, sums, best, label
+            )
+        low, high, whole = value_range(str(values.dtype))
+        self.engine.finish(total, sums, low, high, whole, values, valid)
+        return facts
+
+    def _fill(
+        self, ground: BlockGround, near: list[int], values: AnyArray, valid: ByteArray, label: AnyArray
+    ) -> list[tuple[float, float]]:
+        """Where the seams' choice shows nothing (its nodata, its edge), take the nearest image that does."""
+        facts: list[tuple[float, float]] = []
+        if valid.all():
+            return facts
+        window = ground.window
+        reduced = self._reduced(window, CELL, 0)
+        middle = self.grid.xy(np.array([[window.col + window.width / 2, window.row + window.height / 2]]))[0]
+        centres = {i: np.hypot(*(np.array(self.photos.outlines[i].centre) - middle)) for i in near}
+        for i in sorted(near, key=lambda i: (centres[i], i)):
+            holes = _cells(valid == 0)
+            if not holes.any():
+                break
+            need = (holes & (burn([(self.seams.outlines[i].buffer(0), 1)], reduced) == 1)).astype(np.uint8)
+            if not need.any():
+                continue
+            own, seen = np.zeros_like(values), np.zeros_like(valid)
+            facts += self._pull(i, ground, own, seen, need)
+            new = (seen > 0) & (valid == 0)
+            values[new], valid[new], label[new] = own[new], 1, i + 1
+        return facts
+
+
+@dataclass(frozen=True)
+class _Share:
+    """Weight of one image on a reduced lattice; None is 1 everywhere."""
+
+    index: int
+    weight: AnyArray | None
+    factor: int
+    margin: int
+
+    def need(self, shape: tuple[int, int]) -> ByteArray:
+        """Cells of the block in which the image has weight."""
+        assert self.weight is not None
+        per = CELL // self.factor
+        rows, cols = -(-shape[0] // CELL), -(-shape[1] // CELL)
+        need = np.zeros((rows, cols), dtype=np.uint8)
+        for j in range(rows):
+            for i in range(cols):
+                top, left = self.margin - 1 + j * per, self.margin - 1 + i * per
+                need[j, i] = self.weight[top : top + per + 2, left : left + per + 2].any()
+        return need
+
+
+def _cells(mask: AnyArray) -> AnyArray:
+    """Cells of 64 × 64 pixels with any pixel of a mask."""
+    rows, cols = -(-mask.shape[0] // CELL), -(-mask.shape[1] // CELL)
+    padded = np.zeros((rows * CELL, cols * CELL), dtype=bool)
+    padded[: mask.shape[0], : mask.shape[1]] = mask
+    return padded.reshape(rows, CELL, cols, CELL).any(axis=(1, 3))

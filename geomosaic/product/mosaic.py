@@ -1,0 +1,197 @@
+"""Many raw images, one mosaic, every pixel resampled once."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from geomosaic.block.block import Block
+from geomosaic.block.footprint import Footprint
+from geomosaic.errors import InputError
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.product.balance import balance
+from geomosaic.product.blend import Blender, MosaicBlock, Seams
+from geomosaic.product.options import MosaicOptions
+from geomosaic.product.ortho import GeometryRecord, tiles
+from geomosaic.product.photos import Photos
+from geomosaic.product.pool import in_order
+from geomosaic.product.records import write_item, write_vectors
+from geomosaic.radiometry.gain_offset import Balance, solve
+from geomosaic.raster.sink import RasterSink
+from geomosaic.resample.warp import Colour, engine_for
+from geomosaic.seam.voronoi import regions
+from geomosaic.sensor.lattice import blocks
+from geomosaic.types import AnyArray, ByteArray
+
+FEATHER_PIXELS = 32
+
+
+@dataclass(frozen=True)
+class MosaicResult:
+    """What was made.
+
+    Attributes
+    ----------
+    path : Path
+    labels, vectors, item : Path or None
+        Label raster, GeoPackage of footprints and seamlines, STAC item.
+    grid : Grid
+    valid_pixels : int
+    pixels : list of int
+        Pixels whose main source each image is.
+    balance : Balance
+    feather : float
+        Width of the transition, in map units.
+    lattice_error, tolerance : float
+        Largest measured and admissible error of the geometry, in image pixels.
+    scale : float
+        Image pixels per output pixel.
+    seconds : dict
+        Per stage.
+    """
+
+    path: Path
+    labels: Path | None
+    vectors: Path | None
+    item: Path | None
+    grid: Grid
+    valid_pixels: int
+    pixels: list[int]
+    balance: Balance
+    feather: float
+    lattice_error: float
+    tolerance: float
+    scale: float
+    seconds: dict[str, float]
+
+
+def beside(output: Path, what: str, suffix: str) -> Path:
+    """Name of a file that goes with the mosaic: mosaic.tif, mosaic-labels.tif, mosaic.gpkg."""
+    return output.with_name(f"{output.stem}{what}{suffix}")
+
+
+def mosaic(
+    block: Block, grid: Grid, outlines: list[Footprint], output: Path, options: MosaicOptions | None = None
+) -> MosaicResult:
+    """Balance, seam, rectify and blend all images of a block in one pass.
+
+    Parameters
+    ----------
+    block : Block
+    grid : Grid
+        The output, see `extent.output_grid`.
+    outlines : list of Footprint
+        One per scene, in the output map.
+    output : Path
+        The mosaic; companions are named after it.
+    options : MosaicOptions
+
+    Returns
+    -------
+    MosaicResult
+    """
+    options = options or MosaicOptions()
+    render = options.render
+    feather = FEATHER_PIXELS * grid.resolution[0] if options.feather is None else options.feather
+    seconds: dict[str, float] = {}
+    photos = Photos(block, grid, outlines, render.memory_limit // 2)
+    try:
+        with _Clock(seconds, "balance"):
+            solved = balance(photos, render) if options.balance else solve(len(photos), photos.info.bands, [])
+        with _Clock(seconds, "seams"):
+            shapes = [outline.polygon for outline in outlines]
+            shares = regions(shapes, [outline.centre for outline in outlines])
+        colours = [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
+        seams = Seams(shares, shapes, feather / grid.resolution[0])
+        engine = engine_for(2 * grid.width * grid.height)
+        blender = Blender(photos, grid, seams, colours, engine, render.resampling, render.tolerance)
+        with _Clock(seconds, "mosaic"):
+            labels = beside(output, "-labels", ".tif") if options.labels else None
+            seen, pixels, record = _render(blender, output, labels, options)
+    finally:
+        photos.close()
+    with _Clock(seconds, "records"):
+        vectors = beside(output, "", ".gpkg") if options.vectors else None
+        if vectors is not None:
+            write_vectors(vectors, grid.crs, outlines, shares, solved, pixels, overwrite=render.overwrite)
+        item = beside(output, "", ".stac.json") if options.stac else None
+        if item is not None:
+            write_item(item, output, labels, vectors, grid, shapes, overwrite=render.overwrite)
+    return MosaicResult(
+        output, labels, vectors, item, grid, seen, pixels, solved, feather, record.error, render.tolerance,
+        record.scale, seconds,
+    )  # fmt: skip
+
+
+def _render(
+    blender: Blender, output: Path, labels: Path | None, options: MosaicOptions
+) -> tuple[int, list[int], GeometryRecord]:
+    render, grid, info = options.render, blender.grid, blender.photos.info
+    number = len(blender.photos)
+    counts, record = np.zeros(number + 1, dtype=np.int64), GeometryRecord()
+    units = tiles(grid, render.tile)
+    label_type = "uint8" if number < 255 else "uint16" if number < 65535 else "int32"
+
+    def unit(window: Window) -> list[tuple[Window, MosaicBlock]]:
+        parts = [block.intersection(grid.window) for block in blocks(window)]
+        return [(part, blender.block(part)) for part in parts]
+
+    shared = {"driver": render.driver, "overwrite": render.overwrite, "threads": render.threads}
+    with ExitStack() as stack:
+        sink = stack.enter_context(
+            RasterSink(
+                output, grid, info.bands, info.dtype, nodata=render.nodata, creation=render.creation,
+                descriptions=info.descriptions, tags={"GEOMOSAIC_IMAGES": str(number)}, **shared,
+            )
+        )  # fmt: skip
+        label_sink = None
+        if labels is not None:
+            label_sink = stack.enter_context(
+                RasterSink(
+                    labels, grid, 1, label_type, nodata=0, overviews="nearest", descriptions=("source image",), **shared
+                )
+            )
+        for done, (window, parts) in enumerate(in_order(unit, units, render.threads)):
+            values, valid, label = _join(parts)
+            sink.write(window, values, valid)
+            if label_sink is not None:
+                label_sink.write(window, label[..., None].astype(label_type), (label > 0).astype(np.uint8))
+            counts += np.bincount(label.ravel(), minlength=number + 1)
+            for _, part in parts:
+                for fact in part.facts:
+                    record.add(*fact)
+            blender.photos.passed(window.row)
+            render.report(done + 1, len(units), "mosaic")
+        if not counts[1:].any():
+            raise InputError("no image shows anything of the output area", mend="check --bounds and the DEM's extent")
+        render.report(0, 1, "writing")
+        sink.finish()
+        if label_sink is not None:
+            label_sink.finish()
+    return int(counts[1:].sum()), [int(count) for count in counts[1:]], record
+
+
+def _join(parts: list[tuple[Window, MosaicBlock]]) -> tuple[AnyArray, ByteArray, AnyArray]:
+    """Put the blocks of a unit side by side."""
+    if len(parts) == 1:
+        return parts[0][1].values, parts[0][1].valid, parts[0][1].label
+    whole = [[getattr(part, name) for _, part in parts] for name in ("values", "valid", "label")]
+    values, valid, label = (np.concatenate(arrays, axis=1) for arrays in whole)
+    return values, valid, label
+
+
+class _Clock:
+    """Seconds of a stage."""
+
+    def __init__(self, seconds: dict[str, float], name: str) -> None:
+        self.seconds, self.name = seconds, name
+
+    def __enter__(self) -> None:
+        self.started = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds[self.name] = time.perf_counter() - self.started
