@@ -57,8 +57,8 @@ def basis_slopes(order: int, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def evaluate(kind: str, order: int, values: FloatArray, uv: FloatArray) -> FloatArray:
     """Image (N, 2) of normalised ground (N, 2); NaN for points that are not finite."""
-    uv = np.where(np.isfinite(uv).all(axis=1)[:, None], uv, np.nan)
-    u, v = uv.T
+    u, v = np.where(np.isfinite(uv[:, :1]) & np.isfinite(uv[:, 1:]), uv, np.nan).T
+    uv = np.column_stack([u, v])
     if kind == "conformal":
         a, b, tx, ty = values
         return np.column_stack([a * u - b * v + tx, -(a * v + b * u + ty)])

@@ -34,8 +34,10 @@ def image_to_height(model: SensorModel, colrow: FloatArray, heights: FloatArray 
     """
     image = _as_image(colrow)
     levels = np.broadcast_to(np.asarray(heights, dtype=np.float64), (len(image),)).copy()
-    xy = SightLines.of(model, image, crs).at(levels)
-    return np.column_stack([xy, levels])
+    lines = SightLines.of(model, image, crs)
+    ground = np.column_stack([lines.at(levels), levels])
+    ground[~lines.exact(ground), :2] = np.nan
+    return ground
 
 
 def image_to_ground(model: SensorModel, colrow: FloatArray, surface: Surface | None = None) -> FloatArray:
@@ -66,7 +68,10 @@ def image_to_ground(model: SensorModel, colrow: FloatArray, surface: Surface | N
     if has_heights(model.crs):
         if surface is None:
             raise InputError("the lines of sight of this sensor need a surface", mend="give a DEM or a height")
-        return first_meeting(SightLines.of(model, image, surface.crs), surface)
+        lines = SightLines.of(model, image, surface.crs)
+        ground = first_meeting(lines, surface)
+        ground[~lines.exact(ground)] = np.nan
+        return ground
     if surface is None:
         return image_to_height(model, image, 0.0, model.crs)
     ground = image_to_height(model, image, 0.0, horizontal(surface.crs))

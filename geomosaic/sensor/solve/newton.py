@@ -12,10 +12,15 @@ ROUNDS = 60
 HALVINGS = 12
 GOAL = 1e-10
 ACCEPTED = 1e-6
+ROUGHLY = 1e-2
 
 
 def solve_pairs(
-    evaluate: Callable[[FloatArray, IntArray], FloatArray], target: FloatArray, start: FloatArray, step: float
+    evaluate: Callable[[FloatArray, IntArray], FloatArray],
+    target: FloatArray,
+    start: FloatArray,
+    step: float,
+    accepted: float,
 ) -> FloatArray:
     """Find xy such that evaluate(xy) = target, for each row by itself.
 
@@ -29,11 +34,13 @@ def solve_pairs(
         First guesses.
     step : float
         Change of xy that moves the values by about one pixel, for the forward differences.
+    accepted : float
+        Largest residual in pixels of a solution.
 
     Returns
     -------
     array (N, 2)
-        NaN where no solution within 1e-6 pixel was found: the start is undefined, or there is none.
+        NaN where no solution was found: the start is undefined, or there is none.
 
     Notes
     -----
@@ -55,7 +62,7 @@ def solve_pairs(
         change = _newton_step(evaluate, xy[rows], rows, target[rows] - residual[rows], residual[rows], step)
         improved = _damped(evaluate, target, xy, residual, error, rows, change)
         rows = rows[improved]
-    xy[~(error <= ACCEPTED)] = np.nan
+    xy[~(error <= accepted)] = np.nan
     return xy
 
 

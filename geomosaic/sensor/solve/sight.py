@@ -17,8 +17,8 @@ from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve.jacobian import pixel_step
-from geomosaic.sensor.solve.newton import solve_pairs
-from geomosaic.types import FloatArray, IntArray
+from geomosaic.sensor.solve.newton import ACCEPTED, ROUGHLY, solve_pairs
+from geomosaic.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -89,19 +89,28 @@ class SightLines:
     def at(self, heights: FloatArray, rows: IntArray | None = None, start: FloatArray | None = None) -> FloatArray:
         """Map positions (M, 2) of the lines `rows` (M,) at heights (M,); NaN where a line does not reach the height.
 
-        `start` (M, 2) gives better first guesses than the lines' slopes.
+        `start` (M, 2) gives better first guesses than the lines' slopes. Solutions are as good as rounding allows. That
+        is not 1e-6 pixel close to the projection centre, where a search may pass but no result may lie: see `exact`.
         """
         which = np.arange(len(self.colrow)) if rows is None else rows
-        if start is None:
-            start = self.xy[which] + self.slope[which] * (heights - self.height)[:, None]
-        xy = self._solve(which, heights, start)
-        lost = np.flatnonzero(~np.isfinite(xy).all(axis=1) & np.isfinite(self.colrow[which]).all(axis=1))
-        if len(lost):  # e.g. the line meets this height but not that of the seed
-            xy[lost] = self._solve(which[lost], heights[lost], np.tile(self.seed, (len(lost), 1)))
+        known = np.isfinite(self.xy[which, 0]) & np.isfinite(self.slope[which, 0])
+        guess = np.where(
+            known[:, None], self.xy[which] + self.slope[which] * (heights - self.height)[:, None], self.seed
+        )
+        xy = self._solve(which, heights, guess if start is None else start)
+        # A line that leaves the Earth on its far side, or upwards behind the camera, meets a height there too.
+        expected = np.linalg.norm(guess - self.xy[which], axis=1)
+        far = np.linalg.norm(xy - guess, axis=1) > expected + 100.0 * self.step
+        xy[known & far] = np.nan
         return xy
 
     def _solve(self, rows: IntArray, heights: FloatArray, start: FloatArray) -> FloatArray:
         def evaluate(xy: FloatArray, index: IntArray) -> FloatArray:
             return self.model.ground_to_image(self.to_model(np.column_stack([xy, heights[index]])))
 
-        return solve_pairs(evaluate, self.colrow[rows], start, self.step)
+        return solve_pairs(evaluate, self.colrow[rows], start, self.step, ROUGHLY)
+
+    def exact(self, xyz: FloatArray) -> BoolArray:
+        """Which of the map points (N, 3) fall on the image points of their lines within 1e-6 pixel."""
+        off = np.abs(self.model.ground_to_image(self.to_model(xyz)) - self.colrow)
+        return (off[:, 0] <= ACCEPTED) & (off[:, 1] <= ACCEPTED)
