@@ -118,7 +118,7 @@ class Scanner(Camera):
         gsd = self.values[2] / self.values[6]
         degrees = np.degrees(1.0 / self.values[6])
         along = np.degrees(1.0 / self.values[2])
-        steps = np.array([gsd, 1.0, 2.0 * gsd, along, degrees, along * 2.0, 2.0])
+        steps = np.array([gsd, 1.0, 2.0 * gsd, along, degrees, along * 2.0, 500.0])
         units = ("m", "m", "m", "deg", "deg", "deg", "px")
         return Parameters(self.names, units, self.values, np.array(self.sigmas), steps)
 

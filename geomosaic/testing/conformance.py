@@ -310,7 +310,7 @@ class SensorModelTests:
     def test_threads(self, model: SensorModel, ground: FloatArray) -> None:
         """Threads that use one model at once get what one thread gets."""
         batches = [np.ascontiguousarray(np.roll(np.tile(ground, (20, 1)), k, axis=0)) for k in range(16)]
-        expected = [model.ground_to_image(batch) for batch in batches]
+        expected = [model.ground_to_image(batch).copy() for batch in batches]
         with ThreadPoolExecutor(4) as pool:
             found = list(pool.map(model.ground_to_image, batches))
         same = all(np.array_equal(a, b, equal_nan=True) for a, b in zip(expected, found, strict=True))

@@ -1,0 +1,81 @@
+"""Layers are kept, and the doors everyone goes through open fast."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+HEAVY = {
+    "affine", "geopandas", "jinja2", "numba", "numpy", "PIL", "pandas", "pydantic", "pyogrio", "pyproj", "pystac",
+    "rasterio", "scipy", "shapely",
+}  # fmt: skip
+HELP_SECONDS = 0.4
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run Python on this source tree."""
+    path = os.pathsep.join([str(ROOT), str(ROOT / "plugins"), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "PYTHONPATH": path}
+    return subprocess.run(
+        [sys.executable, *arguments], capture_output=True, text=True, env=environment, cwd=ROOT, check=False
+    )
+
+
+def imported(*arguments: str) -> set[str]:
+    """Top-level packages that a command imports."""
+    done = run("-X", "importtime", *arguments)
+    assert done.returncode == 0, done.stderr[-2000:]
+    lines = [line for line in done.stderr.splitlines() if line.startswith("import time:")]
+    return {line.rsplit("|", 1)[1].strip().split(".")[0] for line in lines}
+
+
+def test_layers() -> None:
+    """The contracts of [tool.importlinter]: imports go down, plugins stand apart, raster alone uses GDAL."""
+    pytest.importorskip("importlinter", reason="import-linter is not installed (extra 'lint')")
+    done = run("-c", "from importlinter.cli import lint_imports_command; lint_imports_command()", "--no-cache")
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
+    assert "0 broken" in done.stdout
+
+
+def test_import_is_light() -> None:
+    assert not imported("-c", "import geomosaic") & HEAVY
+
+
+def test_lazy_names_are_there() -> None:
+    import geomosaic
+    import geomosaic.testing
+
+    for module in (geomosaic, geomosaic.testing):
+        for name in module.__all__:
+            assert getattr(module, name) is not None
+        with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+            _ = module.nonsense
+
+
+@pytest.fixture
+def cli() -> None:
+    if not (ROOT / "geomosaic" / "cli" / "main.py").exists():
+        pytest.skip("geomosaic/cli/main.py is not there yet")
+
+
+@pytest.mark.usefixtures("cli")
+def test_help_imports_nothing_heavy() -> None:
+    assert not imported("-m", "geomosaic.cli", "--help") & HEAVY
+
+
+@pytest.mark.usefixtures("cli")
+def test_help_is_fast() -> None:
+    best = float("inf")
+    for _ in range(5):
+        start = time.perf_counter()
+        done = run("-m", "geomosaic.cli", "--help")
+        best = min(best, time.perf_counter() - start)
+        assert done.returncode == 0
+        assert "Usage" in done.stdout
+    assert best < HELP_SECONDS, f"--help takes {best:.2f} s at best"
