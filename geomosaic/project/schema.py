@@ -30,7 +30,7 @@ class Section(BaseModel):
 class ProjectSection(Section):
     """[project]."""
 
-    name: str = Field("mosaic", min_length=1, max_length=100, pattern=r"^[^/\\\0]+$")
+    name: str = Field("mosaic", min_length=1, max_length=100, pattern=r"^[^/\\\x00-\x1f]+$")
     images: list[FilePath] = Field(min_length=1)
     nodata: float | None = None
 

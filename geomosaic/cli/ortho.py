@@ -1,0 +1,32 @@
+"""`geomosaic ortho`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack
+from geomosaic.cli.request import area, block_inputs, render_options
+from geomosaic.cli.talk import answer, notes, progress
+from geomosaic.cli.words import ortho_facts, ortho_words
+
+
+@click.command()
+@click.argument("image", type=FILE)
+@stack(image_options, output_options, machine_options)
+def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
+    """Rectify one image onto a DEM or a height.
+
+    \b
+    Example:
+      geomosaic ortho photo.tif --sensor frame --camera camera.toml \\
+        --exterior exterior.csv --exterior-crs EPSG:32633 --heights egm96 \\
+        --dem dem.tif --res 0.5 -o ortho.tif
+    """  # noqa: D301
+    from geomosaic.project.make import make_ortho
+
+    with notes(), progress(as_json) as report:
+        result = make_ortho(block_inputs((image,), flags), area(flags), output, render_options(flags, report))
+    answer(ortho_facts(result), ortho_words(result), as_json)

@@ -1,0 +1,77 @@
+"""From flags to what the layers below take."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from geomosaic.cli.talk import Progress
+
+if TYPE_CHECKING:
+    from geomosaic.product.options import MosaicOptions, RenderOptions
+    from geomosaic.project.inputs import BlockInputs
+    from geomosaic.project.make import Area
+
+
+def block_inputs(images: tuple[Path, ...], flags: Mapping[str, Any]) -> BlockInputs:
+    """Make the description of a block."""
+    from geomosaic.errors import InputError
+    from geomosaic.project.inputs import BlockInputs
+
+    if flags["sensor"] is None and (flags["exterior"] or flags["camera"]):
+        raise InputError("--exterior or --camera is given without a sensor", mend="add --sensor frame")
+    return BlockInputs(
+        images=images,
+        sensor=flags["sensor"] or "planar",
+        options={name: value(text) for name, text in flags["sensor_options"].items()},
+        camera=flags["camera"],
+        exterior=flags["exterior"],
+        crs=flags["crs"],
+        heights=flags["heights"],
+        angles=flags["angles"],
+        angle_unit=flags["angle_unit"],
+        dem=flags["dem"],
+        height=flags["height"],
+        dem_heights=flags["dem_heights"],
+    )
+
+
+def value(text: str) -> Any:
+    """Value of --option NAME=VALUE: a JSON number, list or table where it is one, else text."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def area(flags: Mapping[str, Any]) -> Area:
+    """Make the description of the output's place."""
+    from geomosaic.project.make import Area
+
+    return Area(flags["dst_crs"], flags["res"], flags["bounds"])
+
+
+def render_options(flags: Mapping[str, Any], progress: Progress | None) -> RenderOptions:
+    """Make the options of a raster product."""
+    from geomosaic.product.options import RenderOptions
+
+    machine = {"threads": flags["threads"], "memory_limit": flags["mem_limit"]}
+    return RenderOptions(
+        resampling=flags["resampling"],
+        tolerance=flags["tolerance"],
+        nodata=flags["nodata"],
+        driver=flags["driver"],
+        creation=flags["creation"],
+        overwrite=flags["overwrite"],
+        progress=progress,
+        **{name: number for name, number in machine.items() if number is not None},
+    )
+
+
+def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> MosaicOptions:
+    """Make the options of a mosaic."""
+    from geomosaic.product.options import MosaicOptions
+
+    return MosaicOptions(render_options(flags, progress), flags["feather"], flags["balance"], flags["labels"])

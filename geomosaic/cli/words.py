@@ -1,0 +1,110 @@
+"""Results in words for people, and as plain values for JSON."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from geomosaic.geo.grid import Grid
+    from geomosaic.product.mosaic import MosaicResult
+    from geomosaic.product.ortho import OrthoResult
+
+
+def grid_facts(grid: Grid) -> dict[str, Any]:
+    """Say a grid in plain values."""
+    code = grid.crs.to_authority(min_confidence=100)
+    return {
+        "crs": f"{code[0]}:{code[1]}" if code else grid.crs.to_wkt(),
+        "width": grid.width,
+        "height": grid.height,
+        "resolution": list(grid.resolution),
+        "bounds": list(grid.bounds),
+    }
+
+
+def ortho_facts(result: OrthoResult) -> dict[str, Any]:
+    """Plain values of an ortho."""
+    return {
+        "output": str(result.path),
+        "grid": grid_facts(result.grid),
+        "valid_pixels": result.valid_pixels,
+        "lattice_error_px": result.lattice_error,
+        "tolerance_px": result.tolerance,
+        "image_pixels_per_output_pixel": finite(result.scale),
+        "seconds": round(result.seconds, 3),
+    }
+
+
+def ortho_words(result: OrthoResult) -> str:
+    """Say what was made, in two lines."""
+    return "\n".join(
+        [
+            f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen",
+            f"geometry within {result.lattice_error:.4f} px of the exact model (tolerance {result.tolerance:g} px), "
+            f"{result.seconds:.1f} s",
+        ]
+    )
+
+
+def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
+    """Plain values of a mosaic."""
+    companions = {"labels": result.labels, "vectors": result.vectors, "stac": result.item}
+    return {
+        "output": str(result.path),
+        **{name: str(path) if path else None for name, path in companions.items()},
+        "grid": grid_facts(result.grid),
+        "valid_pixels": result.valid_pixels,
+        "pixels_per_image": list(result.pixels),
+        "gains": result.balance.gain.tolist(),
+        "offsets": result.balance.offset.tolist(),
+        "overlaps": result.balance.overlaps,
+        "overlap_difference_before": [finite(v) for v in result.balance.before],
+        "overlap_difference_after": [finite(v) for v in result.balance.after],
+        "feather": result.feather,
+        "lattice_error_px": result.lattice_error,
+        "tolerance_px": result.tolerance,
+        "image_pixels_per_output_pixel": finite(result.scale),
+        "seconds": {name: round(value, 3) for name, value in result.seconds.items()},
+    }
+
+
+def mosaic_words(result: MosaicResult) -> str:
+    """Say what was made, in a few lines."""
+    lines = [
+        f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen, "
+        f"{sum(1 for n in result.pixels if n)} of {len(result.pixels)} images used"
+    ]
+    if result.balance.overlaps:
+        before, after = (rms(values.tolist()) for values in (result.balance.before, result.balance.after))
+        lines.append(f"colour difference in {result.balance.overlaps} overlaps: {before:.2f} before, {after:.2f} after")
+    lines.append(
+        f"geometry within {result.lattice_error:.4f} px of the exact model (tolerance {result.tolerance:g} px), "
+        f"{sum(result.seconds.values()):.1f} s"
+    )
+    beside = [str(path) for path in (result.labels, result.vectors, result.item) if path]
+    return "\n".join(lines + ([f"beside it: {', '.join(beside)}"] if beside else []))
+
+
+def size_words(grid: Grid) -> str:
+    """Say a grid in a few words."""
+    x, y = grid.resolution
+    pixel = f"{x:g}" if math.isclose(x, y) else f"{x:g} x {y:g}"
+    unit = grid.crs.axis_info[0].unit_name if grid.crs.axis_info else "units"
+    return f"{grid.width} x {grid.height} pixels of {pixel} {unit}, {grid.crs.name}"
+
+
+def share(pixels: int, grid: Grid) -> str:
+    """Part of a grid in per cent."""
+    return f"{100 * pixels / (grid.width * grid.height):.1f} %"
+
+
+def rms(values: list[float]) -> float:
+    """Root mean square."""
+    return math.sqrt(sum(v * v for v in values) / max(1, len(values)))
+
+
+def finite(value: float) -> float | None:
+    """JSON knows no NaN."""
+    number = float(value)
+    return number if math.isfinite(number) else None

@@ -1,0 +1,67 @@
+"""CRS and vertical datum of positions and DEMs: declared by someone, or an error that says what is at stake."""
+
+from __future__ import annotations
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import HeightDatumError
+from geomosaic.geo.crs import height_name, horizontal, parse_crs, with_heights
+from geomosaic.surface.undeclared import undulation
+
+
+def declared(crs: CRS, heights: str | None, where: str | None = None) -> CRS:
+    """Join a CRS with the vertical datum that was declared for it; one that is declared replaces its own."""
+    return crs if heights is None else with_heights(crs, heights, where)
+
+
+def named(crs: str, heights: str | None, where: str | None = None) -> CRS:
+    """Read a CRS and join its declared vertical datum."""
+    return declared(parse_crs(crs, where), heights, where)
+
+
+def describe(crs: CRS | None) -> str:
+    """Say a frame in words: its name, unit and vertical datum."""
+    if crs is None:
+        return "none"
+    unit = crs.axis_info[0].unit_name if crs.axis_info else "unknown unit"
+    code = horizontal(crs).to_authority(min_confidence=100)
+    name = f"{horizontal(crs).name}{f' ({code[0]}:{code[1]})' if code else ''}"
+    return f"{name}, {unit}; heights: {height_name(crs)}"
+
+
+def undeclared(
+    what: str,
+    where: str,
+    option: str,
+    crs: CRS,
+    place: tuple[float, float],
+    reach: float | None = None,
+) -> HeightDatumError:
+    """Say what heights of unknown meaning could do, and which option settles it.
+
+    Parameters
+    ----------
+    what : str
+        Whose heights.
+    where : str
+        File.
+    option : str
+        How to declare them.
+    crs : CRS
+        Horizontal.
+    place : tuple of float
+        x, y in `crs`.
+    reach : float, optional
+        Pixels that one metre of height moves the edge of the image.
+    """
+    shift = undulation(crs, *place)
+    risk = ""
+    if np.isfinite(shift):
+        pixels = f" (up to {abs(shift) * reach:.3g} px in the image)" if reach else ""
+        risk = f"; taken for each other, ellipsoidal and geoid heights differ by {abs(shift):.1f} m here{pixels}"
+    return HeightDatumError(
+        f"the heights of {what} have no vertical datum{risk}",
+        where=where,
+        mend=f"declare it with {option}: ellipsoidal, egm96, an EPSG code of a vertical CRS, or a geoid grid file",
+    )

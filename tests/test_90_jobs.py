@@ -1,0 +1,232 @@
+"""The job engine: what is stale and why, killed runs, locks, executors."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from geomosaic.errors import InputError, Interrupted, OutputError, OutputExistsError
+from geomosaic.jobs.engine import run, status
+from geomosaic.jobs.lock import project_lock
+from geomosaic.jobs.manifest import Manifest, write_atomic
+from geomosaic.jobs.step import Job, Step
+
+CALLS: list[str] = []
+
+
+def join(inputs: tuple[Path, ...], output: Path, word: str, progress) -> dict[str, object]:
+    """A step that joins its inputs and a word."""
+    CALLS.append(output.name)
+    progress(1, 1, output.name)
+    output.parent.mkdir(exist_ok=True)
+    output.write_text("".join(path.read_text() for path in inputs) + word)
+    return {"length": len(output.read_text())}
+
+
+def step(name: str, inputs: tuple[Path, ...], output: Path, word: str) -> Step:
+    return Step(name, partial(join, inputs, output, word), {"word": word}, inputs, (output,))
+
+
+@pytest.fixture
+def job(tmp_path) -> Job:
+    CALLS.clear()
+    (tmp_path / "in.txt").write_text("ground ")
+    out = tmp_path / "out"
+    a = step("a", (tmp_path / "in.txt",), out / "a.txt", "A")
+    b = step("b", (out / "a.txt",), out / "b.txt", "B")
+    c = step("c", (tmp_path / "in.txt",), out / "c.txt", "C")
+    return Job((a, b, c), tmp_path, tmp_path / ".geomosaic" / "trial")
+
+
+def ran(job: Job, **more) -> list[str]:
+    CALLS.clear()
+    run(job, **more)
+    return list(CALLS)
+
+
+def test_only_what_is_stale_runs(job):
+    assert [s.reason for s in status(job)] == ["never run"] * 3
+    assert ran(job) == ["a.txt", "b.txt", "c.txt"]
+    assert (job.root / "out" / "b.txt").read_text() == "ground AB"
+    assert ran(job) == []
+    assert all(s.fresh for s in status(job))
+    assert ran(job, force=True, only=["b"]) == ["b.txt"]
+
+
+def test_a_change_of_content_runs_what_depends_on_it(job):
+    ran(job)
+    source = job.root / "in.txt"
+    os.utime(source, ns=(1, 1))
+    assert ran(job) == []  # another time, the same content
+    source.write_text("GROUND ")
+    states = {s.name: s.reason for s in status(job)}
+    assert states["a"] == "in.txt changed"
+    assert states["b"] == "step 'a' is stale"
+    assert ran(job) == ["a.txt", "b.txt", "c.txt"]
+
+
+def test_an_output_that_comes_out_the_same_stops_the_wave(job):
+    ran(job)
+    a = job.steps[0]
+    again = replace(job, steps=(replace(a, parameters={**a.parameters, "more": 1}), *job.steps[1:]))
+    assert ran(again) == ["a.txt"]
+
+
+def test_parameters_versions_and_outputs(job):
+    ran(job)
+    a, b, c = job.steps
+    changed = replace(job, steps=(a, b, step("c", c.inputs, c.outputs[0], "D")))
+    assert status(changed)[2].reason == "'word' changed"
+    assert (
+        status(replace(job, steps=(a, replace(b, version=2), c)))[1].reason == "geomosaic computes it differently now"
+    )
+    c.outputs[0].write_text("edited by hand")
+    assert status(job)[2].reason == "output c.txt was changed"
+    b.outputs[0].unlink()
+    assert status(job)[1].reason == "output b.txt is missing"
+    assert ran(job) == ["b.txt", "c.txt"]
+    assert c.outputs[0].read_text() == "ground C"
+
+
+def test_a_wanted_step_brings_what_it_reads_from(job):
+    assert ran(job, only=["b"]) == ["a.txt", "b.txt"]
+    with pytest.raises(InputError, match="no step named 'x'") as caught:
+        run(job, only=["x"])
+    assert "a, b, c" in str(caught.value.mend)
+
+
+def test_moving_the_folder_keeps_everything_fresh(job, tmp_path_factory):
+    ran(job)
+    place = tmp_path_factory.mktemp("elsewhere") / "moved"
+    job.root.rename(place)
+    out = place / "out"
+    a = step("a", (place / "in.txt",), out / "a.txt", "A")
+    b = step("b", (out / "a.txt",), out / "b.txt", "B")
+    c = step("c", (place / "in.txt",), out / "c.txt", "C")
+    assert ran(Job((a, b, c), place, place / ".geomosaic" / "trial")) == []
+
+
+def test_a_file_that_is_not_ours_is_never_written_over(job):
+    (job.root / "out").mkdir()
+    (job.root / "out" / "b.txt").write_text("precious")
+    with pytest.raises(OutputExistsError, match="not made"):
+        run(job)
+    assert (job.root / "out" / "b.txt").read_text() == "precious"
+
+
+def test_a_damaged_manifest_means_run_again(job):
+    ran(job)
+    manifest = job.state / "manifest.json"
+    whole = manifest.read_text()
+    for text in ("", "{", "[]", '{"format": 99}', whole[: len(whole) // 2]):
+        manifest.write_text(text)
+        assert Manifest.load(manifest).records == {}
+    manifest.write_text(whole)
+    assert ran(job) == []
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_any_executor_gives_the_same(job, workers):
+    with ThreadPoolExecutor(workers) as pool:
+        assert ran(job, executor=pool) == ["a.txt", "b.txt", "c.txt"]
+    assert ran(job) == []
+
+
+def test_a_step_without_its_output_is_an_error(job):
+    broken = Step("d", lambda progress: {}, outputs=(job.root / "out" / "d.txt",))
+    with pytest.raises(OutputError, match="without its output"):
+        run(replace(job, steps=(broken,)))
+
+
+def test_two_runs_at_once_and_a_stale_lock(job):
+    lock = job.state / "lock"
+    with project_lock(lock), pytest.raises(InputError, match=f"under way .process {os.getpid()}"):
+        run(job)
+    lock.write_text("99999999")  # left behind by a run that was killed
+    assert ran(job) == ["a.txt", "b.txt", "c.txt"]
+
+
+def test_sigterm_stops_between_reports_and_the_rest_comes_later(job):
+    before = signal.getsignal(signal.SIGTERM)
+
+    def progress(done: int, total: int, stage: str) -> None:
+        if stage == "b.txt":
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    assert threading.current_thread() is threading.main_thread()
+    with pytest.raises(Interrupted) as caught:
+        run(job, progress=progress)
+    assert caught.value.exit_code == 4
+    assert signal.getsignal(signal.SIGTERM) is before
+    assert not (job.root / "out" / "b.txt").exists()
+    assert ran(job) == ["b.txt", "c.txt"]
+
+
+def test_a_run_killed_anywhere_ends_in_the_same_bytes(tmp_path):
+    """SIGKILL after each write or rename that a run makes; the next run finishes it."""
+    script = tmp_path / "job.py"
+    script.write_text(
+        textwrap.dedent(
+            """
+            import os, signal, sys
+            from functools import partial
+            from pathlib import Path
+            left = int(sys.argv[2])
+            def count(event, arguments):
+                global left
+                if event == "os.rename" or (event == "open" and arguments[1] in ("w", "a+")):
+                    left -= 1
+                    if left == 0:
+                        os.kill(os.getpid(), signal.SIGKILL)
+            sys.path.insert(0, sys.argv[3])
+            from test_90_jobs import step
+            from geomosaic.jobs.engine import run
+            from geomosaic.jobs.step import Job
+            sys.addaudithook(count)
+            root = Path(sys.argv[1])
+            out = root / "out"
+            a = step("a", (root / "in.txt",), out / "a.txt", "A")
+            b = step("b", (out / "a.txt",), out / "b.txt", "B")
+            run(Job((a, b), root, root / ".geomosaic" / "trial"))
+            """
+        )
+    )
+
+    def attempt(root: Path, kill_at: int) -> int:
+        words = [sys.executable, str(script), str(root), str(kill_at), str(Path(__file__).parent)]
+        return subprocess.run(words, check=False, capture_output=True, timeout=60).returncode
+
+    def digest(root: Path) -> list[str]:
+        return [hashlib.sha256((root / "out" / n).read_bytes()).hexdigest() for n in ("a.txt", "b.txt")]
+
+    expected, killed = None, 0
+    for kill_at in (99, 1, 3, 5, 7, 9):
+        root = tmp_path / str(kill_at)
+        root.mkdir()
+        (root / "in.txt").write_text("ground ")
+        code = attempt(root, kill_at)
+        killed += code == -signal.SIGKILL
+        assert code in (0, -signal.SIGKILL)
+        assert attempt(root, 99) == 0
+        expected = expected or digest(root)
+        assert digest(root) == expected
+    assert killed >= 4
+
+
+def test_write_atomic_leaves_the_old_file_where_it_fails(tmp_path):
+    file = tmp_path / "a.json"
+    write_atomic(file, "old")
+    with pytest.raises(UnicodeEncodeError):
+        write_atomic(file, "new \ud800")
+    assert file.read_text() == "old"
