@@ -1,0 +1,320 @@
+"""Heights from a raster file: bilinear between node centres, unknown where any node that counts is unknown."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import has_heights, height_name, horizontal, parse_crs, with_heights
+from geomosaic.geo.grid import Bounds, Grid, Window
+from geomosaic.raster.source import Source
+from geomosaic.surface.model import HeightPatch
+from geomosaic.surface.undeclared import undeclared_heights
+from geomosaic.types import BoolArray, Float32Array, FloatArray, IntArray, PathLike
+
+HIGHEST = 20_000.0
+"""Metres; a height beyond this either way is a mark for 'unknown' that the file forgot to declare."""
+FORGOTTEN = -9999.0
+"""The commonest such mark that is not beyond it; no photo shows ground at exactly this depth."""
+_BLOCK = 256
+_BLOCKS_KEPT = 64
+_STRIP_NODES = 4 << 20
+_UNITS = {
+    "m": 1.0,
+    "metre": 1.0,
+    "metres": 1.0,
+    "meter": 1.0,
+    "meters": 1.0,
+    "dm": 0.1,
+    "cm": 0.01,
+    "centimetre": 0.01,
+    "centimeter": 0.01,
+    "mm": 0.001,
+    "ft": 0.3048,
+    "foot": 0.3048,
+    "feet": 0.3048,
+    "us survey foot": 1200 / 3937,
+    "us_survey_foot": 1200 / 3937,
+    "ftus": 1200 / 3937,
+    "ft-us": 1200 / 3937,
+    "us-ft": 1200 / 3937,
+}
+
+
+class Dem:
+    """A digital elevation model; a `Surface`. Thread-safe. Made by `Dem.open`.
+
+    Attributes
+    ----------
+    crs : CRS
+        3-D: horizontal CRS of the file, and the vertical datum that was declared or that the file has.
+    grid : Grid
+        Place and size of the file.
+    spacing : float
+        Smaller distance between nodes, in units of the CRS.
+    declared : str or None
+        Vertical datum as the user declared it; None where the file's own holds.
+    overridden : str or None
+        Name of the file's own vertical datum, where a declaration replaced it.
+    notes : tuple of str
+        What was done to the heights: units, scale and offset.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        crs: CRS,
+        grid: Grid,
+        *,
+        scale: float = 1.0,
+        offset: float = 0.0,
+        declared: str | None = None,
+        overridden: str | None = None,
+        notes: tuple[str, ...] = (),
+    ) -> None:
+        self.crs, self.grid = crs, grid
+        self.declared, self.overridden, self.notes = declared, overridden, notes
+        self.spacing = min(grid.resolution)
+        self.path = source.info.path
+        self._source, self._scale, self._offset = source, scale, offset
+        self._range: tuple[float, float] | None = None
+        self._lock = threading.Lock()
+        self._blocks: OrderedDict[tuple[int, int], Float32Array] = OrderedDict()
+
+    @classmethod
+    def open(
+        cls,
+        path: PathLike,
+        *,
+        heights: str | None = None,
+        band: int = 1,
+        memory_limit: int = 256 << 20,
+        crs: CRS | str | None = None,
+        where: str | None = None,
+    ) -> Dem:
+        """Open a DEM.
+
+        Parameters
+        ----------
+        path : path
+            Any raster; its nodes are the pixel centres.
+        heights : str, optional
+            What the heights count from: 'ellipsoidal', 'egm96', an EPSG code, or the path of a geoid grid. Replaces
+            what the file says.
+        band : int
+            From 1.
+        memory_limit : int
+            Bytes that may be held between reads.
+        crs : CRS or str, optional
+            For a file that has none.
+        where : str, optional
+            Named in errors; the path by default.
+
+        Raises
+        ------
+        HeightDatumError
+            Neither the user nor the file says what the heights count from.
+        InputError
+            No CRS, no geo-reference, or heights in units that are not known.
+        """
+        place = where or str(path)
+        source = Source(path, bands=[band], memory_limit=memory_limit)
+        info = source.info
+        file_crs = parse_crs(crs, place) if crs is not None else info.crs
+        if file_crs is None or info.transform is None:
+            raise InputError(
+                f"the DEM has no {'CRS' if info.transform is not None else 'geo-reference'}",
+                where=place,
+                mend="assign it with gdal_edit -a_srs (or a .prj file), or -a_ullr",
+            )
+        grid = Grid(horizontal(file_crs), info.transform, info.width, info.height)
+        own = has_heights(file_crs)
+        if heights is None and not own:
+            x, y = grid.xy(np.array([[grid.width / 2, grid.height / 2]]))[0]
+            source.close()
+            raise undeclared_heights(grid.crs, float(x), float(y), place)
+        full = file_crs if heights is None else with_heights(grid.crs, heights, place)
+        scale, offset, notes = _metres(source, band, full, place)
+        return cls(
+            source,
+            full,
+            grid,
+            scale=scale,
+            offset=offset,
+            declared=heights,
+            overridden=height_name(file_crs) if heights is not None and own else None,
+            notes=notes,
+        )
+
+    def close(self) -> None:
+        """Close the file and free the memory."""
+        self._source.close()
+        with self._lock:
+            self._blocks.clear()
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Lowest and highest height in metres, from every node of the file, read once.
+
+        Raises
+        ------
+        InputError
+            No node has a height.
+        """
+        with self._lock:
+            if self._range is None:
+                self._range = self._find_range()
+            return self._range
+
+    def _find_range(self) -> tuple[float, float]:
+        low, high = np.inf, -np.inf
+        for window in self._strips():
+            heights = self._read(window)
+            known = heights[np.isfinite(heights)]
+            if len(known):
+                low, high = min(low, float(known.min())), max(high, float(known.max()))
+        if low > high:
+            raise InputError(
+                "the DEM holds no height: every node is nodata, NaN or beyond 20 km",
+                where=self.path,
+                mend="check the file and its nodata value",
+            )
+        return low, high
+
+    def _strips(self) -> Iterator[Window]:
+        rows = max(1, _STRIP_NODES // self.grid.width)
+        yield from self.grid.window.split(self.grid.width, max(_BLOCK, rows - rows % _BLOCK))
+
+    def _read(self, window: Window) -> Float32Array:
+        """Heights (rows, cols) of the nodes of a window in metres; NaN where unknown."""
+        values, valid = self._source.read(window)
+        heights = values[:, :, 0].astype(np.float32)
+        if self._scale != 1.0 or self._offset != 0.0:
+            heights = (values[:, :, 0] * self._scale + self._offset).astype(np.float32)
+        if valid is not None:
+            heights[valid == 0] = np.nan
+        with np.errstate(invalid="ignore"):
+            heights[~(np.abs(heights) <= HIGHEST) | (heights == FORGOTTEN)] = np.nan
+        return heights
+
+    def patch(self, bounds: Bounds) -> HeightPatch:
+        """Heights that cover bounds (left, bottom, right, top) in `crs`, with two nodes around for interpolation.
+
+        Outside the file there is a single unknown node.
+        """
+        image = self.grid.window
+        corners = np.array([[bounds[i], bounds[j]] for i in (0, 2) for j in (1, 3)])
+        colrow = np.clip(self.grid.colrow(corners), -1e9, 1e9)
+        (col, row), (stop_col, stop_row) = np.floor(colrow.min(axis=0)), np.ceil(colrow.max(axis=0))
+        first_col, first_row = int(col) - 2, int(row) - 2
+        window = Window(first_col, first_row, int(stop_col) + 2 - first_col, int(stop_row) + 2 - first_row)
+        inside = window.intersection(image)
+        if inside.empty:
+            return HeightPatch(np.full((1, 1), np.nan, dtype=np.float32), ~self.grid.crop(window).transform)
+        return HeightPatch(self._read(inside), ~self.grid.crop(inside).transform)
+
+    def height(self, xy: FloatArray) -> FloatArray:
+        """Heights (N,) in metres at (N, 2) in `crs`, bilinear; NaN where a node that counts is unknown.
+
+        Within half a pixel of the file's edge, beyond the last node centres, the edge's heights hold.
+        """
+        points = np.asarray(xy, dtype=np.float64)[:, :2]
+        width, height = self.grid.width, self.grid.height
+        heights = np.full(len(points), np.nan)
+        colrow = self.grid.colrow(points)
+        inside = np.flatnonzero(((colrow >= 0.0) & (colrow <= (width, height))).all(axis=1))
+        if not len(inside):
+            return heights
+        node = np.clip(colrow[inside] - 0.5, 0.0, (width - 1.0, height - 1.0))
+        first = np.floor(node).astype(np.int64)
+        weight = node - first
+        across = -(-width // _BLOCK)
+        number = (first[:, 1] // _BLOCK) * across + first[:, 0] // _BLOCK
+        order = np.argsort(number, kind="stable")
+        cuts = np.flatnonzero(np.diff(number[order])) + 1
+        for part in np.split(order, cuts):
+            block_row, block_col = divmod(int(number[part[0]]), across)
+            nodes = self._block(block_col, block_row)
+            local = first[part] - np.array([block_col, block_row]) * _BLOCK
+            heights[inside[part]] = bilinear(nodes, local, weight[part])
+        return heights
+
+    def _block(self, block_col: int, block_row: int) -> Float32Array:
+        """Return one block of nodes and the first nodes of its right and lower neighbours; the last used are kept."""
+        key = (block_col, block_row)
+        with self._lock:
+            if key in self._blocks:
+                self._blocks.move_to_end(key)
+                return self._blocks[key]
+        window = Window(block_col * _BLOCK, block_row * _BLOCK, _BLOCK + 1, _BLOCK + 1)
+        nodes = self._read(window.intersection(self.grid.window))
+        with self._lock:
+            self._blocks[key] = nodes
+            while len(self._blocks) > _BLOCKS_KEPT:
+                self._blocks.popitem(last=False)
+        return nodes
+
+
+def bilinear(nodes: Float32Array, first: IntArray, weight: FloatArray) -> FloatArray:
+    """Interpolate between nodes.
+
+    Parameters
+    ----------
+    nodes : array (rows, cols)
+        NaN where unknown.
+    first : int array (N, 2)
+        Column and row of the upper-left of the four nodes.
+    weight : array (N, 2)
+        Of the right and the lower nodes, 0 to below 1; a node of weight 0 does not count, known or not.
+
+    Returns
+    -------
+    array (N,)
+    """
+    rows, cols = nodes.shape
+    col, row = first[:, 0], first[:, 1]
+    right, lower = np.minimum(col + 1, cols - 1), np.minimum(row + 1, rows - 1)
+    u, v = weight[:, 0], weight[:, 1]
+    total: FloatArray = np.zeros(len(first))
+    for r, c, share in (
+        (row, col, (1 - u) * (1 - v)),
+        (row, right, u * (1 - v)),
+        (lower, col, (1 - u) * v),
+        (lower, right, u * v),
+    ):
+        counts: BoolArray = share > 0.0
+        total += np.where(counts, nodes[r, c] * share, 0.0)
+    return total
+
+
+def _metres(source: Source, band: int, crs: CRS, where: str) -> tuple[float, float, tuple[str, ...]]:
+    """Scale, offset and notes that bring stored values to metres."""
+    info = source.info
+    index = min(band, info.bands) - 1
+    scale, offset = info.scales[index], info.offsets[index]
+    notes = []
+    if (scale, offset) != (1.0, 0.0):
+        notes.append(f"stored values × {scale:g} + {offset:g}")
+    axis = crs.axis_info[2]
+    if abs(axis.unit_conversion_factor - 1.0) > 1e-9:
+        raise InputError(
+            f"the vertical CRS counts in {axis.unit_name}, only metres are supported",
+            where=where,
+            mend="convert the DEM to metres, or declare a datum in metres with --dem-heights",
+        )
+    unit = (info.units[index] or "m").strip()
+    factor = _UNITS.get(unit.lower())
+    if factor is None:
+        raise InputError(
+            f"the heights are in '{unit}', which is not known",
+            where=where,
+            mend="convert the DEM to metres",
+        )
+    if factor != 1.0:
+        notes.append(f"heights in {unit} × {factor:.9g} = metres")
+    return scale * factor, offset * factor, tuple(notes)
