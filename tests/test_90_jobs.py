@@ -25,10 +25,11 @@ from geomosaic.jobs.step import Job, Step
 CALLS: list[str] = []
 
 
-def join(inputs: tuple[Path, ...], output: Path, word: str, progress) -> dict[str, object]:
+def join(inputs: tuple[Path, ...], output: Path, word: str, context) -> dict[str, object]:
     """A step that joins its inputs and a word."""
     CALLS.append(output.name)
-    progress(1, 1, output.name)
+    context.progress(1, 1, output.name)
+    assert all(context.digests[path] == hashlib.sha256(path.read_bytes()).hexdigest() for path in inputs)
     output.parent.mkdir(exist_ok=True)
     output.write_text("".join(path.read_text() for path in inputs) + word)
     return {"length": len(output.read_text())}
@@ -144,7 +145,7 @@ def test_any_executor_gives_the_same(job, workers):
 
 
 def test_a_step_without_its_output_is_an_error(job):
-    broken = Step("d", lambda progress: {}, outputs=(job.root / "out" / "d.txt",))
+    broken = Step("d", lambda context: {}, outputs=(job.root / "out" / "d.txt",))
     with pytest.raises(OutputError, match="without its output"):
         run(replace(job, steps=(broken,)))
 

@@ -83,7 +83,7 @@ image_options = stack(
         "--angles",
         default="opk",
         show_default=True,
-        help="Angle system of the table: opk, pok, matrix, rpy, dji.",
+        help="Angle system of the table: opk, pok, matrix, patb, rpy, dji.",
     ),
     click.option(
         "--angle-unit",
@@ -91,6 +91,14 @@ image_options = stack(
         default="deg",
         show_default=True,
         help="Unit of the angles.",
+    ),
+    click.option(
+        "--angle-frame",
+        type=click.Choice(["grid", "local"]),
+        help="North of the angles: the map's grid, or true.  [default: as the system has it]",
+    ),
+    click.option(
+        "--matrix", type=click.Choice(["ground_to_image", "image_to_ground"]), help="Direction of rotation matrices."
     ),
     click.option(
         "--option",

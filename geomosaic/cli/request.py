@@ -32,6 +32,8 @@ def block_inputs(images: tuple[Path, ...], flags: Mapping[str, Any]) -> BlockInp
         heights=flags["heights"],
         angles=flags["angles"],
         angle_unit=flags["angle_unit"],
+        angle_frame=flags["angle_frame"],
+        matrix=flags["matrix"],
         dem=flags["dem"],
         height=flags["height"],
         dem_heights=flags["dem_heights"],

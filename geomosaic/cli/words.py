@@ -88,10 +88,12 @@ def mosaic_words(result: MosaicResult) -> str:
 
 def size_words(grid: Grid) -> str:
     """Say a grid in a few words."""
+    from geomosaic.project.frames import crs_name
+
     x, y = grid.resolution
     pixel = f"{x:g}" if math.isclose(x, y) else f"{x:g} x {y:g}"
     unit = grid.crs.axis_info[0].unit_name if grid.crs.axis_info else "units"
-    return f"{grid.width} x {grid.height} pixels of {pixel} {unit}, {grid.crs.name}"
+    return f"{grid.width} x {grid.height} pixels of {pixel} {unit}, {crs_name(grid.crs)}"
 
 
 def share(pixels: int, grid: Grid) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from geomosaic.errors import InputError, OutputError, OutputExistsError
 from geomosaic.jobs.digest import Hashes, ingredients
 from geomosaic.jobs.lock import project_lock
 from geomosaic.jobs.manifest import Manifest, Record
-from geomosaic.jobs.step import Job, Progress, State, Step
+from geomosaic.jobs.step import Context, Job, Progress, State, Step
 from geomosaic.jobs.stop import Stop, on_sigterm
 
 MANIFEST, LOCK = "manifest.json", "lock"
@@ -87,7 +88,8 @@ def run(
                 _claim(job, step, manifest)
                 parts = _ingredients(job, step, hashes)
                 started = time.perf_counter()
-                facts = _execute(step, stop.watching(progress), executor)
+                digests = {path: hashes.of(path) for path in step.inputs}
+                facts = _execute(step, Context(stop.watching(progress), digests), executor)
                 record = _record(job, step, parts, facts, time.perf_counter() - started, hashes)
                 manifest.records[step.name] = record
                 manifest.save()
@@ -118,10 +120,10 @@ def _claim(job: Job, step: Step, manifest: Manifest) -> None:
     manifest.save()
 
 
-def _execute(step: Step, progress: Progress, executor: Executor | None) -> Mapping[str, Any]:
+def _execute(step: Step, context: Context, executor: Executor | None) -> Mapping[str, Any]:
     if executor is None:
-        return step.run(progress)
-    return executor.submit(step.run, no_progress).result()
+        return step.run(context)
+    return executor.submit(step.run, replace(context, progress=no_progress)).result()
 
 
 def _record(

@@ -11,6 +11,22 @@ Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
+class Context:
+    """What a running step is given.
+
+    Attributes
+    ----------
+    progress : callable
+        Called with (done, total, stage); may raise to stop the step.
+    digests : mapping
+        SHA-256 of the step's inputs by path.
+    """
+
+    progress: Progress
+    digests: Mapping[Path, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Step:
     """One step.
 
@@ -18,8 +34,8 @@ class Step:
     ----------
     name : str
     run : callable
-        Takes a progress function, writes the outputs and returns facts as JSON values. Picklable where the executor is
-        another process.
+        Takes a `Context`, writes the outputs and returns facts as JSON values. Picklable where the executor is another
+        process.
     parameters : mapping
         JSON values that the result depends on.
     inputs : tuple of Path
@@ -31,7 +47,7 @@ class Step:
     """
 
     name: str
-    run: Callable[[Progress], Mapping[str, Any]]
+    run: Callable[[Context], Mapping[str, Any]]
     parameters: Mapping[str, Any] = field(default_factory=dict)
     inputs: tuple[Path, ...] = ()
     outputs: tuple[Path, ...] = ()

@@ -203,7 +203,9 @@ def _model(
     row = photo.exterior
     if row is not None:
         options["position"] = list(row.position)
-        options["orientation"] = {"system": inputs.angles, **row.angles}
+        declared_too = {"frame": inputs.angle_frame, "matrix": inputs.matrix}
+        extra = {name: word for name, word in declared_too.items() if word is not None}
+        options["orientation"] = {"system": inputs.angles, **row.angles, **extra}
         options["angle_unit"] = inputs.angle_unit
     if inputs.sensor == "planar":
         crs = _planar(options, photo, crs, control)

@@ -16,17 +16,25 @@ SYSTEMS: Mapping[str, tuple[str, ...]] = {
     "opk": ("omega", "phi", "kappa"),
     "pok": ("phi", "omega", "kappa"),
     "matrix": MATRIX,
+    "patb": MATRIX,
     "rpy": ("roll", "pitch", "yaw"),
     "dji": ("gimbal_yaw", "gimbal_pitch", "gimbal_roll"),
 }
 """Columns of each angle system."""
 
+CHECKED: Mapping[str, tuple[str, ...]] = {
+    "matrix": ("omega", "phi", "kappa"),
+    "patb": ("omega", "phi", "kappa"),
+}
+"""Columns that are held against the others where the table has all of them."""
+
 SYSTEM_NAMES: Mapping[str, str] = {
     "opk": "omega, phi, kappa: R3(kappa) R2(phi) R1(omega)",
     "pok": "phi first: R3(kappa) R1(omega) R2(phi)",
-    "matrix": "rotation matrix ground to image, r11 to r33",
-    "rpy": "roll, pitch, yaw of the platform",
-    "dji": "DJI gimbal yaw, pitch, roll",
+    "matrix": "rotation matrix r11 to r33, row by row, of a declared direction",
+    "patb": "the matrix a PATB file prints, of a declared direction",
+    "rpy": "roll (right wing down), pitch (nose up), yaw (clockwise from north)",
+    "dji": "DJI gimbal yaw, pitch (-90 looks down), roll",
 }
 
 
@@ -104,6 +112,9 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
         if other:
             error.mend = f"these columns look like the system '{other[0]}'; declare it, or rename the columns"
         raise
+    checked = CHECKED.get(system, ())
+    if set(checked) <= set(table.columns):
+        columns = (*columns, *checked)
     rows: dict[str, Exterior] = {}
     lines: dict[str, int] = {}
     for row in table:

@@ -20,14 +20,23 @@ def named(crs: str, heights: str | None, where: str | None = None) -> CRS:
     return declared(parse_crs(crs, where), heights, where)
 
 
+def crs_name(crs: CRS) -> str:
+    """Name of the horizontal part; that of its projection where it has none of its own."""
+    flat = horizontal(crs)
+    operation = flat.coordinate_operation
+    if flat.name.lower() in ("unnamed", "unknown", "undefined") and operation is not None:
+        return f"{operation.method_name} (custom)"
+    return flat.name
+
+
 def describe(crs: CRS | None) -> str:
     """Say a frame in words: its name, unit and vertical datum."""
     if crs is None:
         return "none"
     unit = crs.axis_info[0].unit_name if crs.axis_info else "unknown unit"
     code = horizontal(crs).to_authority(min_confidence=100)
-    name = f"{horizontal(crs).name}{f' ({code[0]}:{code[1]})' if code else ''}"
-    return f"{name}, {unit}; heights: {height_name(crs)}"
+    named_code = f" ({code[0]}:{code[1]})" if code else ""
+    return f"{crs_name(crs)}{named_code}, {unit}; heights: {height_name(crs)}"
 
 
 def undeclared(

@@ -33,6 +33,10 @@ class BlockInputs:
         Angle system of the orientation table.
     angle_unit : str
         'deg', 'gon' or 'rad'.
+    angle_frame : str, optional
+        'grid' or 'local', where the angles refer to another north than their system says.
+    matrix : str, optional
+        Direction of rotation matrices: 'ground_to_image' or 'image_to_ground'.
     dem : Path, optional
         Digital elevation model.
     height : float, optional
@@ -55,6 +59,8 @@ class BlockInputs:
     heights: str | None = None
     angles: str = "opk"
     angle_unit: str = "deg"
+    angle_frame: str | None = None
+    matrix: str | None = None
     dem: Path | None = None
     height: float | None = None
     dem_heights: str | None = None

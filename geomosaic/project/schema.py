@@ -57,6 +57,8 @@ class ExteriorSection(Section):
     heights: str | None = None
     angles: str = "opk"
     angle_unit: Literal["deg", "gon", "rad"] = "deg"
+    angle_frame: Literal["grid", "local"] | None = None
+    matrix: Literal["ground_to_image", "image_to_ground"] | None = None
 
 
 class DemSection(Section):
