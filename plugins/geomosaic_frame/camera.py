@@ -1,0 +1,250 @@
+"""The inside of a camera: image size, focal length, principal point, lens."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.types import FloatArray
+from geomosaic_frame.distortion import Lens, NoDistortion
+from geomosaic_frame.lenses import lens_from_dict, lens_from_table
+from geomosaic_frame.read import known_keys, need, numbers, pair, positive, table_of
+
+KEYS = (
+    "name",
+    "size",
+    "focal_length",
+    "sensor_size",
+    "pixel_size",
+    "principal_point",
+    "focal_length_px",
+    "principal_point_px",
+    "distortion",
+)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera in pixels.
+
+    col = cx + fx·u and row = cy + fy·v, where (u, v) is what the lens makes of a direction in camera axes: x right, y
+    DOWN, z forward.
+
+    Attributes
+    ----------
+    size : tuple of int
+        Width and height in pixels.
+    focal : tuple of float
+        fx, fy in pixels.
+    principal_point : tuple of float
+        (col, row) in pixels; (0, 0) is the outer corner of the upper-left pixel.
+    lens : Lens
+        Distortion.
+    """
+
+    size: tuple[int, int]
+    focal: tuple[float, float]
+    principal_point: tuple[float, float]
+    lens: Lens = field(default_factory=NoDistortion)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lens", self.lens.for_corners(*self._plane(self.corners)))
+
+    @property
+    def corners(self) -> FloatArray:
+        """Outer corners of the image and the middles of its sides (8, 2)."""
+        w, h = self.size
+        grid = [(c, r) for c in (0.0, w / 2, w) for r in (0.0, h / 2, h) if (c, r) != (w / 2, h / 2)]
+        return np.array(grid, dtype=np.float64)
+
+    def _plane(self, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Pixels (N, 2) to (u, v)."""
+        p = np.asarray(colrow, dtype=np.float64)
+        return (p[:, 0] - self.principal_point[0]) / self.focal[0], (p[:, 1] - self.principal_point[1]) / self.focal[1]
+
+    def project(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        """Camera axes (N,) each to pixels (N, 2); NaN where the lens cannot see."""
+        u, v = self.lens.project(x, y, z)
+        out = np.empty((len(u), 2))
+        np.multiply(u, self.focal[0], out=out[:, 0])
+        np.multiply(v, self.focal[1], out=out[:, 1])
+        out += self.principal_point
+        return out
+
+    def derivatives(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        """Derivatives of (col, row) by camera axes, (N, 2, 3)."""
+        out: FloatArray = self.lens.derivatives(x, y, z) * np.array(self.focal)[:, None]
+        return out
+
+    def directions(self, colrow: FloatArray) -> FloatArray:
+        """Pixels (N, 2) to unit directions in camera axes (N, 3)."""
+        direction = np.column_stack(self.lens.unproject(*self._plane(colrow)))
+        direction /= np.linalg.norm(direction, axis=1)[:, None]
+        return direction
+
+    def warn_of_fold(self, where: str) -> None:
+        """Warn where the image reaches beyond the radius up to which its distortion polynomial can be used."""
+        u, v = self._plane(self.corners)
+        beyond = ~self.lens.trusted(u, v)
+        if beyond.any():
+            scale = math.sqrt(self.focal[0] * self.focal[1])
+            warnings.warn(
+                f"{where}: the distortion polynomial folds back {self.lens.edge * scale:.0f} px from the principal "
+                f"point, but the image reaches {np.hypot(u, v).max() * scale:.0f} px; beyond, distortion goes on "
+                f"linearly, and the image's edge is unreliable. Check the coefficients and their convention.",
+                GeomosaicWarning,
+                stacklevel=2,
+            )
+
+    def scaled(self, size: tuple[int, int], where: str) -> Camera:
+        """Camera of a copy of the image in another resolution.
+
+        Raises
+        ------
+        InputError
+            The copy has another aspect ratio.
+        """
+        if size == self.size:
+            return self
+        (w, h), (new_w, new_h) = self.size, size
+        # A copy's sides are rounded to whole pixels: allow each of them its rounding.
+        if abs(new_w * h - new_h * w) > max(w, h):
+            hint = (
+                "the photo is rotated by its EXIF orientation"
+                if new_w == h or (new_w < new_h) != (w < h)
+                else "cropped"
+            )
+            raise InputError(
+                f"the image has {new_w} x {new_h} pixels, the camera {w} x {h}: not the same shape",
+                where=where,
+                mend=f"give the image as the camera took it (is it {hint}?), or the camera that fits it",
+            )
+        sx, sy = new_w / w, new_h / h
+        return replace(
+            self,
+            size=size,
+            focal=(self.focal[0] * sx, self.focal[1] * sy),
+            principal_point=(self.principal_point[0] * sx, self.principal_point[1] * sy),
+        )
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any], image_size: tuple[int, int], where: str) -> Camera:
+        """Camera from a `camera.toml` table.
+
+        Parameters
+        ----------
+        table : mapping
+            - `size`: width, height of the calibrated image in px; that of the image where not given;
+            - `focal_length` in mm, with `sensor_size` (width, height in mm) or `pixel_size` (µm, one or two), and
+              `principal_point`: mm from the image's centre, x right, y UP, default (0, 0);
+            - or `focal_length_px` (one or fx, fy) and `principal_point_px`: (col, row) from the outer corner of the
+              upper-left pixel, default the image's centre;
+            - `distortion`: see `lens_from_table`; `name`: free text.
+        image_size : tuple of int
+            Width, height of the image at hand in px.
+        where : str
+            Named in errors.
+        """
+        known_keys(table, KEYS, where)
+        size = image_size
+        if "size" in table:
+            w, h = numbers(table["size"], 2, "size", where)
+            if w < 1 or h < 1 or w != int(w) or h != int(h):
+                raise InputError(f"size = {[w, h]} is not a width and a height in whole pixels", where=where)
+            size = int(w), int(h)
+        pixel = _pixel_size(table, size, where)
+        focal_mm = positive(table["focal_length"], "focal_length", where) if "focal_length" in table else None
+        lens_table = table_of(table.get("distortion", {"model": "none"}), "distortion", where)
+        lens = lens_from_table(lens_table, focal_mm, f"{where}, distortion")
+        return cls(size, _focal(table, focal_mm, pixel, where), _principal_point(table, size, pixel, where), lens)
+
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values."""
+        return {
+            "size": list(self.size),
+            "focal_length_px": list(self.focal),
+            "principal_point_px": list(self.principal_point),
+            "distortion": self.lens.to_dict(),
+        }
+
+    @classmethod
+    def from_dict(cls, state: Mapping[str, Any]) -> Camera:
+        """Rebuild a camera from `to_dict`."""
+        w, h = state["size"]
+        fx, fy = state["focal_length_px"]
+        cx, cy = state["principal_point_px"]
+        return cls((int(w), int(h)), (fx, fy), (cx, cy), lens_from_dict(state["distortion"]))
+
+
+def _one_of(table: Mapping[str, Any], first: str, second: str, where: str) -> None:
+    if first in table and second in table:
+        raise InputError(f"both '{first}' and '{second}' are given", where=where, mend="give one of them")
+
+
+def _pixel_size(table: Mapping[str, Any], size: tuple[int, int], where: str) -> tuple[float, float] | None:
+    """Pixel width and height in mm, where known."""
+    _one_of(table, "sensor_size", "pixel_size", where)
+    if "sensor_size" in table:
+        w, h = pair(numbers(table["sensor_size"], 2, "sensor_size", where), "sensor_size", where)
+        pixel = w / size[0], h / size[1]
+        if not 0.98 < pixel[0] / pixel[1] < 1.02:
+            raise InputError(
+                f"sensor_size = {w} x {h} mm on {size[0]} x {size[1]} px makes pixels of {pixel[0] * 1000:.3f} x "
+                f"{pixel[1] * 1000:.3f} µm, not square",
+                where=where,
+                mend="check the order (width, height) of size and sensor_size, or give pixel_size = [x, y] in µm",
+            )
+        return pixel
+    if "pixel_size" in table:
+        x, y = pair(table["pixel_size"], "pixel_size", where)
+        return x / 1000.0, y / 1000.0
+    return None
+
+
+def _focal(
+    table: Mapping[str, Any], focal_mm: float | None, pixel: tuple[float, float] | None, where: str
+) -> tuple[float, float]:
+    _one_of(table, "focal_length", "focal_length_px", where)
+    if "focal_length_px" in table:
+        return pair(table["focal_length_px"], "focal_length_px", where)
+    if focal_mm is None:
+        need(table, "focal_length", where, "the camera constant in mm (or focal_length_px in pixels)")
+        raise AssertionError  # unreachable: need() has raised
+    if pixel is None:
+        raise InputError(
+            "focal_length is in mm, but the size of a pixel is not known",
+            where=where,
+            mend="give sensor_size (width, height in mm) or pixel_size (µm), or focal_length_px",
+        )
+    return focal_mm / pixel[0], focal_mm / pixel[1]
+
+
+def _principal_point(
+    table: Mapping[str, Any], size: tuple[int, int], pixel: tuple[float, float] | None, where: str
+) -> tuple[float, float]:
+    _one_of(table, "principal_point", "principal_point_px", where)
+    if "principal_point_px" in table:
+        col, row = numbers(table["principal_point_px"], 2, "principal_point_px", where)
+        return col, row
+    x, y = numbers(table.get("principal_point", (0.0, 0.0)), 2, "principal_point", where)
+    if pixel is None:
+        if x or y:
+            raise InputError(
+                "principal_point is in mm, but the size of a pixel is not known",
+                where=where,
+                mend="give sensor_size or pixel_size, or principal_point_px",
+            )
+        return size[0] / 2, size[1] / 2
+    if abs(x) > size[0] * pixel[0] / 2 or abs(y) > size[1] * pixel[1] / 2:
+        raise InputError(
+            f"principal_point = [{x}, {y}] mm lies outside the image",
+            where=where,
+            mend="it is the offset from the image's centre in mm; for pixels use principal_point_px",
+        )
+    return size[0] / 2 + x / pixel[0], size[1] / 2 - y / pixel[1]

@@ -1,0 +1,122 @@
+"""What every lens is: a map between directions and the image plane of focal length one.
+
+Axes are those of OpenCV and OpenSfM: x right, y DOWN, z forward. An ideal point is (x / z, y / z). Distortion takes it
+to the place where the lens puts it, in the same units; focal length and principal point come after (`camera.py`).
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from geomosaic.types import BoolArray, FloatArray
+
+NEAREST_DEPTH = 1e-9
+"""Metres in front of the camera below which a point is not seen; keeps powers of x / z finite."""
+
+Columns = tuple[FloatArray, FloatArray]
+
+
+class Lens(Protocol):
+    """Directions to the image plane and back; arrays of one column each, (N,)."""
+
+    def project(self, x: FloatArray, y: FloatArray, z: FloatArray) -> Columns:
+        """Camera axes in any unit to distorted (u, v); NaN where the lens cannot see."""
+
+    def unproject(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Distorted (u, v) to a direction in camera axes, not normalised."""
+
+    def derivatives(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        """Derivatives of (u, v) by (x, y, z), (N, 2, 3)."""
+
+    def distort(self, xy: FloatArray) -> FloatArray:
+        """Ideal (N, 2) to distorted (N, 2)."""
+
+    def undistort(self, xy: FloatArray) -> FloatArray:
+        """Distorted (N, 2) to ideal (N, 2)."""
+
+    def trusted(self, u: FloatArray, v: FloatArray) -> BoolArray:
+        """Whether the polynomial is used there as given, not its continuation (N,)."""
+
+    def for_corners(self, u: FloatArray, v: FloatArray) -> Lens:
+        """Return the lens told how far the image reaches."""
+
+    @property
+    def edge(self) -> float:
+        """Distorted radius up to which the polynomial is used as given; inf without end."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values."""
+
+
+class Perspective:
+    """Base of the lenses that distort an ideal perspective image; half a space at most is seen."""
+
+    edge: float = np.inf
+
+    def _distort(self, x: FloatArray, y: FloatArray) -> Columns:
+        return x, y
+
+    def _undistort(self, u: FloatArray, v: FloatArray) -> Columns:
+        return u, v
+
+    def _slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Derivatives of u by x, u by y, v by x, v by y."""
+        one, zero = np.ones_like(x), np.zeros_like(x)
+        return one, zero, zero, one
+
+    def project(self, x: FloatArray, y: FloatArray, z: FloatArray) -> Columns:
+        """Camera axes to distorted (u, v); NaN behind the camera."""
+        shrink = 1.0 / np.where(z > NEAREST_DEPTH, z, np.nan)
+        return self._distort(x * shrink, y * shrink)
+
+    def unproject(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Distorted (u, v) to a direction with z = 1."""
+        x, y = self._undistort(u, v)
+        return x, y, np.ones_like(x)
+
+    def derivatives(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        """Derivatives of (u, v) by (x, y, z), (N, 2, 3)."""
+        shrink = 1.0 / np.where(z > NEAREST_DEPTH, z, np.nan)
+        a, b = x * shrink, y * shrink
+        ux, uy, vx, vy = self._slopes(a, b)
+        out = np.empty((len(a), 2, 3))
+        out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = ux * shrink, uy * shrink, -(ux * a + uy * b) * shrink
+        out[:, 1, 0], out[:, 1, 1], out[:, 1, 2] = vx * shrink, vy * shrink, -(vx * a + vy * b) * shrink
+        return out
+
+    def distort(self, xy: FloatArray) -> FloatArray:
+        """Ideal (N, 2) to distorted (N, 2)."""
+        xy = np.asarray(xy, dtype=np.float64)
+        return np.column_stack(self._distort(xy[:, 0].copy(), xy[:, 1].copy()))
+
+    def undistort(self, xy: FloatArray) -> FloatArray:
+        """Distorted (N, 2) to ideal (N, 2)."""
+        xy = np.asarray(xy, dtype=np.float64)
+        return np.column_stack(self._undistort(xy[:, 0].copy(), xy[:, 1].copy()))
+
+    def trusted(self, u: FloatArray, v: FloatArray) -> BoolArray:
+        """Whether the polynomial is used there as given, not its continuation (N,)."""
+        return np.ones(len(u), dtype=np.bool_)
+
+
+class NoDistortion(Perspective):
+    """An ideal lens."""
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, NoDistortion)
+
+    def __hash__(self) -> int:
+        return hash(NoDistortion)
+
+    def __repr__(self) -> str:
+        return "NoDistortion()"
+
+    def for_corners(self, u: FloatArray, v: FloatArray) -> NoDistortion:
+        """Return itself."""
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values."""
+        return {"model": "none"}

@@ -1,0 +1,58 @@
+"""What the frame camera wants to know: the text of `geomosaic sensors frame`."""
+
+from __future__ import annotations
+
+from geomosaic.sensor.plugin import SensorInput
+
+INPUTS = (
+    SensorInput(
+        "camera",
+        "table, or the name of a camera.toml: size [width, height] px (default the image's); focal_length mm with "
+        "sensor_size [width, height] mm or pixel_size µm; principal_point [right, up] mm from the image's centre "
+        "(default 0, 0); or focal_length_px and principal_point_px [col, row] from the outer corner of the upper-left "
+        "pixel; distortion = {model = none | brown | opencv | fisheye, k1, ...; brown also takes convention = opencv | "
+        "photogrammetric}. An image in another resolution scales the camera",
+    ),
+    SensorInput(
+        "position", "projection centre [x, y, z]; x east before y north, z in the declared vertical datum", "CRS"
+    ),
+    SensorInput(
+        "orientation",
+        "table of system and its values: opk {omega, phi, kappa} = R3(kappa) R2(phi) R1(omega); pok {phi, omega, "
+        "kappa}, phi first; matrix or patb {r11 ... r33, matrix}; rpy {roll, pitch, yaw}, aircraft; dji {gimbal_yaw, "
+        "gimbal_pitch, gimbal_roll}; opensfm {rotation, translation, reference} or {reconstruction = file}. frame = "
+        "grid | local says whether angles refer to grid or true north",
+        "angle_unit",
+    ),
+    SensorInput("angle_unit", "unit of the angles: deg, gon or rad", default="deg"),
+    SensorInput(
+        "angle_frame",
+        "grid or local (true north), for all images; overrides the system's own",
+        default="grid; local for rpy, dji",
+    ),
+    SensorInput("matrix", "ground_to_image or image_to_ground: direction of a rotation matrix, for all images"),
+    SensorInput(
+        "treatment",
+        "rigorous: geocentric, with geoid, convergence and map scale; planar: collinearity in map coordinates, as in "
+        "textbooks, wrong by the curvature of the Earth",
+        default="rigorous",
+    ),
+    SensorInput(
+        "scale_correction",
+        "true where heights of projection centres above ground were multiplied by the map's scale factor (linear "
+        "alteration): undo it; needs ground_height",
+        default="false",
+    ),
+    SensorInput(
+        "ground_height", "mean height of the ground under the photo, in the vertical datum of the positions", "m", "0"
+    ),
+    SensorInput(
+        "sigmas",
+        "a-priori standard deviations: position, or east, north, up in m; angles, or omega, phi, kappa in degrees; 0 "
+        "fixed",
+        "m, deg",
+        "free",
+    ),
+)
+
+OPTIONS = tuple(entry.name for entry in INPUTS)

@@ -1,0 +1,68 @@
+"""Lenses from the tables users write and from saved states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from geomosaic.errors import InputError
+from geomosaic_frame.distortion import Lens, NoDistortion
+from geomosaic_frame.fisheye import Fisheye
+from geomosaic_frame.polynomial import Brown, Corrections, Rational
+from geomosaic_frame.read import choice, known_keys, need, number
+
+COEFFICIENTS = {
+    "none": (),
+    "brown": ("k1", "k2", "k3", "p1", "p2"),
+    "opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4"),
+    "fisheye": ("k1", "k2", "k3", "k4"),
+}
+CONVENTIONS = ("opencv", "photogrammetric")
+
+
+def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -> Lens:
+    """Lens of a `[distortion]` table.
+
+    Parameters
+    ----------
+    table : mapping
+        `model`: 'none', 'brown', 'opencv' or 'fisheye'; its coefficients, 0 where not given; for 'brown' a
+        `convention`: 'opencv' (default: without unit, y down, ideal to distorted) or 'photogrammetric' (mm, y up,
+        corrections added to the measured coordinates).
+    focal : float or None
+        Focal length in mm where it is known.
+    where : str
+        Named in errors.
+    """
+    model = choice(need(table, "model", where, f"one of {', '.join(COEFFICIENTS)}"), COEFFICIENTS, "model", where)
+    known_keys(table, ("model", *COEFFICIENTS[model], *(("convention",) if model == "brown" else ())), where)
+    values = {key: number(table[key], key, where) for key in COEFFICIENTS[model] if key in table}
+    convention = choice(table.get("convention", "opencv"), CONVENTIONS, "convention", where)
+    if convention == "photogrammetric":
+        if focal is None:
+            raise InputError(
+                "photogrammetric distortion is in millimetres, but the focal length is not",
+                where=where,
+                mend="give focal_length in mm with sensor_size or pixel_size, or use convention = 'opencv'",
+            )
+        k1, k2, k3, p1, p2 = (values.get(key, 0.0) for key in COEFFICIENTS["brown"])
+        return Corrections.photogrammetric((k1, k2, k3), (p1, p2), focal)
+    return _make(model, values)
+
+
+def lens_from_dict(state: Mapping[str, Any]) -> Lens:
+    """Lens of a saved state."""
+    if state["model"] == "corrections":
+        formula = {key: value for key, value in state["formula"].items() if key != "model"}
+        return Corrections(Brown(**formula))
+    return _make(state["model"], {key: value for key, value in state.items() if key != "model"})
+
+
+def _make(model: str, values: dict[str, float]) -> Lens:
+    if model == "none":
+        return NoDistortion()
+    if model == "brown":
+        return Brown(**values)
+    if model == "opencv":
+        return Rational(**values)
+    return Fisheye(**values)

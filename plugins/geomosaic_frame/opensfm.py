@@ -1,0 +1,96 @@
+"""Camera and orientation of one image from an OpenSfM or OpenDroneMap `reconstruction.json`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import InputError
+from geomosaic_frame.read import need, numbers
+
+_COEFFICIENTS = {
+    "perspective": ("brown", ("k1", "k2")),
+    "simple_radial": ("brown", ("k1",)),
+    "radial": ("brown", ("k1", "k2")),
+    "brown": ("brown", ("k1", "k2", "k3", "p1", "p2")),
+    "fisheye": ("fisheye", ("k1", "k2")),
+    "fisheye_opencv": ("fisheye", ("k1", "k2", "k3", "k4")),
+}
+
+
+def camera_table(camera: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Table as of `camera.toml` from an OpenSfM camera.
+
+    Focal length and principal point are given there in units of the longer side; the principal point counts from the
+    image's centre, y down.
+    """
+    kind = str(need(camera, "projection_type", where, "the camera's kind"))
+    if kind not in _COEFFICIENTS:
+        raise InputError(
+            f"OpenSfM cameras of the type '{kind}' are not supported",
+            where=where,
+            mend=f"supported are: {', '.join(_COEFFICIENTS)}",
+        )
+    model, names = _COEFFICIENTS[kind]
+    w, h = numbers([need(camera, key, where, "pixels") for key in ("width", "height")], 2, "width, height", where)
+    longest = max(w, h)
+    focal = camera.get("focal")
+    fx, fy = camera.get("focal_x", focal), camera.get("focal_y", focal)
+    if fx is None:
+        raise InputError("the camera has no focal length", where=where, mend="give focal, or focal_x and focal_y")
+    return {
+        "size": [w, h],
+        "focal_length_px": [fx * longest, (fx if fy is None else fy) * longest],
+        "principal_point_px": [
+            w / 2 + camera.get("c_x", 0.0) * longest,
+            h / 2 + camera.get("c_y", 0.0) * longest,
+        ],
+        "distortion": {"model": model, **{name: camera[name] for name in names if name in camera}},
+    }
+
+
+def read_shot(path: Path, image: str, where: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Camera table and orientation row of one image.
+
+    Parameters
+    ----------
+    path : Path
+        The reconstruction.
+    image : str
+        File name, with or without extension.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    camera : dict
+        As `camera.toml`.
+    orientation : dict
+        Row of the system 'opensfm'.
+    """
+    try:
+        parts = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"the reconstruction {path} cannot be read: {error}", where=where) from error
+    stem = Path(image).stem
+    for part in parts if isinstance(parts, list) else [parts]:
+        shots = part.get("shots", {})
+        name = next((key for key in shots if key in (image, stem) or Path(key).stem == stem), None)
+        if name is None:
+            continue
+        shot = shots[name]
+        reference = part.get("reference_lla")
+        if reference is None:
+            raise InputError(f"{path} has no reference_lla: the reconstruction is not georeferenced", where=where)
+        row = {
+            "system": "opensfm",
+            "rotation": need(shot, "rotation", where, "rotation vector"),
+            "translation": need(shot, "translation", where, "translation"),
+            "reference": [reference["longitude"], reference["latitude"], reference["altitude"]],
+        }
+        return camera_table(part["cameras"][shot["camera"]], where), row
+    raise InputError(
+        f"{path} has no shot named '{image}'", where=where, mend="check the name; it may not be in the block"
+    )

@@ -1,0 +1,259 @@
+"""Exterior rotation from the angle systems in use: named readers, none of which guesses.
+
+Every reader gives the ground→image rotation M of this program: ground axes east, north, up; image axes x right, y up,
+the camera looking along −z. What "east, north" mean is the frame: 'grid' (the axes of the map), 'local' (true north at
+the camera) or 'topocentric' (true north at a reference point).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.geo.rotation import angle_axis, omega_phi_kappa, r1, r2, r3
+from geomosaic.types import FloatArray
+from geomosaic_frame.read import choice, known_keys, need, number, numbers
+
+FULL_CIRCLE = {"deg": 360.0, "gon": 400.0, "rad": 2.0 * np.pi}
+FRAMES = ("grid", "local")
+DIRECTIONS = ("ground_to_image", "image_to_ground")
+MATRIX = tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
+
+# North, east, down ↔ east, north, up; and body axes (forward, right, down) ↔ image axes of a camera that looks down.
+_SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+# Body axes ↔ image axes of a camera that looks forward: x right = body y, y up = −body z, z backwards = −body x.
+_FORWARD = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+# Axes x right, y down, z forward ↔ x right, y up, z backwards.
+FLIP = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Attitude:
+    """A rotation and the frame it starts from.
+
+    Attributes
+    ----------
+    rotation : array (3, 3)
+        Ground → image, x right, y up.
+    frame : str
+        'grid', 'local' or 'topocentric'.
+    position : array (3,), optional
+        Projection centre in the topocentric frame, metres, where the system gives it.
+    """
+
+    rotation: FloatArray
+    frame: str
+    position: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class AngleSystem:
+    """A named way to write an attitude.
+
+    Attributes
+    ----------
+    name : str
+    text : str
+        What it is.
+    columns : tuple of str
+        Values that must be given.
+    optional : tuple of str
+        Values that may be given.
+    frame : str
+        Frame it refers to unless declared otherwise.
+    read : callable
+        (row, angle unit, where) → Attitude.
+    """
+
+    name: str
+    text: str
+    columns: tuple[str, ...]
+    frame: str
+    read: Callable[[Mapping[str, Any], str, str], Attitude]
+    optional: tuple[str, ...] = ()
+
+
+def angles(row: Mapping[str, Any], names: tuple[str, ...], unit: str, where: str) -> list[float]:
+    """Angles of a row in radians.
+
+    Raises
+    ------
+    InputError
+        An angle is missing, no number, or exceeds a full circle; names it and the unit that is probably meant.
+    """
+    values = {name: number(need(row, name, where, f"an angle in {unit}"), name, where) for name in names}
+    limit = FULL_CIRCLE[unit]
+    for name, value in values.items():
+        if abs(value) > limit * (1.0 + 1e-9):
+            raise InputError(
+                f"{name} = {value:g} is more than a full circle in {unit} ({limit:g})",
+                where=where,
+                mend=_unit(value, unit),
+            )
+    return [2.0 * np.pi * value / limit for value in values.values()]
+
+
+def _unit(value: float, unit: str) -> str:
+    fits = [f"'{name}'" for name, full in FULL_CIRCLE.items() if name != unit and abs(value) <= full]
+    if not fits:
+        return "check the value and its column"
+    return f"the unit is probably {' or '.join(fits)}: set angle_unit"
+
+
+def _opk(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
+    omega, phi, kappa = angles(row, ("omega", "phi", "kappa"), unit, where)
+    return Attitude(omega_phi_kappa(omega, phi, kappa), "grid")
+
+
+def _pok(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
+    phi, omega, kappa = angles(row, ("phi", "omega", "kappa"), unit, where)
+    return Attitude(r3(kappa) @ r1(omega) @ r2(phi), "grid")
+
+
+def _matrix(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
+    """Nine elements row by row; refused unless they are a rotation, and unless given angles agree."""
+    direction = choice(
+        need(row, "matrix", where, f"the direction of the matrix, one of {', '.join(DIRECTIONS)}"),
+        DIRECTIONS,
+        "matrix",
+        where,
+    )
+    values = [number(need(row, key, where, "an element of the rotation matrix"), key, where) for key in MATRIX]
+    printed = np.array(values).reshape(3, 3)
+    worst = float(np.abs(printed @ printed.T - np.eye(3)).max())
+    if worst > 1e-6:
+        raise InputError(
+            f"r11 to r33 are not a rotation: rows are off orthonormal by {worst:.1e}, more than 1e-6",
+            where=where,
+            mend="give the elements row by row with at least 7 decimals",
+        )
+    if np.linalg.det(printed) < 0.0:
+        raise InputError(
+            "r11 to r33 mirror the image (determinant -1)",
+            where=where,
+            mend="the axes of ground or image are left-handed: check the order of rows and columns and the signs",
+        )
+    left, _, right = np.linalg.svd(printed)  # the nearest rotation takes away the rounding of the print
+    rotation = left @ right if direction == "ground_to_image" else (left @ right).T
+    given = [name for name in ("omega", "phi", "kappa") if name in row]
+    if given:
+        off = float(np.abs(_opk(row, unit, where).rotation - rotation).max())
+        if off > 1e-6:
+            raise InputError(
+                f"the matrix and omega, phi, kappa disagree by {off:.1e} in an element",
+                where=where,
+                mend="check matrix = 'ground_to_image' or 'image_to_ground' and the angle system, or leave the angles "
+                "out",
+            )
+    return Attitude(rotation, "grid")
+
+
+def _platform(yaw: float, pitch: float, roll: float) -> FloatArray:
+    """Body (forward, right, down) → north, east, down: Rz(yaw)·Ry(pitch)·Rx(roll), active; angles in radians."""
+    rotation: FloatArray = (r1(roll) @ r2(pitch) @ r3(yaw)).T
+    return rotation
+
+
+def _rpy(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
+    roll, pitch, yaw = angles(row, ("roll", "pitch", "yaw"), unit, where)
+    return Attitude(_SWAP @ _platform(yaw, pitch, roll).T @ _SWAP, "local")
+
+
+def _dji(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
+    yaw, pitch, roll = angles(row, ("gimbal_yaw", "gimbal_pitch", "gimbal_roll"), unit, where)
+    return Attitude(_FORWARD @ _platform(yaw, pitch, roll).T @ _SWAP, "local")
+
+
+def _opensfm(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
+    """Rotation vector in radians whatever the angle unit, as the files have it."""
+    vector = numbers(need(row, "rotation", where, "rotation vector world → camera"), 3, "rotation", where)
+    shift = numbers(need(row, "translation", where, "translation world → camera"), 3, "translation", where)
+    to_camera = angle_axis(np.array(vector))
+    return Attitude(FLIP @ to_camera, "topocentric", -to_camera.T @ np.array(shift))
+
+
+SYSTEMS: Mapping[str, AngleSystem] = {
+    system.name: system
+    for system in (
+        AngleSystem("opk", "R3(kappa) R2(phi) R1(omega), ground to image", ("omega", "phi", "kappa"), "grid", _opk),
+        AngleSystem(
+            "pok",
+            "phi first: R3(kappa) R1(omega) R2(phi), ground to image",
+            ("phi", "omega", "kappa"),
+            "grid",
+            _pok,
+        ),
+        AngleSystem(
+            "matrix",
+            "rotation matrix row by row; its direction is declared with matrix = 'ground_to_image' or "
+            "'image_to_ground'",
+            (*MATRIX, "matrix"),
+            "grid",
+            _matrix,
+            ("omega", "phi", "kappa"),
+        ),
+        AngleSystem(
+            "patb",
+            "the matrix printed in a PATB orientation file; its direction is declared as for 'matrix'",
+            (*MATRIX, "matrix"),
+            "grid",
+            _matrix,
+            ("omega", "phi", "kappa"),
+        ),
+        AngleSystem(
+            "rpy",
+            "aircraft roll (right wing down), pitch (nose up), yaw (clockwise from north) of a camera that looks down, "
+            "image top forward",
+            ("roll", "pitch", "yaw"),
+            "local",
+            _rpy,
+        ),
+        AngleSystem(
+            "dji",
+            "gimbal yaw (clockwise from north), pitch (-90 looks down, 0 to the horizon), roll",
+            ("gimbal_yaw", "gimbal_pitch", "gimbal_roll"),
+            "local",
+            _dji,
+        ),
+        AngleSystem(
+            "opensfm",
+            "rotation vector and translation world to camera (x right, y down, z forward) in the east-north-up frame "
+            "at reference = [longitude, latitude, altitude]",
+            ("rotation", "translation", "reference"),
+            "topocentric",
+            _opensfm,
+        ),
+    )
+}
+
+
+def read_attitude(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
+    """Attitude of a row {column: value} that names its `system`.
+
+    Parameters
+    ----------
+    row : mapping
+        `system`, the columns of that system, and `frame` ('grid' or 'local') where it differs from the system's own.
+    unit : str
+        'deg', 'gon' or 'rad'.
+    where : str
+        Image, named in errors.
+
+    Raises
+    ------
+    InputError
+        System, column or value are unknown, missing or out of range.
+    """
+    name = choice(need(row, "system", where, f"one of {', '.join(SYSTEMS)}"), SYSTEMS, "system", where)
+    system = SYSTEMS[name]
+    allowed = {"system", *system.columns, *system.optional}
+    if system.frame in FRAMES:
+        allowed.add("frame")
+    known_keys(row, sorted(allowed), where)
+    attitude = system.read(row, unit, where)
+    frame = choice(row["frame"], FRAMES, "frame", where) if "frame" in row else attitude.frame
+    return Attitude(attitude.rotation, frame, attitude.position)
