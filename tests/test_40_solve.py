@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import rasterio
+from affine import Affine
 from pyproj import CRS
 from solve_rig import (
+    FRAME,
     MAP,
     PLACE,
     Camera,
@@ -25,6 +30,7 @@ from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.solve import fit, image_to_ground, image_to_height, jacobian, resect
 from geomosaic.sensor.solve.jacobian import difference_jacobian
+from geomosaic.surface.dem import Dem
 
 MODELS = {
     "near vertical": camera(),
@@ -90,14 +96,12 @@ def test_first_crossing_is_taken() -> None:
 
 
 def _centre(model: Camera) -> np.ndarray:
-    from solve_rig import FRAME
-
     return FRAME.to_geocentric(model.values[None, :3])[0]
 
 
-def test_rays_and_the_general_way_agree(model: Camera) -> None:
-    if type(model) is not Camera:
-        pytest.skip("the scanner has no rays here")
+@pytest.mark.parametrize("name", ["near vertical", "oblique", "low"])
+def test_rays_and_the_general_way_agree(name: str) -> None:
+    model = MODELS[name]
     image, surface = pixels(model), Hills()
     with_rays = CameraWithRays(model.values, model.size)
     np.testing.assert_allclose(
@@ -141,6 +145,54 @@ def test_unknown_heights_are_nan() -> None:
     np.testing.assert_allclose(ground[inside], whole[inside], atol=1e-6)
 
 
+def test_dem_through_rays_and_without(tmp_path: Path) -> None:
+    """A DEM of 5 m nodes under the general march and under the rays of the same camera."""
+    nodes = np.arange(300) * 5.0 + 2.5 - 750.0
+    x, y = np.meshgrid(PLACE[0] + nodes, PLACE[1] - nodes)
+    heights = Hills().height(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape).astype(np.float32)
+    place = Affine(5.0, 0.0, PLACE[0] - 750.0, 0.0, -5.0, PLACE[1] + 750.0)
+    profile = {"driver": "GTiff", "width": 300, "height": 300, "count": 1, "dtype": "float32"}
+    with rasterio.open(tmp_path / "dem.tif", "w", **profile, crs="EPSG:32633", transform=place) as file:
+        file.write(heights, 1)
+    surface = Dem.open(tmp_path / "dem.tif", heights="egm96")
+    model = camera(omega=20.0, up=600.0)
+    image = pixels(model)
+    ground = image_to_ground(model, image, surface)
+    short = image_to_ground(CameraWithRays(model.values), image, surface)
+    np.testing.assert_allclose(short, ground, atol=1e-5)
+    seen = np.isfinite(ground[:, 0])
+    assert seen.mean() > 0.9
+    np.testing.assert_allclose(surface.height(ground[seen, :2]), ground[seen, 2], atol=1e-6)
+
+
+def test_models_without_heights_take_them_from_the_surface() -> None:
+    class Flat(Camera):
+        """The image of the map plane at zero height of `MAP`, in a horizontal CRS."""
+
+        @property
+        def crs(self) -> CRS:
+            return CRS.from_epsg(32633)
+
+        @property
+        def seed(self) -> tuple[float, float, float]:
+            return float(PLACE[0]), float(PLACE[1]), 0.0
+
+        def ground_to_image(self, xyz: np.ndarray) -> np.ndarray:
+            x, y = (np.asarray(xyz)[:, :2] - PLACE[:2]).T
+            return np.column_stack([2000.0 + 2.0 * x + 1e-4 * y**2, 1500.0 - 2.0 * y])
+
+    image = pixels(camera())
+    flat, surface = Flat(camera().values), Hills(radius=400.0)
+    ground = image_to_ground(flat, image, surface)
+    y = (1500.0 - image[:, 1]) / 2.0
+    xy = PLACE[:2] + np.column_stack([(image[:, 0] - 2000.0 - 1e-4 * y**2) / 2.0, y])
+    inside = np.hypot(*(xy - PLACE[:2]).T) < 400.0
+    np.testing.assert_allclose(ground[inside, :2], xy[inside], atol=1e-7)
+    np.testing.assert_allclose(ground[inside, 2], surface.height(xy[inside]), atol=1e-6)
+    assert np.isnan(ground[~inside]).all()
+    np.testing.assert_allclose(image_to_ground(flat, image), np.column_stack([xy, np.zeros(len(xy))]), atol=1e-7)
+
+
 def test_no_points() -> None:
     assert image_to_ground(camera(), np.zeros((0, 2)), Hills()).shape == (0, 3)
 
@@ -154,8 +206,6 @@ def test_surface_is_needed_and_its_heights_must_be_declared() -> None:
 
 def test_ground_derivatives_against_analysis() -> None:
     """At the foot of a vertical photo: f / h pixels per metre east, none per metre up."""
-    from solve_rig import FRAME
-
     model = camera(omega=0.0, phi=0.0, kappa=0.0)
     foot = FRAME.to_geocentric(np.array([[20.0, -30.0, 0.0]]))
     by_parameters, by_ground = jacobian(model, foot)

@@ -7,10 +7,12 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import has_heights, horizontal
-from geomosaic.sensor.model import SensorModel
+from geomosaic.geo.transform import Transform
+from geomosaic.sensor.model import HasRays, SensorModel
 from geomosaic.sensor.solve.march import first_meeting
 from geomosaic.sensor.solve.sight import SightLines
 from geomosaic.surface.model import Surface
+from geomosaic.surface.rays import intersect
 from geomosaic.types import FloatArray
 
 
@@ -68,6 +70,8 @@ def image_to_ground(model: SensorModel, colrow: FloatArray, surface: Surface | N
     if has_heights(model.crs):
         if surface is None:
             raise InputError("the lines of sight of this sensor need a surface", mend="give a DEM or a height")
+        if isinstance(model, HasRays):
+            return Transform(model.crs, surface.crs)(intersect(surface, model.crs, *model.rays(image)))
         lines = SightLines.of(model, image, surface.crs)
         ground = first_meeting(lines, surface)
         ground[~lines.exact(ground)] = np.nan

@@ -86,6 +86,9 @@ def _step_counts(positions: FloatArray, surface: Surface) -> IntArray:
 
 def _cell(surface: Surface, positions: FloatArray) -> float:
     """Cell size of the surface's own heights, read off a small patch."""
+    known = getattr(surface, "spacing", None)
+    if known is not None:
+        return float(known)
     x, y = np.median(positions[:, -1], axis=0)
     transform = surface.patch((x, y, x, y)).transform  # map to cells
     return float(1.0 / max(np.hypot(transform.a, transform.d), np.hypot(transform.b, transform.e), 1e-12))

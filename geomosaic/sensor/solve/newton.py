@@ -60,8 +60,9 @@ def solve_pairs(
         if not len(rows):
             break
         change = _newton_step(evaluate, xy[rows], rows, target[rows] - residual[rows], residual[rows], step)
+        last = error[rows] <= ACCEPTED  # a step from here ends in rounding: no use in another
         improved = _damped(evaluate, target, xy, residual, error, rows, change)
-        rows = rows[improved]
+        rows = rows[improved & ~last]
     xy[~(error <= accepted)] = np.nan
     return xy
 
