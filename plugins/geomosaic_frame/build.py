@@ -26,8 +26,10 @@ from geomosaic_frame.opensfm import read_shot
 from geomosaic_frame.orientation import DIRECTIONS, FRAMES, FULL_CIRCLE, SYSTEMS, Attitude, read_attitude
 from geomosaic_frame.place import (
     Place,
+    from_offset,
     from_topocentric,
     need_heights,
+    of_longitude_latitude,
     planar,
     rigorous,
     undo_linear_alteration,
@@ -61,14 +63,14 @@ def build_frame(request: SensorRequest) -> FrameModel:
     )
     attitude = read_attitude(row, unit, where)
     crs = _crs(request, attitude)
-    if attitude.frame == "topocentric":
+    if attitude.position is not None:
         if "position" in options:
-            raise InputError(
-                "position is given, but an opensfm orientation has its own", where=where, mend="leave it out"
-            )
+            raise InputError("position is given, but the orientation has its own", where=where, mend="leave it out")
         lla = np.array(numbers(need(row, "reference", where, "longitude, latitude, altitude"), 3, "reference", where))
-        need_heights(crs, np.array([*_map_of(crs, lla), lla[2]]), _reach(camera), where)
-        position, attitude = from_topocentric(crs, lla, attitude, where)
+        reference = of_longitude_latitude(crs, lla)
+        need_heights(crs, reference, _reach(camera), where)
+        bring = from_topocentric if attitude.frame == "topocentric" else from_offset
+        position, attitude = bring(crs, reference, attitude, where)
     else:
         given = need(options, "position", where, "the projection centre [x, y, z] in the CRS of the positions")
         position = np.array(numbers(given, 3, "position", where))
@@ -91,10 +93,10 @@ def _tables(request: SensorRequest) -> tuple[Mapping[str, Any], Mapping[str, Any
     where, options = request.image, request.options
     row = dict(table_of(need(options, "orientation", where, "system and angles"), "orientation", where))
     table = options.get("camera")
-    if row.get("system") == "opensfm" and "reconstruction" in row:
+    if row.get("system") in ("opensfm", "odm") and "reconstruction" in row:
         known_keys(row, ("system", "reconstruction"), where)
         path = Path(request.base) / str(row["reconstruction"])
-        own, row = read_shot(path, request.image, where)
+        own, row = read_shot(path, request.image, str(row["system"]), where)
         table = own if table is None else table
     if isinstance(table, str):
         table = _toml(Path(request.base) / table, where)
@@ -132,14 +134,6 @@ def _camera(table: Mapping[str, Any], request: SensorRequest) -> tuple[Camera, l
 
 def _reach(camera: Camera) -> float:
     return float(np.hypot(*camera.size)) / 2
-
-
-def _map_of(crs: CRS, lla: FloatArray) -> tuple[float, float]:
-    """Longitude and latitude in the horizontal part of a CRS, near enough for a message."""
-    if crs.is_geocentric or crs.is_geographic:
-        return float(lla[0]), float(lla[1])
-    x, y = Transform(geographic(crs).to_2d(), crs.to_2d())(lla[None, :2])[0]
-    return float(x), float(y)
 
 
 def _crs(request: SensorRequest, attitude: Attitude) -> CRS:

@@ -20,8 +20,8 @@ INPUTS = (
         "orientation",
         "table of system and its values: opk {omega, phi, kappa} = R3(kappa) R2(phi) R1(omega); pok {phi, omega, "
         "kappa}, phi first; matrix or patb {r11 ... r33, matrix}; rpy {roll, pitch, yaw}, aircraft; dji {gimbal_yaw, "
-        "gimbal_pitch, gimbal_roll}; opensfm {rotation, translation, reference} or {reconstruction = file}. frame = "
-        "grid | local says whether angles refer to grid or true north",
+        "gimbal_pitch, gimbal_roll}; opensfm or odm {rotation, translation, reference} or {reconstruction = file}. "
+        "frame = grid | local says whether angles refer to grid or true north",
         "angle_unit",
     ),
     SensorInput("angle_unit", "unit of the angles: deg, gon or rad", default="deg"),

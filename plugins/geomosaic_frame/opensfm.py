@@ -51,7 +51,7 @@ def camera_table(camera: Mapping[str, Any], where: str) -> dict[str, Any]:
     }
 
 
-def read_shot(path: Path, image: str, where: str) -> tuple[dict[str, Any], dict[str, Any]]:
+def read_shot(path: Path, image: str, system: str, where: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """Camera table and orientation row of one image.
 
     Parameters
@@ -60,6 +60,8 @@ def read_shot(path: Path, image: str, where: str) -> tuple[dict[str, Any], dict[
         The reconstruction.
     image : str
         File name, with or without extension.
+    system : str
+        'opensfm' or 'odm'.
     where : str
         Named in errors.
 
@@ -68,7 +70,7 @@ def read_shot(path: Path, image: str, where: str) -> tuple[dict[str, Any], dict[
     camera : dict
         As `camera.toml`.
     orientation : dict
-        Row of the system 'opensfm'.
+        Row of that system.
     """
     try:
         parts = json.loads(path.read_text(encoding="utf-8"))
@@ -85,7 +87,7 @@ def read_shot(path: Path, image: str, where: str) -> tuple[dict[str, Any], dict[
         if reference is None:
             raise InputError(f"{path} has no reference_lla: the reconstruction is not georeferenced", where=where)
         row = {
-            "system": "opensfm",
+            "system": system,
             "rotation": need(shot, "rotation", where, "rotation vector"),
             "translation": need(shot, "translation", where, "translation"),
             "reference": [reference["longitude"], reference["latitude"], reference["altitude"]],

@@ -40,9 +40,9 @@ class Attitude:
     rotation : array (3, 3)
         Ground → image, x right, y up.
     frame : str
-        'grid', 'local' or 'topocentric'.
+        'grid', 'local', 'topocentric' or 'offset' (grid axes, position counted from the reference's map coordinates).
     position : array (3,), optional
-        Projection centre in the topocentric frame, metres, where the system gives it.
+        Projection centre in that frame where the system gives it.
     """
 
     rotation: FloatArray
@@ -168,12 +168,20 @@ def _dji(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
     return Attitude(_FORWARD @ _platform(yaw, pitch, roll).T @ _SWAP, "local")
 
 
-def _opensfm(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
+def _shot(row: Mapping[str, Any], where: str, frame: str) -> Attitude:
     """Rotation vector in radians whatever the angle unit, as the files have it."""
     vector = numbers(need(row, "rotation", where, "rotation vector world → camera"), 3, "rotation", where)
     shift = numbers(need(row, "translation", where, "translation world → camera"), 3, "translation", where)
     to_camera = angle_axis(np.array(vector))
-    return Attitude(FLIP @ to_camera, "topocentric", -to_camera.T @ np.array(shift))
+    return Attitude(FLIP @ to_camera, frame, -to_camera.T @ np.array(shift))
+
+
+def _opensfm(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
+    return _shot(row, where, "topocentric")
+
+
+def _odm(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
+    return _shot(row, where, "offset")
 
 
 SYSTEMS: Mapping[str, AngleSystem] = {
@@ -226,6 +234,14 @@ SYSTEMS: Mapping[str, AngleSystem] = {
             ("rotation", "translation", "reference"),
             "topocentric",
             _opensfm,
+        ),
+        AngleSystem(
+            "odm",
+            "as opensfm, but in map axes about the reference: OpenDroneMap's reconstruction.json, which it has "
+            "brought to its UTM zone (its reconstruction.topocentric.json is opensfm)",
+            ("rotation", "translation", "reference"),
+            "offset",
+            _odm,
         ),
     )
 }

@@ -119,9 +119,9 @@ def from_topocentric(crs: CRS, reference: FloatArray, attitude: Attitude, where:
     Parameters
     ----------
     crs : CRS
-        3-D; the reference's altitude is in its vertical datum, longitude and latitude on its datum.
+        3-D.
     reference : array (3,)
-        Longitude, latitude in degrees, altitude.
+        Origin of that frame, in `crs`.
     attitude : Attitude
         With its position.
     where : str
@@ -129,17 +129,36 @@ def from_topocentric(crs: CRS, reference: FloatArray, attitude: Attitude, where:
     """
     if attitude.position is None:
         raise InputError("the orientation has no position", where=where)
-    origin = reference.copy()
-    if crs.is_geocentric:
-        origin = Transform(geographic(crs), crs)(reference[None])[0]
-    elif not horizontal(crs).is_geographic:
-        flat = horizontal(crs)
-        origin[:2] = Transform(horizontal(geographic(crs)), flat)(reference[None, :2])[0]
-    base = local_frame(crs, origin, where)
+    base = local_frame(crs, reference, where)
     earth = base.to_geocentric(attitude.position[None])
     position = Transform(base.crs, crs)(earth)[0]
     here = local_frame(crs, position, where)
     return position, Attitude(attitude.rotation @ base.axes @ here.axes.T, "local")
+
+
+def from_offset(crs: CRS, reference: FloatArray, attitude: Attitude, where: str) -> tuple[FloatArray, Attitude]:
+    """Position in `crs` and attitude in 'grid' of a photo oriented in map axes about a reference (3,) in `crs`."""
+    if attitude.position is None:
+        raise InputError("the orientation has no position", where=where)
+    if not horizontal(crs).is_projected:
+        raise InputError(
+            f"orientations of OpenDroneMap are in map axes, but '{crs.name}' is no map",
+            where=where,
+            mend="name the UTM zone of the project, for example EPSG:32651, or use system = 'opensfm'",
+        )
+    return reference + attitude.position, Attitude(attitude.rotation, "grid")
+
+
+def of_longitude_latitude(crs: CRS, lla: FloatArray) -> FloatArray:
+    """Longitude, latitude in degrees on the datum of `crs`, and altitude in its vertical datum, as a point of `crs`."""
+    if crs.is_geocentric:
+        point: FloatArray = Transform(geographic(crs), crs)(lla[None])[0]
+        return point
+    point = lla.copy()
+    if not horizontal(crs).is_geographic:
+        flat = horizontal(crs)
+        point[:2] = Transform(horizontal(geographic(flat)), flat)(lla[None, :2])[0]
+    return point
 
 
 def undo_linear_alteration(crs: CRS, position: FloatArray, ground_height: float, where: str) -> FloatArray:
