@@ -1,8 +1,8 @@
 """Photos of a ground that is known exactly: analytic relief and colour, rendered through any sensor model.
 
-    ground = AnalyticGround(with_heights(parse_crs("EPSG:32633"), "egm96"), origin=(400000.0, 5500000.0))
-    for photo in synthetic_block(ground, CAMERA, strips=3, photos=4):
-        pixels = render(photo.camera(CAMERA, ground), ground, vignetting=Vignetting(0.3))
+ground = AnalyticGround(with_heights(parse_crs("EPSG:32633"), "egm96"), origin=(400000.0, 5500000.0))
+for photo in synthetic_block(ground, CAMERA, strips=3, photos=4):
+    pixels = render(photo.camera(CAMERA, ground), ground, vignetting=Vignetting(0.3))
 """
 
 from __future__ import annotations

@@ -73,19 +73,20 @@ class PlainCamera:
     def rotation(self) -> FloatArray:
         """Camera (x right, y up, z backwards) to geocentric, (3, 3)."""
         to_place = Transformer.from_crs(self.crs, CRS.from_epsg(4979), always_xy=True, allow_ballpark=False)
-        longitude, latitude, _ = to_place.transform(*self.centre)
-        lon, lat = np.radians(longitude), np.radians(latitude)
+        lon, lat = np.radians(np.array(to_place.transform(*self.centre))[:2])
         east = np.array([-np.sin(lon), np.cos(lon), 0.0])
         up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
         north = np.cross(up, east)
-        # Grid north, found by walking along it: a hundred metres on the map, measured on the ellipsoid.
+        # Grid north, found by walking along it: fifty metres to either side, measured on the ellipsoid; the azimuths at
+        # the two ends differ by what the meridians converge, so their mean is the azimuth here.
         x, y, z = self.position
         walk = to_place.transform(*self._to_earth.transform([x, x], [y - 50.0, y + 50.0], [z, z]))
-        azimuth = np.radians(Geod(ellps="WGS84").inv(walk[0][0], walk[1][0], walk[0][1], walk[1][1])[0])
+        forth, back, _ = Geod(ellps="WGS84").inv(walk[0][0], walk[1][0], walk[0][1], walk[1][1])
+        azimuth = np.radians((forth + (back + 360.0) % 360.0 - 180.0) / 2)
         grid_north = np.sin(azimuth) * east + np.cos(azimuth) * north
         grid = np.column_stack([np.cross(grid_north, up), grid_north, up])
         omega, phi, kappa = np.radians(self.angles)
-        co, so, cp, sp, ck, sk = (f(a) for a in (omega, phi, kappa) for f in (np.cos, np.sin))
+        (co, cp, ck), (so, sp, sk) = np.cos([omega, phi, kappa]), np.sin([omega, phi, kappa])
         rx = np.array([[1, 0, 0], [0, co, -so], [0, so, co]])
         ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
         rz = np.array([[ck, -sk, 0], [sk, ck, 0], [0, 0, 1]])

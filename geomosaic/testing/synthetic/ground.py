@@ -41,6 +41,8 @@ class AnalyticGround:
         Which land.
     spacing : float
         Nodes of `patch`, metres.
+    targets : tuple of (float, float)
+        Places in `crs` marked by a white spot on a dark disc, as surveyed points are before a flight.
     """
 
     crs: CRS
@@ -51,6 +53,7 @@ class AnalyticGround:
     bands: int = 3
     seed: int = 7
     spacing: float = 2.0
+    targets: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         if self.crs.is_geocentric or not has_heights(self.crs):
@@ -102,12 +105,14 @@ class AnalyticGround:
             seen = np.isfinite(u[part]) & np.isfinite(v[part])
             pu, pv = (np.where(seen, p[part], 0.0).astype(np.float32) for p in (u, v))
             _, zu, zv = relief(pu, pv)
-            out[part] = land(pu, pv, self.exaggeration * zu, self.exaggeration * zv)
+            out[part] = land(pu, pv, *(np.float32(self.exaggeration) * slope for slope in (zu, zv)))
+            for x, y in self.targets:
+                out[part] = _mark(out[part], pu - (x - self.origin[0]), pv - (y - self.origin[1]), self.wavelength)
             out[part][~seen] = np.nan
         return out
 
     def patch(self, bounds: Bounds) -> HeightPatch:
-        """Heights at nodes `spacing` apart that cover bounds (left, bottom, right, top) in `crs`, two nodes to spare."""
+        """Heights at nodes `spacing` apart over bounds (left, bottom, right, top) in `crs`, two nodes to spare."""
         s = self.spacing
         first_col, last_col = np.floor(bounds[0] / s) - 2, np.ceil(bounds[2] / s) + 2
         first_row, last_row = np.floor(bounds[1] / s) - 2, np.ceil(bounds[3] / s) + 2
@@ -115,3 +120,15 @@ class AnalyticGround:
         nodes = np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
         heights = self.height(nodes).reshape(len(y), len(x)).astype(np.float32)
         return HeightPatch(heights, Affine(s, 0.0, x[0] - s / 2, 0.0, -s, y[0] + s / 2))
+
+
+def _mark(colour: Float32Array, u: Float32Array, v: Float32Array, wavelength: float) -> Float32Array:
+    """Lay a target over the colours (N, bands): white out to about 1.3 m from (0, 0), dark out to 3 m."""
+    near = np.flatnonzero(u * u + v * v < (5.0 * max(3.0, 2 * wavelength)) ** 2)
+    if not len(near):
+        return colour
+    radius = max(1.3, 0.8 * wavelength)
+    distance2 = (u[near] ** 2 + v[near] ** 2)[:, None] / radius**2
+    colour[near] += np.exp(-((distance2 / 5.0) ** 2)) * (np.float32(0.12) - colour[near])
+    colour[near] += np.exp(-distance2) * (np.float32(0.92) - colour[near])
+    return colour

@@ -14,7 +14,7 @@ import numpy as np
 from geomosaic.testing.synthetic.noise import crowns, patchwork, soft, spline_noise, table
 from geomosaic.testing.synthetic.relief import river
 from geomosaic.testing.synthetic.village import houses
-from geomosaic.types import Float32Array
+from geomosaic.types import AnyArray, Float32Array
 
 SUN = (0.64, -0.77)  # mid-morning sun in the south-east: unit vector in (u, v)
 
@@ -61,7 +61,7 @@ class Land:
     def __call__(self, u: Float32Array, v: Float32Array, slope_u: Float32Array, slope_v: Float32Array) -> Float32Array:
         """Radiance (N, bands), 0..1, at local coordinates (N,) in metres, shaded by the slope of the relief (N,)."""
         broad, middle = self._noise("broad", u, v, 130.0), self._noise("middle", u, v, 21.0)
-        fine = self._noise("fine", u, v, 2.2)
+        fine = self._noise("fine", u, v, 1.6)
         colour = self._fields(u, v, broad, middle, fine)
         colour = self._woods(colour, u, v, broad, middle)
         colour = self._river(colour, u, v, middle, fine)
@@ -69,7 +69,8 @@ class Land:
         colour = self._roads(colour, u, v, fine)
         light = 1 - np.float32(0.8) * (slope_u * np.float32(SUN[0]) + slope_v * np.float32(SUN[1]))
         light *= 1 + np.float32(0.07) * middle + np.float32(0.12) * broad
-        return np.clip(colour[:, : self.bands] * light[:, None], 0, 1)
+        lit: Float32Array = np.clip(colour[:, : self.bands] * light[:, None], 0, 1)
+        return lit
 
     @property
     def _edge(self) -> float:
@@ -102,10 +103,12 @@ class Land:
             k_wave = 2 * np.pi / max(length, 1.3 * self.wavelength)
             phase = (along * np.float32(np.sin(turn)) + across * np.float32(np.cos(turn))) * np.float32(k_wave)
             stripes += blended[:, 4 + k] * np.cos(phase)
-        tone = 1 + stripes + blended[:, 7] * (np.float32(0.16) * fine + np.float32(0.26) * middle)
+        tone = 1 + stripes + blended[:, 7] * (np.float32(0.22) * fine + np.float32(0.26) * middle)
         colour = blended[:, :4] * tone[:, None]
         hedge = soft(self._noise("hedge", u, v, 70.0) - np.float32(0.03), 0.05)
-        leaves = np.clip(np.float32(1) + np.float32(1.6) * fine, 0.3, 1.8)[:, None] * np.asarray(HEDGE, dtype=np.float32)
+        leaves = np.clip(np.float32(1) + np.float32(1.6) * fine, 0.3, 1.8)[:, None] * np.asarray(
+            HEDGE, dtype=np.float32
+        )
         colour = _lay(colour, border * (1 - hedge) * np.float32(0.75), VERGE)
         return _lay(colour, border * hedge, leaves)
 
@@ -170,7 +173,7 @@ class Land:
     ) -> Float32Array:
         """Gardens, streets, and houses with ridged roofs and shadows."""
         reach = ((u - VILLAGE[0]) / 235) ** 2 + ((v - VILLAGE[1]) / 165) ** 2
-        mask = soft(1 + np.float32(1.6) * broad - reach, 0.06)
+        mask = soft(np.float32(1) + np.float32(1.6) * broad - reach.astype(np.float32, copy=False), 0.06)
         near = np.flatnonzero(mask > 1e-5)
         if not len(near):
             return colour
@@ -187,7 +190,7 @@ class Land:
         return colour
 
 
-def _lay(under: Float32Array, mask: Float32Array, over: Float32Array | Sequence[float]) -> Float32Array:
+def _lay(under: Float32Array, mask: Float32Array, over: AnyArray | Sequence[float]) -> Float32Array:
     """Lay a colour (4,) or colours (N, 4) over others (N, 4) where the mask (N,) is 1."""
     laid: Float32Array = under + mask[:, None] * (np.asarray(over, dtype=np.float32) - under)
     return laid

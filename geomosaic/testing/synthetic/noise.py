@@ -28,7 +28,8 @@ def table(seed: int, name: str, columns: int) -> Float32Array:
 
 def soft(distance: Float32Array, width: float) -> Float32Array:
     """Soft step: 0 far on the negative side, 1 far on the positive side, tanh of the given width in metres."""
-    return np.float32(0.5) + np.float32(0.5) * np.tanh(distance * np.float32(1.0 / width))
+    step: Float32Array = np.float32(0.5) + np.float32(0.5) * np.tanh(distance * np.float32(1.0 / width))
+    return step
 
 
 def spline_noise(u: Float32Array, v: Float32Array, spacing: float, values: Float32Array) -> Float32Array:
@@ -94,10 +95,7 @@ def patchwork(
     border : float32 array (N,)
         1 on the border of two cells, falling to 0 inside them.
     """
-    found = [
-        (index, dp * dp + dq * dq)
-        for index, dp, dq in neighbours(p, q, places, 0.25)
-    ]
+    found = [(index, dp * dp + dq * dq) for index, dp, dq in neighbours(p, q, places, 0.25)]
     nearest = np.minimum.reduce([d for _, d in found])
     blended = np.zeros((len(p), attributes.shape[1]), dtype=np.float32)
     narrow_sum, wide_sum, wide_squares = np.zeros_like(p), np.zeros_like(p), np.zeros_like(p)

@@ -24,8 +24,11 @@ WAVES = np.array(
         [7.0, 1700.0, 105.0, 2.1],
         [4.0, 980.0, 60.0, 4.0],
         [2.5, 610.0, 150.0, 1.2],
-        [2.2, 370.0, 35.0, 5.2],
-        [1.1, 210.0, 120.0, 0.9],
+        [1.5, 370.0, 35.0, 5.2],
+        [1.2, 330.0, 112.0, 3.1],
+        [0.5, 230.0, 8.0, 0.9],
+        [0.5, 210.0, 78.0, 2.6],
+        [0.5, 190.0, 141.0, 4.4],
     ]
 )
 # height (m), u (m), v (m), sigma (m)
@@ -56,7 +59,7 @@ def river(u: AnyArray) -> tuple[AnyArray, AnyArray]:
 
 
 def relief(u: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-    """Height above the base (N,) and its derivatives by u and v (N,), metres and metres per metre; precision as given."""
+    """Height above the base (N,) and its slopes along u and v (N,), metres per metre, in the precision given."""
     z, zu, zv = np.zeros_like(u), np.zeros_like(u), np.zeros_like(u)
     for amplitude, length, direction, phase in WAVES.tolist():
         k = 2.0 * math.pi / length
@@ -86,7 +89,9 @@ def heights(u: AnyArray, v: AnyArray) -> AnyArray:
     z = np.zeros_like(u)
     for amplitude, length, direction, phase in WAVES.tolist():
         k = 2.0 * math.pi / length
-        z += amplitude * np.cos(k * math.cos(math.radians(direction)) * u + k * math.sin(math.radians(direction)) * v + phase)
+        z += amplitude * np.cos(
+            k * math.cos(math.radians(direction)) * u + k * math.sin(math.radians(direction)) * v + phase
+        )
     for height, u0, v0, sigma in HILLS.tolist():
         z += height * np.exp(((u - u0) ** 2 + (v - v0) ** 2) * (-0.5 / sigma**2))
     across = v - river(u)[0]

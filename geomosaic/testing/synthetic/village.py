@@ -49,7 +49,10 @@ def houses(
     c, s = np.cos(twist), np.sin(twist)
     length, depth = 5 + 3 * random[:, 3], np.float32(3.9) + np.float32(1.4) * random[:, 4]
     # Away from the sun, in the axes of the plots.
-    fall = (turn_c * -np.float32(sun[0]) - turn_s * np.float32(sun[1]), -turn_c * np.float32(sun[1]) + turn_s * np.float32(sun[0]))
+    fall = (
+        turn_c * -np.float32(sun[0]) - turn_s * np.float32(sun[1]),
+        -turn_c * np.float32(sun[1]) + turn_s * np.float32(sun[0]),
+    )
     x2, y2 = x - 3 * fall[0], y - 3 * fall[1]
     shadow = _box(c * x2 + s * y2, c * y2 - s * x2, length, depth, edge)
     ground = ground + (np.float32(0.8) * shadow * inside)[:, None] * (SHADOW - ground)
@@ -59,7 +62,8 @@ def houses(
     side = np.tanh(across * np.float32(1 / edge))
     tone = np.float32(0.98) + np.float32(0.26) * facing * side
     mask = _box(along, across, length, depth, edge) * inside
-    return ground + mask[:, None] * (roof * tone[:, None] - ground)
+    built: Float32Array = ground + mask[:, None] * (roof * tone[:, None] - ground)
+    return built
 
 
 def _box(x: Float32Array, y: Float32Array, half_x: Float32Array, half_y: Float32Array, edge: float) -> Float32Array:
