@@ -8,29 +8,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
-import numpy as np
-import rasterio.shutil
 from rasterio.errors import RasterioError
 
-from geomosaic.errors import InputError, OutputError, OutputExistsError
+from geomosaic.errors import OutputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.codec import BLOCK
-from geomosaic.raster.environment import environment
-from geomosaic.raster.info import DTYPES
-from geomosaic.raster.tiff import is_whole
+from geomosaic.raster.options import check_nodata, check_type, creation_options
+from geomosaic.raster.output import check_output, sync
 from geomosaic.raster.tilefile import TileFile
 from geomosaic.types import AnyArray, ByteArray, PathLike
 
-DRIVERS = ("COG", "GTiff")
-# Deflate level 1 is 4 times as fast as GDAL's level 6 for 5 % more bytes, and every TIFF reader knows it.
-_GTIFF_DEFAULTS = {"COMPRESS": "DEFLATE", "ZLEVEL": "1", "BIGTIFF": "IF_SAFER"}
-_COG_DEFAULTS = {"COMPRESS": "DEFLATE", "LEVEL": "1", "BIGTIFF": "IF_SAFER", "BLOCKSIZE": str(BLOCK)}
-_PREDICTED = ("DEFLATE", "ZSTD", "LZW")
-# GTiff spellings that people type for COGs too.
-_COG_NAMES = {"ZLEVEL": "LEVEL", "ZSTD_LEVEL": "LEVEL", "JPEG_QUALITY": "QUALITY", "WEBP_LEVEL": "QUALITY"}
-_COG_PREDICTORS = {"1": "NO", "2": "STANDARD", "3": "FLOATING_POINT"}
-# How the file is cut is this program's business; other values than its own cannot be had.
-_FIXED = {"TILED": ("YES",), "INTERLEAVE": ("PIXEL",), "BLOCKXSIZE": (str(BLOCK),), "BLOCKYSIZE": (str(BLOCK),)}
 _SIDECARS = (".aux.xml", ".ovr", ".msk")
 
 
@@ -99,17 +86,11 @@ class RasterSink:
         overviews: str = "average",
     ) -> None:
         self.path = Path(path)
-        self._grid, self._bands, self._dtype, self._driver = grid, bands, np.dtype(dtype), driver
-        self._threads, self._overviews = threads, overviews
+        self._grid, self._bands, self._dtype = grid, bands, check_type(dtype, str(path))
         check_output(self.path, overwrite=overwrite)
-        _check_type(dtype, nodata, str(path))
-        self._options = creation_options(driver, self._dtype, creation or {}, str(path))
-        options = dict(self._options)
-        if driver == "COG":  # GDAL makes the final file from this one
-            options = {"COMPRESS": "ZSTD", "ZSTD_LEVEL": "1", "BIGTIFF": "IF_SAFER"}
-        if options["COMPRESS"] == "NONE":
-            options.pop("PREDICTOR", None)
-        options.setdefault("PHOTOMETRIC", photometric or _photometric(bands, self._dtype))
+        check_nodata(dtype, nodata, str(path))
+        made = creation_options(driver, bands, self._dtype, creation or {}, overviews, photometric, str(path))
+        self._raw = made.gtiff["COMPRESS"] == "NONE"
         self._bytes = grid.width * grid.height * bands * self._dtype.itemsize
         self._check_space()
         self._partial = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}")
@@ -119,13 +100,14 @@ class RasterSink:
                 grid,
                 bands,
                 dtype,
-                options,
+                made.gtiff,
+                overviews=made.overviews,
+                cog=driver == "COG",
                 nodata=nodata,
                 descriptions=descriptions,
                 tags=tags,
                 mask=mask,
                 threads=threads,
-                sparse=driver == "COG",
             )
         except OSError as error:
             self._remove()
@@ -190,12 +172,11 @@ class RasterSink:
         try:
             self._tiles.finish()
             self._tiles.close()
-            whole = self._partial if self._driver == "GTiff" else self._to_cog()
-            _sync(whole)
+            sync(self._partial)
             for suffix in _SIDECARS:  # of the file that is replaced
                 self.path.with_name(self.path.name + suffix).unlink(missing_ok=True)
-            whole.replace(self.path)
-            _sync(self.path.parent)
+            self._partial.replace(self.path)
+            sync(self.path.parent)
         except (OSError, OverflowError, RasterioError) as error:
             raise self._failed(error) from error
         finally:
@@ -203,26 +184,9 @@ class RasterSink:
             self._remove()
         return self.path
 
-    def _to_cog(self) -> Path:
-        """Let GDAL add overviews and order the file for reading over a network."""
-        target = self._partial.with_name(self._partial.name + ".tif")
-        with environment():
-            rasterio.shutil.copy(
-                str(self._partial),
-                str(target),
-                driver="COG",
-                NUM_THREADS=str(self._threads),
-                OVERVIEW_RESAMPLING=self._overviews.upper(),
-                **self._options,
-            )
-        # GDAL may notice a full disk only as it closes the file, and then tells nobody.
-        if not is_whole(target):
-            raise OSError("the file could not be written to its end")
-        return target
-
     def _check_space(self) -> None:
         """Refuse early what cannot fit; compressed sizes are not known before."""
-        if self._options.get("COMPRESS") != "NONE":
+        if not self._raw:
             return
         free = shutil.disk_usage(self.path.parent).free
         if self._bytes > free:
@@ -246,93 +210,6 @@ class RasterSink:
     def _remove(self) -> None:
         for file in self.path.parent.glob(f"{_literal(self._partial.name)}*"):
             file.unlink(missing_ok=True)
-
-
-def check_output(path: Path, *, overwrite: bool) -> None:
-    """Refuse a final name that is taken, or whose folder does not exist.
-
-    Raises
-    ------
-    OutputExistsError, InputError
-    """
-    if path.is_dir():
-        raise InputError("the output is a folder", where=str(path), mend="name a file")
-    if not path.parent.is_dir():
-        raise InputError("the folder of the output does not exist", where=str(path), mend="make it, or check the path")
-    if path.exists() and not overwrite:
-        raise OutputExistsError("the output exists", where=str(path), mend="choose another name, or give --overwrite")
-
-
-def creation_options(driver: str, dtype: np.dtype[np.generic], given: Mapping[str, str], where: str) -> dict[str, str]:
-    """Join the defaults of a driver and the options of the user, who wins.
-
-    Raises
-    ------
-    InputError
-        An unknown driver, or a layout that cannot be had.
-    """
-    if driver not in DRIVERS:
-        raise InputError(f"rasters are not written as '{driver}'", where=where, mend=f"choose {' or '.join(DRIVERS)}")
-    user = {key.upper(): str(value) for key, value in given.items()}
-    for key, values in _FIXED.items():
-        if key in user and user.pop(key).upper() not in values:
-            raise InputError(
-                f"creation option {key}={given.get(key, given.get(key.lower()))} cannot be had: files are written "
-                f"pixel-interleaved in tiles of {BLOCK}",
-                where=where,
-                mend=f"leave {key} out, and convert the result with gdal_translate",
-            )
-    options = dict(_GTIFF_DEFAULTS if driver == "GTiff" else _COG_DEFAULTS)
-    if driver == "COG":
-        user = {_COG_NAMES.get(key, key): value for key, value in user.items()}
-        if "PREDICTOR" in user:
-            user["PREDICTOR"] = _COG_PREDICTORS.get(user["PREDICTOR"], user["PREDICTOR"])
-    if user.get("COMPRESS", "DEFLATE").upper() != "DEFLATE":
-        options.pop("ZLEVEL", None)
-        options.pop("LEVEL", None)
-    options.update(user)
-    options["COMPRESS"] = options["COMPRESS"].upper()
-    if options["COMPRESS"] in _PREDICTED:
-        if driver == "COG":
-            options.setdefault("PREDICTOR", "YES")
-        else:
-            options.setdefault("PREDICTOR", "3" if dtype.kind == "f" else "2")
-    return options
-
-
-def _check_type(dtype: str, nodata: float | None, where: str) -> None:
-    if dtype not in DTYPES:
-        raise InputError(f"samples of type {dtype} cannot be written", where=where, mend=f"one of {', '.join(DTYPES)}")
-    if nodata is None:
-        return
-    kind = np.dtype(dtype)
-    if kind.kind == "f":
-        fits = not np.isfinite(nodata) or abs(nodata) <= float(np.finfo(dtype).max)
-    else:
-        limits = np.iinfo(dtype)
-        fits = float(nodata).is_integer() and limits.min <= nodata <= limits.max
-    if not fits:
-        raise InputError(
-            f"nodata {nodata} is not a value of type {dtype}",
-            where=where,
-            mend="choose another nodata value, or none: then an internal mask marks the invalid pixels",
-        )
-
-
-def _photometric(bands: int, dtype: np.dtype[np.generic]) -> str:
-    # Without it GDAL would call the fourth of four bands alpha.
-    return "RGB" if bands == 3 and dtype == np.uint8 else "MINISBLACK"
-
-
-def _sync(path: Path) -> None:
-    """Bring a file, or a folder's entries, to the disk."""
-    if os.name == "nt" and path.is_dir():
-        return
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _literal(name: str) -> str:

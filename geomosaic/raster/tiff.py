@@ -2,7 +2,7 @@
 
 GDAL writes blocks when its cache, shared by all files and threads of the process, runs full; their order in a file is
 then a matter of chance. Here GDAL still makes every piece (geo-referencing tags, compressed tiles), and this module
-lays the pieces out: tiles row by row, then the mask's tiles, then the directories. A failed write is known at once.
+lays the pieces out. A failed write is known at once.
 
 Structures after TIFF Revision 6.0 (Adobe, 1992) sections 2 and 15, and the BigTIFF layout of libtiff.
 """
@@ -35,6 +35,8 @@ class Field:
     @classmethod
     def of(cls, type_: int, *values: int) -> Field:
         """Make a field of unsigned integers: type 3 (16 bit), 4 (32 bit) or 16 (64 bit)."""
+        if type_ == 4 and max(values, default=0) >= 1 << 32:
+            raise OverflowError("more than 4 GB need BIGTIFF=YES")
         return cls(type_, len(values), struct.pack(f"<{len(values)}{_INTEGERS[type_]}", *values))
 
     @property
@@ -94,47 +96,49 @@ def _read_directory(file: BinaryIO, offset: int, big: bool) -> tuple[Directory, 
     return directory, following
 
 
-def write_header(file: BinaryIO, *, big: bool) -> None:
-    """Write a header whose first directory is not known yet; 16 bytes for both kinds."""
-    file.write(struct.pack("<2sHHHQ", b"II", 43, 8, 0, 0) if big else struct.pack("<2sHI8x", b"II", 42, 0))
+def header(first: int, *, big: bool) -> bytes:
+    """Return the 8 bytes (16 for BigTIFF) at the start of a file whose first directory is at `first`."""
+    return struct.pack("<2sHHHQ", b"II", 43, 8, 0, first) if big else struct.pack("<2sHI", b"II", 42, first)
 
 
-def write_directories(file: BinaryIO, directories: list[Directory], *, big: bool) -> None:
-    """Append directories to a file that has a header, and link them.
+def lay_out(directories: list[Directory], start: int, *, big: bool) -> bytes:
+    """Return linked directories as they stand in a file from the even offset `start` on; the last links to none.
+
+    The length depends on the types and counts of the fields only.
 
     Raises
     ------
     OverflowError
-        The file is too large for classic TIFF.
+        Classic TIFF ends at 4 GB.
     """
-    link = 8 if big else 4  # where the offset of the next directory goes
-    for directory in directories:
-        end = file.seek(0, 2)
-        file.write(bytes(-end % 16))
-        start = file.tell()
-        data, following = _layout(directory, start, big)
-        if not big and start + len(data) >= 1 << 32:
-            raise OverflowError("more than 4 GB need BigTIFF")
-        file.write(data)
-        file.seek(link)
-        file.write(struct.pack("<Q" if big else "<I", start))
-        link = following
+    data = bytearray()
+    for i, directory in enumerate(directories):
+        piece, link = _directory(directory, start + len(data), big)
+        piece += bytes(-len(piece) % 8)
+        if i + 1 < len(directories):
+            struct.pack_into("<Q" if big else "<I", piece, link, start + len(data) + len(piece))
+        data += piece
+    if not big and start + len(data) >= 1 << 32:
+        raise OverflowError("more than 4 GB need BIGTIFF=YES")
+    return bytes(data)
 
 
-def _layout(directory: Directory, start: int, big: bool) -> tuple[bytes, int]:
-    """Return a directory's bytes, with the values too long for its table behind it, and where its link stands."""
+def _directory(directory: Directory, start: int, big: bool) -> tuple[bytearray, int]:
+    """Return a directory's table with the values too long for it behind, and where in it the link stands."""
     room, count, entry, pointer = (8, "<Q", "<HHQ8s", "<Q") if big else (4, "<H", "<HHI4s", "<I")
     table, extra = bytearray(struct.pack(count, len(directory))), bytearray()
-    following = start + len(table) + len(directory) * struct.calcsize(entry)
+    link = len(table) + len(directory) * struct.calcsize(entry)
     for tag, field in sorted(directory.items()):
         data = field.data
         if len(data) > room:
-            at = following + room + len(extra)
-            extra += bytes(-at % 8)
-            data = struct.pack(pointer, (following + room + len(extra)) & (1 << 8 * room) - 1)
+            extra += bytes(len(extra) % 2)
+            at = start + link + room + len(extra)
+            if at >= 1 << 8 * room:
+                raise OverflowError("more than 4 GB need BIGTIFF=YES")
+            data = struct.pack(pointer, at)
             extra += field.data
         table += struct.pack(entry, tag, field.type, field.count, data)
-    return bytes(table) + bytes(room) + bytes(extra), following
+    return table + bytes(room) + extra, link
 
 
 def is_whole(path: PathLike) -> bool:

@@ -1,7 +1,12 @@
-"""A tiled GeoTIFF written window by window, with the same bytes whatever the windows' width and the threads."""
+"""A tiled GeoTIFF or COG written window by window, with the same bytes whatever the windows and the threads.
+
+The layout of a COG follows https://docs.ogc.org/is/21-026/21-026.html: directories first, then the tiles of the
+smallest overview, up to those of full resolution.
+"""
 
 from __future__ import annotations
 
+import shutil
 from collections import deque
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -14,31 +19,38 @@ import numpy as np
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster import codec, tiff
 from geomosaic.raster.codec import BLOCK
-from geomosaic.raster.tiff import Field
+from geomosaic.raster.pyramid import Level, Parents, Tile, halve, levels
+from geomosaic.raster.tiff import Directory, Field
+from geomosaic.raster.tilestore import TileStore, write_all
 from geomosaic.types import AnyArray, ByteArray
+
+_START = 16
+_OVERVIEW_TAGS = (33550, 33922, 34264, 34735, 34736, 34737, 42112)  # geo-reference and metadata stay with level 0
+_COG_MARK = b"LAYOUT=IFDS_BEFORE_DATA\nBLOCK_ORDER=ROW_MAJOR\nKNOWN_INCOMPATIBLE_EDITION=NO\n "
 
 
 class TileFile:
     """A GeoTIFF under construction.
 
-    Uncompressed tiles have their places from the start. Compressed ones follow each other row by row; a tile that
-    comes early (from the second block row of a tall window) waits in memory for its turn. Mask tiles stay in memory,
-    some tens of bytes each, and come last.
-
     Parameters
     ----------
     path : Path
-        Made new; errors of the file system are raised as OSError.
+        Made new; errors of the file system come as OSError. While a COG grows, its levels are in files of this name
+        with a number behind.
     grid : Grid
         Place and size.
     bands, dtype, options
-        Of the raster; `options` are GDAL's creation options for compression, colour and BIGTIFF.
+        Of the raster; `options` are GTiff creation options for compression, colour and BIGTIFF.
+    overviews : str or None
+        'average' or 'nearest': overviews are made so; for a COG only.
+    cog : bool
+        A COG instead of a plain GeoTIFF.
     nodata : float or None
         Invalid pixels get this value, and there is no mask.
+    mask : bool
+        Keep an internal mask where there is no nodata and any pixel is invalid.
     threads : int
         Tiles that are compressed at once.
-    sparse : bool
-        Leave out tiles that hold no valid pixel; for temporary files.
     """
 
     def __init__(
@@ -49,37 +61,42 @@ class TileFile:
         dtype: str,
         options: Mapping[str, str],
         *,
+        overviews: str | None = None,
+        cog: bool = False,
         nodata: float | None = None,
         descriptions: Sequence[str | None] = (),
         tags: Mapping[str, str] | None = None,
         mask: bool = True,
         threads: int = 1,
-        sparse: bool = False,
     ) -> None:
-        self._grid, self._bands, self._dtype = grid, bands, np.dtype(dtype)
-        self._nodata, self._keep_mask, self._sparse = nodata, mask and nodata is None, sparse
-        self._across, self._down = -(-grid.width // BLOCK), -(-grid.height // BLOCK)
-        raw_bytes = grid.width * grid.height * bands * self._dtype.itemsize
+        self._path, self._grid, self._bands, self._dtype = path, grid, bands, np.dtype(dtype)
+        self._nodata, self._keep_mask, self._masked = nodata, mask and nodata is None, False
+        self._overviews, self._cog = overviews, cog
         self._profile: dict[str, Any] = codec.tile_profile(bands, dtype, options)
-        self._big = _needs_big(self._profile.pop("bigtiff", "IF_SAFER"), raw_bytes)
+        raw_bytes = grid.width * grid.height * bands * self._dtype.itemsize
+        self._big = _needs_big(self._profile.pop("bigtiff", "IF_SAFER"), raw_bytes * (4 / 3 if overviews else 1))
         self._directory = codec.describe_raster(
             grid, self._profile, nodata=nodata, descriptions=descriptions, tags=tags or {}, where=str(path)
         )
         self._raw = self._directory[tiff.COMPRESSION].integers[0] == 1
-        self._tile_bytes = BLOCK * BLOCK * bands * self._dtype.itemsize
-        tiles = self._across * self._down
-        self._offsets, self._counts = [0] * tiles, [0] * tiles
-        self._written = bytearray(tiles)
-        self._masks: dict[int, bytes] = {}
-        self._masked = False
-        self._waiting: dict[int, bytes] = {}
-        self._next = 0
-        self._jobs: deque[tuple[int, Future[bytes]]] = deque()
+        self._levels = levels(grid.width, grid.height) if overviews else [Level(grid.width, grid.height)]
+        self._parents = Parents(self._levels, bands, self._dtype)
+        self._blank: bytes | None = None
+        self._jobs: deque[Future[tuple[Tile, bytes, _Half | None]]] = deque()
         self._most_jobs = 4 * threads
-        self._pool = None if self._raw or threads < 2 else ThreadPoolExecutor(threads, thread_name_prefix="tiles")
-        self._file: BinaryIO = path.open("w+b", buffering=0)
-        tiff.write_header(self._file, big=self._big)
-        self._end = self._file.tell()
+        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="tiles") if threads > 1 else None
+        self._files: list[BinaryIO] = []
+        names = [path.with_name(f"{path.name}.{i}") for i in range(len(self._levels))] if cog else [path]
+        try:
+            for name in names:
+                self._files.append(name.open("w+b", buffering=0))
+        except OSError:
+            self.close()
+            raise
+        self._stores = [
+            TileStore(file, 0 if cog else _START, level.across * level.down)
+            for file, level in zip(self._files, self._levels, strict=True)
+        ]
 
     def __enter__(self) -> TileFile:
         return self
@@ -90,108 +107,79 @@ class TileFile:
         self.close()
 
     def close(self) -> None:
-        """Stop; without `finish` before, the file is no TIFF."""
+        """Stop; without `finish` before, the file is no TIFF. Files of levels stay for the caller to remove."""
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
-        self._file.close()
+        for file in self._files:
+            file.close()
 
     def write(self, window: Window, values: AnyArray, valid: ByteArray | None) -> None:
-        """Add a window that covers whole blocks (but for the image's edge); windows come row by row.
+        """Add a window that covers whole blocks (but for the image's edge).
 
         Parameters
         ----------
         window : Window
             In pixels of the grid.
         values : array (rows, cols, bands)
-            Of the file's type. Not changed; may be used again by the caller at once.
+            Of the file's type. Not changed; the caller may use it again at once.
         valid : uint8 array (rows, cols) of 1 and 0, or None
             None where all are valid.
         """
+        across = self._levels[0].across
         for part in window.split(BLOCK, BLOCK):
             rows = slice(part.row - window.row, part.stop_row - window.row)
             cols = slice(part.col - window.col, part.stop_col - window.col)
-            tile_valid = None if valid is None else valid[rows, cols]
-            if tile_valid is not None and tile_valid.all():
-                tile_valid = None
-            self._write_tile(
-                (part.row // BLOCK) * self._across + part.col // BLOCK,
-                self._padded(values[rows, cols], tile_valid),
-                tile_valid,
-                part,
-            )
+            index = (part.row // BLOCK) * across + part.col // BLOCK
+            self._add(self._tile(index, values[rows, cols], None if valid is None else valid[rows, cols]))
 
-    def _padded(self, values: AnyArray, valid: ByteArray | None) -> AnyArray:
-        """Copy to a whole tile, invalid pixels set to nodata or zero."""
+    def _tile(self, index: int, values: AnyArray, valid: ByteArray | None) -> Tile:
+        """Copy to a whole tile."""
         rows, cols = values.shape[:2]
-        if (rows, cols) == (BLOCK, BLOCK) and valid is None and self._nodata is None:
-            return np.ascontiguousarray(values) if self._pool is None else np.array(values, order="C")
-        tile = np.zeros((BLOCK, BLOCK, self._bands), dtype=self._dtype)
-        if self._nodata is not None:
-            tile[...] = self._nodata
-            values = _off_nodata(values, self._nodata)
-        if valid is None:
-            tile[:rows, :cols] = values
-        else:
-            np.copyto(tile[:rows, :cols], values, where=(valid != 0)[:, :, None])
-        return tile
+        if valid is not None and valid.all():
+            valid = None
+        self._masked = self._masked or valid is not None
+        if (rows, cols) == (BLOCK, BLOCK):
+            copied = np.ascontiguousarray(values) if self._pool is None else np.array(values, order="C")
+            return Tile(0, index, copied, None if valid is None else (np.asarray(valid) != 0).view(np.uint8))
+        whole = np.zeros((BLOCK, BLOCK, self._bands), dtype=self._dtype)
+        whole[:rows, :cols] = values
+        whole_valid = np.zeros((BLOCK, BLOCK), dtype=np.uint8)
+        whole_valid[:rows, :cols] = 1 if valid is None else np.asarray(valid) != 0
+        return Tile(0, index, whole, whole_valid)
 
-    def _write_tile(self, index: int, tile: AnyArray, valid: ByteArray | None, part: Window) -> None:
-        self._written[index] = 1
+    def _add(self, tile: Tile) -> None:
+        """Make a tile's pieces, here or in another thread, and put what is ready in its place."""
+        if self._pool is None:
+            self._place(*self._pieces(tile))
+            return
+        self._jobs.append(self._pool.submit(self._pieces, tile))
+        while len(self._jobs) > self._most_jobs:
+            self._place(*self._jobs.popleft().result())
+
+    def _pieces(self, tile: Tile) -> tuple[Tile, bytes, _Half | None]:
+        """Fill, compress and halve a tile; changes nothing of this object, so any thread may do it."""
+        tile = Tile(tile.level, tile.index, _filled(tile.values, tile.valid, self._nodata), tile.valid)
+        data = b"" if self._raw else codec.encode_tile(tile.values, self._profile)
+        half = None
+        if tile.level + 1 < len(self._levels):
+            half = halve(tile.values, tile.valid, self._overviews or "average")
+        return tile, data, half
+
+    def _place(self, tile: Tile, data: bytes, half: _Half | None) -> None:
+        store = self._stores[tile.level]
         if self._keep_mask:
-            if valid is None and (part.width, part.height) == (BLOCK, BLOCK):
-                self._masks[index] = codec.encode_mask(None)
-            else:
-                whole = np.zeros((BLOCK, BLOCK), dtype=np.uint8)
-                whole[: part.height, : part.width] = 1 if valid is None else valid
-                self._masks[index] = codec.encode_mask(whole)
-            self._masked = self._masked or valid is not None
-        if self._sparse and valid is not None and not valid.any():
-            if not self._raw:
-                self._compressed(index, b"")
-        elif self._raw:
-            self._place(index, tile)
-        elif self._pool is None:
-            self._compressed(index, codec.encode_tile(tile, self._profile))
+            store.masks[tile.index] = codec.encode_mask(tile.valid)
+        if self._raw:
+            store.add(tile.index, tile.values.data.cast("B"), zero=not tile.values.any())
         else:
-            self._jobs.append((index, self._pool.submit(codec.encode_tile, tile, self._profile)))
-            self._collect(self._most_jobs)
-
-    def _collect(self, left: int) -> None:
-        while len(self._jobs) > left:
-            index, job = self._jobs.popleft()
-            self._compressed(index, job.result())
-
-    def _place(self, index: int, tile: AnyArray) -> None:
-        """Write an uncompressed tile at its place; zeros become a hole in the file."""
-        self._offsets[index] = 16 + index * self._tile_bytes
-        self._counts[index] = self._tile_bytes
-        if tile.any():
-            self._file.seek(self._offsets[index])
-            self._write_bytes(tile.data.cast("B"))
-
-    def _write_bytes(self, data: bytes | memoryview) -> None:
-        """Write all bytes or raise; an unbuffered file may take only a part."""
-        left = memoryview(data)
-        while len(left):
-            done = self._file.write(left)
-            left = left[done:]
-
-    def _compressed(self, index: int, data: bytes) -> None:
-        """Append compressed tiles whose turn has come."""
-        self._waiting[index] = data
-        while self._next in self._waiting:
-            self._append(self._offsets, self._counts, self._next, self._waiting.pop(self._next))
-            self._next += 1
-
-    def _append(self, offsets: list[int], counts: list[int], index: int, data: bytes) -> None:
-        if data:
-            self._file.seek(self._end)
-            self._write_bytes(data)
-            offsets[index], counts[index] = self._end, len(data)
-            self._end += len(data)
+            store.add(tile.index, data)
+        if half is not None:
+            parent = self._parents.add(tile.level, tile.index, *half)
+            if parent is not None:
+                self._add(parent)
 
     def finish(self) -> None:
-        """Write what is waiting, the mask and the directories, and bring the file to the disk.
+        """Complete the file.
 
         Raises
         ------
@@ -200,35 +188,75 @@ class TileFile:
         ValueError
             Windows are missing.
         """
-        self._collect(0)
-        if not all(self._written):
+        while self._jobs:
+            self._place(*self._jobs.popleft().result())
+        if not all(store.complete for store in self._stores):
             raise ValueError("not every window of the raster was written")
-        if self._raw:
-            self._end = 16 + len(self._offsets) * self._tile_bytes
-            self._file.truncate(self._end)
-        directories = [{**self._directory, **self._places(self._offsets, self._counts)}]
-        if self._masked:
-            offsets, counts = [0] * len(self._offsets), [0] * len(self._offsets)
-            for index in sorted(self._masks):
-                self._append(offsets, counts, index, self._masks[index])
-            size = {tag: self._directory[tag] for tag in (tiff.WIDTH, tiff.LENGTH)}
-            directories.append({**codec.MASK_TAGS, **size, **self._places(offsets, counts)})
-        tiff.write_directories(self._file, directories, big=self._big)
+        if self._cog:
+            self._assemble()
+        else:
+            self._append_directories()
 
-    def _places(self, offsets: list[int], counts: list[int]) -> dict[int, Field]:
-        kind = 16 if self._big else 4
-        try:
-            return {tiff.TILE_OFFSETS: Field.of(kind, *offsets), tiff.TILE_COUNTS: Field.of(kind, *counts)}
-        except Exception as error:
-            raise OverflowError("more than 4 GB need BigTIFF") from error
+    def _directories(self, bases: list[tuple[int, int]]) -> list[Directory]:
+        """Return the directories of all levels and masks, when tiles and mask tiles start at `bases`."""
+        found: list[Directory] = []
+        for i, (level, store, (base, mask_base)) in enumerate(zip(self._levels, self._stores, bases, strict=True)):
+            size = {tiff.WIDTH: Field.of(4, level.width), tiff.LENGTH: Field.of(4, level.height)}
+            own, mask = dict(self._directory), dict(codec.MASK_TAGS)
+            if i:
+                own = {tag: field for tag, field in own.items() if tag not in _OVERVIEW_TAGS}
+                own[tiff.NEW_SUBFILE_TYPE] = Field.of(4, 1)
+                mask[tiff.NEW_SUBFILE_TYPE] = Field.of(4, 5)
+            found.append({**own, **size, **store.fields(base, big=self._big)})
+            if self._masked and self._keep_mask:
+                found.append({**mask, **size, **store.mask_fields(mask_base, big=self._big)})
+        return found
+
+    def _append_directories(self) -> None:
+        """Finish a GeoTIFF: mask tiles and directories go behind the tiles."""
+        store, file = self._stores[0], self._files[0]
+        masks = store.mask_bytes() if self._masked and self._keep_mask else b""
+        file.truncate(store.end)
+        file.seek(store.end)
+        write_all(file, masks + bytes(-(store.end + len(masks)) % 8))
+        start = file.tell()
+        write_all(file, tiff.lay_out(self._directories([(_START, store.end)]), start, big=self._big))
+        file.seek(0)
+        write_all(file, tiff.header(start, big=self._big))
+
+    def _assemble(self) -> None:
+        """Finish a COG: directories, then the levels from the smallest on, each with its mask."""
+        mark = b"GDAL_STRUCTURAL_METADATA_SIZE=%06d bytes\n" % len(_COG_MARK) + _COG_MARK
+        head = len(tiff.header(0, big=self._big))
+        start = head + len(mark)
+        nowhere = [(0, 0)] * len(self._levels)
+        at = start + len(tiff.lay_out(self._directories(nowhere), start, big=self._big))
+        bases = list(nowhere)
+        masks = [store.mask_bytes() if self._masked and self._keep_mask else b"" for store in self._stores]
+        for i in reversed(range(len(self._levels))):
+            bases[i] = (at, at + self._stores[i].end)
+            at += self._stores[i].end + len(masks[i])
+        with self._path.open("wb") as final:
+            final.write(tiff.header(start, big=self._big) + mark)
+            final.write(tiff.lay_out(self._directories(bases), start, big=self._big))
+            for i in reversed(range(len(self._levels))):
+                self._files[i].truncate(self._stores[i].end)  # a last tile of zeros is a hole not yet there
+                self._files[i].seek(0)
+                shutil.copyfileobj(self._files[i], final, 1 << 20)
+                final.write(masks[i])
 
 
-def _needs_big(option: str, raw_bytes: int) -> bool:
-    """Decide as GDAL does: IF_SAFER takes BigTIFF from 2 GB uncompressed, IF_NEEDED from 4 GB."""
-    choice = str(option).upper()
-    if choice in ("YES", "NO"):
-        return choice == "YES"
-    return raw_bytes > (4_000_000_000 if choice == "IF_NEEDED" else 2_000_000_000)
+_Half = tuple[AnyArray, ByteArray | None]
+
+
+def _filled(values: AnyArray, valid: ByteArray | None, nodata: float | None) -> AnyArray:
+    """Set invalid pixels to nodata, or zero, and move valid ones off nodata."""
+    if nodata is not None:
+        values = _off_nodata(values, nodata)
+    if valid is not None:
+        values = values.copy()
+        values.reshape(-1, values.shape[2])[np.flatnonzero(valid.ravel() == 0)] = 0 if nodata is None else nodata
+    return values
 
 
 def _off_nodata(values: AnyArray, nodata: float) -> AnyArray:
@@ -245,3 +273,11 @@ def _off_nodata(values: AnyArray, nodata: float) -> AnyArray:
     else:
         near = nodata - 1 if nodata == np.iinfo(values.dtype).max else nodata + 1
     return np.where(same, values.dtype.type(near), values)
+
+
+def _needs_big(option: str, raw_bytes: float) -> bool:
+    """Decide as GDAL does: IF_SAFER takes BigTIFF from 2 GB uncompressed, IF_NEEDED from 4 GB."""
+    choice = str(option).upper()
+    if choice in ("YES", "NO"):
+        return choice == "YES"
+    return raw_bytes > (4_000_000_000 if choice == "IF_NEEDED" else 2_000_000_000)

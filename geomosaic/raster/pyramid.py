@@ -1,0 +1,126 @@
+"""Tiles of half the resolution from tiles, one after the other, for overviews."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.raster.codec import BLOCK
+from geomosaic.types import AnyArray, ByteArray
+
+HALF = BLOCK // 2
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A whole tile of one level.
+
+    Attributes
+    ----------
+    level : int
+        0 is full resolution.
+    index : int
+        Row by row.
+    values : array (BLOCK, BLOCK, bands)
+    valid : uint8 array (BLOCK, BLOCK) of 1 and 0, or None
+        0 outside the image too; None where all are 1.
+    """
+
+    level: int
+    index: int
+    values: AnyArray
+    valid: ByteArray | None
+
+
+@dataclass(frozen=True)
+class Level:
+    """Size of one level in pixels."""
+
+    width: int
+    height: int
+
+    @property
+    def across(self) -> int:
+        """Tiles in a row."""
+        return -(-self.width // BLOCK)
+
+    @property
+    def down(self) -> int:
+        """Tiles in a column."""
+        return -(-self.height // BLOCK)
+
+
+def levels(width: int, height: int) -> list[Level]:
+    """Sizes from the full one down to one that fits a tile."""
+    sizes = [Level(width, height)]
+    while max(sizes[-1].width, sizes[-1].height) > BLOCK:
+        sizes.append(Level(-(-sizes[-1].width // 2), -(-sizes[-1].height // 2)))
+    return sizes
+
+
+def halve(values: AnyArray, valid: ByteArray | None, how: str) -> tuple[AnyArray, ByteArray | None]:
+    """Reduce an array (2R, 2C, bands) to (R, C, bands).
+
+    Parameters
+    ----------
+    values, valid
+        As in `Tile`.
+    how : str
+        'average': mean of the valid ones of four pixels, ties to even, so that no level is brighter than the one
+        above; 'nearest': the upper left of four.
+
+    Returns
+    -------
+    values, valid
+        Valid where any of the four (average) or the upper left (nearest) is.
+    """
+    if how == "nearest":
+        return values[0::2, 0::2], None if valid is None else valid[0::2, 0::2]
+    kind = np.int32 if values.dtype.kind in "ui" and values.dtype.itemsize <= 2 else np.float64
+    if valid is not None:
+        values = np.where(valid[:, :, None] != 0, values, values.dtype.type(0))
+    # Whole rows first: they lie together in memory.
+    rows = np.add(values[0::2], values[1::2], dtype=kind)
+    total = np.empty((rows.shape[0], rows.shape[1] // 2, rows.shape[2]), dtype=kind)
+    for band in range(rows.shape[2]):
+        np.add(rows[:, 0::2, band], rows[:, 1::2, band], out=total[:, :, band])
+    if valid is None:
+        if kind is np.int32:
+            return ((total + 1 + ((total >> 2) & 1)) >> 2).astype(values.dtype), None
+        return _rounded(total * 0.25, values.dtype), None
+    count = valid[0::2, 0::2] + valid[0::2, 1::2] + valid[1::2, 0::2] + valid[1::2, 1::2]
+    means = _rounded(total / np.maximum(count, 1)[:, :, None], values.dtype)
+    return means, (count > 0).view(np.uint8)
+
+
+def _rounded(means: AnyArray, dtype: np.dtype[np.generic]) -> AnyArray:
+    return (means if dtype.kind == "f" else np.rint(means)).astype(dtype)
+
+
+class Parents:
+    """Tiles of the next levels under construction from the halves of four tiles each."""
+
+    def __init__(self, sizes: list[Level], bands: int, dtype: np.dtype[np.generic]) -> None:
+        self._sizes, self._bands, self._dtype = sizes, bands, dtype
+        self._open: dict[tuple[int, int], tuple[AnyArray, ByteArray, list[int]]] = {}
+
+    def add(self, level: int, index: int, values: AnyArray, valid: ByteArray | None) -> Tile | None:
+        """Put the half of a tile in its place; returns the parent when that was its last part."""
+        size, above = self._sizes[level], self._sizes[level + 1]
+        row, col = divmod(index, size.across)
+        parent = (row // 2) * above.across + col // 2
+        key = (level + 1, parent)
+        if key not in self._open:
+            children = min(2, size.down - row // 2 * 2) * min(2, size.across - col // 2 * 2)
+            whole = np.zeros((BLOCK, BLOCK, self._bands), dtype=self._dtype)
+            self._open[key] = (whole, np.zeros((BLOCK, BLOCK), dtype=np.uint8), [children])
+        whole, whole_valid, left = self._open[key]
+        place = np.s_[row % 2 * HALF : row % 2 * HALF + HALF, col % 2 * HALF : col % 2 * HALF + HALF]
+        whole[place] = values
+        whole_valid[place] = 1 if valid is None else valid
+        left[0] -= 1
+        if left[0]:
+            return None
+        del self._open[key]
+        return Tile(level + 1, parent, whole, None if whole_valid.all() else whole_valid)

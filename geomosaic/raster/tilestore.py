@@ -1,0 +1,81 @@
+"""Tiles of one level in a file, row by row, whatever the order in which they come."""
+
+from __future__ import annotations
+
+from typing import BinaryIO
+
+from geomosaic.raster import tiff
+from geomosaic.raster.tiff import Field
+
+
+class TileStore:
+    """Appends tiles to a file in the order of their numbers.
+
+    A tile that comes early waits in memory for its turn. Mask tiles, some tens of bytes each, stay in memory.
+
+    Parameters
+    ----------
+    file : binary file
+        Unbuffered; the store writes from `start` on.
+    start : int
+    count : int
+        Number of tiles.
+    """
+
+    def __init__(self, file: BinaryIO, start: int, count: int) -> None:
+        self.file, self.start, self.end = file, start, start
+        self.offsets, self.counts = [0] * count, [0] * count
+        self.masks: dict[int, bytes] = {}
+        self._waiting: dict[int, bytes | None] = {}
+        self._next = 0
+
+    @property
+    def complete(self) -> bool:
+        """Whether every tile is there."""
+        return self._next == len(self.offsets)
+
+    def add(self, index: int, data: bytes | memoryview, *, zero: bool = False) -> None:
+        """Add a tile; of one that is all zero bytes the file keeps a hole."""
+        self.counts[index] = len(data)
+        if index == self._next:
+            self._append(index, None if zero else data)
+            while self._next in self._waiting:
+                self._append(self._next, self._waiting.pop(self._next))
+        else:
+            self._waiting[index] = None if zero else bytes(data)
+
+    def _append(self, index: int, data: bytes | memoryview | None) -> None:
+        self.offsets[index] = self.end
+        if data is not None:
+            self.file.seek(self.end)
+            write_all(self.file, data)
+        self.end += self.counts[index]
+        self._next += 1
+
+    def fields(self, base: int, *, big: bool) -> dict[int, Field]:
+        """Return the tags that say where the tiles are, when `start` is at `base` of the final file."""
+        kind, shift = 16 if big else 4, base - self.start
+        return {
+            tiff.TILE_OFFSETS: Field.of(kind, *(offset + shift for offset in self.offsets)),
+            tiff.TILE_COUNTS: Field.of(kind, *self.counts),
+        }
+
+    def mask_fields(self, base: int, *, big: bool) -> dict[int, Field]:
+        """Return the same for the mask's tiles, when they follow each other from `base` on."""
+        kind, offsets = 16 if big else 4, []
+        counts = [len(self.masks[index]) for index in range(len(self.offsets))]
+        for count in counts:
+            offsets.append(base)
+            base += count
+        return {tiff.TILE_OFFSETS: Field.of(kind, *offsets), tiff.TILE_COUNTS: Field.of(kind, *counts)}
+
+    def mask_bytes(self) -> bytes:
+        """All mask tiles."""
+        return b"".join(self.masks[index] for index in range(len(self.offsets)))
+
+
+def write_all(file: BinaryIO, data: bytes | memoryview) -> None:
+    """Write all bytes or raise: an unbuffered file may take only a part."""
+    left = memoryview(data)
+    while len(left):
+        left = left[file.write(left) :]

@@ -1,0 +1,105 @@
+"""Vector layers: GeoPackages out, anything the user has in."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from geomosaic.errors import InputError, OutputError
+from geomosaic.raster.output import check_output, sync
+from geomosaic.types import PathLike
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+
+
+def write_layers(path: PathLike, layers: Mapping[str, GeoDataFrame], *, overwrite: bool = False) -> Path:
+    """Write a GeoPackage with one layer per entry, whole under its final name or not at all.
+
+    Equal layers make equal bytes: the time in the file is SOURCE_DATE_EPOCH, or 1970-01-01 where that is not set.
+
+    Parameters
+    ----------
+    path : path
+        Ends in .gpkg.
+    layers : mapping of str to GeoDataFrame
+        By layer name, in this order.
+    overwrite : bool
+        Replace an existing file.
+
+    Raises
+    ------
+    OutputExistsError, InputError
+        The name is taken, the folder does not exist, or there is no layer.
+    OutputError
+        Writing failed.
+    """
+    import pyogrio
+    from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, GeometryError
+
+    final = Path(path)
+    check_output(final, overwrite=overwrite)
+    if not layers:
+        raise InputError("there is no layer to write", where=str(path))
+    partial = final.with_name(f".{final.stem}.partial-{os.getpid()}.gpkg")
+    partial.unlink(missing_ok=True)
+    before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
+    try:
+        pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": _date()})
+        for name, frame in layers.items():
+            pyogrio.write_dataframe(frame, partial, layer=name, driver="GPKG", append=partial.exists())
+        sync(partial)
+        partial.replace(final)
+        sync(final.parent)
+    except (DataSourceError, DataLayerError, FeatureError, GeometryError, OSError) as error:
+        raise OutputError(
+            f"writing failed ({error})",
+            where=str(path),
+            mend="check the space on the disk and the rights of the folder",
+        ) from error
+    finally:
+        pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": before})
+        for file in (partial, *(partial.with_name(partial.name + end) for end in ("-journal", "-wal", "-shm"))):
+            file.unlink(missing_ok=True)
+    return final
+
+
+def _date() -> str:
+    seconds = int(os.environ.get("SOURCE_DATE_EPOCH") or 0)
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
+
+
+def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
+    """Read a layer of a vector file (GeoPackage, GeoJSON, Shapefile, FlatGeobuf ...), the first by default.
+
+    Raises
+    ------
+    InputError
+        The file is missing or no vector file, or has no such layer.
+    """
+    import geopandas
+    import pyogrio
+    from pyogrio.errors import DataLayerError, DataSourceError
+
+    if not Path(path).exists():
+        raise InputError("the file does not exist", where=str(path), mend="check the path")
+    try:
+        names = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
+        if layer is not None and layer not in names:
+            raise InputError(
+                f"there is no layer '{layer}'", where=str(path), mend=f"the file has: {', '.join(names) or 'none'}"
+            )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of further layers: the first is what is documented
+            frame = pyogrio.read_dataframe(path, layer=layer or names[0])
+    except (DataSourceError, DataLayerError, IndexError) as error:
+        raise InputError(
+            f"this is not a vector file that can be read ({error})", where=str(path), mend="convert it to GeoPackage"
+        ) from error
+    if not isinstance(frame, geopandas.GeoDataFrame):
+        raise InputError("the layer has no geometry", where=str(path))
+    return frame
