@@ -83,7 +83,7 @@ image_options = stack(
         "--angles",
         default="opk",
         show_default=True,
-        help="Angle system of the table: opk, pok, matrix, patb, rpy, dji.",
+        help="Angle system of the table: opk, pok, matrix, patb, rpy, dji, opensfm.",
     ),
     click.option(
         "--angle-unit",

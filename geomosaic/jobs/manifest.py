@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from geomosaic.errors import OutputError
+from geomosaic.jobs.atomic import write_atomic
 
 FORMAT = 1
 
@@ -68,26 +67,3 @@ class Manifest:
             "hashes": self.hashes,
         }
         write_atomic(self.path, json.dumps(values, indent=1, ensure_ascii=False))
-
-
-def write_atomic(path: Path, text: str) -> None:
-    """Write a text file so that it is whole or absent, whatever happens.
-
-    Raises
-    ------
-    OutputError
-        The folder cannot be made or written, or the disk is full.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise OutputError(
-            f"cannot be written: {error.strerror}", where=str(path), mend="check free space and permissions"
-        ) from error

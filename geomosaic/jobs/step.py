@@ -11,6 +11,28 @@ Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
+class Machine:
+    """What a run may use; results do not depend on it.
+
+    Attributes
+    ----------
+    threads : int, optional
+        All processors unless given.
+    memory_limit : int, optional
+        Bytes.
+    """
+
+    threads: int | None = None
+    memory_limit: int | None = None
+
+    @property
+    def options(self) -> dict[str, int]:
+        """What was given, as keywords of `RenderOptions`."""
+        given = {"threads": self.threads, "memory_limit": self.memory_limit}
+        return {name: value for name, value in given.items() if value is not None}
+
+
+@dataclass(frozen=True)
 class Context:
     """What a running step is given.
 

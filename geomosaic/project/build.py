@@ -28,6 +28,9 @@ from geomosaic.surface.model import Surface
 if TYPE_CHECKING:
     from geomosaic.sensor.model import SensorModel
 
+RECONSTRUCTION = "opensfm"
+"""The angle system whose file is no table: the sensor reads camera and orientation from `reconstruction.json`."""
+
 TO_DEGREES = {"deg": 1.0, "gon": 0.9, "rad": 180.0 / math.pi}
 
 HEADINGS: Mapping[str, tuple[tuple[str, float], ...]] = {
@@ -89,7 +92,7 @@ def photos_of(inputs: BlockInputs) -> tuple[list[Photo], CRS | None]:
         raise InputError("no images are given", mend="name one or more image files")
     infos = [inspect(path) for path in inputs.images]
     crs = named(inputs.crs, inputs.heights, "exterior CRS") if inputs.crs else None
-    if inputs.exterior is None:
+    if inputs.exterior is None or inputs.angles == RECONSTRUCTION:
         return [Photo(path, info, None) for path, info in zip(inputs.images, infos, strict=True)], crs
     table = read_exterior(inputs.exterior, inputs.angles)
     if crs is None:
@@ -201,6 +204,8 @@ def _model(
     if camera is not None:
         options["camera"] = dict(camera)
     row = photo.exterior
+    if inputs.angles == RECONSTRUCTION and inputs.exterior is not None:
+        options["orientation"] = {"system": RECONSTRUCTION, "reconstruction": str(inputs.exterior.resolve())}
     if row is not None:
         options["position"] = list(row.position)
         declared_too = {"frame": inputs.angle_frame, "matrix": inputs.matrix}

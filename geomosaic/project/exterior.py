@@ -35,6 +35,7 @@ SYSTEM_NAMES: Mapping[str, str] = {
     "patb": "the matrix a PATB file prints, of a declared direction",
     "rpy": "roll (right wing down), pitch (nose up), yaw (clockwise from north)",
     "dji": "DJI gimbal yaw, pitch (-90 looks down), roll",
+    "opensfm": "rotation and translation of an OpenSfM or OpenDroneMap reconstruction.json",
 }
 
 
@@ -100,7 +101,7 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
         raise InputError(
             f"no angle system named '{system}'",
             where=str(path),
-            mend=f"{did_you_mean(system, SYSTEMS)} Known are: {', '.join(SYSTEMS)}".strip(),
+            mend=f"{did_you_mean(system, SYSTEM_NAMES)} Known are: {', '.join(SYSTEM_NAMES)}".strip(),
         )
     columns = SYSTEMS[system]
     wanted = ("image", "x", "y", "z", *columns)

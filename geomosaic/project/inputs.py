@@ -70,5 +70,19 @@ class BlockInputs:
     @property
     def files(self) -> tuple[Path, ...]:
         """Every file that is read."""
-        tables = (self.camera, self.exterior, self.dem, self.control)
-        return (*self.images, *(path for path in tables if path is not None))
+        return (*self.images, *self.tables, *self.ground)
+
+    @property
+    def tables(self) -> tuple[Path, ...]:
+        """Files that say how the images were taken."""
+        return tuple(path for path in (self.camera, self.exterior, self.control, _grid(self.heights)) if path)
+
+    @property
+    def ground(self) -> tuple[Path, ...]:
+        """Files that say how high the ground is."""
+        return tuple(path for path in (self.dem, _grid(self.dem_heights), _grid(self.heights)) if path)
+
+
+def _grid(heights: str | None) -> Path | None:
+    """Path of a geoid grid, where a vertical datum is given as one."""
+    return Path(heights) if heights and heights.lower().endswith((".tif", ".gtx")) else None

@@ -1,0 +1,40 @@
+"""`geomosaic demo`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from geomosaic.cli.options import FILE, machine_options
+from geomosaic.cli.outcome import accuracy_words, verdict
+from geomosaic.cli.talk import answer, notes, progress, say
+
+
+@click.command()
+@click.argument("folder", type=FILE, default="geomosaic-demo")
+@machine_options
+def command(folder: Path, threads: int | None, mem_limit: int | None, as_json: bool) -> int:
+    """Make a mosaic of the sample block in FOLDER, and compare it with the truth it was made from.
+
+    Twelve raw photos with known orientation over relief: from the orientation table to one balanced mosaic with its
+    report, as `geomosaic run` does it.
+    """
+    from geomosaic.jobs.project import run_project
+    from geomosaic.jobs.step import Machine
+    from geomosaic.project.load import load_project
+    from geomosaic.project.sample import copy_sample
+
+    project = load_project(copy_sample(folder))
+    say(f"sample block: {len(project.images)} photos in {folder}")
+    with notes(), progress(as_json) as report:
+        done = run_project(project, machine=Machine(threads, mem_limit), progress=report)
+    facts = done.facts
+    seconds = sum(state.seconds or 0.0 for state in done.states if not state.fresh)
+    lines = [
+        *accuracy_words(facts),
+        f"{seconds:.1f} s",
+        *(f"{name}: {path}" for name, path in facts["outputs"].items()),
+    ]
+    answer({"folder": str(folder), "seconds": seconds, **facts}, "\n".join(lines), as_json)
+    return verdict(done.failure, as_json)

@@ -1,0 +1,25 @@
+"""`geomosaic status`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from geomosaic.cli.options import FILE, debug_option, json_option
+from geomosaic.cli.outcome import status_words
+from geomosaic.cli.talk import answer
+
+
+@click.command()
+@click.argument("project", type=FILE)
+@json_option
+@debug_option
+def command(project: Path, as_json: bool) -> None:
+    """Show each step of a project: fresh, stale and why, or never run."""
+    from geomosaic.jobs.project import status_of
+    from geomosaic.project.load import load_project
+
+    states = status_of(load_project(project))
+    answer({"steps": [asdict(state) for state in states]}, status_words(states), as_json)

@@ -1,0 +1,35 @@
+"""Keeping geomosaic's warnings as facts while they are still shown."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TextIO
+
+from geomosaic.errors import GeomosaicWarning
+
+
+@contextmanager
+def heard() -> Iterator[list[str]]:
+    """List the texts of GeomosaicWarnings raised within, each once; all go on to whoever showed them before."""
+    texts: list[str] = []
+    before = warnings.showwarning
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if issubclass(category, GeomosaicWarning) and str(message) not in texts:
+            texts.append(str(message))
+        before(message, category, filename, lineno, file, line)
+
+    warnings.showwarning = show
+    try:
+        yield texts
+    finally:
+        warnings.showwarning = before

@@ -1,0 +1,60 @@
+"""Where a project's files are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from geomosaic.product.mosaic import beside
+from geomosaic.project.load import Project
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Paths of everything a project writes."""
+
+    project: Project
+
+    @property
+    def models(self) -> tuple[Path, ...]:
+        """State of each image's model."""
+        return tuple(self.project.output / "models" / f"{path.name}.json" for path in self.project.images)
+
+    @property
+    def orthos(self) -> tuple[Path, ...]:
+        """Ortho of each image."""
+        return tuple(self.project.output / "orthos" / f"{path.stem}.tif" for path in self.project.images)
+
+    @property
+    def mosaic(self) -> Path:
+        """The mosaic."""
+        return self.project.output / f"{self.project.name}.tif"
+
+    @property
+    def labels(self) -> Path:
+        """Raster of source images."""
+        return beside(self.mosaic, "-labels", ".tif")
+
+    @property
+    def vectors(self) -> Path:
+        """Footprints and seamlines."""
+        return beside(self.mosaic, "", ".gpkg")
+
+    @property
+    def item(self) -> Path:
+        """STAC item."""
+        return beside(self.mosaic, "", ".stac.json")
+
+    @property
+    def report(self) -> Path:
+        """The report for people."""
+        return self.project.output / "report.html"
+
+    @property
+    def report_json(self) -> Path:
+        """The report for programs."""
+        return self.project.output / "report.json"
+
+    def facts(self, step: str) -> Path:
+        """What a step found, for the steps after it."""
+        return self.project.state / "facts" / f"{step}.json"

@@ -1,0 +1,140 @@
+"""The steps of a project and how they hang together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from geomosaic.errors import QualityError
+from geomosaic.jobs import engine
+from geomosaic.jobs.atomic import read_json
+from geomosaic.jobs.layout import Layout
+from geomosaic.jobs.step import Job, Machine, Progress, State, Step
+from geomosaic.jobs.steps.check import check, failure
+from geomosaic.jobs.steps.mosaic import mosaic, orthos
+from geomosaic.jobs.steps.orient import orient
+from geomosaic.jobs.steps.report import report
+from geomosaic.project.load import Project
+
+
+def job_of(project: Project, machine: Machine | None = None) -> Job:
+    """Make the job: orient, mosaic, orthos (where wanted), check, report."""
+    machine = machine or Machine()
+    layout, settings, inputs = Layout(project), project.settings, project.inputs
+    tables, ground = inputs.tables, inputs.ground
+    against = project.file(settings.quality.reference)
+    reference = (against,) if against is not None else ()
+    orientation: dict[str, Any] = {
+        "sensor": settings.sensor.model_dump(mode="json"),
+        "exterior": settings.exterior.model_dump(mode="json"),
+        "dem": settings.dem.model_dump(mode="json") if settings.dem else None,
+        "images": [path.name for path in project.images],
+        "nodata": settings.project.nodata,
+    }
+    place: dict[str, Any] = {"output": settings.output.model_dump(mode="json", exclude={"folder", "orthos"})}
+    blend: dict[str, Any] = {"mosaic": settings.mosaic.model_dump(mode="json")}
+    wants_labels = (layout.labels,) if settings.mosaic.labels else ()
+    rasters = (layout.mosaic, *wants_labels, layout.vectors, layout.item)
+    every_ortho = layout.orthos if settings.output.orthos else ()
+    oriented = (*layout.models, layout.facts("orient"))
+
+    steps = [
+        Step(
+            "orient",
+            partial(orient, project),
+            orientation,
+            (*project.images, *tables, *ground),
+            oriented,
+        ),
+        Step(
+            "mosaic",
+            partial(mosaic, project, machine),
+            {**orientation, **place, **blend},
+            (*project.images, *ground, *layout.models),
+            (*rasters, layout.facts("mosaic")),
+        ),
+    ]
+    if every_ortho:
+        steps.append(
+            Step(
+                "orthos",
+                partial(orthos, project, machine),
+                {**orientation, **place},
+                (*project.images, *ground, *layout.models),
+                every_ortho,
+            )
+        )
+    steps += [
+        Step(
+            "check",
+            partial(check, project),
+            {"quality": settings.quality.model_dump(mode="json")},
+            (layout.mosaic, *reference, layout.facts("orient"), layout.facts("mosaic")),
+            (layout.facts("check"),),
+        ),
+        Step(
+            "report",
+            partial(report, project),
+            {"name": project.name},
+            (
+                project.path, *project.images, *tables, *ground, *reference, *rasters, *every_ortho,
+                *(layout.facts(name) for name in ("orient", "mosaic", "check")),
+            ),
+            (layout.report, layout.report_json),
+        ),
+    ]  # fmt: skip
+    return Job(tuple(steps), project.folder, project.state)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run of a project came to.
+
+    Attributes
+    ----------
+    project : Project
+    states : list of State
+        Of the steps that were looked at.
+    failure : QualityError or None
+        Thresholds that failed; everything is written all the same.
+    """
+
+    project: Project
+    states: list[State]
+    failure: QualityError | None
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What the steps found, and where the outputs are."""
+        layout = Layout(self.project)
+        found = {name: layout.facts(name) for name in ("orient", "mosaic", "check")}
+        outputs = {"mosaic": layout.mosaic, "vectors": layout.vectors, "report": layout.report}
+        return {
+            **{name: read_json(path) for name, path in found.items() if path.is_file()},
+            "outputs": {name: str(path) for name, path in outputs.items() if path.is_file()},
+            "quality": self.failure.what if self.failure else None,
+        }
+
+
+def run_project(
+    project: Project,
+    *,
+    only: Sequence[str] = (),
+    force: bool = False,
+    machine: Machine | None = None,
+    progress: Progress | None = None,
+    executor: Executor | None = None,
+) -> Outcome:
+    """Run what is stale in a project, then judge its quality; see `engine.run`."""
+    job = job_of(project, machine)
+    states = engine.run(job, only=only, force=force, progress=progress, executor=executor)
+    judged = any(state.name in ("check", "report") for state in states)
+    return Outcome(project, states, failure(project) if judged else None)
+
+
+def status_of(project: Project) -> list[State]:
+    """Say of each step whether it is fresh, and if not, why."""
+    return engine.status(job_of(project))

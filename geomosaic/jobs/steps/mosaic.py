@@ -1,0 +1,83 @@
+"""Steps 'mosaic' and 'orthos': the rasters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from geomosaic.jobs.atomic import write_json
+from geomosaic.jobs.heard import heard
+from geomosaic.jobs.layout import Layout
+from geomosaic.jobs.step import Context, Machine
+from geomosaic.jobs.steps.restore import area_of, render_options, restore_block
+from geomosaic.project.frames import describe
+from geomosaic.project.load import Project
+from geomosaic.project.make import plan
+
+
+def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
+    """Write the mosaic and what goes with it."""
+    from geomosaic.product.mosaic import mosaic as make
+    from geomosaic.product.options import MosaicOptions
+
+    layout, wanted = Layout(project), project.settings.mosaic
+    layout.mosaic.parent.mkdir(parents=True, exist_ok=True)
+    with heard() as notes:
+        block = restore_block(project)
+        grid, outlines = plan(block.scenes, block.surface, area_of(project))
+        options = MosaicOptions(
+            render_options(project, machine, context.progress), wanted.feather, wanted.balance, wanted.labels
+        )
+        result = make(block, grid, outlines, layout.mosaic, options)
+    facts = {
+        "grid": {
+            "crs": describe(grid.crs).partition("; heights")[0],
+            "width": grid.width,
+            "height": grid.height,
+            "resolution": grid.resolution,
+            "bounds": grid.bounds,
+        },
+        "valid_pixels": result.valid_pixels,
+        "lattice_error_px": result.lattice_error,
+        "tolerance_px": result.tolerance,
+        "scale": result.scale,
+        "resampling": project.settings.output.resampling,
+        "feather": result.feather,
+        "balanced": wanted.balance,
+        "overlaps": result.balance.overlaps,
+        "before": result.balance.before,
+        "after": result.balance.after,
+        "images": [
+            {
+                "name": outline.name,
+                "gain": gain,
+                "offset": offset,
+                "pixels": pixels,
+                "sampling": outline.sampling,
+                "complete": outline.complete,
+            }
+            for outline, gain, offset, pixels in zip(
+                outlines, result.balance.gain, result.balance.offset, result.pixels, strict=True
+            )
+        ],
+        "seconds": result.seconds,
+        "warnings": notes,
+    }
+    write_json(layout.facts("mosaic"), facts)
+    return {"pixels": result.valid_pixels, "lattice_error_px": result.lattice_error}
+
+
+def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
+    """Write one ortho per image, each on its own part of the mosaic's grid."""
+    from geomosaic.product.ortho import ortho
+
+    layout = Layout(project)
+    block = restore_block(project)
+    grid, outlines = plan(block.scenes, block.surface, area_of(project))
+    options = render_options(project, machine, context.progress)
+    (project.output / "orthos").mkdir(parents=True, exist_ok=True)
+    errors = []
+    for scene, outline, path in zip(block.scenes, outlines, layout.orthos, strict=True):
+        part = grid.crop(grid.window_of(outline.bounds))
+        errors.append(ortho(scene, block.surface, part, outline, path, options).lattice_error)
+    return {"orthos": len(errors), "lattice_error_px": max(errors)}

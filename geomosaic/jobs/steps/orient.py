@@ -1,0 +1,67 @@
+"""Step 'orient': build each image's model, look whether it can be meant, hold it against control points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from geomosaic.jobs.atomic import write_json
+from geomosaic.jobs.heard import heard
+from geomosaic.jobs.layout import Layout
+from geomosaic.jobs.step import Context
+from geomosaic.product.check import check_control, rms
+from geomosaic.project.build import build_block
+from geomosaic.project.camera import read_camera
+from geomosaic.project.exterior import SYSTEM_NAMES
+from geomosaic.project.frames import describe
+from geomosaic.project.load import Project
+from geomosaic.sensor.registry import to_dict
+
+
+def orient(project: Project, context: Context) -> Mapping[str, Any]:
+    """Write `models/<image>.json` and the facts of the orientation."""
+    layout = Layout(project)
+    with heard() as notes:
+        block = build_block(project.inputs)
+        for done, (scene, path) in enumerate(zip(block.scenes, layout.models, strict=True)):
+            write_json(path, {"image": scene.name, **to_dict(scene.sensor, scene.model)})
+            context.progress(done + 1, len(block.scenes), "orient")
+        residuals = check_control(block)
+    inputs = project.inputs
+    surface = block.surface
+    facts = {
+        "sensor": inputs.sensor,
+        "options": dict(inputs.options),
+        "positions": describe(block.crs) if block.crs is not None else None,
+        "positions_heights_declared": inputs.heights,
+        "angles": {
+            "system": inputs.angles,
+            "text": SYSTEM_NAMES.get(inputs.angles, ""),
+            "unit": inputs.angle_unit,
+            "frame": inputs.angle_frame,
+        }
+        if inputs.exterior
+        else None,
+        "surface": describe(surface.crs) if surface is not None else None,
+        "surface_heights_declared": inputs.dem_heights,
+        "surface_heights_overridden": getattr(surface, "overridden", None),
+        "surface_notes": list(getattr(surface, "notes", ())),
+        "surface_height": inputs.height,
+        "camera": read_camera(inputs.camera) if inputs.camera else None,
+        "images": [
+            {
+                "name": scene.name,
+                "width": scene.model.size[0],
+                "height": scene.model.size[1],
+                "crs": scene.model.crs.name,
+            }
+            for scene in block.scenes
+        ],
+        "control": [{"id": r.id, "image": r.image, "role": r.role, "col": r.col, "row": r.row} for r in residuals],
+        "measured": {f"{p.id} {p.image}": list(p.colrow) for p in block.control},
+        "rms_control_px": rms(residuals, "control"),
+        "rms_check_px": rms(residuals, "check"),
+        "warnings": notes,
+    }
+    write_json(layout.facts("orient"), facts)
+    return {"images": len(block.scenes), "control": len(residuals)}

@@ -1,0 +1,157 @@
+"""Pictures of the report as plain values: a preview with footprints and seams on it, residuals, and bars."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomosaic.raster.preview import png_bytes, preview
+from geomosaic.raster.vector import read_layer
+from geomosaic.types import FloatArray
+
+LONGEST = 1100
+"""Pixels of the preview's longer side."""
+
+
+@dataclass(frozen=True)
+class Outline:
+    """One image on the map: path data, and where its name stands."""
+
+    name: str
+    path: str
+    x: float
+    y: float
+
+
+@dataclass(frozen=True)
+class MosaicMap:
+    """The mosaic with what it is made of, in pixels of its preview."""
+
+    width: int
+    height: int
+    picture: str
+    footprints: list[Outline]
+    seams: list[str]
+    bar_pixels: float
+    bar_text: str
+
+
+@dataclass(frozen=True)
+class Vector:
+    """A residual in a picture of the image plane."""
+
+    x: float
+    y: float
+    dx: float
+    dy: float
+    role: str
+    title: str
+
+
+@dataclass(frozen=True)
+class ResidualPlot:
+    """All residuals in one image plane, enlarged."""
+
+    width: float
+    height: float
+    vectors: list[Vector]
+    bar: float
+    bar_text: str
+
+
+def mosaic_map(mosaic: Path, vectors: Path, bounds: Sequence[float], unit: str) -> MosaicMap:
+    """Picture of the mosaic with footprints and seamlines.
+
+    Parameters
+    ----------
+    mosaic, vectors : Path
+        Raster, and GeoPackage with the layers `footprints` and `seamlines`.
+    bounds : sequence of float
+        Left, bottom, right, top of the raster in its CRS.
+    unit : str
+        Of that CRS, for the scale bar.
+    """
+    rgb, valid = preview(mosaic, LONGEST)
+    height, width = valid.shape
+    left, bottom, right, top = bounds
+    scale = np.array([width / (right - left), -height / (top - bottom)])
+    origin = np.array([left, top])
+
+    def pixels(xy: Any) -> FloatArray:
+        places: FloatArray = (np.asarray(xy, dtype=np.float64)[:, :2] - origin) * scale
+        return places
+
+    outlines = []
+    for row in read_layer(vectors, "footprints").itertuples():
+        x, y = pixels([(row.centre_x, row.centre_y)])[0]
+        ring = " ".join(path_data(pixels(part.exterior.coords), closed=True) for part in _parts(row.geometry))
+        outlines.append(Outline(str(row.image), ring, float(x), float(y)))
+    seams = [
+        path_data(pixels(part.coords))
+        for geometry in read_layer(vectors, "seamlines").geometry
+        for part in _parts(geometry)
+        if part.geom_type == "LineString"
+    ]
+    length = nice_length((right - left) / 5)
+    text = (
+        f"{length / 1000:g} km"
+        if unit == "metre" and length >= 1000
+        else f"{length:g} {'m' if unit == 'metre' else unit}"
+    )
+    return MosaicMap(width, height, data_uri(png_bytes(rgb, valid)), outlines, seams, length * float(scale[0]), text)
+
+
+def residual_plot(
+    points: Sequence[Mapping[str, Any]], size: tuple[int, int], measured: Mapping[str, Any]
+) -> ResidualPlot:
+    """Residual vectors at the places where they were measured, in one image plane 400 wide.
+
+    Parameters
+    ----------
+    points : sequence of mapping
+        id, image, role, col, row (residuals in px).
+    size : tuple of int
+        Width and height of the images.
+    measured : mapping
+        'id image' to measured (col, row).
+    """
+    known = [p for p in points if p["col"] is not None and f"{p['id']} {p['image']}" in measured]
+    width = 400.0
+    shrink = width / size[0]
+    lengths = [math.hypot(p["col"], p["row"]) for p in known] or [1.0]
+    longest = max(max(lengths), 1e-9)
+    enlarge = 36.0 / longest
+    vectors = []
+    for p in known:
+        col, row = measured[f"{p['id']} {p['image']}"]
+        title = f"{p['id']} in {p['image']}: {p['col']:+.2f}, {p['row']:+.2f} px"
+        vectors.append(Vector(col * shrink, row * shrink, p["col"] * enlarge, p["row"] * enlarge, p["role"], title))
+    bar = nice_length(longest)
+    return ResidualPlot(width, size[1] * shrink, vectors, bar * enlarge, f"{bar:g} px")
+
+
+def path_data(points: FloatArray, closed: bool = False) -> str:
+    """SVG path through points (N, 2), to a tenth of a pixel."""
+    text = "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
+    return f"M{text}{'Z' if closed else ''}"
+
+
+def nice_length(length: float) -> float:
+    """Largest of 1, 2, 5 times a power of ten that is not longer."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))
+
+
+def data_uri(png: bytes) -> str:
+    """Picture to be put into a page."""
+    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
+
+
+def _parts(geometry: Any) -> list[Any]:
+    return list(getattr(geometry, "geoms", [geometry]))

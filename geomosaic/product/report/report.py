@@ -1,0 +1,126 @@
+"""The report as one HTML file that needs nothing else: pictures, styles and figures are in it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from geomosaic.product.report.figures import mosaic_map, residual_plot
+
+MOST_ROWS = 100
+"""Rows of a table; the JSON twin has them all."""
+
+
+def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path) -> str:
+    """Make the page.
+
+    Parameters
+    ----------
+    data : mapping
+        What goes into report.json: `name`, `geomosaic`, `versions`, `inputs`, `outputs`, `warnings`, and the facts
+        `orient`, `mosaic`, `check`.
+    mosaic, vectors : Path
+        The raster and its GeoPackage, for the pictures.
+
+    Returns
+    -------
+    str
+        HTML; text from files is escaped, and nothing is loaded from elsewhere.
+    """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(number=number, bytes=byte_size, rms=rms, share=share)
+    orient, made = data["orient"], data["mosaic"]
+    unit = made["grid"]["crs"].rpartition(", ")[2]
+    points = sorted(orient["control"], key=_length, reverse=True)
+    sizes = {(image["width"], image["height"]) for image in orient["images"]}
+    plot = residual_plot(points, sizes.pop(), orient["measured"]) if points and len(sizes) == 1 else None
+    return environment.get_template("template.html.j2").render(
+        **data,
+        cards=cards(data),
+        unit="m" if unit == "metre" else unit,
+        points=points,
+        map=mosaic_map(mosaic, vectors, made["grid"]["bounds"], unit),
+        plot=plot,
+        most=MOST_ROWS,
+        total_pixels=made["grid"]["width"] * made["grid"]["height"],
+    )
+
+
+def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Key figures: title, value, unit, explanation, and whether a threshold on it passed (None where there is none)."""
+    orient, made, check = data["orient"], data["mosaic"], data["check"]
+    verdicts = {verdict["name"]: verdict for verdict in check["verdicts"]}
+
+    def card(title: str, value: str, unit: str, text: str, threshold: str = "") -> dict[str, Any]:
+        verdict = verdicts.get(threshold)
+        limit = f" Limit {verdict['limit']:g}." if verdict else ""
+        return {
+            "title": title,
+            "value": value,
+            "unit": unit,
+            "text": text + limit,
+            "passed": verdict["passed"] if verdict else None,
+        }
+
+    found = []
+    for role, key in (("control", "max_control_rms_px"), ("check", "max_check_rms_px")):
+        count = sum(1 for point in orient["control"] if point["role"] == role)
+        if count:
+            text = f"RMS of {count} image measurements."
+            found.append(card(f"{role.capitalize()} points", number(orient[f"rms_{role}_px"], 2), "px", text, key))
+    if check["reference"]:
+        reference = check["reference"]
+        text = f"RMS of {reference['matched']} of {reference['tiles']} places against {check['reference_path']}."
+        value = number(reference["registration_rms_px"], 3)
+        found.append(card("Registration", value, "px", text, "max_registration_px"))
+    text = f"Largest measured error of interpolating the exact geometry; tolerance {made['tolerance_px']:g} px."
+    found.append(card("Lattice error", number(made["lattice_error_px"], 4), "px", text, "max_lattice_error_px"))
+    if made["balanced"] and made["overlaps"]:
+        value = f"{number(rms(made['before']), 1)} → {number(rms(made['after']), 1)}"
+        text = f"RMS difference of grey values in {made['overlaps']} overlaps, before and after balancing."
+        found.append(card("Colour", value, "", text))
+    used = sum(1 for image in made["images"] if image["pixels"])
+    seen = share(made["valid_pixels"], made["grid"]["width"] * made["grid"]["height"])
+    found.append(card("Images", f"{used} of {len(made['images'])}", "", f"Used; {seen} of the grid is filled."))
+    return found
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Write a number, or a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    return f"{value:.{digits}f}".replace("-", "−")
+
+
+def byte_size(size: float) -> str:
+    """Bytes in a unit that can be read."""
+    for unit in ("bytes", "kB", "MB", "GB"):
+        if size < 1000 or unit == "GB":
+            return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.1f} {unit}"
+        size /= 1000
+    raise AssertionError  # unreachable
+
+
+def rms(values: list[float | None]) -> float | None:
+    """Root mean square over bands; None where a value is missing."""
+    known = [value for value in values if value is not None]
+    return math.sqrt(sum(v * v for v in known) / len(known)) if known and len(known) == len(values) else None
+
+
+def share(part: float, whole: float) -> str:
+    """Per cent."""
+    return f"{100 * part / whole:.1f} %"
+
+
+def _length(point: Mapping[str, Any]) -> float:
+    return math.inf if point["col"] is None else math.hypot(point["col"], point["row"])
