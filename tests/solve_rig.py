@@ -185,13 +185,16 @@ class Hills:
 class Cliff(Hills):
     """A block of height 300 in a plain, walls 1 m wide: a line of sight crosses it more than once."""
 
+    amplitude: float = 150.0
+
     @property
     def range(self) -> tuple[float, float]:
         return PLACE[2], PLACE[2] + 300.0
 
     def height(self, xy: FloatArray) -> FloatArray:
-        reach = np.abs(xy - PLACE[:2]).max(axis=1)
-        return PLACE[2] + 300.0 * np.clip(200.0 - reach, 0.0, 1.0)
+        x, y = (xy - PLACE[:2]).T
+        z = PLACE[2] + 300.0 * np.clip(200.0 - np.maximum(np.abs(x), np.abs(y)), 0.0, 1.0)
+        return np.where(np.hypot(x, y) < self.radius, z, np.nan)
 
     def patch(self, bounds: Bounds) -> HeightPatch:
         left, bottom, _, _ = bounds

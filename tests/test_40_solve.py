@@ -145,6 +145,20 @@ def test_unknown_heights_are_nan() -> None:
     np.testing.assert_allclose(ground[inside], whole[inside], atol=1e-6)
 
 
+@pytest.mark.parametrize("kind", [Camera, CameraWithRays])
+def test_lines_that_come_from_under_the_known_heights_are_nan(kind: type[Camera]) -> None:
+    """A table mountain known only within 150 m: what enters its disc below the top is not on its surface."""
+    surface = Cliff(radius=150.0)
+    model = kind(np.r_[20.0, -1500.0, camera(omega=45.0, phi=0.0, kappa=0.0).values[2:]])
+    image = pixels(model, 3000)
+    top = image_to_height(model, image, PLACE[2] + 300.0, MAP)
+    ground = image_to_ground(model, image, surface)
+    hit = np.hypot(*(top[:, :2] - PLACE[:2]).T) < 150.0
+    assert hit.sum() > 20
+    np.testing.assert_array_equal(np.isfinite(ground).all(axis=1), hit)
+    np.testing.assert_allclose(ground[hit], top[hit], atol=1e-5)
+
+
 def test_dem_through_rays_and_without(tmp_path: Path) -> None:
     """A DEM of 5 m nodes under the general march and under the rays of the same camera."""
     nodes = np.arange(300) * 5.0 + 2.5 - 750.0
@@ -276,6 +290,22 @@ def test_prior_values_hold_what_the_points_do_not() -> None:
     assert np.abs(solved.model.values[3:6] - model.values[3:6]).max() < 1e-4
     assert np.hypot(*(solved.model.values[:2] - model.values[:2])) == pytest.approx(12.0 * 1500.0 / 3500.0, rel=0.2)
     assert solved.redundancy == 2
+
+
+def test_a_prior_value_and_measurements_share_the_misfit() -> None:
+    """One unknown: the weighted mean of where the points and the a-priori value want the camera."""
+    model = camera(omega=0.0, phi=0.0, kappa=0.0)
+    ground = control(model, 9, relief=0.0)
+    image = model.ground_to_image(ground)
+    slope = jacobian(model, ground)[0][:, :, 0]  # pixels per metre east
+    for sigma in (0.02, 0.2, 2.0):
+        solved = resect(model, ground, image + 3.0 * slope, 1.5, priors=np.r_[sigma, np.zeros(6)])
+        information = (slope**2).sum() / 1.5**2
+        moved = 3.0 * information / (information + 1.0 / sigma**2)
+        assert solved.model.values[0] - model.values[0] == pytest.approx(moved, rel=1e-6)
+        assert solved.sigmas[0] == pytest.approx((information + 1.0 / sigma**2) ** -0.5, rel=1e-6)
+        cost = (3.0 - moved) ** 2 * information + (moved / sigma) ** 2
+        assert solved.sigma0 == pytest.approx(np.sqrt(cost / 18), rel=1e-6)
 
 
 def test_fixed_parameters_stay() -> None:

@@ -185,6 +185,23 @@ def test_projective_sees_one_side_of_its_horizon() -> None:
     assert np.isnan(image[1]).all()
 
 
+@pytest.mark.parametrize("seed", [47, 372])
+def test_projective_from_bad_points_is_a_minimum(seed: int) -> None:
+    """Errors of hundreds of pixels, where undamped Gauss-Newton steps throw a point behind the horizon."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(5, 8))
+    xy = rng.uniform(-1.0, 1.0, (count, 2))
+    xy -= xy.mean(axis=0)
+    values = np.array([2000, 1800, 100, 1500, -90, -1700, *rng.uniform(-0.6, 0.6, 2)])
+    seen = PlanarModel.of("projective", 1, UTM, SIZE, np.zeros(2), 1.0, values).ground_to_image(ground3(xy))
+    noisy = seen + rng.normal(0.0, rng.choice([50, 200, 400]), (count, 2))
+    solved = fit_planar("projective", xy, noisy)
+    model = PlanarModel.of("projective", 1, UTM, SIZE, solved.centre, solved.scale, solved.values)
+    design = model.jacobian(ground3(xy))[0].reshape(-1, 8)
+    design /= np.linalg.norm(design, axis=0)
+    assert np.abs(design.T @ solved.residuals.ravel()).max() < 1e-6 * np.linalg.norm(solved.residuals)
+
+
 def test_polynomial_stays_finite_far_away() -> None:
     xy, colrow = scattered()
     model = bent("polynomial", 5, xy, colrow)

@@ -97,12 +97,8 @@ class SightLines:
         guess = np.where(
             known[:, None], self.xy[which] + self.slope[which] * (heights - self.height)[:, None], self.seed
         )
-        xy = self._solve(which, heights, guess if start is None else start)
-        # A line that leaves the Earth on its far side, or upwards behind the camera, meets a height there too.
-        expected = np.linalg.norm(guess - self.xy[which], axis=1)
-        far = np.linalg.norm(xy - guess, axis=1) > expected + 100.0 * self.step
-        xy[known & far] = np.nan
-        return xy
+        # No other start: from elsewhere Newton may end where the line leaves the Earth again, on its far side.
+        return self._solve(which, heights, guess if start is None else start)
 
     def _solve(self, rows: IntArray, heights: FloatArray, start: FloatArray) -> FloatArray:
         def evaluate(xy: FloatArray, index: IntArray) -> FloatArray:
