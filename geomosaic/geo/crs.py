@@ -47,6 +47,7 @@ def parse_crs(text: str | CRS, where: str | None = None) -> CRS:
         ) from error
 
 
+@lru_cache(maxsize=256)
 def horizontal(crs: CRS) -> CRS:
     """Return the two-dimensional part of a CRS (itself when it has no vertical part)."""
     if crs.is_compound:

@@ -55,8 +55,10 @@ def map_place(crs: CRS, x: float, y: float) -> MapPlace:
     step = 10.0
     ends = to_geographic(np.array([[x, y - step], [x, y + step]]))
     ellipsoid = flat.get_geod()
-    azimuth = ellipsoid.inv(*ends[0], *ends[1])[0] if ellipsoid else 0.0
-    return MapPlace(float(longitude), float(latitude), float(azimuth), scale)
+    there, back, _ = ellipsoid.inv(*ends[0], *ends[1]) if ellipsoid else (0.0, 180.0, 0.0)
+    # The azimuth turns along the step; at its middle it is the mean of both ends.
+    turn = (back + 180.0 - there + 180.0) % 360.0 - 180.0
+    return MapPlace(float(longitude), float(latitude), float(there + turn / 2), scale)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -30,26 +30,27 @@ class Transform:
 
     source: CRS
     target: CRS
+    _operation: Transformer | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        self._operation  # noqa: B018  fail when made, not at the first point
+        # Made here so that it fails when made, not at the first point.
+        object.__setattr__(self, "_operation", self._find())
 
     @property
     def spatial(self) -> bool:
         """Whether heights take part."""
         return has_heights(self.source) and has_heights(self.target)
 
-    @property
-    def _operation(self) -> Transformer | None:
+    def _find(self) -> Transformer | None:
         if self.spatial:
-            return _operation(self.source.to_wkt(), self.target.to_wkt(), True)
+            return _operation(_wkt(self.source), _wkt(self.target), True)
         if self.source.is_geocentric or self.target.is_geocentric:
             flat = self.target if self.source.is_geocentric else self.source
             raise HeightDatumError(
                 f"the heights of '{flat.name}' have no vertical datum, so they cannot meet an Earth-centred model",
                 mend="declare the heights: 'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid",
             )
-        return _operation(horizontal(self.source).to_wkt(), horizontal(self.target).to_wkt(), False)
+        return _operation(_wkt(horizontal(self.source)), _wkt(horizontal(self.target)), False)
 
     def __call__(self, xyz: FloatArray) -> FloatArray:
         """Transform points.
@@ -79,6 +80,11 @@ class Transform:
     def inverse(self) -> Transform:
         """Return the transform from target to source."""
         return Transform(self.target, self.source)
+
+
+@lru_cache(maxsize=256)
+def _wkt(crs: CRS) -> str:
+    return str(crs.to_wkt())
 
 
 @lru_cache(maxsize=64)

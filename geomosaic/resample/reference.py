@@ -27,7 +27,7 @@ def coordinates(
     need: AnyArray,
     cols: FloatArray,
     rows: FloatArray,
-) -> tuple[float, float, float, float]:
+) -> tuple[int, int, int, int]:
     """Fill `cols`, `rows` and return what they span in the image; see `kernels.coordinates`."""
     height, width = cols.shape
     v = (first_row + (np.arange(height) + 0.5) / n) / step
@@ -59,22 +59,21 @@ def coordinates(
     return _span(cols, rows, size)
 
 
-def _span(cols: FloatArray, rows: FloatArray, size: tuple[int, int]) -> tuple[float, float, float, float]:
+def _span(cols: FloatArray, rows: FloatArray, size: tuple[int, int]) -> tuple[int, int, int, int]:
     with np.errstate(invalid="ignore"):
         seen = (cols >= 0.0) & (rows >= 0.0) & (cols < size[0]) & (rows < size[1])
     if not seen.any():
-        return np.inf, np.inf, -np.inf, -np.inf
+        return 2147483647, 2147483647, -1, -1
     c, r = cols[seen], rows[seen]
-    return float(c.min()), float(r.min()), float(c.max()), float(r.max())
+    return int(c.min()), int(r.min()), int(c.max()), int(r.max())
 
 
 def _heights(heights: AnyArray, x: FloatArray, y: FloatArray) -> FloatArray:
     """Bilinear heights; a tap of no weight may be unknown."""
     dem_rows, dem_cols = heights.shape
     inside = (x >= -0.5) & (y >= -0.5) & (x <= dem_cols - 0.5) & (y <= dem_rows - 0.5)
-    x = np.where(inside, np.clip(x, 0.0, dem_cols - 1.0), 0.0)
-    y = np.where(inside, np.clip(y, 0.0, dem_rows - 1.0), 0.0)
-    x0, y0 = x.astype(np.int64), y.astype(np.int64)
+    x, y = np.where(inside, np.maximum(x, 0.0), 0.0), np.where(inside, np.maximum(y, 0.0), 0.0)
+    x0, y0 = np.minimum(x.astype(np.int64), dem_cols - 1), np.minimum(y.astype(np.int64), dem_rows - 1)
     fx, fy = x - x0, y - y0
     x1, y1 = np.minimum(x0 + 1, dem_cols - 1), np.minimum(y0 + 1, dem_rows - 1)
     top, low = heights[y0, x0].astype(np.float64), heights[y1, x0].astype(np.float64)
@@ -137,8 +136,10 @@ def _nearest(source: AnyArray, valid: AnyArray, masked: bool, x: FloatArray, y: 
 
 def _bilinear(source: AnyArray, valid: AnyArray, masked: bool, x: FloatArray, y: FloatArray) -> FloatArray:
     height, width, _ = source.shape
-    i, j = np.floor(x - 0.5).astype(np.int64), np.floor(y - 0.5).astype(np.int64)
+    i, j = (x + 0.5).astype(np.int64) - 1, (y + 0.5).astype(np.int64) - 1
     a, b = (x - 0.5 - i)[:, None], (y - 0.5 - j)[:, None]
+    if source.itemsize == 1:  # eight bits need no finer weights, and these make every product exact
+        a, b = np.floor(a * 2048.0 + 0.5) / 2048.0, np.floor(b * 2048.0 + 0.5) / 2048.0
     i0, j0, i1, j1 = np.maximum(i, 0), np.maximum(j, 0), np.minimum(i + 1, width - 1), np.minimum(j + 1, height - 1)
     taps = [(j0, i0), (j0, i1), (j1, i0), (j1, i1)]
     p00, p01, p10, p11 = (source[tap].astype(np.float64) for tap in taps)
@@ -164,7 +165,7 @@ def _convolved(
 ) -> FloatArray:
     height, width, _ = source.shape
     values = _bilinear(source, valid, masked, x, y)
-    i, j = np.floor(x - 0.5).astype(np.int64), np.floor(y - 0.5).astype(np.int64)
+    i, j = (x + 0.5).astype(np.int64) - 1, (y + 0.5).astype(np.int64) - 1
     full = (i - radius + 1 >= 0) & (j - radius + 1 >= 0) & (i + radius < width) & (j + radius < height)
     span = range(1 - radius, radius + 1)
     if masked:
@@ -172,8 +173,8 @@ def _convolved(
             for p in span:
                 full[full] = valid[j[full] + q, i[full] + p] > 0
     i, j = i[full], j[full]
-    u = _WEIGHTS[radius](x[full] - 0.5 - i)
-    v = _WEIGHTS[radius](y[full] - 0.5 - j)
+    u = _WEIGHTS[radius](x[full] - 0.5 - i, source.itemsize == 1)
+    v = _WEIGHTS[radius](y[full] - 0.5 - j, source.itemsize == 1)
     total = np.zeros((len(i), source.shape[2]))
     for q, down in zip(span, v, strict=True):
         line = np.zeros_like(total)
@@ -184,16 +185,20 @@ def _convolved(
     return values
 
 
-def _cubic_weights(t: FloatArray) -> list[FloatArray]:
-    return [
+def _cubic_weights(t: FloatArray, coarse: bool) -> list[FloatArray]:
+    weights = [
         ((-0.5 * t + 1.0) * t - 0.5) * t,
         (1.5 * t - 2.5) * t * t + 1.0,
         ((-1.5 * t + 2.0) * t + 0.5) * t,
         (0.5 * t - 0.5) * t * t,
     ]
+    if coarse:
+        weights = [np.trunc(w * 2048.0 + np.where(w < 0.0, -0.5, 0.5)) / 2048.0 for w in weights]
+        weights[1] = 1.0 - weights[0] - weights[2] - weights[3]
+    return weights
 
 
-def _lanczos_weights(t: FloatArray) -> list[FloatArray]:
+def _lanczos_weights(t: FloatArray, coarse: bool) -> list[FloatArray]:
     weights = []
     total = np.zeros_like(t)
     for p in range(6):

@@ -63,8 +63,20 @@ def numba_engine() -> Engine:
         "lanczos": kernels.sample_lanczos,
     }
 
-    def sample(name: str, *arguments: Any) -> None:
-        table[name](*arguments)
+    quick: dict[str, Callable[..., None]] = {"bilinear": kernels.bilinear_rgb, "cubic": kernels.cubic_rgb}
+
+    def sample(
+        name: str, source: AnyArray, valid: AnyArray, masked: bool, cols: FloatArray, rows: FloatArray, n: int,
+        place: tuple[float, float, float, int, int], gain: FloatArray, offset: FloatArray,
+        low: float, high: float, whole: bool, out: AnyArray, out_valid: ByteArray,
+    ) -> None:  # fmt: skip
+        rgb = source.dtype == np.uint8 == out.dtype and source.shape[2] == 3 and source.flags.c_contiguous
+        if rgb and not masked and n == 1 and name in quick:
+            quick[name](source, cols, rows, place, gain, offset, low, high, out, out_valid)
+        else:
+            table[name](
+                source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid
+            )
 
     return Engine(kernels.coordinates, sample, kernels.accumulate, kernels.finish)
 
