@@ -73,7 +73,7 @@ image_options = stack(
     click.option("--sensor", help="Sensor of the images; see `geomosaic sensors`."),
     click.option("--camera", type=FILE, help="Camera description (TOML)."),
     click.option("--exterior", type=FILE, help="Orientation table: image, x, y, z and angles."),
-    click.option("--exterior-crs", "crs", metavar="CRS", help="CRS of the positions, such as EPSG:32633."),
+    click.option("--exterior-crs", "--crs", "crs", metavar="CRS", help="CRS of the positions, such as EPSG:32633."),
     click.option(
         "--heights",
         metavar="DATUM",

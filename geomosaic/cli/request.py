@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from geomosaic.project.make import Area
 
 
-def block_inputs(images: tuple[Path, ...], flags: Mapping[str, Any]) -> BlockInputs:
+def block_inputs(images: tuple[Path, ...], flags: Mapping[str, Any], control: Path | None = None) -> BlockInputs:
     """Make the description of a block."""
     from geomosaic.errors import InputError
     from geomosaic.project.inputs import BlockInputs
@@ -37,6 +37,7 @@ def block_inputs(images: tuple[Path, ...], flags: Mapping[str, Any]) -> BlockInp
         dem=flags["dem"],
         height=flags["height"],
         dem_heights=flags["dem_heights"],
+        control=control,
     )
 
 

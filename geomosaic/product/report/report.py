@@ -38,7 +38,7 @@ def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(number=number, bytes=byte_size, rms=rms, share=share)
+    environment.filters.update(number=number, bytes=byte_size, share=share, words=words)
     orient, made = data["orient"], data["mosaic"]
     unit = made["grid"]["crs"].rpartition(", ")[2]
     points = sorted(orient["control"], key=_length, reverse=True)
@@ -63,13 +63,13 @@ def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
 
     def card(title: str, value: str, unit: str, text: str, threshold: str = "") -> dict[str, Any]:
         verdict = verdicts.get(threshold)
-        limit = f" Limit {verdict['limit']:g}." if verdict else ""
         return {
             "title": title,
             "value": value,
             "unit": unit,
-            "text": text + limit,
+            "text": text,
             "passed": verdict["passed"] if verdict else None,
+            "limit": verdict["limit"] if verdict else None,
         }
 
     found = []
@@ -99,7 +99,21 @@ def number(value: float | None, digits: int = 3) -> str:
     """Write a number, or a dash where there is none."""
     if value is None or not math.isfinite(value):
         return "–"
-    return f"{value:.{digits}f}".replace("-", "−")
+    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")
+
+
+def words(values: Mapping[str, Any]) -> str:
+    """Write a table of inputs in one line, tables in it in brackets."""
+    parts = []
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            shown = f"({words(value)})"
+        elif isinstance(value, list):
+            shown = " × ".join(map(str, value)) if key.endswith("size") else ", ".join(map(str, value))
+        else:
+            shown = str(value)
+        parts.append(f"{key.replace('_', ' ')} {shown}")
+    return "; ".join(parts) if any(isinstance(value, Mapping | list) for value in values.values()) else ", ".join(parts)
 
 
 def byte_size(size: float) -> str:

@@ -1,0 +1,212 @@
+"""A project file written from what is known, for people to read and go on with."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import OutputError, OutputExistsError
+from geomosaic.project.build import RECONSTRUCTION
+from geomosaic.project.exterior import SYSTEM_NAMES, SYSTEMS, systems_of
+from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.names import stem
+from geomosaic.project.needs import HEIGHTS, needs
+from geomosaic.project.tables import read_table
+from geomosaic.project.understood import understood
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A project file, what was understood and what it still needs."""
+
+    path: Path
+    text: str
+    understood: list[str]
+    needed: list[str]
+
+
+def draft_project(path: Path, inputs: BlockInputs, angles: str | None) -> Draft:
+    """Write the text of a project.
+
+    Parameters
+    ----------
+    path : Path
+        Where the project file will be; paths in it start there.
+    inputs : BlockInputs
+        What is known.
+    angles : str or None
+        Angle system as declared; read off the columns of the table where it is not.
+
+    Raises
+    ------
+    InputError
+        A file that was given cannot be read.
+    """
+    guessed = None
+    if inputs.exterior is not None and angles is None:
+        guessed = _system(inputs.exterior)
+        inputs = replace(inputs, angles=guessed)
+    needed = needs(inputs)
+    text = _text(path, inputs, guessed is not None)
+    return Draft(path, text, _understood(inputs, guessed), needed)
+
+
+def write_project(draft: Draft, *, overwrite: bool = False) -> None:
+    """Write the project file, never over an existing one unasked."""
+    if draft.path.exists() and not overwrite:
+        raise OutputExistsError("the project exists", where=str(draft.path), mend="give another name, or --overwrite")
+    temporary = draft.path.with_name(f".{draft.path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(draft.text, encoding="utf-8")
+        temporary.replace(draft.path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise OutputError(f"cannot be written: {error.strerror}", where=str(draft.path)) from error
+
+
+def _system(table: Path) -> str:
+    """Angle system whose columns a table has; omega-phi-kappa where none fits, for its error."""
+    if table.suffix.lower() == ".json":
+        return RECONSTRUCTION
+    fitting = systems_of(read_table(table, "orientation table", "image,x,y,z,omega,phi,kappa"))
+    return fitting[0] if fitting else "opk"
+
+
+def _understood(inputs: BlockInputs, guessed: str | None) -> list[str]:
+    lines = understood(inputs)
+    if guessed is not None:
+        others = [
+            name for name, columns in SYSTEMS.items() if name != guessed and {*columns} == {*SYSTEMS.get(guessed, ())}
+        ]
+        doubt = f"; the columns would also fit {', '.join(others)}: say --angles if so" if others else ""
+        lines.append(f"angle system: {guessed}, from the columns of the table{doubt}")
+    return lines
+
+
+def _text(path: Path, inputs: BlockInputs, guessed: bool) -> str:
+    folder = path.absolute().parent
+
+    def near(file: Path) -> str:
+        return _string(relative(file, folder))
+
+    lines = [
+        "# geomosaic project. Paths start from this file's folder; lines that start with # are to be filled in.",
+        "format = 1",
+        "",
+        "[project]",
+        f"name = {_string(stem(path.name))}",
+        f"images = [{', '.join(_string(pattern) for pattern in patterns(inputs.images, folder))}]",
+        "",
+        "[sensor]",
+        f"name = {_string(inputs.sensor)}    # `geomosaic sensors {inputs.sensor}` lists what may stand here",
+    ]
+    if inputs.camera is not None:
+        lines.append(f"camera = {near(inputs.camera)}")
+    elif inputs.sensor == "frame" and inputs.angles != RECONSTRUCTION:
+        lines.append('# camera = "camera.toml"    # NEEDED')
+    lines += [f"{key} = {_value(value)}" for key, value in inputs.options.items()]
+    lines += ["", "[exterior]"]
+    if inputs.exterior is not None:
+        lines.append(f"file = {near(inputs.exterior)}")
+    elif inputs.sensor != "planar":
+        lines.append('# file = "exterior.csv"    # NEEDED: image, x, y, z, omega, phi, kappa')
+    frames = "x and y here and of the control points"
+    needed = "" if inputs.sensor == "planar" else "NEEDED: "
+    lines.append(
+        f"crs = {_string(inputs.crs)}    # of {frames}"
+        if inputs.crs
+        else f'# crs = "EPSG:32633"    # {needed}of {frames}'
+    )
+    lines.append(
+        f"heights = {_string(_datum(inputs.heights, folder))}    # vertical datum of z"
+        if inputs.heights
+        else f'# heights = "egm96"    # {needed}vertical datum of z: {HEIGHTS}'
+    )
+    if inputs.exterior is not None:
+        read = "read off the columns; " if guessed else ""
+        lines.append(f"angles = {_string(inputs.angles)}    # {read}{SYSTEM_NAMES.get(inputs.angles, '')}")
+        if inputs.angles != RECONSTRUCTION:
+            lines.append(f"angle_unit = {_string(inputs.angle_unit)}")
+        lines += [
+            f"{k} = {_string(v)}" for k, v in (("angle_frame", inputs.angle_frame), ("matrix", inputs.matrix)) if v
+        ]
+    lines += ["", *_ground(inputs, near, folder)]
+    if inputs.control is not None:
+        lines += ["", "[control]", f"file = {near(inputs.control)}"]
+    lines += [
+        "",
+        "[output]",
+        'folder = "output"',
+        '# crs = "EPSG:32633"         # that of the DEM or of the positions unless given',
+        "# resolution = 0.5           # map units; that of the images unless given",
+        "# bounds = [left, bottom, right, top]",
+        'resampling = "bilinear"      # nearest, bilinear, cubic, lanczos, average',
+        "tolerance = 0.02             # largest geometric error of the lattice, image pixels",
+        "# orthos = true              # write an ortho of each image too",
+        "",
+        "[mosaic]",
+        "balance = true               # gain and offset per image, solved over the overlaps",
+        "# feather = 10.0             # width of seams in map units; 32 pixels unless given",
+        "",
+        "[quality]                    # exit code 3 where one fails",
+        "# max_check_rms_px = 1.0",
+        '# reference = "reference.tif"',
+        "# max_registration_px = 1.0",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _ground(inputs: BlockInputs, near: Any, folder: Path) -> list[str]:
+    if inputs.dem is not None:
+        lines = ["[dem]", f"file = {near(inputs.dem)}"]
+    elif inputs.height is not None:
+        lines = ["[dem]", f"height = {inputs.height!r}    # metres, one for all the ground"]
+    elif inputs.sensor == "planar":
+        return ["# [dem]"]
+    else:
+        return ["# [dem]    # NEEDED", '# file = "dem.tif"    # or: height = 120.0']
+    if inputs.dem_heights:
+        lines.append(f"heights = {_string(_datum(inputs.dem_heights, folder))}    # overrides what the file says")
+    else:
+        lines.append('# heights = "egm96"    # vertical datum, where the file does not say it')
+    return lines
+
+
+def patterns(images: Sequence[Path], folder: Path) -> list[str]:
+    """Name images relative to a folder: one pattern where they are all of one kind in one place, else one by one."""
+    by_kind: dict[tuple[Path, str], set[Path]] = {}
+    for image in images:
+        full = image.absolute()
+        by_kind.setdefault((full.parent, full.suffix), set()).add(full)
+    if all(len(found) > 1 and set(place.glob(f"*{suffix}")) == found for (place, suffix), found in by_kind.items()):
+        return [relative(place / f"*{suffix}", folder) for place, suffix in by_kind]
+    return [relative(image, folder) for image in images]
+
+
+def relative(path: Path, folder: Path) -> str:
+    """Path as seen from a folder, with forward slashes; absolute where there is no way from one to the other."""
+    try:
+        return Path(os.path.relpath(path.absolute(), folder)).as_posix()
+    except ValueError:
+        return path.absolute().as_posix()
+
+
+def _datum(heights: str | None, folder: Path) -> str:
+    text = heights or ""
+    return relative(Path(text), folder) if text.lower().endswith((".tif", ".gtx")) else text
+
+
+def _string(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_string(str(k))} = {_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(_value(item) for item in value) + "]"
+    return json.dumps(value, ensure_ascii=False)
