@@ -204,7 +204,7 @@ def _model(
     dip = centre_dip(start)
     if dip is None or not dip > 0.0:
         raise InputError(
-            f"photo {where} looks at the sky: its centre ray does not go below the horizon"
+            "the photo looks at the sky: its centre ray does not go below the horizon"
             + (f" but {-dip:.1f}° above it" if dip is not None else ""),
             where=where,
             mend=f"check the angle system ({', '.join(SYSTEMS)}), angle_unit, the direction of a matrix, and whether "

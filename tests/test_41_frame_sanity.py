@@ -1,0 +1,53 @@
+"""Angles in a wrong unit are found by the flight they would make."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from geomosaic.sensor.sanity import unit_suspicion
+from geomosaic.types import FloatArray
+
+
+def flight(heading: float, strips: int = 3, photos: int = 5) -> tuple[FloatArray, FloatArray]:
+    """Angles in degrees and positions of a block flown to and fro; heading counter-clockwise from x."""
+    rng = np.random.default_rng(1)
+    along = np.array([np.cos(np.radians(heading)), np.sin(np.radians(heading))])
+    across = np.array([-along[1], along[0]])
+    places, angles = [], []
+    for strip in range(strips):
+        for photo in range(photos):
+            places.append([*(300.0 * photo * along + 900.0 * strip * across + rng.normal(0, 5, 2)), 2000.0])
+            turn = heading + 180.0 * (strip % 2)
+            angles.append([*rng.normal(0, 1, 2), (turn + rng.normal(0, 2) + 180.0) % 360.0 - 180.0])
+    return np.array(angles), np.array(places)
+
+
+@pytest.mark.parametrize("heading", [0.0, 25.0, 90.0, 140.0])
+def test_degrees_are_not_suspected(heading: float) -> None:
+    assert unit_suspicion(*flight(heading)) is None
+
+
+@pytest.mark.parametrize("heading", [25.0, 60.0, 140.0])
+def test_radians_are_found(heading: float) -> None:
+    angles, places = flight(heading)
+    text = unit_suspicion(np.radians(angles), places)
+    assert text is not None
+    assert "angle_unit = 'rad'" in text
+
+
+def test_gons_are_found() -> None:
+    angles, places = flight(140.0)
+    text = unit_suspicion(angles / 0.9, places)
+    assert text is not None
+    assert "angle_unit = 'gon'" in text
+
+
+def test_nothing_is_said_without_evidence() -> None:
+    angles, places = flight(25.0)
+    assert unit_suspicion(np.radians(angles[:1]), places[:1]) is None
+    assert unit_suspicion(np.radians(angles), np.zeros_like(places)) is None
+    assert unit_suspicion(np.full_like(angles, np.nan), places) is None
+    assert unit_suspicion(np.empty((0, 3)), np.empty((0, 3))) is None
+    angles[:, 2] = np.random.default_rng(2).uniform(-180, 180, len(angles))  # hand-held: kappa follows nothing
+    assert unit_suspicion(angles, places) is None
