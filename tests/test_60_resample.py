@@ -201,3 +201,22 @@ def test_supersampling_rule() -> None:
     n, shrink = supersampling("cubic", 100.0)
     assert shrink == 8
     assert n == 13
+
+
+@pytest.mark.parametrize("resampling", ["bilinear", "cubic"])
+@pytest.mark.parametrize("dtype", ["uint8", "float32"])
+def test_colour_and_float_output_of_the_twins(resampling: str, dtype: str) -> None:
+    """Blending takes corrected values unrounded; the quick kernels must agree there as well."""
+    values = image("uint8", 3)
+    grid = grid_of(4.0)
+    ground = block_ground(Hills(), grid, grid.window)
+    (lattice,) = build(MapToImage.between(MAP, GROUND, SMALL), grid, ground, 0.02)
+    colour = Colour(np.array([1.1, 0.9, 1.0]), np.array([-3.3, 4.7, 0.0]))
+    results = []
+    for engine in (numba_engine(), numpy_engine()):
+        out, valid = np.zeros((*grid.shape, 3), dtype=dtype), np.zeros(grid.shape, dtype=np.uint8)
+        warp(engine, ArrayReader(values), SMALL.size, lattice, ground.patch, resampling, colour, out, valid)
+        results.append((out, valid))
+    assert np.array_equal(results[0][1], results[1][1])
+    difference = np.abs(results[0][0].astype(float) - results[1][0])
+    assert difference.max() <= 1e-4

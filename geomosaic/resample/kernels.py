@@ -195,8 +195,8 @@ def sample_nearest(source, valid, masked, cols, rows, n, place, gain, offset, lo
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def bilinear_rgb(source, cols, rows, place, gain, offset, low, high, out, out_valid):  # type: ignore[no-untyped-def]
-    """The commonest case, three bands of uint8 all valid, in whole numbers: as fast as it gets without a compiler.
+def bilinear_rgb(source, cols, rows, place, gain, offset, low, high, whole, out, out_valid):  # type: ignore[no-untyped-def]
+    """The commonest case, three bands of uint8 all valid, in whole numbers: several times as fast as the general one.
 
     Weights of 11 bits make products of 30: exact, and the same as `_bilinear` has them.
     """
@@ -204,10 +204,12 @@ def bilinear_rgb(source, cols, rows, place, gain, offset, low, high, out, out_va
     last_col, last_row = source.shape[1] - 1, source.shape[0] - 1
     stride = source.shape[1] * 3
     flat = source.reshape(-1)
-    plain = gain[0] == 1.0 and gain[1] == 1.0 and gain[2] == 1.0
+    plain = whole and gain[0] == 1.0 and gain[1] == 1.0 and gain[2] == 1.0
     plain = plain and offset[0] == 0.0 and offset[1] == 0.0 and offset[2] == 0.0
     one, two = np.uint64(1), np.uint64(2)
-    unit, whole, half = np.int32(2048), np.int32(4194304), np.int32(2097152)
+    unit, full, half = np.int32(2048), np.int32(4194304), np.int32(2097152)
+    g0, g1, g2 = gain[0] / 4194304.0, gain[1] / 4194304.0, gain[2] / 4194304.0
+    h0, h1, h2 = offset[0], offset[1], offset[2]
     for k in range(out.shape[0]):
         for c in range(out.shape[1]):
             x = cols[k, c]
@@ -228,7 +230,7 @@ def bilinear_rgb(source, cols, rows, place, gain, offset, low, high, out, out_va
             w11 = a * b
             w01 = a * unit - w11
             w10 = b * unit - w11
-            w00 = whole - w01 - w10 - w11
+            w00 = full - w01 - w10 - w11
             v0 = flat[p] * w00 + flat[q] * w01 + flat[r] * w10 + flat[s] * w11
             v1 = flat[p + one] * w00 + flat[q + one] * w01 + flat[r + one] * w10 + flat[s + one] * w11
             v2 = flat[p + two] * w00 + flat[q + two] * w01 + flat[r + two] * w10 + flat[s + two] * w11
@@ -236,21 +238,25 @@ def bilinear_rgb(source, cols, rows, place, gain, offset, low, high, out, out_va
                 out[k, c, 0] = (v0 + half) >> 22
                 out[k, c, 1] = (v1 + half) >> 22
                 out[k, c, 2] = (v2 + half) >> 22
+            elif whole:
+                out[k, c, 0] = min(max(math.floor(v0 * g0 + h0 + 0.5), low), high)
+                out[k, c, 1] = min(max(math.floor(v1 * g1 + h1 + 0.5), low), high)
+                out[k, c, 2] = min(max(math.floor(v2 * g2 + h2 + 0.5), low), high)
             else:
-                for m, v in ((0, v0), (1, v1), (2, v2)):
-                    value = math.floor(v / 4194304.0 * gain[m] + offset[m] + 0.5)
-                    out[k, c, m] = min(max(value, low), high)
+                out[k, c, 0] = v0 * g0 + h0
+                out[k, c, 1] = v1 * g1 + h1
+                out[k, c, 2] = v2 * g2 + h2
             out_valid[k, c] = 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def cubic_rgb(source, cols, rows, place, gain, offset, low, high, out, out_valid):  # type: ignore[no-untyped-def]
+def cubic_rgb(source, cols, rows, place, gain, offset, low, high, whole, out, out_valid):  # type: ignore[no-untyped-def]
     """Cubic convolution of three bands of uint8, all valid, in whole numbers; see `bilinear_rgb`."""
     col0, row0, _, width, height = place
     last_col, last_row = source.shape[1] - 3, source.shape[0] - 3
     stride = np.uint64(source.shape[1] * 3)
     flat = source.reshape(-1)
-    plain = gain[0] == 1.0 and gain[1] == 1.0 and gain[2] == 1.0
+    plain = whole and gain[0] == 1.0 and gain[1] == 1.0 and gain[2] == 1.0
     plain = plain and offset[0] == 0.0 and offset[1] == 0.0 and offset[2] == 0.0
     one, two, half = np.uint64(1), np.uint64(2), 2097152
     least, most = int(low), int(high)
@@ -268,7 +274,7 @@ def cubic_rgb(source, cols, rows, place, gain, offset, low, high, out, out_valid
             j = int(y + 0.5) - 1
             if i < 1 or j < 1 or i > last_col or j > last_row:
                 _bilinear(source, none, False, x, y, values)
-                _store(out, out_valid, k, c, values, gain, offset, low, high, True)
+                _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
                 continue
             u0, u1, u2, u3 = _cubic_whole(x - 0.5 - i)
             w0, w1, w2, w3 = _cubic_whole(y - 0.5 - j)
@@ -303,7 +309,7 @@ def cubic_rgb(source, cols, rows, place, gain, offset, low, high, out, out_valid
             values[0] = v0 / 4194304.0
             values[1] = v1 / 4194304.0
             values[2] = v2 / 4194304.0
-            _store(out, out_valid, k, c, values, gain, offset, low, high, True)
+            _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

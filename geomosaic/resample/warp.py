@@ -70,9 +70,9 @@ def numba_engine() -> Engine:
         place: tuple[float, float, float, int, int], gain: FloatArray, offset: FloatArray,
         low: float, high: float, whole: bool, out: AnyArray, out_valid: ByteArray,
     ) -> None:  # fmt: skip
-        rgb = source.dtype == np.uint8 == out.dtype and source.shape[2] == 3 and source.flags.c_contiguous
+        rgb = source.dtype == np.uint8 and source.shape[2] == 3 and source.flags.c_contiguous
         if rgb and not masked and n == 1 and name in quick:
-            quick[name](source, cols, rows, place, gain, offset, low, high, out, out_valid)
+            quick[name](source, cols, rows, place, gain, offset, low, high, whole, out, out_valid)
         else:
             table[name](
                 source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid
