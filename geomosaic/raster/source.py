@@ -169,10 +169,19 @@ class Source:
         """Decode an image that knows no windows, once."""
         width, height, bands = self.info.width, self.info.height, len(self.bands)
         row_bytes = width * bands * self._dtype.itemsize
-        if height * (row_bytes + width) <= self._memory_limit:
-            return InMemory(*self._decode(Window(0, 0, width, height)))
-        strip = self._block_rows * max(1, _STRIP_BYTES // (row_bytes * self._block_rows))
-        return OnDisk(self._scratch, (height, width, bands), self._dtype, self._decode, strip, self._path)
+        # Never all at once: GDAL's short cut for whole PNGs does not notice a truncated file.
+        rows = min(_STRIP_BYTES // row_bytes, height // 2) // self._block_rows * self._block_rows
+        strips = Window(0, 0, width, height).split(width, max(self._block_rows, rows))
+        if height * (row_bytes + width) > self._memory_limit:
+            return OnDisk(self._scratch, (height, width, bands), self._dtype, map(self._decode, strips), self._path)
+        values = np.empty((height, width, bands), dtype=self._dtype)
+        valid: ByteArray | None = None
+        for strip in strips:
+            values[strip.row : strip.stop_row], part = self._decode(strip)
+            if part is not None:
+                valid = np.ones((height, width), dtype=np.uint8) if valid is None else valid
+                valid[strip.row : strip.stop_row] = part
+        return InMemory(values, valid)
 
     def _decode(self, window: Window) -> tuple[AnyArray, ByteArray | None]:
         """Read a window through this thread's GDAL handle."""

@@ -11,13 +11,10 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from pathlib import Path
 from typing import BinaryIO
 
-from geomosaic.types import PathLike
-
 NEW_SUBFILE_TYPE, WIDTH, LENGTH, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
-STRIP_OFFSETS, SAMPLES, STRIP_COUNTS, PLANAR = 273, 277, 279, 284
+SAMPLES, PLANAR = 277, 284
 TILE_WIDTH, TILE_LENGTH, TILE_OFFSETS, TILE_COUNTS = 322, 323, 324, 325
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
@@ -139,20 +136,3 @@ def _directory(directory: Directory, start: int, big: bool) -> tuple[bytearray, 
             extra += field.data
         table += struct.pack(entry, tag, field.type, field.count, data)
     return table + bytes(room) + extra, link
-
-
-def is_whole(path: PathLike) -> bool:
-    """Say whether all tiles and strips that a little-endian TIFF names lie inside the file."""
-    with Path(path).open("rb") as file:
-        try:
-            directories = read_directories(file)
-        except (ValueError, KeyError, struct.error):
-            return False
-        size = file.seek(0, 2)
-    for directory in directories:
-        for offsets, counts in ((TILE_OFFSETS, TILE_COUNTS), (STRIP_OFFSETS, STRIP_COUNTS)):
-            if offsets in directory:
-                pairs = zip(directory[offsets].integers, directory[counts].integers, strict=True)
-                if any(offset + count > size for offset, count in pairs):
-                    return False
-    return bool(directories)

@@ -1,7 +1,7 @@
 """A tiled GeoTIFF or COG written window by window, with the same bytes whatever the windows and the threads.
 
-The layout of a COG follows https://docs.ogc.org/is/21-026/21-026.html: directories first, then the tiles of the
-smallest overview, up to those of full resolution.
+The layout of a COG follows OGC 21-026 and the description of GDAL's COG driver: directories first, then the tiles of
+the smallest overview, up to those of full resolution.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ from geomosaic.types import AnyArray, ByteArray
 
 _START = 16
 _OVERVIEW_TAGS = (33550, 33922, 34264, 34735, 34736, 34737, 42112)  # geo-reference and metadata stay with level 0
-_COG_MARK = b"LAYOUT=IFDS_BEFORE_DATA\nBLOCK_ORDER=ROW_MAJOR\nKNOWN_INCOMPATIBLE_EDITION=NO\n "
+_COG_MARK = (
+    b"LAYOUT=IFDS_BEFORE_DATA\nBLOCK_ORDER=ROW_MAJOR\nBLOCK_LEADER=SIZE_AS_UINT4\n"
+    b"BLOCK_TRAILER=LAST_4_BYTES_REPEATED\nKNOWN_INCOMPATIBLE_EDITION=NO\n "
+)
 
 
 class TileFile:
@@ -94,7 +97,7 @@ class TileFile:
             self.close()
             raise
         self._stores = [
-            TileStore(file, 0 if cog else _START, level.across * level.down)
+            TileStore(file, 0 if cog else _START, level.across * level.down, framed=cog)
             for file, level in zip(self._files, self._levels, strict=True)
         ]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import BinaryIO
 
 from geomosaic.raster import tiff
@@ -20,10 +21,13 @@ class TileStore:
     start : int
     count : int
         Number of tiles.
+    framed : bool
+        Put a tile's size (4 bytes) before it and its last 4 bytes once more behind it, as GDAL's COGs have them: a
+        reader then needs no table of sizes, and sees if another program has changed the tile.
     """
 
-    def __init__(self, file: BinaryIO, start: int, count: int) -> None:
-        self.file, self.start, self.end = file, start, start
+    def __init__(self, file: BinaryIO, start: int, count: int, *, framed: bool = False) -> None:
+        self.file, self.start, self.end, self.framed = file, start, start, framed
         self.offsets, self.counts = [0] * count, [0] * count
         self.masks: dict[int, bytes] = {}
         self._waiting: dict[int, bytes | None] = {}
@@ -45,11 +49,19 @@ class TileStore:
             self._waiting[index] = None if zero else bytes(data)
 
     def _append(self, index: int, data: bytes | memoryview | None) -> None:
+        size = self.counts[index]
+        self.file.seek(self.end)
+        if self.framed:
+            write_all(self.file, struct.pack("<I", size))
+            self.end += 4
         self.offsets[index] = self.end
         if data is not None:
-            self.file.seek(self.end)
             write_all(self.file, data)
-        self.end += self.counts[index]
+        self.end += size
+        if self.framed:
+            if data is not None:
+                write_all(self.file, data[-4:])
+            self.end += 4
         self._next += 1
 
     def fields(self, base: int, *, big: bool) -> dict[int, Field]:
@@ -64,14 +76,18 @@ class TileStore:
         """Return the same for the mask's tiles, when they follow each other from `base` on."""
         kind, offsets = 16 if big else 4, []
         counts = [len(self.masks[index]) for index in range(len(self.offsets))]
+        edge = 4 if self.framed else 0
         for count in counts:
-            offsets.append(base)
-            base += count
+            offsets.append(base + edge)
+            base += count + 2 * edge
         return {tiff.TILE_OFFSETS: Field.of(kind, *offsets), tiff.TILE_COUNTS: Field.of(kind, *counts)}
 
     def mask_bytes(self) -> bytes:
         """All mask tiles."""
-        return b"".join(self.masks[index] for index in range(len(self.offsets)))
+        tiles = [self.masks[index] for index in range(len(self.offsets))]
+        if self.framed:
+            tiles = [struct.pack("<I", len(tile)) + tile + tile[-4:] for tile in tiles]
+        return b"".join(tiles)
 
 
 def write_all(file: BinaryIO, data: bytes | memoryview) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -45,10 +45,8 @@ class OnDisk:
         Rows, columns, bands.
     dtype : dtype
         Of the samples.
-    read : callable
-        Window to pixels; called for full-width strips from the top.
-    strip : int
-        Rows of a strip.
+    strips : iterable
+        Pixels of full-width strips from the top.
     name : str
         The image, for errors.
     """
@@ -58,8 +56,7 @@ class OnDisk:
         scratch: Path | None,
         shape: tuple[int, int, int],
         dtype: np.dtype[np.generic],
-        read: Callable[[Window], Pixels],
-        strip: int,
+        strips: Iterable[Pixels],
         name: str,
     ) -> None:
         self._shape, self._dtype = shape, dtype
@@ -69,8 +66,7 @@ class OnDisk:
         try:
             self._folder = tempfile.TemporaryDirectory(dir=scratch, prefix="geomosaic-")
             with self._path("values").open("wb") as values_file, self._path("valid").open("wb") as valid_file:
-                for row in range(0, rows, strip):
-                    values, valid = read(Window(0, row, cols, min(strip, rows - row)))
+                for values, valid in strips:
                     values_file.write(values.data)
                     if valid is None:
                         valid = np.ones(values.shape[:2], dtype=np.uint8)
