@@ -170,6 +170,16 @@ def test_grid_and_true_north_differ_by_the_convergence() -> None:
     assert math.degrees(math.acos((np.trace(off) - 1) / 2)) == pytest.approx(gamma, abs=0.03)
 
 
+@pytest.mark.parametrize("frame", ["grid", "local"])
+def test_planar_and_rigorous_treat_the_convergence_alike(frame: str) -> None:
+    """Near the camera only the map's scale is between them; the convergence, 1.9°, would be 13 px here."""
+    rigorous, planar = (build(angle_frame=frame, treatment=t) for t in ("rigorous", "planar"))
+    here = np.array(POSITION)
+    xyz = here + np.array([[0, 0, -1000], [300, 0, -1000], [0, 300, -1000], [-300, -300, -1000]])
+    off = planar.ground_to_image(xyz) - rigorous.ground_to_image(Transform(UTM, rigorous.crs)(xyz))
+    assert np.abs(off).max() < 0.5
+
+
 def test_position_in_degrees_and_in_geocentric_metres() -> None:
     there = build()
     for code in (4979, 4978):
