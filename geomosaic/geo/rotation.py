@@ -37,8 +37,8 @@ def omega_phi_kappa(omega: float, phi: float, kappa: float) -> FloatArray:
 def angles_of(rotation: FloatArray) -> tuple[float, float, float]:
     """Omega, phi, kappa in radians of a ground→image rotation; kappa is 0 where phi is ±90°."""
     m = np.asarray(rotation, dtype=np.float64)
-    phi = float(np.arcsin(np.clip(m[2, 0], -1.0, 1.0)))
-    if abs(m[2, 0]) > 1.0 - 1e-14:
+    phi = float(np.arctan2(m[2, 0], np.hypot(m[2, 1], m[2, 2])))
+    if np.hypot(m[2, 1], m[2, 2]) < 1e-14:
         return float(np.arctan2(m[0, 1], m[1, 1]) * (1.0 if m[2, 0] > 0 else -1.0)), phi, 0.0
     return float(np.arctan2(-m[2, 1], m[2, 2])), phi, float(np.arctan2(-m[1, 0], m[0, 0]))
 
