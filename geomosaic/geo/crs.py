@@ -174,7 +174,7 @@ def geographic(crs: CRS) -> CRS:
     geodetic = horizontal(crs).geodetic_crs
     if geodetic is None:
         raise InputError(f"'{crs.name}' is not tied to the Earth")
-    if not geodetic.is_geocentric:
+    if all(axis.unit_name == "degree" for axis in geodetic.axis_info):  # NTF, for one, counts in grads
         return geodetic.to_3d()
     description = geodetic.to_json_dict()
     for key in ("id", "scope", "area", "bbox", "usages", "remarks"):

@@ -62,7 +62,8 @@ class Grid:
     crs : CRS
         Horizontal CRS.
     transform : Affine
-        Pixel corner (col, row) to map (x, y): (0, 0) is the outer corner of the upper-left pixel, (0.5, 0.5) its centre.
+        Pixel corner (col, row) to map (x, y): (0, 0) is the outer corner of the upper-left pixel, (0.5, 0.5) its
+        centre.
     width, height : int
         Pixels.
     """

@@ -30,7 +30,7 @@ class MapPlace:
     convergence : float
         Meridian convergence in degrees: the azimuth of grid north, clockwise from true north (PROJ's sign).
     scale : float
-        Point scale factor of the projection (1 on the ellipsoid); the mean of both axes where not conformal.
+        Point scale factor of the projection (1 on the ellipsoid); the root of the scale of areas where not conformal.
     """
 
     longitude: float
@@ -51,7 +51,7 @@ def map_place(crs: CRS, x: float, y: float) -> MapPlace:
     if not flat.is_projected:
         return MapPlace(float(longitude), float(latitude), 0.0, 1.0)
     factors = Proj(flat).get_factors(longitude, latitude)
-    scale = float(np.sqrt(factors.meridional_scale * factors.parallel_scale))
+    scale = float(np.sqrt(factors.areal_scale))
     step = 10.0
     ends = to_geographic(np.array([[x, y - step], [x, y + step]]))
     ellipsoid = flat.get_geod()

@@ -1,0 +1,363 @@
+"""Grids, CRSs, datums, transforms, local frames and rotations against algebra, pyproj, PROJ's factors and SciPy."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pyproj
+import pytest
+from affine import Affine
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from pyproj import CRS
+from scipy.spatial.transform import Rotation
+
+from geomosaic.errors import HeightDatumError, InputError
+from geomosaic.geo.crs import geocentric, geographic, has_heights, height_name, horizontal, parse_crs, with_heights
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.geo.local import LocalFrame, enu_axes, map_place
+from geomosaic.geo.rotation import angle_axis, angles_of, omega_phi_kappa, r1, r2, r3
+from geomosaic.geo.transform import Transform
+
+UTM32 = CRS.from_epsg(25832)
+WGS84 = CRS.from_epsg(4979)
+MUNICH = (11.58, 48.14)
+EGM96_MUNICH = 45.53  # NGA's EGM96 calculator, 15' grid
+
+windows = st.builds(Window, *[st.integers(-50, 50)] * 2, *[st.integers(1, 60)] * 2)
+affines = st.builds(
+    lambda x, y, angle, sx, sy, flip: (
+        Affine.translation(x, y) @ Affine.rotation(angle) @ Affine.scale(sx, sy if flip else -sy)
+    ),
+    st.floats(-1e6, 1e6), st.floats(-1e7, 1e7), st.floats(-180, 180), st.floats(0.01, 100), st.floats(0.01, 100),
+    st.booleans(),
+)  # fmt: skip
+
+
+def grids():
+    return st.builds(lambda t, w, h: Grid(UTM32, t, w, h), affines, st.integers(1, 5000), st.integers(1, 5000))
+
+
+def pixels(window: Window) -> set[tuple[int, int]]:
+    return {(c, r) for c in range(window.col, window.stop_col) for r in range(window.row, window.stop_row)}
+
+
+# --- windows and grids ---------------------------------------------------------------------------------------------
+
+
+@given(windows, windows)
+def test_window_intersection_is_that_of_pixels(a, b):
+    common = a.intersection(b)
+    assert (set() if common.empty else pixels(common)) == pixels(a) & pixels(b)
+    assert a.intersection(b) == b.intersection(a)
+
+
+@given(windows, st.integers(1, 20), st.integers(1, 20))
+def test_window_split_covers_once_in_order(window, width, height):
+    parts = window.split(width, height)
+    assert sum(len(pixels(part)) for part in parts) == len(pixels(window))
+    assert set().union(*map(pixels, parts)) == pixels(window)
+    assert [(p.row, p.col) for p in parts] == sorted((p.row, p.col) for p in parts)
+    assert all(p.width <= width and p.height <= height for p in parts)
+
+
+@given(grids(), st.floats(-100, 6000), st.floats(-100, 6000))
+def test_grid_there_and_back(grid, col, row):
+    colrow = np.array([[col, row]])
+    tolerance = 1e-8 * (1 + 1e7 / min(grid.resolution))
+    np.testing.assert_allclose(grid.colrow(grid.xy(colrow)), colrow, atol=tolerance)
+
+
+def test_pixel_centres_and_bounds():
+    grid = Grid(UTM32, Affine(2, 0, 100, 0, -2, 50), 10, 5)
+    np.testing.assert_array_equal(grid.xy(np.array([[0.5, 0.5], [0, 0], [10, 5]])), [[101, 49], [100, 50], [120, 40]])
+    assert grid.bounds == (100, 40, 120, 50)
+    assert grid.resolution == (2, 2)
+    assert grid.shape == (5, 10)
+
+
+@given(grids(), st.integers(0, 3000), st.integers(0, 3000), st.integers(1, 900), st.integers(1, 900))
+def test_crop_shows_the_same_places(grid, col, row, width, height):
+    part = grid.crop(Window(col, row, width, height))
+    assert (part.width, part.height) == (width, height)
+    local = np.array([[0.5, 0.5], [width, height]])
+    np.testing.assert_allclose(part.xy(local), grid.xy(local + np.array([col, row])), rtol=1e-12, atol=1e-6)
+
+
+@given(grids(), st.integers(1, 32))
+def test_coarser_covers_with_larger_pixels(grid, factor):
+    coarse = grid.coarser(factor)
+    assert (coarse.width - 1) * factor < grid.width <= coarse.width * factor
+    assert (coarse.height - 1) * factor < grid.height <= coarse.height * factor
+    place = np.array([[3.25, 1.5]])
+    np.testing.assert_allclose(coarse.xy(place), grid.xy(place * factor), rtol=1e-12, atol=1e-6)
+    np.testing.assert_allclose(coarse.resolution, np.array(grid.resolution) * factor, rtol=1e-9)
+
+
+@given(
+    st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(0.5, 5000), st.floats(0.5, 5000),
+    st.sampled_from([0.05, 0.1, 0.25, 1.0, 2.5, 30.0]), st.booleans(),
+)  # fmt: skip
+def test_from_bounds_covers_tightly_and_snaps(left, bottom, width, height, resolution, snap):
+    assume(width / resolution < 1e5 and height / resolution < 1e5)
+    bounds = (left, bottom, left + width, bottom + height)
+    grid = Grid.from_bounds(UTM32, bounds, resolution, snap=snap)
+    got = np.array(grid.bounds)
+    hair = 2e-6 * resolution + 1e-9 * 1e6
+    assert (got[:2] <= np.array(bounds[:2]) + hair).all()
+    assert (got[2:] >= np.array(bounds[2:]) - hair).all()
+    spare = 2 if snap else 1
+    assert grid.width <= math.ceil(width / resolution) + spare
+    assert grid.height <= math.ceil(height / resolution) + spare
+    if snap:
+        edges = np.array([grid.transform.c, grid.transform.f]) / resolution
+        np.testing.assert_allclose(edges, np.round(edges), atol=1e-6)
+
+
+def test_from_bounds_makes_no_column_of_rounding():
+    assert Grid.from_bounds(UTM32, (0.1 + 0.2, 0, 0.9, 0.6), 0.3).width == 2
+    assert Grid.from_bounds(UTM32, (0, 0, 10.0000000001, 10), 1).shape == (10, 10)
+
+
+@given(grids(), st.integers(0, 4000), st.integers(0, 4000), st.integers(1, 300), st.integers(1, 300))
+def test_window_of_holds_the_bounds(grid, col, row, width, height):
+    inside = Window(col, row, width, height).intersection(grid.window)
+    assume(not inside.empty)
+    found = grid.window_of(grid.crop(inside).bounds)
+    assert inside.intersection(found) == inside or min(grid.resolution) < 1e-2
+    if grid.transform.b == 0 and grid.transform.d == 0:
+        assert found.width <= inside.width + 2
+
+
+def test_grids_that_are_none():
+    for grid in (
+        (Affine(1, 0, 0, 0, -1, 0), 0, 5),
+        (Affine(1, 0, 0, 0, -1, 0), 5, -1),
+        (Affine(0, 0, 0, 0, 0, 0), 5, 5),
+    ):
+        with pytest.raises(InputError):
+            Grid(UTM32, *grid)
+    for bounds, resolution in (((0, 0, 0, 5), 1), ((0, 0, 5, math.nan), 1), ((0, 0, 5, 5), 0), ((0, 0, 5, 5), -1)):
+        with pytest.raises(InputError):
+            Grid.from_bounds(UTM32, bounds, resolution)
+    assert Grid(UTM32, Affine(1, 0, 0, 0, -1, 0), 5, 5).window_of((100, 100, 110, 110)).empty
+
+
+# --- CRSs and heights ----------------------------------------------------------------------------------------------
+
+
+def test_parse_crs(tmp_path):
+    assert parse_crs("EPSG:25832").equals(UTM32)
+    (tmp_path / "a.prj").write_text(UTM32.to_wkt("WKT1_ESRI"))
+    assert parse_crs(str(tmp_path / "a.prj")).is_projected
+    for text in ("", "  ", "EPSG:99999999", "nonsense", str(tmp_path / "none.prj")):
+        with pytest.raises(InputError) as caught:
+            parse_crs(text, "--dst-crs")
+        assert "--dst-crs" in str(caught.value)
+        assert "EPSG" in str(caught.value)
+
+
+@pytest.mark.parametrize("code", [25832, 4326, 4258, 2193, 3006, 27572, 3031])
+def test_height_declarations(code):
+    flat = CRS.from_epsg(code)
+    assert not has_heights(flat)
+    assert height_name(flat) == "undeclared"
+    ellipsoidal, geoid = with_heights(flat, "ellipsoidal"), with_heights(flat, "egm96")
+    assert height_name(ellipsoidal) == "ellipsoidal"
+    assert height_name(geoid) == "EGM96 height"
+    for crs in (ellipsoidal, geoid):
+        assert has_heights(crs)
+        assert horizontal(crs).equals(flat, ignore_axis_order=True)
+        assert len(horizontal(crs).axis_info) == 2
+    assert height_name(with_heights(geoid, "ellipsoidal")) == "ellipsoidal"
+    with pytest.raises(HeightDatumError, match="not a vertical"):
+        with_heights(flat, "EPSG:25832")
+    with pytest.raises(HeightDatumError, match="geoid grid"):
+        with_heights(flat, "sealevel")
+    with pytest.raises(HeightDatumError, match="does not exist"):
+        with_heights(flat, "/none/geoid.tif")
+
+
+def test_egm96_comes_along():
+    to_ellipsoid = Transform(with_heights(CRS.from_epsg(4326), "egm96"), WGS84)
+    found = to_ellipsoid(np.array([[*MUNICH, 0.0], [*MUNICH, 500.0]]))
+    np.testing.assert_allclose(found[:, :2], [MUNICH, MUNICH], atol=1e-9)
+    np.testing.assert_allclose(found[:, 2], [EGM96_MUNICH, 500 + EGM96_MUNICH], atol=0.02)
+    np.testing.assert_allclose(to_ellipsoid.inverse()(found)[:, 2], [0, 500], atol=1e-6)
+
+
+def test_a_geoid_grid_by_path():
+    """The shipped grid given as a user's file does what 'egm96' does."""
+    from geomosaic.geo.crs import DATA
+
+    own = with_heights(CRS.from_epsg(32632), str(DATA / "us_nga_egm96_15.tif"))
+    named = with_heights(CRS.from_epsg(32632), "egm96")
+    points = np.array([[691_900.0, 5_334_900.0, 500.0], [500_000.0, 100_000.0, -3.0]])
+    np.testing.assert_allclose(Transform(own, WGS84)(points), Transform(named, WGS84)(points), atol=1e-9)
+    assert has_heights(own)
+
+
+def test_a_missing_grid_is_named():
+    dhhn = with_heights(UTM32, "EPSG:7837")  # DHHN2016, whose grid is not installed
+    with pytest.raises(HeightDatumError) as caught:
+        Transform(dhhn, WGS84)
+    text = str(caught.value)
+    assert "GCG" in text or "gcg" in text
+    assert "DHHN2016" in text
+    assert "geoid grid" in text
+
+
+def test_undeclared_heights_do_not_meet_the_earth():
+    with pytest.raises(HeightDatumError, match="no vertical datum"):
+        Transform(UTM32, CRS.from_epsg(4978))
+    with pytest.raises(HeightDatumError, match="no vertical datum"):
+        Transform(CRS.from_epsg(4978), UTM32)
+    # Between maps heights pass through, unless both sides say what they are.
+    found = Transform(UTM32, CRS.from_epsg(4326))(np.array([[691_900.0, 5_334_900.0, 123.0]]))
+    assert found[0, 2] == 123.0
+
+
+@pytest.mark.parametrize("code", [25832, 4326, 2193, 3006, 3031, 27572])
+def test_transforms_are_east_first_and_come_back(code):
+    crs = CRS.from_epsg(code)
+    place = {2193: (174.8, -41.3), 3031: (40.0, -80.0), 3006: (15.0, 60.0), 27572: (2.5, 46.5)}.get(code, MUNICH)
+    there = Transform(CRS.from_epsg(4326), crs)
+    xy = there(np.array([place]))
+    truth = pyproj.Transformer.from_crs(4326, crs, always_xy=True).transform(*place)
+    np.testing.assert_allclose(xy[0], truth, rtol=1e-10)
+    np.testing.assert_allclose(there.inverse()(xy)[0], place, atol=1e-8)
+
+
+def test_bad_points_are_nan_and_spoil_no_others():
+    points = np.array([[*MUNICH, 0.0], [np.nan, 48, 0], [11, 95, 0], [11, 48, np.inf], [*MUNICH, 0.0]])
+    found = Transform(WGS84, CRS.from_epsg(4978))(points)
+    np.testing.assert_array_equal(np.isnan(found).all(axis=1), [False, True, True, True, False])
+    np.testing.assert_array_equal(found[0], found[4])
+    assert Transform(WGS84, UTM32)(np.zeros((0, 3))).shape == (0, 3)
+
+
+def test_transforms_in_threads_and_pickled():
+    transform = Transform(with_heights(UTM32, "egm96"), CRS.from_epsg(4978))
+    points = np.random.default_rng(0).uniform((5e5, 5.2e6, 0), (6e5, 5.4e6, 900), (2000, 3))
+    alone = transform(points)
+    with ThreadPoolExecutor(4) as pool:
+        for found in pool.map(transform, [points] * 16):
+            np.testing.assert_array_equal(found, alone)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(transform))(points), alone)
+
+
+@pytest.mark.parametrize("code", [25832, 4326, 27572, 2193])
+def test_geocentric_on_the_same_datum(code):
+    """By the closed formula of the ellipsoid; no datum shift between a map and its own geocentric frame.
+
+    Longitudes count from the datum's own prime meridian (Paris for 27572), and so does the X axis.
+    """
+    flat = CRS.from_epsg(code)
+    ecef, lonlat = geocentric(flat), geographic(flat)
+    assert ecef.is_geocentric
+    place = {27572: (2.5, 46.5), 2193: (174.8, -41.3)}.get(code, MUNICH)
+    found = Transform(lonlat, ecef)(np.array([[*place, 700.0]]))[0]
+    a, b = flat.ellipsoid.semi_major_metre, flat.ellipsoid.semi_minor_metre
+    e2 = 1 - (b / a) ** 2
+    lon, lat = np.radians(place)
+    n = a / math.sqrt(1 - e2 * math.sin(lat) ** 2)
+    truth = [
+        (n + 700) * math.cos(lat) * math.cos(lon),
+        (n + 700) * math.cos(lat) * math.sin(lon),
+        (n * (1 - e2) + 700) * math.sin(lat),
+    ]
+    np.testing.assert_allclose(found, truth, atol=1e-4)
+
+
+# --- local frames, convergence, scale ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("code", "lon", "lat"),
+    [
+        (25832, 6.5, 48), (25832, 9, 50), (25832, 11.9, 54), (32733, 17.5, -33), (2154, 0.2, 44), (3035, 25, 60),
+        (2193, 177, -38), (27572, 0.2, 44),
+    ],
+)  # fmt: skip
+def test_convergence_and_scale_as_proj(code, lon, lat):
+    crs = CRS.from_epsg(code)
+    x, y = Transform(CRS.from_epsg(4326), crs)(np.array([[lon, lat]]))[0]
+    place = map_place(crs, x, y)
+    factors = pyproj.Proj(crs).get_factors(place.longitude, place.latitude)
+    # A projection that is not conformal turns other directions than the meridian's by other angles.
+    conformal = code != 3035
+    assert place.convergence == pytest.approx(factors.meridian_convergence, abs=1e-5 if conformal else 0.01)
+    # By geometry: the azimuth, on the ellipsoid, of a short way to grid north.
+    ends = Transform(crs, horizontal(geographic(crs)))(np.array([[x, y - 50], [x, y + 50]]))
+    forward, backward, length = crs.get_geod().inv(*ends[0], *ends[1])
+    azimuth = (forward + backward - 180) / 2 if backward > 0 else (forward + backward + 180) / 2
+    assert place.convergence == pytest.approx(azimuth, abs=1e-4)
+    if conformal:
+        assert place.scale == pytest.approx(100 / length, abs=1e-6)
+    else:  # equal area: the mean of the scales of both axes is that of areas
+        assert place.scale == pytest.approx(1.0, abs=1e-6)
+
+
+def test_utm_convergence_by_formula():
+    """tan γ = tan(λ − λ0) sin φ on the sphere; the ellipsoid changes it by some seconds of arc."""
+    x, y = Transform(CRS.from_epsg(4326), UTM32)(np.array([MUNICH]))[0]
+    gamma = math.degrees(math.atan(math.tan(math.radians(MUNICH[0] - 9)) * math.sin(math.radians(MUNICH[1]))))
+    assert map_place(UTM32, x, y).convergence == pytest.approx(gamma, abs=0.002)
+    assert map_place(CRS.from_epsg(4326), *MUNICH).scale == 1.0
+
+
+@given(st.floats(-180, 180), st.floats(-90, 90))
+def test_enu_axes_are_right_handed(lon, lat):
+    axes = enu_axes(lon, lat)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-14)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+
+
+def test_local_frame():
+    ground = np.array([*MUNICH, 500.0])
+    frame = LocalFrame.at(WGS84, ground)
+    to_ecef = Transform(WGS84, frame.crs)
+    np.testing.assert_allclose(frame.to_enu(to_ecef(ground[None])), 0.0, atol=1e-6)
+    np.testing.assert_allclose(frame.to_enu(to_ecef(ground[None] + (0, 0, 100)))[0], [0, 0, 100], atol=1e-6)
+    # A step to the north and one to the east, as long as the ellipsoid says.
+    lon, lat, _ = pyproj.Geod(ellps="WGS84").fwd(*MUNICH, 0, 100)
+    north = frame.to_enu(to_ecef(np.array([[lon, lat, 500.0]])))[0]
+    assert north[0] == pytest.approx(0, abs=1e-6)
+    assert north[1] == pytest.approx(100 * (1 + 500 / 6.37e6), abs=1e-3)
+    assert north[2] < 0
+    points = np.random.default_rng(0).normal(0, 1e4, (50, 3))
+    np.testing.assert_allclose(frame.to_enu(frame.to_geocentric(points)), points, atol=1e-7)
+
+
+# --- rotations -----------------------------------------------------------------------------------------------------
+
+angles = st.floats(-math.pi, math.pi)
+
+
+@given(angles, st.floats(-1.55, 1.55), angles)
+def test_omega_phi_kappa_as_scipy(omega, phi, kappa):
+    rotation = omega_phi_kappa(omega, phi, kappa)
+    # SciPy turns vectors, the textbook turns axes: the camera→world matrix Rx·Ry·Rz is the transpose.
+    truth = Rotation.from_euler("XYZ", [omega, phi, kappa]).as_matrix().T
+    np.testing.assert_allclose(rotation, truth, atol=1e-12)
+    np.testing.assert_allclose(rotation, r3(kappa) @ r2(phi) @ r1(omega), atol=1e-15)
+    np.testing.assert_allclose(omega_phi_kappa(*angles_of(rotation)), rotation, atol=1e-9)
+    back = np.array(angles_of(rotation)) - (omega, phi, kappa)
+    np.testing.assert_allclose((back + math.pi) % (2 * math.pi) - math.pi, 0.0, atol=1e-7)
+
+
+@pytest.mark.parametrize("phi", [math.pi / 2, -math.pi / 2])
+@given(omega=angles, kappa=angles)
+def test_gimbal_lock_keeps_the_rotation(phi, omega, kappa):
+    rotation = omega_phi_kappa(omega, phi, kappa)
+    found = angles_of(rotation)
+    assert found[2] == 0.0
+    np.testing.assert_allclose(omega_phi_kappa(*found), rotation, atol=1e-7)
+
+
+@given(st.floats(-4, 4), st.floats(-4, 4), st.floats(-4, 4))
+def test_angle_axis_as_scipy(x, y, z):
+    np.testing.assert_allclose(angle_axis(np.array([x, y, z])), Rotation.from_rotvec([x, y, z]).as_matrix(), atol=1e-12)
