@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from geomosaic.errors import HeightDatumError, InputError
+from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.crs import height_name, parse_crs
 from geomosaic.project.control import read_control
 from geomosaic.project.exterior import read_exterior
@@ -15,6 +15,7 @@ from geomosaic.project.frames import describe, named, undeclared
 from geomosaic.project.load import load_project
 from geomosaic.project.names import find_by_name, stem
 from geomosaic.project.tables import read_table
+from geomosaic.project.units import check_units
 from geomosaic.surface.undeclared import undulation
 
 ROWS = [("DSC_01.tif", 1.5, -2.0, 300.25, 0.5, -0.25, 91.0), ("DSC_02.tif", 11.5, -2.0, 301.0, 0.0, 0.125, 90.0)]
@@ -108,7 +109,7 @@ def test_no_header_wrong_columns_and_no_table(tmp_path):
 
 def test_a_missing_row_suggests_what_was_meant(tmp_path):
     file = write(tmp_path / "e.csv", ",".join(HEADER) + "\nDSC_01,1,2,3,4,5,6\n")
-    with pytest.raises(InputError, match=r"e.csv has no row for DSC_O1.tif") as caught:
+    with pytest.raises(InputError, match=r"no row for DSC_O1.tif") as caught:
         read_exterior(file, "opk").row("DSC_O1.tif")
     assert "did you mean 'DSC_01'" in str(caught.value.mend)
 
@@ -211,6 +212,34 @@ def test_all_errors_of_a_project_come_at_once_with_lines(tmp_path):
 def test_bad_projects(tmp_path, change, words):
     with pytest.raises(InputError, match=f"(?s){words}"):
         load_project(make_project(tmp_path, PROJECT.replace(*change)))
+
+
+def test_radians_and_gons_are_suspected_and_declaring_settles_it(tmp_path):
+    """Strips flown east and west: the direction of flight alone cannot tell 3.1 rad from 3.1 degrees."""
+    degrees = [(0.8, -1.9, 2.0), (1.2, 0.4, -1.5), (-0.3, 2.2, 178.5), (0.6, -1.0, -177.0)]
+    places = [(0, 0), (300, 5), (305, 400), (2, 395)]
+
+    def table(factor: float):
+        rows = [
+            f"{i}," + ",".join(map(repr, (*place, 1000, factor * o, factor * p, factor * k)))
+            for i, (place, (o, p, k)) in enumerate(zip(places, degrees, strict=True))
+        ]
+        read = read_exterior(write(tmp_path / "e.csv", "\n".join([",".join(HEADER), *rows])), "opk")
+        return read, list(read.rows.values())
+
+    check_units(*_split(table(1.0), None))
+    check_units(*_split(table(math.pi / 180), "rad"))
+    with pytest.raises(InputError, match="radians") as caught:
+        check_units(*_split(table(math.pi / 180), None))
+    assert "angle_unit" in str(caught.value.mend)
+    with pytest.warns(GeomosaicWarning, match="radians"):
+        check_units(*_split(table(math.pi / 180), "deg"))
+    with pytest.raises(InputError, match="no angle unit"):
+        check_units(*_split(table(1.0), "grad"))
+
+
+def _split(read, unit):
+    return read[0], unit, read[1]
 
 
 def test_frames_are_said_with_unit_and_heights():

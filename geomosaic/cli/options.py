@@ -88,9 +88,7 @@ image_options = stack(
     click.option(
         "--angle-unit",
         type=click.Choice(["deg", "gon", "rad"]),
-        default="deg",
-        show_default=True,
-        help="Unit of the angles.",
+        help="Unit of the angles.  [default: deg]",
     ),
     click.option(
         "--angle-frame",

@@ -17,9 +17,10 @@ from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import has_heights, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.project.camera import read_camera
-from geomosaic.project.exterior import Exterior, ExteriorTable, read_exterior
+from geomosaic.project.exterior import Exterior, read_exterior
 from geomosaic.project.frames import declared, named, undeclared
 from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.units import check_units
 from geomosaic.raster.info import SourceInfo, inspect
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build as build_model
@@ -30,16 +31,6 @@ if TYPE_CHECKING:
 
 RECONSTRUCTION = "opensfm"
 """The angle system whose file is no table: the sensor reads camera and orientation from `reconstruction.json`."""
-
-TO_DEGREES = {"deg": 1.0, "gon": 0.9, "rad": 180.0 / math.pi}
-
-HEADINGS: Mapping[str, tuple[tuple[str, float], ...]] = {
-    "opk": (("omega", 1.0), ("phi", 1.0), ("kappa", 1.0)),
-    "pok": (("omega", 1.0), ("phi", 1.0), ("kappa", 1.0)),
-    "rpy": (("roll", 1.0), ("pitch", 1.0), ("yaw", -1.0)),
-    "dji": (("gimbal_roll", 1.0), ("gimbal_pitch", 1.0), ("gimbal_yaw", -1.0)),
-}
-"""Two tilts and the turn of each system, the turn counted counter-clockwise as kappa is, up to multiples of 90°."""
 
 
 @dataclass(frozen=True)
@@ -104,21 +95,6 @@ def photos_of(inputs: BlockInputs) -> tuple[list[Photo], CRS | None]:
     photos = [Photo(path, info, table.row(path.name)) for path, info in zip(inputs.images, infos, strict=True)]
     check_units(table, inputs.angle_unit, [photo.exterior for photo in photos if photo.exterior])
     return photos, crs
-
-
-def check_units(table: ExteriorTable, unit: str, rows: Sequence[Exterior]) -> None:
-    """Stop where angles look as if they were in another unit."""
-    if unit not in TO_DEGREES:
-        raise InputError(f"no angle unit named '{unit}'", mend=f"use one of {', '.join(TO_DEGREES)}")
-    turns = HEADINGS.get(table.system)
-    if turns is None or not rows:
-        return
-    from geomosaic.sensor.sanity import unit_suspicion
-
-    angles = np.array([[sign * row.angles[name] for name, sign in turns] for row in rows]) * TO_DEGREES[unit]
-    text = unit_suspicion(angles, np.array([row.position for row in rows]))
-    if text:
-        raise InputError(text, where=table.path, mend="declare the unit: --angle-unit, or angle_unit under [exterior]")
 
 
 def build_surface(inputs: BlockInputs, crs: CRS | None, photos: Sequence[Photo] = ()) -> Surface | None:
@@ -211,7 +187,7 @@ def _model(
         declared_too = {"frame": inputs.angle_frame, "matrix": inputs.matrix}
         extra = {name: word for name, word in declared_too.items() if word is not None}
         options["orientation"] = {"system": inputs.angles, **row.angles, **extra}
-        options["angle_unit"] = inputs.angle_unit
+        options["angle_unit"] = inputs.angle_unit or "deg"
     if inputs.sensor == "planar":
         crs = _planar(options, photo, crs, control)
     request = SensorRequest(photo.name, photo.info.size, options, crs, str(inputs.base))

@@ -130,7 +130,8 @@ def _text(path: Path, inputs: BlockInputs, guessed: bool) -> str:
         read = "read off the columns; " if guessed else ""
         lines.append(f"angles = {_string(inputs.angles)}    # {read}{SYSTEM_NAMES.get(inputs.angles, '')}")
         if inputs.angles != RECONSTRUCTION:
-            lines.append(f"angle_unit = {_string(inputs.angle_unit)}")
+            unit = inputs.angle_unit
+            lines.append(f"angle_unit = {_string(unit)}" if unit else '# angle_unit = "deg"    # deg, gon or rad')
         lines += [
             f"{k} = {_string(v)}" for k, v in (("angle_frame", inputs.angle_frame), ("matrix", inputs.matrix)) if v
         ]

@@ -31,8 +31,8 @@ class BlockInputs:
         Vertical datum of positions and control points.
     angles : str
         Angle system of the orientation table.
-    angle_unit : str
-        'deg', 'gon' or 'rad'.
+    angle_unit : str, optional
+        'deg', 'gon' or 'rad' as declared; degrees unless it is, and an error where they do not look like degrees.
     angle_frame : str, optional
         'grid' or 'local', where the angles refer to another north than their system says.
     matrix : str, optional
@@ -58,7 +58,7 @@ class BlockInputs:
     crs: str | None = None
     heights: str | None = None
     angles: str = "opk"
-    angle_unit: str = "deg"
+    angle_unit: str | None = None
     angle_frame: str | None = None
     matrix: str | None = None
     dem: Path | None = None

@@ -49,7 +49,7 @@ def missing_row(path: str, image: str, known: Iterable[str]) -> InputError:
     """Say that a table has no row for an image."""
     hint = did_you_mean(stem(image), known)
     return InputError(
-        f"{PurePath(path).name} has no row for {PurePath(image).name}",
+        f"the table has no row for {PurePath(image).name}",
         where=path,
         mend=f"{hint} Add the row, or leave the image out" if hint else "add the row, or leave the image out",
     )

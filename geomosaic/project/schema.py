@@ -56,7 +56,7 @@ class ExteriorSection(Section):
     crs: str | None = None
     heights: str | None = None
     angles: str = "opk"
-    angle_unit: Literal["deg", "gon", "rad"] = "deg"
+    angle_unit: Literal["deg", "gon", "rad"] | None = None
     angle_frame: Literal["grid", "local"] | None = None
     matrix: Literal["ground_to_image", "image_to_ground"] | None = None
 

@@ -23,7 +23,7 @@ def understood(inputs: BlockInputs) -> list[str]:
     if inputs.exterior is not None and inputs.crs is not None:
         photos, crs = photos_of(inputs)
         lines.append(f"positions: {describe(crs)}")
-        lines += _positions(photos, inputs.angle_unit)
+        lines += _positions(photos, inputs.angle_unit or "deg")
     if inputs.dem is not None:
         lines.append(_dem(inputs))
     if inputs.height is not None:

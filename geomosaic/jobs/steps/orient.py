@@ -37,7 +37,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
         "angles": {
             "system": inputs.angles,
             "text": SYSTEM_NAMES.get(inputs.angles, ""),
-            "unit": inputs.angle_unit,
+            "unit": inputs.angle_unit or "deg",
             "frame": inputs.angle_frame,
         }
         if inputs.exterior
