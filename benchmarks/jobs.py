@@ -1,0 +1,254 @@
+"""The jobs: which tools make the same thing from the same data, and what we want of ours."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.process import ROOT, Command, Programs, helper, run
+from benchmarks.result import Result
+from benchmarks.rounds import Tool, take, tell
+from benchmarks.scene import CRS, RESOLUTION, Scene, scenes, tiny_bounds
+
+RAW = ("--driver", "GTiff", "--co", "COMPRESS=NONE")
+BLOCKS = ("TILED=YES", "BLOCKXSIZE=512", "BLOCKYSIZE=512", "INTERLEAVE=PIXEL")
+LIMIT_MB = 512
+REPROJECTED = "EPSG:2154"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Where and how a run takes place."""
+
+    data: Path
+    work: Path
+    small: bool
+    rounds: int
+    programs: Programs
+    python: str
+
+    def scene(self, name: str) -> Scene:
+        """Scene of a name."""
+        return scenes(self.small)[name]
+
+    def photos(self, name: str) -> list[str]:
+        """Its photo files."""
+        return [str(self.data / name / shot.name) for shot in self.scene(name).shots]
+
+    def ours(self, command: str, name: str, output: Path, *more: str, res: float = RESOLUTION) -> Command:
+        """Our command on a scene."""
+        home = self.data / name
+        place = self.data / ("single" if name == "coordinates" else name)
+        photos = [str(home / Path(photo).name) for photo in self.photos(place.name)]
+        return (
+            *self.programs.geomosaic, command, *photos, "--sensor", "frame", "--camera", str(home / "camera.toml"),
+            "--exterior", str(home / "exterior.csv"), "--exterior-crs", CRS, "--heights", "ellipsoidal",
+            "--dem", str(self.data / "dem.tif"), "--dem-heights", "ellipsoidal", "--res", repr(res), "--json",
+            "-o", str(output), *more,
+        )  # fmt: skip
+
+    def oty(self, name: str, folder: Path, interp: str, dem: Path | None = None) -> Command | None:
+        """Orthority on a scene: the same photos, tables, DEM and pixel size, uncompressed, no overviews."""
+        if self.programs.oty is None:
+            return None
+        home = self.data / name
+        photos = sorted(str(path) for path in home.glob("photo*.tif"))
+        options = [word for block in BLOCKS for word in ("-co", block)]
+        return (
+            self.programs.oty, "frame", *photos, "--dem", str(dem or self.data / "dem.tif"),
+            "-ip", str(home / "oty_int.yaml"), "-ep", str(home / "oty_ext.csv"), "-c", CRS, "-r", repr(RESOLUTION),
+            "-i", interp, "-di", "bilinear", "-nbo", *options, "-od", str(folder), "-o",
+        )  # fmt: skip
+
+    def floors(self, reference: Path, inputs: list[str]) -> list[Tool]:
+        """Read and write the same raster; read all inputs once and write the output once."""
+        script, target = str(ROOT / "benchmarks" / "floor.py"), self.work / "floor.tif"
+        copy: Command = (self.python, script, "copy", str(reference), str(target))
+        if self.programs.gdal_translate:
+            options = [word for block in BLOCKS for word in ("-co", block)]
+            copy = (self.programs.gdal_translate, "-q", *options, str(reference), str(target))
+        passed = (self.python, script, "pass", str(reference), str(target), *inputs)
+        return [Tool("floor", (copy,), (target,)), Tool("floor: inputs + output", (passed,), (target,))]
+
+    def folder(self, name: str) -> Path:
+        """Empty folder for outputs."""
+        path = self.work / name
+        path.mkdir(parents=True, exist_ok=True)
+        return path
+
+
+def grid_of(text: str) -> dict[str, Any]:
+    """Grid that our --json reports."""
+    grid: dict[str, Any] = json.loads(text)["grid"]
+    return grid
+
+
+def once(commands: tuple[Command, ...], work: Path) -> str:
+    """Run something untimed, so that caches are warm and references there."""
+    return run(commands, work / "run.log")[1]
+
+
+def ortho(s: Setting) -> Result:
+    """Frame ortho of RGB uint8 with a DEM."""
+    reference, out, other = s.work / "reference.tif", s.work / "ours.tif", s.folder("oty")
+    methods = ("bilinear", "cubic")
+    again = ("--overwrite",)
+    once((s.ours("ortho", "single", reference, *RAW, "--resampling", "cubic", *again),), s.work)
+    grid = grid_of(once((s.ours("ortho", "single", reference, *RAW, *again),), s.work))
+    tools = s.floors(reference, [*s.photos("single"), str(s.data / "dem.tif")])
+    for method in methods:
+        command = s.ours("ortho", "single", out, *RAW, "--resampling", method)
+        tools.append(Tool(f"geomosaic {method}", (command,), (out,)))
+    for method in methods:
+        peer = s.oty("single", other, method)
+        if peer:
+            tools.append(Tool(f"orthority {method}", (peer,), (other,)))
+    times = take(tools, s.rounds, s.work, tell)
+    reference.unlink()
+    result = Result("ortho", f"frame ortho, {shape(s.scene('single'))} photo, RGB uint8, uncompressed", times)
+    result.megapixels = grid["width"] * grid["height"] / 1e6
+    result.facts["output"] = f"{grid['width']} x {grid['height']}"
+    result.accuracy = geometry(s, methods)
+    for method, most in (("bilinear", 2.0), ("cubic", 3.0)):
+        result.at_most(f"{method}: wall / floor", times.ratio(f"geomosaic {method}", "floor"), most)
+        result.at_most(f"{method}: peak memory, MB", peak(result, f"geomosaic {method}"), 400)
+        result.at_least(
+            f"{method}: times as fast as orthority", times.ratio(f"orthority {method}", f"geomosaic {method}"), 5.0
+        )
+        result.at_most(
+            f"{method}: largest geometric error, px",
+            (result.accuracy.get(f"geomosaic {method}") or {}).get("max_px"),
+            0.05,
+        )
+        result.at_most(
+            f"{method}: RMS geometric error, px", (result.accuracy.get(f"geomosaic {method}") or {}).get("rms_px"), 0.01
+        )
+    return result
+
+
+def geometry(s: Setting, methods: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+    """Errors of each tool's geometry against the camera as that tool treats it, on a steep corner of the photo."""
+    bounds = [repr(side) for side in json.loads((s.data / "coordinates" / "bounds.json").read_text())]
+    crop, out, other = s.data / "coordinates" / "dem.tif", s.work / "coordinates.tif", s.folder("oty")
+    size = ("--small",) if s.small else ()
+    found = {}
+    for method in methods:
+        once((s.ours("ortho", "coordinates", out, *RAW, "--resampling", method, "--bounds", *bounds),), s.work)
+        found[f"geomosaic {method}"] = helper("accuracy", str(out), str(s.data / "dem.tif"), "rigorous", *size)
+        out.unlink()
+        peer = s.oty("coordinates", other, method, crop)
+        if peer:
+            once((peer,), s.work)
+            path = next(other.glob("*.tif"))
+            found[f"orthority {method}"] = helper("accuracy", str(path), str(crop), "planar", *size)
+            path.unlink()
+    return {name: json.loads(text) for name, text in found.items()}
+
+
+def mosaic(s: Setting) -> Result:
+    """Twelve photos to one balanced, feathered mosaic; the peers only merge."""
+    reference, out, other, merged = (
+        s.work / "reference.tif",
+        s.work / "ours.tif",
+        s.folder("oty"),
+        s.work / "merged.tif",
+    )
+    grid = grid_of(once((s.ours("mosaic", "strips", reference, *RAW, "--overwrite"),), s.work))
+    tools = s.floors(reference, [*s.photos("strips"), str(s.data / "dem.tif")])
+    beside = tuple(s.work / f"ours{end}" for end in (".tif", "-labels.tif", ".gpkg", ".stac.json"))
+    tools.append(Tool("geomosaic mosaic", (s.ours("mosaic", "strips", out, *RAW),), beside))
+    peer = s.oty("strips", other, "bilinear")
+    if peer and s.programs.rio:
+        orthos = [str(other / f"{Path(photo).stem}_ORTHO.tif") for photo in s.photos("strips")]
+        options = [word for block in BLOCKS for word in ("--co", block)]
+        merge = (s.programs.rio, "merge", *orthos, "-o", str(merged), *options)
+        tools.append(Tool("orthority + rio merge", (peer, merge), (other, merged)))
+    times = take(tools, s.rounds, s.work, tell)
+    for path in s.work.glob("reference*"):
+        path.unlink()
+    number = len(s.photos("strips"))
+    result = Result("mosaic", f"mosaic of {number} photos of {shape(s.scene('strips'))}, balanced, feathered", times)
+    result.megapixels = grid["width"] * grid["height"] / 1e6
+    result.facts["output"] = f"{grid['width']} x {grid['height']}, with labels, footprints and seams"
+    fast = times.ratio("orthority + rio merge", "geomosaic mosaic")
+    result.at_least("times as fast as orthority + rio merge", fast, 5.0)
+    return result
+
+
+def small(s: Setting) -> Result:
+    """Jobs so small that starting is most of them."""
+    out, other = s.work / "ours.tif", s.work / "warped.tif"
+    bounds = [repr(side) for side in tiny_bounds()]
+    raster = str(s.data / "map512.tif")
+    frame = s.ours("ortho", "tiny", out, *RAW, "--bounds", *bounds)
+    where = ("--dst-crs", REPROJECTED, "--res", repr(RESOLUTION))
+    plain: Command = (*s.programs.geomosaic, "ortho", raster, *where, *RAW, "--json", "-o", str(out))
+    tools = [Tool("geomosaic ortho", (frame,), (out,)), Tool("geomosaic reproject", (plain,), (out,))]
+    if s.programs.rio:
+        warp = (s.programs.rio, "warp", raster, str(other), *where, "--resampling", "bilinear")
+        tools.append(Tool("rio warp", (warp,), (other,)))
+    for tool in tools:
+        tool.clear()
+        once(tool.commands, s.work)
+    times = take(tools, 5 * s.rounds, s.work, tell)
+    result = Result("small", "512 x 512 pixels: ortho of a photo with a DEM; reprojection of a map", times)
+    for name in ("ortho", "reproject"):
+        result.at_most(f"{name}: wall / rio warp", times.ratio(f"geomosaic {name}", "rio warp"), 1.2)
+    return result
+
+
+def start(s: Setting) -> Result:
+    """What the mere call costs."""
+    asked: dict[str, Command | None] = {
+        "python -c pass": (s.python, "-c", "pass"),
+        "geomosaic --help": (*s.programs.geomosaic, "--help"),
+        "rio --help": (s.programs.rio, "--help") if s.programs.rio else None,
+        "orthority --help": (s.programs.oty, "--help") if s.programs.oty else None,
+    }
+    tools = [Tool(name, (command,), ()) for name, command in asked.items() if command]
+    times = take(tools, 5 * s.rounds, s.work, tell)
+    result = Result("start", "help", times)
+    result.at_most("--help, s", times.table()["geomosaic --help"]["wall_s"], 0.4)
+    result.at_most("--help: wall / rio --help", times.ratio("geomosaic --help", "rio --help"), 0.5)
+    return result
+
+
+def memory(s: Setting) -> Result:
+    """The same photos at the same limit, to an output ten times larger, in the default format (COG)."""
+    out = s.work / "ours.tif"
+    beside = tuple(s.work / f"ours{end}" for end in (".tif", "-labels.tif", ".gpkg", ".stac.json"))
+    limit = ("--mem-limit", f"{LIMIT_MB}M")
+    tools = []
+    for command, name in (("ortho", "single"), ("mosaic", "strips")):
+        for times_larger in (1, 10):
+            res = RESOLUTION / math.sqrt(times_larger)
+            words = s.ours(command, name, out, *limit, res=res)
+            tools.append(Tool(f"{command}, {times_larger} x", (words,), beside))
+    times = take(tools, 1, s.work, tell)
+    result = Result("memory", f"peak memory under --mem-limit {LIMIT_MB}M, output 1 and 10 times as large", times)
+    for command in ("ortho", "mosaic"):
+        result.at_most(f"{command}, 10 x: peak memory, MB", peak(result, f"{command}, 10 x"), 1.2 * LIMIT_MB)
+    return result
+
+
+def shape(scene: Scene) -> str:
+    """Size in words."""
+    return f"{scene.camera.size[0]} x {scene.camera.size[1]}"
+
+
+def peak(result: Result, tool: str) -> float:
+    """Largest memory of a tool, MB."""
+    return float(result.times.table()[tool]["peak_mb"])
+
+
+JOBS: dict[str, Callable[[Setting], Result]] = {
+    "start": start,
+    "small": small,
+    "ortho": ortho,
+    "mosaic": mosaic,
+    "memory": memory,
+}

@@ -1,0 +1,65 @@
+"""Results as a page people read, made from the JSON that programs read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def page(jobs: Mapping[str, Mapping[str, Any]]) -> str:
+    """All jobs as Markdown."""
+    lines = [
+        "# Benchmarks",
+        "",
+        "Whole processes, start-up included; the tools of a job ran in turn (A B C, A B C). Wall is the median over the",
+        "rounds, ratios are medians of ratios within a round. *floor* reads and writes the same finished raster through",
+        "GDAL and does nothing else; *floor: inputs + output* reads every input once and writes the output once.",
+        "Made by `python -m benchmarks`.",
+    ]
+    for name, job in jobs.items():
+        lines += ["", f"## {name}: {job['title']}", "", _where(job), "", *_times(job)]
+        if job["accuracy"]:
+            lines += ["", *_accuracy(job["accuracy"])]
+        lines += ["", *_targets(job["targets"])]
+    return "\n".join(lines) + "\n"
+
+
+def _where(job: Mapping[str, Any]) -> str:
+    machine, cores = job["machine"], job["cores_per_round"]
+    versions = ", ".join(f"{name} {number}" for name, number in job["versions"].items())
+    trust = "" if job["trusted"] else " **(T) the machine gave less than its cores: times are not to be trusted.**"
+    output = f" Output {job['facts']['output']}." if "output" in job["facts"] else ""
+    return (
+        f"{job['date']}; {machine.get('processor')}, {machine.get('cores')} cores; effective cores in "
+        f"{len(cores)} rounds {min(cores):.2f} to {max(cores):.2f}; {versions}.{output}{trust}"
+    )
+
+
+def _times(job: Mapping[str, Any]) -> list[str]:
+    tools, ratios = job["tools"], job["wall_ratios"]
+    bases = [name for name in tools if not name.startswith("geomosaic")][:4] if len(tools) > 1 else []
+    head = ["tool", "n", "wall s (min-max)", "Mpix/s", "CPU s", "peak MB", *(f"x {base}" for base in bases)]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for name, t in tools.items():
+        low, high = t["wall_range_s"]
+        speed = f"{job['megapixels'] / t['wall_s']:.1f}" if job["megapixels"] else ""
+        against = ["1" if base == name else f"{ratios[name][base]:.2f}" for base in bases]
+        wall = f"{t['wall_s']:.2f} ({low:.2f}-{high:.2f})"
+        cells = [name, str(t["runs"]), wall, speed, f"{t['cpu_s']:.2f}", f"{t['peak_mb']:.0f}", *against]
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
+def _accuracy(found: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    lines = ["| geometry | treatment of the camera | pixels | RMS px | largest px |", "|---|---|---|---|---|"]
+    for name, e in found.items():
+        lines.append(f"| {name} | {e['treatment']} | {e['pixels']} | {e['rms_px']:.4f} | {e['max_px']:.4f} |")
+    return lines
+
+
+def _targets(targets: list[Mapping[str, Any]]) -> list[str]:
+    lines = ["| wanted | | limit | measured | |", "|---|---|---|---|---|"]
+    for t in targets:
+        value = "" if t["value"] is None else f"{t['value']:.4g}"
+        lines.append(f"| {t['what']} | {t['sense']} | {t['limit']:g} | {value} | {t['verdict']} |")
+    return lines
