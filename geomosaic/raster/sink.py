@@ -154,6 +154,7 @@ class RasterSink:
         try:
             self._tiles.write(window, values, valid)
         except (OSError, RasterioError) as error:
+            self._tiles.close()
             raise self._failed(error) from error
 
     def finish(self) -> Path:
@@ -178,6 +179,7 @@ class RasterSink:
             self._partial.replace(self.path)
             sync(self.path.parent)
         except (OSError, OverflowError, RasterioError) as error:
+            self._tiles.close()
             raise self._failed(error) from error
         finally:
             self._tiles.close()
@@ -197,6 +199,8 @@ class RasterSink:
             )
 
     def _failed(self, error: Exception) -> OutputError:
+        """Remove what was written, so that the free space named is what there is for another try."""
+        self._remove()
         free = shutil.disk_usage(self.path.parent).free
         cause = error.__cause__ or error
         reason = getattr(cause, "strerror", None) or str(cause)
