@@ -92,6 +92,14 @@ def once(commands: tuple[Command, ...], work: Path) -> str:
     return run(commands, work / "run.log")[1]
 
 
+def warm(tools: list[Tool], work: Path) -> list[Tool]:
+    """Run each once, so that modules and kernels are compiled."""
+    for tool in tools:
+        tool.clear()
+        once(tool.commands, work)
+    return tools
+
+
 def ortho(s: Setting) -> Result:
     """Frame ortho of RGB uint8 with a DEM."""
     reference, out, other = s.work / "reference.tif", s.work / "ours.tif", s.folder("oty")
@@ -191,10 +199,7 @@ def small(s: Setting) -> Result:
     if s.programs.rio:
         warp = (s.programs.rio, "warp", raster, str(other), *where, "--resampling", "bilinear")
         tools.append(Tool("rio warp", (warp,), (other,)))
-    for tool in tools:
-        tool.clear()
-        once(tool.commands, s.work)
-    times = take(tools, 5 * s.rounds, s.work, tell)
+    times = take(warm(tools, s.work), 5 * s.rounds, s.work, tell)
     result = Result("small", "512 x 512 pixels: ortho of a photo with a DEM; reprojection of a map", times)
     for name in ("ortho", "reproject"):
         result.at_most(f"{name}: wall / rio warp", times.ratio(f"geomosaic {name}", "rio warp"), 1.2)
@@ -210,7 +215,7 @@ def start(s: Setting) -> Result:
         "orthority --help": (s.programs.oty, "--help") if s.programs.oty else None,
     }
     tools = [Tool(name, (command,), ()) for name, command in asked.items() if command]
-    times = take(tools, 5 * s.rounds, s.work, tell)
+    times = take(warm(tools, s.work), 5 * s.rounds, s.work, tell)
     result = Result("start", "help", times)
     result.at_most("--help, s", times.table()["geomosaic --help"]["wall_s"], 0.4)
     result.at_most("--help: wall / rio --help", times.ratio("geomosaic --help", "rio --help"), 0.5)

@@ -11,9 +11,9 @@ def page(jobs: Mapping[str, Mapping[str, Any]]) -> str:
     lines = [
         "# Benchmarks",
         "",
-        "Whole processes, start-up included; the tools of a job ran in turn (A B C, A B C). Wall is the median over the",
-        "rounds, ratios are medians of ratios within a round. *floor* reads and writes the same finished raster through",
-        "GDAL and does nothing else; *floor: inputs + output* reads every input once and writes the output once.",
+        "Whole processes, start-up included; the tools of a job ran in turn (A B C, A B C). Wall is the median over",
+        "the rounds, ratios are medians of ratios within a round. *floor* reads and writes the same finished raster",
+        "through GDAL and does nothing else; *floor: inputs + output* reads every input and writes the output once.",
         "Made by `python -m benchmarks`.",
     ]
     for name, job in jobs.items():
