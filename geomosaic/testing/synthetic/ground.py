@@ -119,7 +119,7 @@ class AnalyticGround:
         x, y = np.arange(first_col, last_col + 1) * s, np.arange(last_row, first_row - 1, -1) * s
         nodes = np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
         heights = self.height(nodes).reshape(len(y), len(x)).astype(np.float32)
-        return HeightPatch(heights, Affine(s, 0.0, x[0] - s / 2, 0.0, -s, y[0] + s / 2))
+        return HeightPatch(heights, ~Affine(s, 0.0, x[0] - s / 2, 0.0, -s, y[0] + s / 2))
 
 
 def _mark(colour: Float32Array, u: Float32Array, v: Float32Array, wavelength: float) -> Float32Array:
