@@ -28,8 +28,10 @@ def command(
     """
     from geomosaic.cli.request import block_inputs
     from geomosaic.project.draft import draft_project, write_project
+    from geomosaic.project.make import refuse_existing
 
     with notes():
+        refuse_existing(project, overwrite)
         inputs = block_inputs(images, flags, control=gcps)
         context = click.get_current_context()
         declared = context.get_parameter_source("angles") is click.core.ParameterSource.COMMANDLINE

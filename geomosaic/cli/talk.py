@@ -82,3 +82,5 @@ def progress(as_json: bool) -> Iterator[Progress | None]:
             bars.update(tasks[stage], completed=done, total=total)
 
         yield report
+        for task in tasks.values():  # a stage that never told its end is over now
+            bars.update(task, completed=bars.tasks[task].total)
