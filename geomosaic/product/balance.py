@@ -21,6 +21,8 @@ CELLS = 96
 """Cells across a footprint at which images are compared: coarse, so that small misfits of geometry do not count."""
 LEAST_CELLS = 25
 """An overlap of fewer cells says nothing."""
+NEAR_ENOUGH = 0.1
+"""Cells that the geometry may be off where only colours are compared."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ def _thumbnail(photos: Photos, index: int, grid: Grid, options: RenderOptions) -
         seen = np.zeros(out.shape[:2], dtype=np.uint8)
         ground = block_ground(photos.block.surface, grid, part)
         colour = Colour.identity(bands)
-        pull(engine, photo, grid, ground, "average", 1.0, colour, out, seen, None, most_samples=3)
+        pull(engine, photo, grid, ground, "average", NEAR_ENOUGH, colour, out, seen, None, most_samples=3)
         common = part.intersection(window)
         there = (
             slice(common.row - window.row, common.stop_row - window.row),

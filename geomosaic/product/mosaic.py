@@ -47,7 +47,7 @@ class MosaicResult:
     feather : float
         Width of the transition, in map units.
     lattice_error, tolerance : float
-        Largest measured and admissible error of the geometry, in image pixels.
+        Largest measured and admissible error of the geometry, in image pixels, or output pixels where those are larger.
     scale : float
         Image pixels per output pixel.
     seconds : dict

@@ -24,7 +24,7 @@ class RenderOptions:
         'nearest', 'bilinear', 'cubic', 'lanczos' or 'average'. All but 'nearest' average over the pixel's footprint
         where the output is coarser than the image.
     tolerance : float
-        Largest admissible geometric error of the lattice, in image pixels.
+        Largest admissible geometric error of the lattice, in image pixels, or output pixels where those are larger.
     threads : int
         Worker threads; the result does not depend on it.
     memory_limit : int

@@ -34,9 +34,9 @@ class OrthoResult:
     valid_pixels : int
         Pixels that show the image.
     lattice_error : float
-        Largest measured interpolation error of the geometry, in image pixels.
+        Largest measured interpolation error of the geometry, in image pixels, or output pixels where those are larger.
     tolerance : float
-        What it had to stay under, in image pixels.
+        What it had to stay under.
     scale : float
         Image pixels per output pixel (median over blocks).
     seconds : float

@@ -15,12 +15,13 @@ import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.sensor.ground import BlockGround
+from geomosaic.sensor.lattice_error import Cells, at_height
 from geomosaic.sensor.mapper import MapToImage
 from geomosaic.types import FloatArray
 
 BLOCK_WIDTH, BLOCK_HEIGHT = 1024, 512
 FIRST_STEP, LAST_STEP = 64, 4
-SMALLEST = FIRST_STEP
+SMALLEST = 16
 
 _CHEBYSHEV = np.cos((2 * np.arange(4) + 1) * np.pi / 8)
 _TO_CUBIC = np.linalg.inv(np.vander(_CHEBYSHEV, 4, increasing=True))
@@ -43,7 +44,7 @@ class Lattice:
     z_middle, z_half : float
         Height range of the block, in metres of the surface's datum.
     error : float
-        Largest measured interpolation error in image pixels (NaN where the image is not seen).
+        Largest measured interpolation error, in image pixels, or in output pixels where those are larger.
     bounds : tuple of float
         Left, top, right, bottom of all that the block can see, in image pixels.
     scale : float
@@ -84,7 +85,7 @@ def build(mapper: MapToImage, grid: Grid, ground: BlockGround, tolerance: float)
     ground : BlockGround
         The block and its heights.
     tolerance : float
-        Largest admissible error in image pixels; half of it is used.
+        Largest admissible error in image pixels, or in output pixels where those are larger; half of it is used.
 
     Returns
     -------
@@ -99,26 +100,42 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
     if np.isnan(low):
         return []
     middle, half = (low + high) / 2, (high - low) / 2
-    step, before = FIRST_STEP, np.inf
+    step, before = _first_step(window), np.inf
     while True:
         surface, nodes = _nodes(mapper, grid, window, step, middle, half)
         bounds = _bounds(nodes, half)
         if bounds is None or _misses(bounds, mapper.model.size):
             return []
-        error, ragged = _error(mapper, grid, window, step, middle, half, surface, nodes)
+        scale = _scale(nodes, step)
+        cells = Cells(mapper, grid, window, step, middle, half, surface, nodes, scale)
+        error, ragged = cells.error(tolerance / 2, thorough=step <= LAST_STEP)
         good = not error > tolerance / 2
-        if step <= LAST_STEP or (good and not ragged):
+        if good and not ragged:
             break
-        if not good and error > before / 2 and half and window.width > SMALLEST and window.height > SMALLEST:
+        stuck = error > before / 2 or step <= LAST_STEP
+        if not good and stuck and half and max(window.width, window.height) > SMALLEST:
             # Closer nodes do not help: the relief is too high for one cubic. Smaller parts have less of it.
             parts = window.split(_half(window.width), _half(window.height))
             return [lattice for part in parts for lattice in _build(mapper, grid, ground, part, tolerance)]
+        if step <= LAST_STEP:
+            break
         step, before = step // 2, error
-    return [Lattice(window, step, nodes, surface, middle, half, error, bounds, _scale(nodes, step))]
+    return [Lattice(window, step, nodes, surface, middle, half, error, bounds, scale)]
+
+
+def _first_step(window: Window) -> int:
+    """Return the largest step that is not much longer than the window."""
+    step = FIRST_STEP
+    while step > LAST_STEP and step >= 2 * max(window.width, window.height):
+        step //= 2
+    return step
 
 
 def _half(length: int) -> int:
-    return length // 2 // SMALLEST * SMALLEST or SMALLEST
+    """Half of a length in whole first steps, or of one such step: a part never straddles two cells of `FIRST_STEP`."""
+    if length > FIRST_STEP:
+        return length // 2 // FIRST_STEP * FIRST_STEP or FIRST_STEP
+    return FIRST_STEP // 2 if length > FIRST_STEP // 2 else SMALLEST
 
 
 def _heights(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window) -> tuple[float, float]:
@@ -149,26 +166,18 @@ def _nodes(
         nodes[..., 0], nodes[..., 4] = image[..., 0], image[..., 1]
     else:
         z = np.repeat(middle + half * _CHEBYSHEV, len(surface))
-        image = mapper.image(np.tile(surface, (4, 1)), z).reshape(4, *shape, 2)
+        levels = mapper.image(np.tile(surface, (4, 1)), z).reshape(4, *shape, 2)
         for axis in (0, 1):
             for power in range(4):
-                total = _TO_CUBIC[power, 0] * image[0, ..., axis]
+                total = _TO_CUBIC[power, 0] * levels[0, ..., axis]
                 for k in (1, 2, 3):
-                    total = total + _TO_CUBIC[power, k] * image[k, ..., axis]
+                    total = total + _TO_CUBIC[power, k] * levels[k, ..., axis]
                 nodes[..., 4 * axis + power] = total
     return surface.reshape(*shape, 2), nodes
 
 
-def _at(nodes: FloatArray, t: float) -> FloatArray:
-    """Image (rows, cols, 2) of the nodes at a normalised height."""
-    n = nodes
-    col = ((n[..., 3] * t + n[..., 2]) * t + n[..., 1]) * t + n[..., 0]
-    row = ((n[..., 7] * t + n[..., 6]) * t + n[..., 5]) * t + n[..., 4]
-    return np.stack([col, row], axis=-1)
-
-
 def _bounds(nodes: FloatArray, half: float) -> tuple[float, float, float, float] | None:
-    ends = np.stack([_at(nodes, t) for t in ((-1.0, 0.0, 1.0) if half else (0.0,))])
+    ends = np.stack([at_height(nodes, t) for t in ((-1.0, 0.0, 1.0) if half else (0.0,))])
     finite = np.isfinite(ends).all(axis=-1)
     if not finite.any():
         return None
@@ -182,56 +191,6 @@ def _misses(bounds: tuple[float, float, float, float], size: tuple[int, int]) ->
     # A coarse lattice may cut a corner of the image: keep a margin as wide as the cells are curved.
     margin = 2.0 + 0.05 * max(right - left, bottom - top)
     return right < -margin or bottom < -margin or left > size[0] + margin or top > size[1] + margin
-
-
-def _error(
-    mapper: MapToImage,
-    grid: Grid,
-    window: Window,
-    step: int,
-    middle: float,
-    half: float,
-    surface: FloatArray,
-    nodes: FloatArray,
-) -> tuple[float, bool]:
-    """Largest error at cell centres that see the image, and whether some cell is only partly seen."""
-    rows, cols = nodes.shape[0] - 1, nodes.shape[1] - 1
-    c, r = np.meshgrid(
-        window.col + step * (np.arange(cols) + 0.5), window.row + step * (np.arange(rows) + 0.5), indexing="xy"
-    )
-    xy = mapper.surface_xy(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
-    middle_surface = _centre(surface).reshape(-1, 2)
-    width, height = mapper.model.size
-    worst, ragged = 0.0, False
-    for t in (-1.0, 1.0) if half else (0.0,):
-        exact = mapper.image(xy, np.full(len(xy), middle + half * t))
-        corners = _at(nodes, t)
-        with np.errstate(invalid="ignore"):
-            near = _centre(corners).reshape(-1, 2)
-            miss = np.hypot(*(near - exact).T)
-            inside = (exact > -step).all(axis=1) & (exact[:, 0] < width + step) & (exact[:, 1] < height + step)
-        known = np.isfinite(corners).all(axis=-1)
-        count = sum(known[i : i + rows, j : j + cols].astype(int) for i in (0, 1) for j in (0, 1)).ravel()
-        ragged = ragged or bool(((count > 0) & (count < 4)).any())
-        seen = inside & np.isfinite(miss)
-        if seen.any():
-            worst = max(worst, float(miss[seen].max()))
-    # The surface's own map is interpolated as well: a shift of its place, in output pixels, counts the same.
-    shift = np.hypot(*(middle_surface - xy).T) / _pixel(surface, step)
-    if half and np.isfinite(shift).any():
-        worst = max(worst, float(np.nanmax(shift)))
-    return worst, ragged
-
-
-def _centre(values: FloatArray) -> FloatArray:
-    """Means of the four corners of each cell."""
-    mean: FloatArray = (values[:-1, :-1] + values[1:, :-1] + values[:-1, 1:] + values[1:, 1:]) / 4
-    return mean
-
-
-def _pixel(surface: FloatArray, step: int) -> float:
-    """Size of an output pixel in units of the surface's map."""
-    return float(np.hypot(*(surface[0, 1] - surface[0, 0]))) / step
 
 
 def _scale(nodes: FloatArray, step: int) -> float:
