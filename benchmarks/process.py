@@ -83,11 +83,11 @@ class Programs:
 
     @classmethod
     def found(cls, peers: Path | None) -> Programs:
-        """Look for them: ours and rio beside this Python, the peers where the user says or on the PATH."""
+        """Look for them: ours beside this Python, the peers where the user says, beside this Python, or on the PATH."""
         own = Path(sys.executable).parent
         script = own / "geomosaic"
         ours: Command = (str(script),) if script.is_file() else (sys.executable, "-c", _ENTRY)
-        return cls(ours, find("rio", own, peers), find("oty", peers), find("gdal_translate"))
+        return cls(ours, find("rio", peers, own), find("oty", peers), find("gdal_translate"))
 
     def versions(self) -> dict[str, str]:
         """Version of each, as it says itself."""
