@@ -16,7 +16,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.balance import balance
 from geomosaic.product.blend import Blender, MosaicBlock, Seams
 from geomosaic.product.options import MosaicOptions
-from geomosaic.product.ortho import GeometryRecord, tiles
+from geomosaic.product.ortho import GeometryRecord, samples, tiles
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.product.records import write_item, write_vectors
@@ -107,7 +107,7 @@ def mosaic(
             shares = regions(shapes, [outline.centre for outline in outlines])
         colours = [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
         seams = Seams(shares, shapes, feather / grid.resolution[0])
-        engine = engine_for(2 * grid.width * grid.height)
+        engine = engine_for(2 * samples(grid, outlines))
         blender = Blender(photos, grid, seams, colours, engine, render.resampling, render.tolerance)
         with _Clock(seconds, "mosaic"):
             labels = beside(output, "-labels", ".tif") if options.labels else None

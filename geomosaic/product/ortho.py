@@ -16,7 +16,7 @@ from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo, pull
 from geomosaic.product.pool import in_order
 from geomosaic.raster.sink import RasterSink
-from geomosaic.resample.warp import Colour, engine_for
+from geomosaic.resample.warp import MOST_SAMPLES, Colour, engine_for
 from geomosaic.sensor.ground import block_ground
 from geomosaic.sensor.lattice import BLOCK_HEIGHT, blocks
 from geomosaic.surface.model import Surface
@@ -112,7 +112,7 @@ def ortho(
     started = time.perf_counter()
     photo = Photo.open(scene, surface, grid, outline, options.memory_limit // 2)
     info = photo.source.info
-    engine = engine_for(_work(grid, photo))
+    engine = engine_for(samples(grid, [outline]))
     record, seen = GeometryRecord(), 0
     colour = Colour.identity(info.bands)
     units = tiles(grid, options.tile)
@@ -163,8 +163,8 @@ def ortho(
     return OrthoResult(output, grid, seen, record.error, options.tolerance, record.scale, time.perf_counter() - started)
 
 
-def _work(grid: Grid, photo: Photo) -> int:
+def samples(grid: Grid, outlines: list[Footprint]) -> int:
     """Samples the job will take: output pixels, or image pixels where the output is coarser."""
-    resolution = grid.resolution[0] * grid.resolution[1]
-    each = max(1.0, resolution / max(photo.footprint.sampling**2, 1e-12))
-    return int(grid.width * grid.height * min(each, 256.0))
+    pixel = grid.resolution[0] * grid.resolution[1]
+    finest = min(outline.sampling for outline in outlines) ** 2
+    return int(grid.width * grid.height * min(max(1.0, pixel / max(finest, 1e-12)), MOST_SAMPLES**2))

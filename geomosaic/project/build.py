@@ -14,7 +14,7 @@ from pyproj import CRS
 from geomosaic.block.block import Block, ControlPoint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import HeightDatumError, InputError
-from geomosaic.geo.crs import has_heights, horizontal
+from geomosaic.geo.crs import geographic, has_heights, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.project.camera import read_camera
 from geomosaic.project.exterior import Exterior, read_exterior
@@ -125,7 +125,17 @@ def build_surface(inputs: BlockInputs, crs: CRS | None, photos: Sequence[Photo] 
         info = inspect(inputs.dem)
         if inputs.dem_heights is None and info.crs is not None and not has_heights(info.crs):
             raise _undeclared_dem(inputs.dem, crs, photos)
-        return Dem.open(inputs.dem, heights=inputs.dem_heights)
+        surface = Dem.open(inputs.dem, heights=inputs.dem_heights)
+        try:
+            Transform(surface.crs, geographic(surface.crs))
+        except HeightDatumError as error:
+            raise HeightDatumError(
+                error.what,
+                where=str(inputs.dem),
+                mend="name a vertical datum whose grid is here: --dem-heights (heights under [dem] in the project) "
+                "with 'egm96', 'ellipsoidal' or the path of a geoid grid",
+            ) from error
+        return surface
     if inputs.exterior is None:
         return None
     raise InputError(
