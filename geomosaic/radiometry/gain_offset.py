@@ -115,7 +115,7 @@ def _least_squares(
     size = 2 * images
     # Where an overlap shows one tone only, gain and offset cannot be told apart: a whisper of a prior decides.
     total = sum(float(w.sum()) for w in weights)
-    prior = 1e-7 * total / max(1, len(pairs))
+    prior = 1e-11 * total / max(1, len(pairs))
     right = np.zeros(size + 2 * number)
     for k in range(images):
         rows += [2 * k, 2 * k + 1]
