@@ -1,8 +1,14 @@
-"""Pictures of the README and the docs, made from the sample block: run `geomosaic demo` first, then this with its folder."""
+"""Pictures of the README and the docs, made from the sample block: run `geomosaic demo` first, then this with its folder.
+
+The picture of the report needs a Chromium browser on the path; without one it is left as it is.
+"""
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +17,7 @@ from PIL import Image, ImageOps
 from geomosaic.raster.preview import preview
 
 IMAGES = Path(__file__).parent / "images"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 
 def photos_and_mosaic(folder: Path) -> Image.Image:
@@ -32,6 +39,23 @@ def photos_and_mosaic(folder: Path) -> Image.Image:
     return sheet
 
 
+def head_of_report(folder: Path) -> Image.Image | None:
+    """What a browser shows first of the report."""
+    browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    if browser is None:
+        return None
+    with tempfile.TemporaryDirectory() as scratch:
+        shot = Path(scratch) / "report.png"
+        report = (folder / "output" / "report.html").resolve().as_uri()
+        options = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--window-size=1240,1230"]
+        subprocess.run([browser, *options, f"--screenshot={shot}", report], check=True, capture_output=True)
+        return Image.open(shot).convert("RGB")
+
+
 if __name__ == "__main__":
     IMAGES.mkdir(exist_ok=True)
-    photos_and_mosaic(Path(sys.argv[1])).save(IMAGES / "photos-to-mosaic.jpg", quality=88)
+    demo = Path(sys.argv[1])
+    photos_and_mosaic(demo).save(IMAGES / "photos-to-mosaic.jpg", quality=88)
+    report_picture = head_of_report(demo)
+    if report_picture is not None:
+        report_picture.save(IMAGES / "report.jpg", quality=86)

@@ -1,0 +1,249 @@
+"""The docs say what is true: their commands run and print what they show, their options, keys and tables exist."""
+
+from __future__ import annotations
+
+import doctest
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.glob("*.md"))
+INSTALL = ("cd geomosaic", "python3 -m venv", ". .venv", "pip install", "geomosaic --version")
+"""Lines of getting-started that make the environment these tests run in."""
+
+
+def fenced(page: Path, *languages: str) -> list[tuple[str, str]]:
+    """Fenced blocks of a page in order, with their languages."""
+    found = re.findall(r"^```(\w*)\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return [(language, text) for language, text in found if language in languages]
+
+
+def pattern(line: str) -> str:
+    """Regular expression of a printed line: decimals, times and what '...' stands for may differ."""
+    parts = re.split(r"(\.\.\.|\d+\.\d+)", line)
+    return "".join(
+        ".*" if part == "..." else r"\d+\.\d+" if re.fullmatch(r"\d+\.\d+", part) else re.escape(part) for part in parts
+    )
+
+
+class Walk:
+    """The commands of getting-started, in order, each with what the page says it prints."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.environment = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "plugins"), os.environ.get("PYTHONPATH", "")]),
+            "NO_COLOR": "1",
+            "COLUMNS": "100",
+        }
+
+    def run(self, script: str) -> tuple[int, str]:
+        """Exit code and output of one block of commands."""
+        prologue = f'geomosaic() {{ "{sys.executable}" -m geomosaic.cli "$@"; }}\n'
+        marker = self.folder / ".cwd"
+        enter = f'cd "{marker.read_text()}"\n' if marker.is_file() else ""
+        done = subprocess.run(
+            ["bash", "-c", f'{prologue}{enter}{script}\ncode=$?\npwd | tr -d "\\n" > "{marker}"\nexit $code'],
+            cwd=self.folder,
+            env=self.environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            check=False,
+        )
+        return done.returncode, done.stdout
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the page is for a Unix shell")
+def test_getting_started_runs_as_written(tmp_path: Path) -> None:
+    """Every command runs in the order of the page and prints the lines that stand below it."""
+    walk, commands = Walk(tmp_path), 0
+    code, output = 0, ""
+    for language, text in fenced(DOCS / "getting-started.md", "sh", "text"):
+        if language == "sh":
+            if all(line.startswith(INSTALL) for line in text.splitlines()):
+                continue
+            code, output = walk.run(text)
+            commands += 1
+            assert code in (0, 1, 3), f"exit code {code} of\n{text}\n{output}"
+            assert (code == 1) == ("error: " in output), f"exit code {code} of\n{text}\n{output}"
+        elif text.startswith(("image,", "id,")) or "R₁(" in text:
+            continue
+        else:
+            missing = [line for line in text.splitlines() if not re.search(f"^{pattern(line)}$", output, re.MULTILINE)]
+            assert not missing, f"not printed: {missing}\nbut:\n{output}"
+            assert (code == 3) == ("quality: " in text), f"exit code {code} with\n{output}"
+            assert (code == 1) == ("error: " in text), f"exit code {code} with\n{output}"
+    assert commands > 10
+
+
+def test_getting_started_shows_the_sample_as_it_is() -> None:
+    """Lines of tables and of the camera file on the page are those of the sample."""
+    sample = ROOT / "data" / "sample"
+    shown = [text for _, text in fenced(DOCS / "getting-started.md", "text") if text.startswith(("image,", "id,"))]
+    assert len(shown) == 2
+    for text, name in zip(shown, ("exterior.csv", "gcps.csv"), strict=True):
+        assert set(text.splitlines()) <= set((sample / name).read_text().splitlines())
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_examples(page: Path) -> None:
+    """Python examples give the results they show."""
+    text = "\n".join(text for _, text in fenced(page, "pycon"))
+    runner = doctest.DocTestRunner(verbose=False)
+    runner.run(doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0))
+    assert runner.failures == 0
+    assert page.stem != "conventions" or runner.tries > 10
+
+
+def commands_of_the_program() -> dict[str, set[str]]:
+    """Options of every command, read off click."""
+    from geomosaic.cli.main import COMMANDS, cli
+
+    context = click.Context(cli)
+    found = {}
+    for name in COMMANDS:
+        command = cli.get_command(context, name)
+        assert command is not None
+        found[name] = {
+            option for item in command.params for option in (*item.opts, *item.secondary_opts) if option[0] == "-"
+        }
+        found[name] |= {"--help", "-h"}
+    return found
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "README.md"], ids=lambda page: page.stem)
+def test_options_and_commands_exist(page: Path) -> None:
+    """Every option and command that a page names is one of the program's."""
+    if not page.is_file():
+        pytest.skip(f"{page.name} is not here")
+    known = commands_of_the_program()
+    everything = {"--version"}.union(*known.values())
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text))
+    assert named <= everything, f"no such option: {sorted(named - everything)}"
+    code = "\n".join([block for _, block in fenced(page, "sh", "console")] + re.findall(r"`([^`\n]+)`", text))
+    for line in re.findall(r"(?:^|&& |/)geomosaic ([^`\n]+)", code.replace("\\\n", " "), re.MULTILINE):
+        words = line.split("#")[0].split()
+        if words[0].startswith("--"):
+            continue
+        assert words[0] in known, f"no such command: geomosaic {line}"
+        used = {word for word in words if re.fullmatch(r"--?[a-z][a-z-]*", word)}
+        assert used <= known[words[0]], f"geomosaic {words[0]} has no {sorted(used - known[words[0]])}"
+
+
+def tables(page: Path) -> dict[str, dict[str, list[str]]]:
+    """Tables of a page by the heading above them: first column, without backticks, to the other cells."""
+    found: dict[str, dict[str, list[str]]] = {}
+    heading = ""
+    for line in page.read_text(encoding="utf-8").splitlines():
+        if line.startswith("#"):
+            heading = line.lstrip("# ").replace("`", "")
+        elif line.startswith("| `"):
+            cells = [cell.strip() for cell in line.strip("|").split(" | ")]
+            cells[-1] = cells[-1].rstrip("| ")
+            for name in re.findall(r"`([^`]+)`", cells[0]):
+                found.setdefault(heading, {})[name] = cells[1:]
+    return found
+
+
+def test_every_key_of_a_project_is_documented() -> None:
+    """The page has every key of the schema, no other, and the right defaults."""
+    from pydantic_core import PydanticUndefined
+
+    from geomosaic.project.schema import ProjectFile
+
+    shown = tables(DOCS / "projects.md")
+    for section, field in ProjectFile.model_fields.items():
+        if section == "format":
+            continue
+        kinds: list[Any] = [field.annotation, *getattr(field.annotation, "__args__", ())]
+        model = next(kind for kind in kinds if hasattr(kind, "model_fields"))
+        rows = shown[f"[{section}]"]
+        assert set(rows) == set(model.model_fields), section
+        for key, entry in model.model_fields.items():
+            default = rows[key][-1]
+            if entry.default is PydanticUndefined and entry.default_factory is None:
+                assert default == "required", f"[{section}] {key}"
+            elif isinstance(entry.default, bool):
+                assert default == f"`{str(entry.default).lower()}`", f"[{section}] {key}"
+            elif isinstance(entry.default, str | float | int):
+                value = f'"{entry.default}"' if isinstance(entry.default, str) else str(entry.default)
+                assert default == f"`{value}`", f"[{section}] {key}"
+            else:
+                assert default != "required", f"[{section}] {key}"
+                assert not default.startswith("`"), f"[{section}] {key}"
+
+
+def test_every_key_of_a_camera_is_documented() -> None:
+    """The page has every key and every coefficient of the camera file."""
+    from geomosaic_frame.camera import KEYS
+    from geomosaic_frame.lenses import COEFFICIENTS
+
+    shown = tables(DOCS / "projects.md")
+    assert set(shown["camera.toml"]) == set(KEYS)
+    lenses = shown["[distortion]"]
+    assert set(lenses) == set(COEFFICIENTS)
+    for lens, coefficients in COEFFICIENTS.items():
+        assert [name for name in re.findall(r"[kps]\d", lenses[lens][0])] == list(coefficients)
+
+
+def test_every_column_of_the_tables_is_documented() -> None:
+    """The page has the columns of orientation and control point tables, and the angle systems."""
+    from geomosaic.project.control import COLUMNS
+    from geomosaic.project.exterior import SYSTEM_NAMES
+    from geomosaic_frame.orientation import SYSTEMS
+
+    shown = tables(DOCS / "projects.md")
+    assert set(shown["gcps.csv"]) == {*COLUMNS, "sigma_xy", "sigma_z", "sigma_px", "role"}
+    assert {"image", "x", "y", "z"} <= set(shown["exterior.csv"])
+    angles = tables(DOCS / "conventions.md")["Angles"]
+    assert set(angles) == set(SYSTEMS) | set(SYSTEM_NAMES)
+    for name, system in SYSTEMS.items():
+        assert angles[name][-1].startswith("true" if system.frame in ("local", "topocentric") else "grid"), name
+
+
+def test_every_input_of_a_sensor_is_documented() -> None:
+    """The page has the inputs of the built-in sensors."""
+    from geomosaic.sensor.registry import plugin
+
+    shown = tables(DOCS / "sensors.md")
+    for name in ("frame", "planar"):
+        assert set(shown[name]) == {entry.name for entry in plugin(name).inputs}
+
+
+def test_the_sample_sensor_passes_the_kit_as_the_page_shows_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kit's example runs, on the sensor the page shows."""
+    from geomosaic.testing import failures
+
+    monkeypatch.syspath_prepend(str(ROOT / "tests" / "sample_plugin"))
+    names: dict[str, Any] = {}
+    example = next(text for _, text in fenced(DOCS / "sensors.md", "python") if "SensorModelTests" in text)
+    exec(example.replace("@pytest.fixture", ""), names)
+    tests = names["TestVertical"]()
+    assert failures(tests.model(), tests.ground()) == {}
+
+
+def test_pictures_and_files_that_pages_name_are_there() -> None:
+    """Pictures exist; paths of the repository named in the architecture page exist."""
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for picture in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text):
+            assert (DOCS / picture).is_file(), f"{page.name}: {picture}"
+        for path in re.findall(r"`((?:geomosaic|plugins|tests|data|docs|benchmarks)/[\w./]*)`", text):
+            assert (ROOT / path).exists(), f"{page.name}: {path}"
+
+
+def test_no_page_names_a_place_of_one_machine() -> None:
+    """Pages hold for every machine."""
+    for page in PAGES:
+        assert not re.search(r"(?<![\w.])/(work|tmp|home|root|opt)\b", page.read_text(encoding="utf-8")), page.name
