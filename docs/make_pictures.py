@@ -1,4 +1,4 @@
-"""Pictures of the README and the docs, made from the sample block: run `geomosaic demo` first, then this with its folder.
+"""Pictures of the README and the docs, made from the sample: run `geomosaic demo` first, then this with its folder.
 
 The picture of the report needs a Chromium browser on the path; without one it is left as it is.
 """
@@ -47,7 +47,7 @@ def head_of_report(folder: Path) -> Image.Image | None:
     with tempfile.TemporaryDirectory() as scratch:
         shot = Path(scratch) / "report.png"
         report = (folder / "output" / "report.html").resolve().as_uri()
-        options = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--window-size=1240,1230"]
+        options = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--window-size=1240,1275"]
         subprocess.run([browser, *options, f"--screenshot={shot}", report], check=True, capture_output=True)
         return Image.open(shot).convert("RGB")
 

@@ -16,7 +16,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
-INSTALL = ("cd geomosaic", "python3 -m venv", ". .venv", "pip install", "geomosaic --version")
+INSTALL = ("cd geomosaic", "cd ..", "python3 -m venv", ". .venv", "pip install", "geomosaic --version")
 """Lines of getting-started that make the environment these tests run in."""
 
 
@@ -76,7 +76,7 @@ def test_getting_started_runs_as_written(tmp_path: Path) -> None:
             commands += 1
             assert code in (0, 1, 3), f"exit code {code} of\n{text}\n{output}"
             assert (code == 1) == ("error: " in output), f"exit code {code} of\n{text}\n{output}"
-        elif text.startswith(("image,", "id,")) or "R₁(" in text:
+        elif text.startswith(("image,", "id,")):
             continue
         else:
             missing = [line for line in text.splitlines() if not re.search(f"^{pattern(line)}$", output, re.MULTILINE)]
@@ -194,7 +194,7 @@ def test_every_key_of_a_camera_is_documented() -> None:
     lenses = shown["[distortion]"]
     assert set(lenses) == set(COEFFICIENTS)
     for lens, coefficients in COEFFICIENTS.items():
-        assert [name for name in re.findall(r"[kps]\d", lenses[lens][0])] == list(coefficients)
+        assert re.findall(r"[kps]\d", lenses[lens][0]) == list(coefficients)
 
 
 def test_every_column_of_the_tables_is_documented() -> None:
