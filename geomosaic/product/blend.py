@@ -14,7 +14,11 @@ from geomosaic.raster.burn import burn
 from geomosaic.resample.warp import CELL, Colour, Engine, value_range
 from geomosaic.seam.feather import halo, reduction, weights
 from geomosaic.sensor.ground import BlockGround, block_ground
+from geomosaic.sensor.lattice import Lattice
 from geomosaic.types import AnyArray, ByteArray
+
+Lattices = dict[int, list[Lattice]]
+"""Of one block, by image."""
 
 
 @dataclass(frozen=True)
@@ -82,22 +86,30 @@ class Blender:
         if ground.unknown:
             return MosaicBlock(values, valid, label, facts)
         shares = self._shares(window, near)
+        lattices: Lattices = {}
         if len(shares) == 1:
-            facts += self._pull(shares[0].index, ground, values, valid, None)
+            self._pull(shares[0].index, ground, values, valid, None, lattices)
             label[valid > 0] = shares[0].index + 1
+            near = [index for index in near if index != shares[0].index]
         elif shares:
-            facts += self._blend(ground, shares, values, valid, label)
-        facts += self._fill(ground, near, values, valid, label)
+            self._blend(ground, shares, values, valid, label, lattices)
+        self._fill(ground, near, values, valid, label, lattices)
+        facts = [(lattice.error, lattice.scale) for used in lattices.values() for lattice in used]
         return MosaicBlock(values, valid, label, facts)
 
     def _pull(
-        self, index: int, ground: BlockGround, out: AnyArray, valid: ByteArray, need: ByteArray | None
-    ) -> list[tuple[float, float]]:
-        lattices = pull(
+        self,
+        index: int,
+        ground: BlockGround,
+        out: AnyArray,
+        valid: ByteArray,
+        need: ByteArray | None,
+        lattices: Lattices,
+    ) -> None:
+        lattices[index] = pull(
             self.engine, self.photos[index], self.grid, ground, self.resampling, self.tolerance,
-            self.colours[index], out, valid, need,
+            self.colours[index], out, valid, need, lattices=lattices.get(index),
         )  # fmt: skip
-        return [(lattice.error, lattice.scale) for lattice in lattices]
 
     def _shares(self, window: Window, near: list[int]) -> list[_Share]:
         """Weights of the images that have any in the block."""
@@ -132,12 +144,17 @@ class Blender:
         return self.grid.crop(corner).coarser(factor)
 
     def _blend(
-        self, ground: BlockGround, shares: list[_Share], values: AnyArray, valid: ByteArray, label: AnyArray
-    ) -> list[tuple[float, float]]:
+        self,
+        ground: BlockGround,
+        shares: list[_Share],
+        values: AnyArray,
+        valid: ByteArray,
+        label: AnyArray,
+        lattices: Lattices,
+    ) -> None:
         shape, bands = valid.shape, values.shape[2]
         total = np.zeros((*shape, bands), dtype=np.float32)
         sums, best = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
-        facts = []
         for share in shares:
             assert share.weight is not None
             need = share.need(shape)
@@ -145,21 +162,25 @@ class Blender:
                 continue
             own = np.zeros((*shape, bands), dtype=np.float32)
             seen = np.zeros(shape, dtype=np.uint8)
-            facts += self._pull(share.index, ground, own, seen, need)
+            self._pull(share.index, ground, own, seen, need, lattices)
             self.engine.accumulate(
                 own, seen, share.weight, share.factor, share.margin, share.index + 1, total, sums, best, label
             )
         low, high, whole = value_range(str(values.dtype))
         self.engine.finish(total, sums, low, high, whole, values, valid)
-        return facts
 
     def _fill(
-        self, ground: BlockGround, near: list[int], values: AnyArray, valid: ByteArray, label: AnyArray
-    ) -> list[tuple[float, float]]:
+        self,
+        ground: BlockGround,
+        near: list[int],
+        values: AnyArray,
+        valid: ByteArray,
+        label: AnyArray,
+        lattices: Lattices,
+    ) -> None:
         """Where the seams' choice shows nothing (its nodata, its edge), take the nearest image that does."""
-        facts: list[tuple[float, float]] = []
         if valid.all():
-            return facts
+            return
         window = ground.window
         reduced = self._reduced(window, CELL, 0)
         middle = self.grid.xy(np.array([[window.col + window.width / 2, window.row + window.height / 2]]))[0]
@@ -168,14 +189,15 @@ class Blender:
             holes = _cells(valid == 0)
             if not holes.any():
                 break
-            need = (holes & (burn([(self.seams.outlines[i].buffer(0), 1)], reduced) == 1)).astype(np.uint8)
+            # A cell counts where any of it may be shown, not only its centre.
+            around = self.seams.outlines[i].buffer(max(reduced.resolution))
+            need = (holes & (burn([(around, 1)], reduced) == 1)).astype(np.uint8)
             if not need.any():
                 continue
             own, seen = np.zeros_like(values), np.zeros_like(valid)
-            facts += self._pull(i, ground, own, seen, need)
+            self._pull(i, ground, own, seen, need, lattices)
             new = (seen > 0) & (valid == 0)
             values[new], valid[new], label[new] = own[new], 1, i + 1
-        return facts
 
 
 @dataclass(frozen=True)
@@ -205,4 +227,4 @@ def _cells(mask: AnyArray) -> AnyArray:
     rows, cols = -(-mask.shape[0] // CELL), -(-mask.shape[1] // CELL)
     padded = np.zeros((rows * CELL, cols * CELL), dtype=bool)
     padded[: mask.shape[0], : mask.shape[1]] = mask
-    return padded.reshape(rows, CELL, cols, CELL).any(axis=(1, 3))
+    return np.asarray(padded.reshape(rows, CELL, cols, CELL).any(axis=(1, 3)))

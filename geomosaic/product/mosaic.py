@@ -6,6 +6,7 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -140,7 +141,7 @@ def _render(
         parts = [block.intersection(grid.window) for block in blocks(window)]
         return [(part, blender.block(part)) for part in parts]
 
-    shared = {"driver": render.driver, "overwrite": render.overwrite, "threads": render.threads}
+    shared: dict[str, Any] = {"driver": render.driver, "overwrite": render.overwrite, "threads": render.threads}
     with ExitStack() as stack:
         sink = stack.enter_context(
             RasterSink(

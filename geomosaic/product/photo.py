@@ -63,11 +63,16 @@ def pull(
     out_valid: ByteArray,
     need: ByteArray | None = None,
     most_samples: int | None = None,
+    lattices: list[Lattice] | None = None,
 ) -> list[Lattice]:
-    """Fill one block from one photo; returns the lattices used, none where the photo does not see it."""
+    """Fill one block from one photo; returns the lattices used, none where the photo does not see it.
+
+    `lattices` are those that were used for the same block and photo before.
+    """
     if ground.unknown:
         return []
-    lattices = build(photo.mapper, grid, ground, tolerance)
+    if lattices is None:
+        lattices = build(photo.mapper, grid, ground, tolerance)
     patch = ground.patch if photo.mapper.uses_heights else None
     size, block = photo.scene.model.size, ground.window
     for lattice in lattices:
