@@ -8,7 +8,7 @@ from helpers import GROUND, MAP, ArrayReader, Hills, PinholeOverMap
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.resample.warp import RESAMPLING, Colour, numba_engine, numpy_engine, supersampling, warp
-from geomosaic.sensor.ground import block_ground
+from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import build
 from geomosaic.sensor.mapper import MapToImage
 
@@ -24,7 +24,7 @@ def warped(engine, values, resampling, resolution=1.0, valid=None, dtype=None, w
     grid = grid_of(resolution)
     window = window or grid.window
     surface = surface or Hills()
-    ground = block_ground(surface, grid, window)
+    ground = Ground.under(grid, surface).block(window)
     mapper = MapToImage.between(MAP, GROUND, model)
     (lattice,) = build(mapper, grid, ground, 0.02)
     out = np.zeros((window.height, window.width, values.shape[2]), dtype=dtype or values.dtype)
@@ -86,7 +86,7 @@ def test_lattice_keeps_its_tolerance_against_every_pixel(tolerance: float, ampli
     from scipy.interpolate import RegularGridInterpolator
 
     grid = grid_of(0.5)
-    ground = block_ground(Hills(amplitude=amplitude), grid, Window(0, 512, 1024, 512))
+    ground = Ground.under(grid, Hills(amplitude=amplitude)).block(Window(0, 512, 1024, 512))
     lattices = build(MapToImage.between(MAP, GROUND, MODEL), grid, ground, tolerance)
     patch = ground.patch
     t, (h, w) = patch.transform, patch.heights.shape
@@ -137,7 +137,7 @@ def test_shrinking_on_reading_agrees_with_sampling() -> None:
     values = (100 + 40 * smooth + rng.normal(0, 5, smooth.shape))[..., None].astype(np.float32)
     grid = grid_of(10.0)
     window = grid.window
-    ground = block_ground(Hills(), grid, window)
+    ground = Ground.under(grid, Hills()).block(window)
     lattice = build(MapToImage.between(MAP, GROUND, MODEL), grid, ground, 0.02)[0]
     results = []
     for most in (16, 3):
@@ -168,7 +168,7 @@ def test_black_stays_and_nodata_never_bleeds() -> None:
 def test_colour_is_applied_before_rounding() -> None:
     values = np.full((MODEL.size[1], MODEL.size[0], 1), 101, dtype=np.uint8)
     grid = grid_of(2.0)
-    ground = block_ground(Hills(), grid, grid.window)
+    ground = Ground.under(grid, Hills()).block(grid.window)
     lattice = build(MapToImage.between(MAP, GROUND, MODEL), grid, ground, 0.02)[0]
     for gain, offset, expected in ((1.5, 0.0, 152), (1.0, -200.0, 0), (3.0, 0.0, 255)):
         out, valid = np.zeros((*grid.shape, 1), dtype=np.uint8), np.zeros(grid.shape, dtype=np.uint8)
@@ -209,7 +209,7 @@ def test_colour_and_float_output_of_the_twins(resampling: str, dtype: str) -> No
     """Blending takes corrected values unrounded; the quick kernels must agree there as well."""
     values = image("uint8", 3)
     grid = grid_of(4.0)
-    ground = block_ground(Hills(), grid, grid.window)
+    ground = Ground.under(grid, Hills()).block(grid.window)
     (lattice,) = build(MapToImage.between(MAP, GROUND, SMALL), grid, ground, 0.02)
     colour = Colour(np.array([1.1, 0.9, 1.0]), np.array([-3.3, 4.7, 0.0]))
     results = []

@@ -169,5 +169,5 @@ def _no_ground(scene: Scene, surface: Surface | None, crs: CRS) -> InputError:
     return InputError(
         "the middle of the image sees no ground: it looks at the sky, or past the edge of the DEM",
         where=where,
-        mend="check the angle system and unit (a roll or gimbal turned by 180°, radians for degrees) and the DEM's extent",
+        mend="check the angle system and unit (a roll turned by 180°, radians for degrees) and the DEM's extent",
     )

@@ -1,7 +1,7 @@
 """How far two pictures of the same ground lie apart, tile by tile, to a few hundredths of a pixel.
 
-Whole pixels come from the peak of the normalised cross-correlation (by FFT), fractions from least squares matching with two
-shifts, a gain and an offset (Förstner 1982; Gruen 1985 without the affine terms).
+Whole pixels come from the peak of the normalised cross-correlation (by FFT), fractions from least squares matching with
+two shifts, a gain and an offset (Förstner 1982; Gruen 1985 without the affine terms).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Shifts:
     @property
     def matched(self) -> BoolArray:
         """Which tiles matched."""
-        found: BoolArray = np.isfinite(self.shifts).all(axis=1)
+        found: BoolArray = np.all(np.isfinite(self.shifts), axis=1)
         return found
 
     @property
@@ -97,17 +97,17 @@ def _tile(a: FloatArray, b: FloatArray, margin: int, reach: int) -> tuple[tuple[
     if template.std() < 1e-9:
         return (np.nan, np.nan), 0.0
     dx, dy = _whole(template, b, margin, reach)
-    gy, gx = np.gradient(a)
+    gy, gx = (np.asarray(slope) for slope in np.gradient(a))
     columns = np.column_stack([gx[inner].ravel(), gy[inner].ravel(), template.ravel(), np.ones(template.size)])
     x, y = float(dx), float(dy)
     correlation = 0.0
     for _ in range(ROUNDS):
         there = moved(b, (-y, -x), order=3, mode="nearest")[inner]
         correlation = float(np.corrcoef(there.ravel(), template.ravel())[0, 1]) if there.std() > 1e-9 else 0.0
-        solution = np.linalg.lstsq(columns, there.ravel(), rcond=None)[0]
+        solution: FloatArray = np.asarray(np.linalg.lstsq(columns, there.ravel(), rcond=None)[0])
         gain = solution[2] if abs(solution[2]) > 1e-6 else 1.0
-        step = -solution[:2] / gain
-        x, y = x + float(step[0]), y + float(step[1])
+        step = (-float(solution[0] / gain), -float(solution[1] / gain))
+        x, y = x + step[0], y + step[1]
         if max(abs(x - dx), abs(y - dy)) > 2.0:
             return (np.nan, np.nan), 0.0
         if np.hypot(*step) < CONVERGED:

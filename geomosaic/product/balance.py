@@ -13,7 +13,7 @@ from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.radiometry.gain_offset import Balance, Overlap, solve
 from geomosaic.resample.warp import Colour, engine_for, value_range
-from geomosaic.sensor.ground import block_ground
+from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import blocks
 from geomosaic.types import AnyArray, FloatArray
 
@@ -63,11 +63,12 @@ def _thumbnail(photos: Photos, index: int, grid: Grid, options: RenderOptions) -
     if window.empty:
         return Thumbnail(window, values.astype(np.float64), valid)
     engine = engine_for(4 * valid.size)
+    below = Ground.under(grid, photos.block.surface)
     for whole in blocks(window):
         part = whole.intersection(grid.window)
         out = np.zeros((part.height, part.width, bands), dtype=np.float32)
         seen = np.zeros(out.shape[:2], dtype=np.uint8)
-        ground = block_ground(photos.block.surface, grid, part)
+        ground = below.block(part)
         colour = Colour.identity(bands)
         pull(engine, photo, grid, ground, "average", NEAR_ENOUGH, colour, out, seen, None, most_samples=3)
         common = part.intersection(window)

@@ -13,7 +13,7 @@ from geomosaic.product.photos import Photos
 from geomosaic.raster.burn import burn
 from geomosaic.resample.warp import CELL, Colour, Engine, value_range
 from geomosaic.seam.feather import halo, reduction, weights
-from geomosaic.sensor.ground import BlockGround, block_ground
+from geomosaic.sensor.ground import BlockGround, Ground
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.types import AnyArray, ByteArray
 
@@ -66,6 +66,7 @@ class Blender:
 
     photos: Photos
     grid: Grid
+    below: Ground
     seams: Seams
     colours: list[Colour]
     engine: Engine
@@ -82,7 +83,7 @@ class Blender:
         near = self.photos.near(window)
         if not near:
             return MosaicBlock(values, valid, label, facts)
-        ground = block_ground(self.photos.block.surface, self.grid, window)
+        ground = self.below.block(window)
         if ground.unknown:
             return MosaicBlock(values, valid, label, facts)
         shares = self._shares(window, near)

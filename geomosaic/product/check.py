@@ -62,8 +62,8 @@ def against_reference(product: Path, truth: Path, tile: int = 64, reach: int = 8
     Returns
     -------
     dict
-        `registration_rms_px`, `registration_robust_rms_px`, `shift_px` (median col, row), `shift_m`, `tiles`, `matched`,
-        `colour_rms` per band, `colour_bias` per band, `pixels` compared.
+        `registration_rms_px`, `registration_robust_rms_px`, `shift_px` (median col, row), `shift_m`, `tiles`,
+        `matched`, `colour_rms` per band, `colour_bias` per band, `pixels` compared.
     """
     grid, values, there = _whole(truth)
     own, seen = _sampled(product, grid)

@@ -6,7 +6,6 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.sink import RasterSink
 from geomosaic.resample.warp import Colour, engine_for
 from geomosaic.seam.voronoi import regions
+from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import blocks
 from geomosaic.types import AnyArray, ByteArray
 
@@ -109,7 +109,9 @@ def mosaic(
         colours = [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
         seams = Seams(shares, shapes, feather / grid.resolution[0])
         engine = engine_for(2 * samples(grid, outlines))
-        blender = Blender(photos, grid, seams, colours, engine, render.resampling, render.tolerance)
+        blender = Blender(
+            photos, grid, Ground.under(grid, block.surface), seams, colours, engine, render.resampling, render.tolerance
+        )
         with _Clock(seconds, "mosaic"):
             labels = beside(output, "-labels", ".tif") if options.labels else None
             seen, pixels, record = _render(blender, output, labels, options)
@@ -141,21 +143,22 @@ def _render(
         parts = [block.intersection(grid.window) for block in blocks(window)]
         return [(part, blender.block(part)) for part in parts]
 
-    shared: dict[str, Any] = {"driver": render.driver, "overwrite": render.overwrite, "threads": render.threads}
     with ExitStack() as stack:
         sink = stack.enter_context(
             RasterSink(
                 output, grid, info.bands, info.dtype, nodata=render.nodata, creation=render.creation,
-                descriptions=info.descriptions, tags={"GEOMOSAIC_IMAGES": str(number)}, **shared,
+                descriptions=info.descriptions, tags={"GEOMOSAIC_IMAGES": str(number)}, driver=render.driver,
+                overwrite=render.overwrite, threads=render.threads,
             )
         )  # fmt: skip
         label_sink = None
         if labels is not None:
             label_sink = stack.enter_context(
                 RasterSink(
-                    labels, grid, 1, label_type, nodata=0, overviews="nearest", descriptions=("source image",), **shared
+                    labels, grid, 1, label_type, nodata=0, overviews="nearest", descriptions=("source image",),
+                    driver=render.driver, overwrite=render.overwrite, threads=render.threads,
                 )
-            )
+            )  # fmt: skip
         for done, (window, parts) in enumerate(in_order(unit, units, render.threads)):
             values, valid, label = _join(parts)
             sink.write(window, values, valid)
@@ -173,6 +176,7 @@ def _render(
         sink.finish()
         if label_sink is not None:
             label_sink.finish()
+    record.judge(render.tolerance)
     return int(counts[1:].sum()), [int(count) for count in counts[1:]], record
 
 

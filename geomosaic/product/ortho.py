@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,14 +11,14 @@ import numpy as np
 
 from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo, pull
 from geomosaic.product.pool import in_order
 from geomosaic.raster.sink import RasterSink
 from geomosaic.resample.warp import MOST_SAMPLES, Colour, engine_for
-from geomosaic.sensor.ground import block_ground
+from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import BLOCK_HEIGHT, blocks
 from geomosaic.surface.model import Surface
 from geomosaic.types import AnyArray, ByteArray
@@ -62,6 +63,15 @@ class GeometryRecord:
         """Take in one block."""
         self.error = max(self.error, error if np.isfinite(error) else 0.0)
         self.scales = [*(self.scales or []), scale]
+
+    def judge(self, tolerance: float) -> None:
+        """Warn where the tolerance could not be kept: at the walls of a surface model, on a coarse grid."""
+        if self.error > tolerance:
+            warnings.warn(
+                f"the geometry is interpolated within {self.error:.3f} px, not {tolerance} px, at the steepest relief",
+                GeomosaicWarning,
+                stacklevel=3,
+            )
 
     @property
     def scale(self) -> float:
@@ -114,6 +124,7 @@ def ortho(
     info = photo.source.info
     engine = engine_for(samples(grid, [outline]))
     record, seen = GeometryRecord(), 0
+    below = Ground.under(grid, surface)
     colour = Colour.identity(info.bands)
     units = tiles(grid, options.tile)
 
@@ -124,7 +135,7 @@ def ortho(
         if photo.touches(grid.crop(unit).bounds):
             for block in blocks(unit):
                 part = block.intersection(grid.window)
-                ground = block_ground(surface, grid, part)
+                ground = below.block(part)
                 across = slice(part.col - unit.col, part.stop_col - unit.col)
                 out, out_valid = values[:, across], valid[:, across]
                 used = pull(engine, photo, grid, ground, options.resampling, options.tolerance, colour, out, out_valid)
@@ -160,6 +171,7 @@ def ortho(
             sink.finish()
     finally:
         photo.source.close()
+    record.judge(options.tolerance)
     return OrthoResult(output, grid, seen, record.error, options.tolerance, record.scale, time.perf_counter() - started)
 
 

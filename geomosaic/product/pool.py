@@ -17,8 +17,8 @@ def in_order(
 ) -> Iterator[tuple[Item, Result]]:
     """Yield (item, function(item)) in the order of the items.
 
-    At most `ahead` results per thread wait at any time, so that memory does not grow with the number of items. The first
-    failure ends the run: tasks not yet started are dropped.
+    At most `ahead` results per thread wait at any time, so that memory does not grow with the number of items. The
+    first failure ends the run: tasks not yet started are dropped.
     """
     if threads == 1:
         for item in items:

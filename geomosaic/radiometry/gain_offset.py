@@ -1,8 +1,9 @@
 """One linear correction per image and band, from what overlapping images show of the same ground.
 
-Corrected values are g·v + o. Over all overlaps the sum of squared differences (gᵢ·vᵢ + oᵢ) − (gⱼ·vⱼ + oⱼ) is made small,
-with the mean gain held at 1 and the mean offset at 0 in every group of connected images: without that, making everything
-black would be the best fit. Samples that disagree with the rest (moving things, leaning houses) lose their weight by Huber's rule.
+Corrected values are g·v + o. Over all overlaps the sum of squared differences (gᵢ·vᵢ + oᵢ) − (gⱼ·vⱼ + oⱼ) is made
+small, with the mean gain held at 1 and the mean offset at 0 in every group of connected images: without that, making
+everything black would be the best fit. Samples that disagree with the rest (moving things, leaning houses) lose their
+weight by Huber's rule.
 """
 
 from __future__ import annotations

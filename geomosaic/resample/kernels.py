@@ -23,8 +23,8 @@ def coordinates(nodes, places, heights, z_middle, z_inverse, flat, step, first_r
     Returns the first col, first row, last col, last row of those that fall in an image of `size`; last col is −1 where
     none does.
 
-    `nodes` (ny, nx, 8) are cubic coefficients, `places` (ny, nx, 2) node positions in the height patch (0 = centre of the
-    first height), `heights` the patch. All as `sensor.lattice.Lattice` has them.
+    `nodes` (ny, nx, 8) are cubic coefficients, `places` (ny, nx, 2) node positions in the height patch (0 = centre of
+    the first height), `heights` the patch. All as `sensor.lattice.Lattice` has them.
     """
     height, width = cols.shape
     dem_rows, dem_cols = heights.shape
@@ -315,9 +315,7 @@ def cubic_rgb(source, cols, rows, place, gain, offset, low, high, whole, out, ou
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _line(flat, p, u0, u1, u2, u3):  # type: ignore[no-untyped-def]
     """Four pixels of one band side by side, weighted."""
-    return (
-        u0 * flat[p] + u1 * flat[p + np.uint64(3)] + u2 * flat[p + np.uint64(6)] + u3 * flat[p + np.uint64(9)]
-    )
+    return u0 * flat[p] + u1 * flat[p + np.uint64(3)] + u2 * flat[p + np.uint64(6)] + u3 * flat[p + np.uint64(9)]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -472,7 +470,7 @@ def _lanczos_weights(t, weights):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def accumulate(values, valid, weight, factor, margin, index, total, sums, best, label):  # type: ignore[no-untyped-def]
-    """Add one image's weighted values to a block; `weight` is a reduced lattice with `margin` cells around the block."""
+    """Add one image's weighted values to a block; `weight` is a reduced lattice with `margin` cells around it."""
     height, width, bands = values.shape
     for k in range(height):
         v = (k + 0.5) / factor - 0.5 + margin
@@ -506,7 +504,6 @@ def finish(total, sums, low, high, whole, out, out_valid):  # type: ignore[no-un
                 for m in range(out.shape[2]):
                     value = np.float64(total[k, c, m] / sums[k, c])
                     if whole:
-                        value = math.floor(value + 0.5)
-                        value = min(max(value, low), high)
+                        value = np.float64(min(max(math.floor(value + 0.5), low), high))
                     out[k, c, m] = value
                 out_valid[k, c] = 1

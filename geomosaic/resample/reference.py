@@ -5,6 +5,9 @@ They serve jobs so small that starting the compiler would cost more than it save
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from geomosaic.types import AnyArray, FloatArray
@@ -211,11 +214,11 @@ def _lanczos_weights(t: FloatArray, coarse: bool) -> list[FloatArray]:
 
 
 _WEIGHTS = {2: _cubic_weights, 3: _lanczos_weights}
-_VALUES = {
+_VALUES: dict[str, Callable[..., FloatArray]] = {
     "nearest": _nearest,
     "bilinear": _bilinear,
-    "cubic": lambda s, v, m, x, y: _convolved(s, v, m, x, y, 2),
-    "lanczos": lambda s, v, m, x, y: _convolved(s, v, m, x, y, 3),
+    "cubic": partial(_convolved, radius=2),
+    "lanczos": partial(_convolved, radius=3),
 }
 
 

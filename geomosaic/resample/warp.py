@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -74,9 +74,7 @@ def numba_engine() -> Engine:
         if rgb and not masked and n == 1 and name in quick:
             quick[name](source, cols, rows, place, gain, offset, low, high, whole, out, out_valid)
         else:
-            table[name](
-                source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid
-            )
+            table[name](source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid)
 
     return Engine(kernels.coordinates, sample, kernels.accumulate, kernels.finish)
 
@@ -164,8 +162,9 @@ def warp(
     if resampling not in RESAMPLING:
         raise InputError(f"no resampling named '{resampling}'", mend=f"use one of {', '.join(RESAMPLING)}")
     n, shrink = supersampling(resampling, lattice.scale, most_samples or MOST_SAMPLES)
-    shape = -(-lattice.window.height // CELL), -(-lattice.window.width // CELL)
-    wanted = np.ones(shape, dtype=np.uint8) if need is None else need
+    wanted = _cells(lattice) if need is None else need & _cells(lattice)
+    if not wanted.any():
+        return
     kernel = "bilinear" if resampling == "average" or n > 1 else resampling
     low, high, whole = value_range(str(out.dtype))
     flat = lattice.flat and (patch is None or not np.isnan(patch.heights).any())
@@ -195,7 +194,7 @@ def warp(
         if needed is None:
             continue
         if window is None or needed.intersection(window) != needed:
-            # The block's window is read once; where it is too large, or the lattice's own bounds fell short, the strip's.
+            # The block's window is read once; where it is too large, or its bounds fell short, the strip's.
             inside = whole_block is not None and needed.intersection(whole_block) == needed
             window = whole_block if at_once and inside and whole_block is not None else needed
             source, valid = reader.read(window, shrink)
@@ -208,6 +207,16 @@ def warp(
 
 
 _ALL_VALID = np.ones((1, 1), dtype=np.uint8)
+
+
+def _cells(lattice: Lattice) -> ByteArray:
+    """Cells of 64 x 64 output pixels that may show the image."""
+    per = CELL // lattice.step
+    rows, cols = -(-lattice.window.height // CELL), -(-lattice.window.width // CELL)
+    padded = np.zeros((rows * per, cols * per), dtype=np.uint8)
+    padded[: lattice.seen.shape[0], : lattice.seen.shape[1]] = lattice.seen
+    seen: ByteArray = padded.reshape(rows, per, cols, per).max(axis=(1, 3))
+    return seen
 
 
 def _window(span: tuple[float, float, float, float], size: tuple[int, int], reach: int, shrink: int) -> Window | None:

@@ -41,16 +41,18 @@ def weights(label: AnyArray, index: int, footprint: BoolArray, feather: float, f
     Returns
     -------
     float32 array (rows, cols)
-        0 to 1. Half on the seam, falling to 0 half a feather beyond it; and falling to 0 towards the footprint's own edge,
-        so that no image ends in a step. Weights of several images are to be divided by their sum.
+        0 to 1. Half on the seam, falling to 0 half a feather beyond it; and falling to 0 towards the footprint's own
+        edge, so that no image ends in a step. Weights of several images are to be divided by their sum.
     """
     own = label == index
     if feather <= 0:
-        return own.astype(np.float32)
+        hard: Float32Array = own.astype(np.float32)
+        return hard
     distance = signed_distance(own) * factor
-    across = np.clip(0.5 + distance / feather, 0.0, 1.0)
-    inside = np.clip(signed_distance(footprint) * factor / feather, 1e-4, 1.0)
-    return (across * np.where(footprint | own, inside, 0.0)).astype(np.float32)
+    across: AnyArray = np.clip(0.5 + distance / feather, 0.0, 1.0)
+    inside: AnyArray = np.clip(signed_distance(footprint) * factor / feather, 1e-4, 1.0)
+    weight: Float32Array = (across * np.where(footprint | own, inside, 0.0)).astype(np.float32)
+    return weight
 
 
 def signed_distance(mask: BoolArray) -> AnyArray:
@@ -61,4 +63,5 @@ def signed_distance(mask: BoolArray) -> AnyArray:
         return np.full(mask.shape, np.inf)
     if not mask.any():
         return np.full(mask.shape, -np.inf)
-    return np.where(mask, distance_transform_edt(mask) - 0.5, 0.5 - distance_transform_edt(~mask))
+    distance: AnyArray = np.where(mask, distance_transform_edt(mask) - 0.5, 0.5 - distance_transform_edt(~mask))
+    return distance

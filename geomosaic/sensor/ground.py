@@ -38,18 +38,41 @@ class BlockGround:
         return HeightPatch(self.patch.heights[first_row:last_row, first_col:last_col], t).range
 
 
-def block_ground(surface: Surface | None, grid: Grid, window: Window) -> BlockGround:
-    """Read the heights of one block."""
-    if surface is None:
-        return BlockGround(window, None, (0.0, 0.0))
-    cols = np.linspace(window.col, window.stop_col, 5)
-    rows = np.linspace(window.row, window.stop_row, 5)
-    c, r = np.meshgrid(cols, rows)
-    xy = Transform(horizontal(grid.crs), horizontal(surface.crs))(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
-    xy = xy[np.isfinite(xy).all(axis=1)]
-    if not len(xy):
-        return BlockGround(window, None, (float("nan"), float("nan")))
-    (left, bottom), (right, top) = xy.min(axis=0), xy.max(axis=0)
-    margin = 0.01 * max(right - left, top - bottom)
-    patch = surface.patch((left - margin, bottom - margin, right + margin, top + margin))
-    return BlockGround(window, patch, patch.range)
+@dataclass(frozen=True)
+class Ground:
+    """A surface under an output grid.
+
+    Attributes
+    ----------
+    surface : Surface or None
+        None where heights play no part.
+    grid : Grid
+    to_surface : Transform or None
+        Output map to the surface's map.
+    """
+
+    surface: Surface | None
+    grid: Grid
+    to_surface: Transform | None
+
+    @classmethod
+    def under(cls, grid: Grid, surface: Surface | None) -> Ground:
+        """Put a surface under a grid."""
+        to_surface = None if surface is None else Transform(horizontal(grid.crs), horizontal(surface.crs))
+        return cls(surface, grid, to_surface)
+
+    def block(self, window: Window) -> BlockGround:
+        """Read the heights of one block."""
+        if self.surface is None or self.to_surface is None:
+            return BlockGround(window, None, (0.0, 0.0))
+        cols = np.linspace(window.col, window.stop_col, 5)
+        rows = np.linspace(window.row, window.stop_row, 5)
+        c, r = np.meshgrid(cols, rows)
+        xy = self.to_surface(self.grid.xy(np.column_stack([c.ravel(), r.ravel()])))
+        xy = xy[np.isfinite(xy).all(axis=1)]
+        if not len(xy):
+            return BlockGround(window, None, (float("nan"), float("nan")))
+        (left, bottom), (right, top) = xy.min(axis=0), xy.max(axis=0)
+        margin = 0.01 * max(right - left, top - bottom)
+        patch = self.surface.patch((left - margin, bottom - margin, right + margin, top + margin))
+        return BlockGround(window, patch, patch.range)

@@ -17,7 +17,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.sensor.ground import BlockGround
 from geomosaic.sensor.lattice_error import Cells, at_height
 from geomosaic.sensor.mapper import MapToImage
-from geomosaic.types import FloatArray
+from geomosaic.types import BoolArray, FloatArray
 
 BLOCK_WIDTH, BLOCK_HEIGHT = 1024, 512
 FIRST_STEP, LAST_STEP = 64, 4
@@ -49,6 +49,8 @@ class Lattice:
         Left, top, right, bottom of all that the block can see, in image pixels.
     scale : float
         Image pixels per output pixel, along the direction where that is most.
+    seen : bool array (rows − 1, cols − 1)
+        Cells that may show the image.
     """
 
     window: Window
@@ -60,6 +62,7 @@ class Lattice:
     error: float
     bounds: tuple[float, float, float, float]
     scale: float
+    seen: BoolArray
 
     @property
     def flat(self) -> bool:
@@ -108,7 +111,7 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
             return []
         scale = _scale(nodes, step)
         cells = Cells(mapper, grid, window, step, middle, half, surface, nodes, scale)
-        error, ragged = cells.error(tolerance / 2, thorough=step <= LAST_STEP)
+        error, ragged, seen = cells.error(tolerance / 2, thorough=step <= LAST_STEP)
         good = not error > tolerance / 2
         if good and not ragged:
             break
@@ -120,7 +123,7 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
         if step <= LAST_STEP:
             break
         step, before = step // 2, error
-    return [Lattice(window, step, nodes, surface, middle, half, error, bounds, scale)]
+    return [Lattice(window, step, nodes, surface, middle, half, error, bounds, scale, seen)]
 
 
 def _first_step(window: Window) -> int:

@@ -39,7 +39,7 @@ class Cells:
     nodes: FloatArray
     scale: float
 
-    def error(self, admissible: float, *, thorough: bool) -> tuple[float, bool]:
+    def error(self, admissible: float, *, thorough: bool) -> tuple[float, bool, BoolArray]:
         """Measure at the centres of cells, where a bilinear interpolation errs most, at both ends of the height range.
 
         Parameters
@@ -56,6 +56,8 @@ class Cells:
             Largest over the cells that may show the image, in pixels.
         ragged : bool
             Whether some of those cells are only partly seen by the model.
+        seen : bool array (rows, cols)
+            Cells that may show the image.
         """
         xy = self._surface_xy(np.array([0.5]), np.arange(self._shape[0] * self._shape[1]))
         levels = (-1.0, 1.0) if self.half else (0.0,)
@@ -77,7 +79,7 @@ class Cells:
         shift = np.hypot(*(_mean(_corners(self.surface)) - xy).T) / self._pixel
         if self.half and np.isfinite(shift).any():
             worst = max(worst, float(np.nanmax(shift)))
-        return worst, ragged
+        return worst, ragged, counts.reshape(self._shape)
 
     @property
     def _shape(self) -> tuple[int, int]:

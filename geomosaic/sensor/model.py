@@ -54,7 +54,7 @@ class HasRays(Protocol):
     """Optional power: lines of sight in closed form."""
 
     def rays(self, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Image (N, 2) to origins (N, 3) and unit directions (N, 3) towards the ground, in the model's Cartesian `crs`."""
+        """Image (N, 2) to origins (N, 3) and unit directions (N, 3) to the ground, in the model's Cartesian `crs`."""
 
 
 @runtime_checkable
