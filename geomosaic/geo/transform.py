@@ -26,20 +26,22 @@ class Transform:
     ----------
     source, target : CRS
         2-D or 3-D.
+
+    Attributes
+    ----------
+    spatial : bool
+        Whether heights take part.
     """
 
     source: CRS
     target: CRS
+    spatial: bool = field(init=False, repr=False, compare=False)
     _operation: Transformer | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "spatial", has_heights(self.source) and has_heights(self.target))
         # Made here so that it fails when made, not at the first point.
         object.__setattr__(self, "_operation", self._find())
-
-    @property
-    def spatial(self) -> bool:
-        """Whether heights take part."""
-        return has_heights(self.source) and has_heights(self.target)
 
     def _find(self) -> Transformer | None:
         if self.spatial:
