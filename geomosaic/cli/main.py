@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import os
 import sys
 from importlib import import_module
 from typing import Any, NoReturn
@@ -74,8 +76,25 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     arguments : list of str, optional
         Instead of the process's own.
     """
-    words = sys.argv[1:] if arguments is None else arguments
-    sys.exit(run(words))
+    if arguments is not None:
+        sys.exit(run(arguments))
+    _leave(run(sys.argv[1:]))
+
+
+def _leave(code: int) -> NoReturn:
+    """End the process at once: taking down an interpreter with GDAL and PROJ in it costs as much as starting one.
+
+    What would run at exit runs (temporary folders); only memory is left to the system.
+    """
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (BrokenPipeError, ValueError, AttributeError):  # the reader has gone; closed; never there
+            pass
+        except OSError:
+            code = code or 1
+    os._exit(code)
 
 
 def run(words: list[str]) -> int:
