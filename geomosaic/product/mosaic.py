@@ -120,7 +120,7 @@ def mosaic(
     with _Clock(seconds, "records"):
         vectors = beside(output, "", ".gpkg") if options.vectors else None
         if vectors is not None:
-            write_vectors(vectors, grid.crs, outlines, shares, solved, pixels, overwrite=render.overwrite)
+            write_vectors(vectors, grid, outlines, shares, solved, pixels, overwrite=render.overwrite)
         item = beside(output, "", ".stac.json") if options.stac else None
         if item is not None:
             write_item(item, output, labels, vectors, grid, shapes, overwrite=render.overwrite)

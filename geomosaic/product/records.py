@@ -29,7 +29,7 @@ STAC_FILE = "https://stac-extensions.github.io/file/v2.1.0/schema.json"
 
 def write_vectors(
     path: Path,
-    crs: CRS,
+    grid: Grid,
     outlines: list[Footprint],
     shares: list[Any],
     balance: Balance,
@@ -39,9 +39,9 @@ def write_vectors(
 ) -> None:
     """Write a GeoPackage with the layers `footprints`, `seams` (areas) and `seamlines` (what divides them)."""
     layers = {
-        "footprints": _footprints(crs, outlines, balance, pixels),
-        "seams": _areas(crs, outlines, shares),
-        "seamlines": _lines(crs, outlines, shares),
+        "footprints": _footprints(grid.crs, outlines, balance, pixels),
+        "seams": _areas(grid.crs, outlines, shares),
+        "seamlines": _lines(grid, outlines, shares),
     }
     write_layers(path, layers, overwrite=overwrite)
 
@@ -75,23 +75,24 @@ def _areas(crs: CRS, outlines: list[Footprint], shares: list[Any]) -> GeoDataFra
     )
 
 
-def _lines(crs: CRS, outlines: list[Footprint], shares: list[Any]) -> GeoDataFrame:
+def _lines(grid: Grid, outlines: list[Footprint], shares: list[Any]) -> GeoDataFrame:
     import geopandas
     import shapely
 
+    # A hair of width finds the common edge although the two were cut in floating point.
+    hair = 1e-5 * grid.resolution[0]
     tree = shapely.STRtree(shares)
     first, second, lines = [], [], []
     for i, share in enumerate(shares):
-        for j in sorted(int(k) for k in tree.query(share, predicate="dwithin", distance=1e-6)):
+        for j in sorted(int(k) for k in tree.query(share, predicate="dwithin", distance=hair)):
             if j <= i or shares[j].is_empty or share.is_empty:
                 continue
-            # A hair of width finds the common edge although the two were cut in floating point.
-            line = share.boundary.intersection(shares[j].buffer(1e-6))
-            if line.length > 1e-3:
+            line = share.boundary.intersection(shares[j].buffer(hair))
+            if line.length > 100 * hair:
                 first.append(outlines[i].name)
                 second.append(outlines[j].name)
                 lines.append(shapely.line_merge(line) if line.geom_type != "LineString" else line)
-    return geopandas.GeoDataFrame({"first": first, "second": second}, geometry=lines, crs=crs.to_wkt())
+    return geopandas.GeoDataFrame({"first": first, "second": second}, geometry=lines, crs=grid.crs.to_wkt())
 
 
 def write_item(
