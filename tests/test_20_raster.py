@@ -666,3 +666,10 @@ def test_vector_layers(tmp_path, monkeypatch):
     (tmp_path / "bad.gpkg").write_text("nothing")
     with pytest.raises(InputError, match="not a vector file"):
         read_layer(tmp_path / "bad.gpkg")
+
+
+def test_unknown_compression_is_refused(tmp_path):
+    grid = Grid(CRS.from_epsg(32633), Affine(1, 0, 0, 0, -1, 0), 10, 10)
+    with pytest.raises(InputError, match="no compression 'FOO'"):
+        RasterSink(tmp_path / "a.tif", grid, 1, "uint8", creation={"COMPRESS": "foo"})
+    assert not list(tmp_path.iterdir())

@@ -258,3 +258,21 @@ def test_undeclared_heights_name_metres_pixels_and_option():
     assert "45.5 m" in error.what
     assert "22.8 px" in error.what
     assert "--heights" in str(error.mend)
+
+
+def test_one_photo_of_a_table_in_radians_is_found_out(sample, tmp_path):
+    """One image tells nothing of the unit; the rest of its table does."""
+    from geomosaic.project.build import photos_of
+    from geomosaic.project.inputs import BlockInputs
+
+    lines = (sample / "exterior.csv").read_text().splitlines()
+    turned = [lines[0]]
+    for line in lines[1:]:
+        cells = line.split(",")
+        turned.append(",".join([*cells[:4], *(repr(math.radians(float(cell))) for cell in cells[4:7])]))
+    table = tmp_path / "exterior.csv"
+    table.write_text("\n".join(turned) + "\n")
+    photo = sorted((sample / "photos").glob("*.jpg"))[0]
+    inputs = BlockInputs(images=(photo,), sensor="frame", exterior=table, crs="EPSG:32633", heights="egm96")
+    with pytest.raises(InputError, match="radians"):
+        photos_of(inputs)

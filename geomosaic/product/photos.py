@@ -80,7 +80,7 @@ def _common(infos: list[SourceInfo], block: Block) -> SourceInfo:
             raise InputError(
                 f"the image has {info.bands} bands, '{block.scenes[0].name}' has {first.bands}",
                 where=scene.path,
-                mend="choose the same bands of all images with --bidx",
+                mend="give images with the same bands",
             )
         if info.dtype != first.dtype:
             raise InputError(

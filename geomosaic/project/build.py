@@ -93,7 +93,8 @@ def photos_of(inputs: BlockInputs) -> tuple[list[Photo], CRS | None]:
             mend="name it: --exterior-crs on the command line, crs under [exterior] in the project",
         )
     photos = [Photo(path, info, table.row(path.name)) for path, info in zip(inputs.images, infos, strict=True)]
-    check_units(table, inputs.angle_unit, [photo.exterior for photo in photos if photo.exterior])
+    # The whole table: one image alone tells nothing of the unit, its neighbours do.
+    check_units(table, inputs.angle_unit, list(table.rows.values()))
     return photos, crs
 
 

@@ -32,7 +32,7 @@ def check_units(table: ExteriorTable, unit: str | None, rows: Sequence[Exterior]
     unit : str or None
         As declared; None is degrees.
     rows : sequence of Exterior
-        Of the images at hand.
+        Those that tell of the unit: all of the table.
     """
     if unit is not None and unit not in TO_DEGREES:
         raise InputError(f"no angle unit named '{unit}'", mend=f"use one of {', '.join(TO_DEGREES)}")

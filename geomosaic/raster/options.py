@@ -18,6 +18,7 @@ _DEFAULTS = {"COMPRESS": "DEFLATE", "BIGTIFF": "IF_SAFER"}
 _LEVELS = {"DEFLATE": "ZLEVEL", "ZSTD": "ZSTD_LEVEL", "LERC_DEFLATE": "ZLEVEL", "LERC_ZSTD": "ZSTD_LEVEL"}
 _QUALITIES = {"JPEG": "JPEG_QUALITY", "WEBP": "WEBP_LEVEL"}
 _PREDICTORS = {"NO": "1", "STANDARD": "2", "FLOATING_POINT": "3"}
+_METHODS = ("NONE", "DEFLATE", "ZSTD", "LZW", "PACKBITS", "LZMA", "JPEG", "WEBP", "LERC", "LERC_DEFLATE", "LERC_ZSTD")
 _PREDICTED = ("DEFLATE", "ZSTD", "LZW")
 # How a file is cut is this program's business; other values than its own cannot be had.
 _FIXED = {
@@ -106,12 +107,16 @@ def creation_options(
             where=where,
             mend=f"one of {', '.join(sorted(_KNOWN))}",
         )
-    return Creation(_gtiff(user, bands, dtype, photometric), wanted)
+    return Creation(_gtiff(user, bands, dtype, photometric, where), wanted)
 
 
-def _gtiff(user: dict[str, str], bands: int, dtype: np.dtype[Any], photometric: str | None) -> dict[str, str]:
+def _gtiff(
+    user: dict[str, str], bands: int, dtype: np.dtype[Any], photometric: str | None, where: str
+) -> dict[str, str]:
     options = {**_DEFAULTS, **user}
     method = options["COMPRESS"] = options["COMPRESS"].upper()
+    if method not in _METHODS:  # GDAL would write an uncompressed file and say nothing
+        raise InputError(f"there is no compression '{method}'", where=where, mend=f"one of {', '.join(_METHODS)}")
     level, quality = options.pop("LEVEL", None), options.pop("QUALITY", None)
     if method in _LEVELS:
         options.setdefault(_LEVELS[method], level or "1")
