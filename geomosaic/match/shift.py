@@ -91,6 +91,7 @@ def shifts(
 
 def _tile(a: FloatArray, b: FloatArray, margin: int, reach: int) -> tuple[tuple[float, float], float]:
     from scipy.ndimage import shift as moved
+    from scipy.ndimage import spline_filter
 
     inner = slice(margin, -margin), slice(margin, -margin)
     template = a[inner]
@@ -99,12 +100,13 @@ def _tile(a: FloatArray, b: FloatArray, margin: int, reach: int) -> tuple[tuple[
     dx, dy = _whole(template, b, margin, reach)
     gy, gx = (np.asarray(slope) for slope in np.gradient(a))
     columns = np.column_stack([gx[inner].ravel(), gy[inner].ravel(), template.ravel(), np.ones(template.size)])
+    solver, coefficients = np.linalg.pinv(columns), spline_filter(b, order=3, mode="nearest")
     x, y = float(dx), float(dy)
     correlation = 0.0
     for _ in range(ROUNDS):
-        there = moved(b, (-y, -x), order=3, mode="nearest")[inner]
+        there = moved(coefficients, (-y, -x), order=3, mode="nearest", prefilter=False)[inner]
         correlation = float(np.corrcoef(there.ravel(), template.ravel())[0, 1]) if there.std() > 1e-9 else 0.0
-        solution: FloatArray = np.asarray(np.linalg.lstsq(columns, there.ravel(), rcond=None)[0])
+        solution = solver @ there.ravel()
         gain = solution[2] if abs(solution[2]) > 1e-6 else 1.0
         step = (-float(solution[0] / gain), -float(solution[1] / gain))
         x, y = x + step[0], y + step[1]

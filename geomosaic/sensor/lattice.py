@@ -111,19 +111,25 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
             return []
         scale = _scale(nodes, step)
         cells = Cells(mapper, grid, window, step, middle, half, surface, nodes, scale)
+        divisible = half > 0 and max(window.width, window.height) > SMALLEST
+        if divisible and np.isinf(before) and cells.height_error() > tolerance / 2:
+            return _parts(mapper, grid, ground, window, tolerance)
         error, ragged, seen = cells.error(tolerance / 2, thorough=step <= LAST_STEP)
         good = not error > tolerance / 2
         if good and not ragged:
             break
-        stuck = error > before / 2 or step <= LAST_STEP
-        if not good and stuck and half and max(window.width, window.height) > SMALLEST:
-            # Closer nodes do not help: the relief is too high for one cubic. Smaller parts have less of it.
-            parts = window.split(_half(window.width), _half(window.height))
-            return [lattice for part in parts for lattice in _build(mapper, grid, ground, part, tolerance)]
+        if divisible and not good and (error > before / 2 or step <= LAST_STEP):
+            return _parts(mapper, grid, ground, window, tolerance)
         if step <= LAST_STEP:
             break
         step, before = step // 2, error
     return [Lattice(window, step, nodes, surface, middle, half, error, bounds, scale, seen)]
+
+
+def _parts(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, tolerance: float) -> list[Lattice]:
+    """Where closer nodes do not help, the relief is too high for one cubic; smaller parts have less of it."""
+    parts = window.split(_half(window.width), _half(window.height))
+    return [lattice for part in parts for lattice in _build(mapper, grid, ground, part, tolerance)]
 
 
 def _first_step(window: Window) -> int:

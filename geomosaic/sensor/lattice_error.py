@@ -81,6 +81,18 @@ class Cells:
             worst = max(worst, float(np.nanmax(shift)))
         return worst, ragged, counts.reshape(self._shape)
 
+    def height_error(self) -> float:
+        """Largest error in pixels at the nodes that show the image, at the ends of the height range: the cubic's."""
+        flat, size = self.surface.reshape(-1, 2), np.array(self.mapper.model.size)
+        worst = 0.0
+        for t in (-1.0, 1.0):
+            exact = self._image(flat, t)
+            with np.errstate(invalid="ignore"):
+                shown = ((exact > 0.0) & (exact < size)).all(axis=1)
+            miss = np.hypot(*(at_height(self.nodes, t).reshape(-1, 2) - exact)[shown].T)
+            worst = max(worst, float(miss.max(initial=0.0)))
+        return worst / self._unit
+
     @property
     def _shape(self) -> tuple[int, int]:
         return self.nodes.shape[0] - 1, self.nodes.shape[1] - 1
