@@ -127,12 +127,22 @@ def test_sample_types_and_band_choice(tmp_path, dtype):
     values = picture(bands=4, dtype=dtype)
     path = write_file(tmp_path / "i.tif", values, tiled=True, photometric="minisblack")
     with Source(path, bands=[4, 2]) as image:
-        assert image.info.bands == 4
+        assert image.info.bands == len(image.info.units) == 2
         got, _ = image.read(whole(image.info))
         assert got.dtype == np.dtype(dtype)
         np.testing.assert_array_equal(got, values[:, :, [3, 1]])
-    with pytest.raises(InputError, match="bands 1 to 4"):
-        Source(path, bands=[5])
+    for bands, said in (([5], "no band 5: the file has bands 1 to 4"), ([1, 0], "no band 0"), ([], "no band is")):
+        with pytest.raises(InputError, match=said) as caught:
+            Source(path, bands=bands)
+        assert caught.value.where == str(path)
+
+
+def test_what_is_said_of_bands_is_said_of_those_chosen(tmp_path):
+    path = tmp_path / "i.tif"
+    with rasterio.open(path, "w", driver="GTiff", width=8, height=6, count=3, dtype="int16") as file:
+        file.descriptions, file.units, file.scales = ("red", "near", "heat"), ("a", "b", "c"), (1.0, 2.0, 3.0)
+    info = inspect(path, [3, 1])
+    assert (info.bands, info.descriptions, info.units, info.scales) == (2, ("heat", "red"), ("c", "a"), (3.0, 1.0))
 
 
 def test_threads_have_handles_of_their_own(tmp_path):

@@ -21,9 +21,9 @@ class Scene:
         Name of the sensor plugin the model comes from.
     model : SensorModel
     nodata : float, optional
-        Value of missing pixels, where the file does not say so itself.
+        Value of missing pixels, in place of what the file says.
     bands : tuple of int, optional
-        Bands to use, counted from 1; all colour bands unless given.
+        Bands to use, counted from 1, in this order; all but alpha unless given.
     """
 
     name: str

@@ -40,6 +40,14 @@ def pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -
     return out
 
 
+def band_numbers(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> tuple[int, ...] | None:
+    """Band numbers from 1: separated by commas, given any number of times; None where none is."""
+    words = [word.strip() for text in values for word in text.split(",")]
+    if not all(word.isascii() and word.isdigit() and int(word) > 0 for word in words):
+        raise click.BadParameter(f"'{','.join(values)}' are not band numbers; write 1,2,3, counted from 1")
+    return tuple(map(int, words)) or None
+
+
 FILE = click.Path(path_type=Path)
 
 
@@ -70,6 +78,15 @@ machine_options = stack(
 )
 
 image_options = stack(
+    click.option(
+        "-b",
+        "--bidx",
+        "bands",
+        multiple=True,
+        callback=band_numbers,
+        metavar="NUMBERS",
+        help="Bands of the images to use, such as 1,2,3.  [default: all but alpha]",
+    ),
     click.option("--sensor", help="Sensor of the images; see `geomosaic sensors`."),
     click.option("--camera", type=FILE, help="Camera description (TOML)."),
     click.option("--exterior", type=FILE, help="Orientation table: image, x, y, z and angles."),

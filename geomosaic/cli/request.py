@@ -38,6 +38,7 @@ def block_inputs(images: tuple[Path, ...], flags: Mapping[str, Any], control: Pa
         height=flags["height"],
         dem_heights=flags["dem_heights"],
         control=control,
+        bands=flags["bands"],
     )
 
 

@@ -33,6 +33,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         "dem": settings.dem.model_dump(mode="json") if settings.dem else None,
         "images": [path.name for path in project.images],
         "nodata": settings.project.nodata,
+        "bands": settings.project.bands,
     }
     place: dict[str, Any] = {"output": settings.output.model_dump(mode="json", exclude={"folder", "orthos"})}
     blend: dict[str, Any] = {"mosaic": settings.mosaic.model_dump(mode="json")}

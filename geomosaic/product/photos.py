@@ -32,7 +32,7 @@ class Photos:
     def __init__(self, block: Block, grid: Grid, outlines: Sequence[Footprint], memory: int) -> None:
         self.block, self.grid, self.outlines = block, grid, outlines
         self.windows = [grid.window_of(outline.bounds) for outline in outlines]
-        self.info = _common([inspect(scene.path) for scene in block.scenes], block)
+        self.info = _common([inspect(scene.path, scene.bands) for scene in block.scenes], block)
         self._each = memory // max(1, self._most_at_once())
         self._open: dict[int, Photo] = {}
         self._lock = threading.Lock()
@@ -76,11 +76,11 @@ def _common(infos: list[SourceInfo], block: Block) -> SourceInfo:
     """Bands and sample type that all images share."""
     first = infos[0]
     for scene, info in zip(block.scenes, infos, strict=True):
-        if scene.bands is None and info.bands != first.bands:
+        if info.bands != first.bands:
             raise InputError(
                 f"the image has {info.bands} bands, '{block.scenes[0].name}' has {first.bands}",
                 where=scene.path,
-                mend="give images with the same bands",
+                mend="choose the same bands of all images: --bidx, or bands under [project]",
             )
         if info.dtype != first.dtype:
             raise InputError(

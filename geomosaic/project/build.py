@@ -64,7 +64,14 @@ def build_block(inputs: BlockInputs) -> Block:
     control = _control(inputs, photos, crs)
     camera = read_camera(inputs.camera) if inputs.camera else None
     scenes = tuple(
-        Scene(photo.name, str(photo.path), inputs.sensor, _model(inputs, photo, crs, camera, control), inputs.nodata)
+        Scene(
+            photo.name,
+            str(photo.path),
+            inputs.sensor,
+            _model(inputs, photo, crs, camera, control),
+            inputs.nodata,
+            inputs.bands,
+        )
         for photo in photos
     )
     return Block(scenes, surface, control, crs)
@@ -81,7 +88,7 @@ def photos_of(inputs: BlockInputs) -> tuple[list[Photo], CRS | None]:
     """
     if not inputs.images:
         raise InputError("no images are given", mend="name one or more image files")
-    infos = [inspect(path) for path in inputs.images]
+    infos = [inspect(path, inputs.bands) for path in inputs.images]
     crs = named(inputs.crs, inputs.heights, "exterior CRS") if inputs.crs else None
     if inputs.exterior is None or inputs.angles == RECONSTRUCTION:
         return [Photo(path, info, None) for path, info in zip(inputs.images, infos, strict=True)], crs

@@ -100,6 +100,7 @@ def _text(path: Path, inputs: BlockInputs, guessed: bool) -> str:
         "[project]",
         f"name = {_string(stem(path.name))}",
         f"images = [{', '.join(_string(pattern) for pattern in patterns(inputs.images, folder))}]",
+        *([f"bands = {list(inputs.bands)}    # counted from 1"] if inputs.bands else []),
         "",
         "[sensor]",
         f"name = {_string(inputs.sensor)}    # `geomosaic sensors {inputs.sensor}` lists what may stand here",

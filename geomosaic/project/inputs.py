@@ -46,7 +46,9 @@ class BlockInputs:
     control : Path, optional
         Control and check points.
     nodata : float, optional
-        Value of missing pixels of images that do not say so themselves.
+        Value of missing pixels of the images, in place of what the files say.
+    bands : tuple of int, optional
+        Bands of the images to use, counted from 1, in this order; all but alpha unless given.
     """
 
     images: tuple[Path, ...]
@@ -66,6 +68,7 @@ class BlockInputs:
     dem_heights: str | None = None
     control: Path | None = None
     nodata: float | None = None
+    bands: tuple[int, ...] | None = None
 
     @property
     def files(self) -> tuple[Path, ...]:

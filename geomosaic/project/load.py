@@ -84,6 +84,7 @@ class Project:
             dem_heights=_datum(self.folder, s.dem.heights) if s.dem else None,
             control=self.file(s.control.file) if s.control else None,
             nodata=s.project.nodata,
+            bands=s.project.bands,
         )
 
 

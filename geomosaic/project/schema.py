@@ -18,6 +18,7 @@ def _plain_path(text: str) -> str:
 
 FilePath = Annotated[str, AfterValidator(_plain_path)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Band = Annotated[int, Field(ge=1)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -33,6 +34,7 @@ class ProjectSection(Section):
     name: str = Field("mosaic", min_length=1, max_length=100, pattern=r"^[^/\\\x00-\x1f]+$")
     images: list[FilePath] = Field(min_length=1)
     nodata: float | None = None
+    bands: Annotated[tuple[Band, ...], Field(min_length=1)] | None = None
 
 
 class SensorSection(BaseModel):

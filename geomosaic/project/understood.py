@@ -41,7 +41,7 @@ def understood(inputs: BlockInputs) -> list[str]:
 
 
 def _images(inputs: BlockInputs) -> list[str]:
-    infos = [inspect(path) for path in inputs.images]
+    infos = [inspect(path, inputs.bands) for path in inputs.images]
     sizes = sorted({info.size for info in infos})
     shown = ", ".join(f"{width} x {height}" for width, height in sizes[:3]) + (" ..." if len(sizes) > 3 else "")
     kinds = sorted({f"{info.bands} x {info.dtype}" for info in infos})

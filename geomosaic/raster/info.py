@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from pyproj.exceptions import CRSError
 from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
-from geomosaic.errors import RasterReadError
+from geomosaic.errors import InputError, RasterReadError
 from geomosaic.raster.environment import READ_DRIVERS, environment
 from geomosaic.types import PathLike
 
@@ -29,7 +30,7 @@ _SEQUENTIAL_SUFFIXES = (".jpg", ".jpeg", ".png")
 
 @dataclass(frozen=True)
 class SourceInfo:
-    """A raster file in numbers.
+    """A raster file in numbers; what is said of bands is said of those chosen, all but alpha unless told.
 
     Attributes
     ----------
@@ -40,7 +41,7 @@ class SourceInfo:
     width, height : int
         Pixels.
     bands : int
-        Number of bands without alpha.
+        Number of bands.
     alpha : int or None
         Band number (from 1) of the alpha band.
     dtype : str
@@ -48,7 +49,7 @@ class SourceInfo:
     nodata : float or None
         The value of the first band that marks a missing pixel.
     nodatas : tuple
-        The same for every band without alpha.
+        The same for every band.
     crs : CRS or None
         Horizontal, or with a vertical part where the file declares one.
     transform : Affine or None
@@ -64,7 +65,7 @@ class SourceInfo:
     mask_band : bool
         It does so by a mask band.
     descriptions, units, colors : tuple
-        Per band without alpha: description, unit of the values, colour (red, green, blue, gray, palette ...).
+        Per band: description, unit of the values, colour (red, green, blue, gray, palette ...).
     scales, offsets : tuple of float
         Per band: value = stored × scale + offset.
     """
@@ -136,20 +137,22 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
     ) from reason
 
 
-def inspect(path: PathLike) -> SourceInfo:
-    """Describe a raster file without reading pixels.
+def inspect(path: PathLike, bands: Sequence[int] | None = None) -> SourceInfo:
+    """Describe a raster file, or some bands of it (counted from 1), without reading pixels.
 
     Raises
     ------
     RasterReadError
         The file is missing, no raster, or of a sample type that is not supported (complex).
+    InputError
+        A band that the file does not have.
     """
     with environment(), open_raster(path) as dataset:
-        return describe(dataset, str(path))
+        return describe(dataset, str(path), bands)
 
 
-def describe(dataset: Any, path: str) -> SourceInfo:
-    """Describe an open rasterio dataset; `path` is the name used in errors."""
+def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> SourceInfo:
+    """Describe an open rasterio dataset, or some of its bands; `path` is the name used in errors."""
     if dataset.count == 0:
         found = ", ".join(dataset.subdatasets[:4])
         raise RasterReadError(
@@ -160,6 +163,8 @@ def describe(dataset: Any, path: str) -> SourceInfo:
     colors = dataset.colorinterp
     numbers = [i for i, color in enumerate(colors) if color != ColorInterp.alpha] or [0]
     alpha = next((i + 1 for i, color in enumerate(colors) if color == ColorInterp.alpha and i not in numbers), None)
+    if bands is not None:
+        numbers = [band - 1 for band in check_bands(bands, dataset.count, path)]
     types = {dataset.dtypes[i] for i in numbers}
     if not types <= set(DTYPES):
         raise RasterReadError(
@@ -195,6 +200,21 @@ def describe(dataset: Any, path: str) -> SourceInfo:
         scales=tuple(float(dataset.scales[i]) for i in numbers),
         offsets=tuple(float(dataset.offsets[i]) for i in numbers),
     )
+
+
+def check_bands(bands: Sequence[int], count: int, path: str) -> tuple[int, ...]:
+    """Return band numbers, or say which of them a file of `count` bands does not have."""
+    absent = [band for band in bands if not 1 <= band <= count]
+    if absent or not bands:
+        shown = ", ".join(map(str, absent))
+        raise InputError(
+            f"there is no band {shown}: the file has {'one band' if count == 1 else f'bands 1 to {count}'}"
+            if absent
+            else "no band is chosen",
+            where=path,
+            mend="name bands of the file, counted from 1",
+        )
+    return tuple(bands)
 
 
 def _crs(dataset: Any, path: str) -> CRS | None:

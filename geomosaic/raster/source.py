@@ -11,7 +11,7 @@ import numpy as np
 import rasterio.windows
 from rasterio.errors import RasterioError
 
-from geomosaic.errors import InputError, RasterReadError
+from geomosaic.errors import RasterReadError
 from geomosaic.geo.grid import Window
 from geomosaic.raster.environment import environment
 from geomosaic.raster.info import SourceInfo, describe, inspect, open_raster
@@ -71,15 +71,9 @@ class Source:
         self._memory_limit = memory_limit
         self._scratch = scratch
         with environment(), open_raster(path) as dataset:
-            self.info: SourceInfo = describe(dataset, self._path)
+            self.info: SourceInfo = describe(dataset, self._path, bands)
             plain = [i for i in dataset.indexes if i != self.info.alpha]
             self.bands: tuple[int, ...] = tuple(plain if bands is None else bands)
-            if not self.bands or any(band not in dataset.indexes for band in self.bands):
-                raise InputError(
-                    f"bands {list(self.bands)} were asked for, the file has bands 1 to {dataset.count}",
-                    where=self._path,
-                    mend="name bands of the file, counted from 1",
-                )
             self._block_rows = int(dataset.block_shapes[self.bands[0] - 1][0])
             declared = dataset.nodatavals
         self._dtype = np.dtype(self.info.dtype)

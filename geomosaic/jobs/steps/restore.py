@@ -22,7 +22,7 @@ def restore_block(project: Project) -> Block:
     scenes = []
     for image, path in zip(project.images, Layout(project).models, strict=True):
         state = read_json(path)
-        scenes.append(Scene(image.name, str(image), state["sensor"], from_dict(state), inputs.nodata))
+        scenes.append(Scene(image.name, str(image), state["sensor"], from_dict(state), inputs.nodata, inputs.bands))
     return Block(tuple(scenes), build_surface(inputs, crs), (), crs)
 
 
