@@ -23,6 +23,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster import source as source_module
 from geomosaic.raster import tiff
 from geomosaic.raster.checksum import sha256
+from geomosaic.raster.option_values import METHODS
 from geomosaic.raster.preview import png_bytes, preview
 from geomosaic.raster.pyramid import halve
 from geomosaic.raster.shrink import block_mean
@@ -678,8 +679,53 @@ def test_vector_layers(tmp_path, monkeypatch):
         read_layer(tmp_path / "bad.gpkg")
 
 
-def test_unknown_compression_is_refused(tmp_path):
-    grid = Grid(CRS.from_epsg(32633), Affine(1, 0, 0, 0, -1, 0), 10, 10)
-    with pytest.raises(InputError, match="no compression 'FOO'"):
-        RasterSink(tmp_path / "a.tif", grid, 1, "uint8", creation={"COMPRESS": "foo"})
+@pytest.mark.parametrize(
+    ("creation", "bands", "dtype", "mend"),
+    [
+        ({"COMPRESS": "foo"}, 1, "uint8", "DEFLATE, ZSTD, LZW"),
+        ({"COMPRESS": "JXL"}, 3, "uint8", "DEFLATE, ZSTD, LZW"),
+        ({"COMPRESS": ""}, 1, "uint8", "NONE"),
+        ({"PREDICTOR": "4"}, 1, "uint8", "STANDARD"),
+        ({"PREDICTOR": "3"}, 1, "uint16", "use 2"),
+        ({"ZLEVEL": "13"}, 1, "uint8", "1 to 12"),
+        ({"ZLEVEL": "-1"}, 1, "uint8", "1 to 12"),
+        ({"LEVEL": "six"}, 1, "uint8", "1 to 12"),
+        ({"LEVEL": "23", "COMPRESS": "zstd"}, 1, "uint8", "1 to 22"),
+        ({"ZSTD_LEVEL": "0", "COMPRESS": "ZSTD"}, 1, "uint8", "1 to 22"),
+        ({"LZMA_PRESET": "10", "COMPRESS": "LZMA"}, 1, "uint8", "0 to 9"),
+        ({"QUALITY": "101", "COMPRESS": "JPEG"}, 3, "uint8", "1 to 100"),
+        ({"BIGTIFF": "MAYBE"}, 1, "uint8", "IF_SAFER"),
+        ({"PHOTOMETRIC": "PALETTE"}, 1, "uint8", "MINISBLACK"),
+        ({"PHOTOMETRIC": "RGB"}, 1, "uint8", "one band"),
+        ({"PHOTOMETRIC": "YCBCR"}, 3, "uint8", "COMPRESS=JPEG"),
+        ({"ALPHA": "PERHAPS"}, 4, "uint8", "PREMULTIPLIED"),
+        ({"WEBP_LOSSLESS": "MAYBE", "COMPRESS": "WEBP"}, 3, "uint8", "YES"),
+        ({"MAX_Z_ERROR": "x", "COMPRESS": "LERC"}, 1, "float32", "not negative"),
+        ({"DISCARD_LSB": "9"}, 1, "uint8", "0 to 7"),
+        ({"GEOTIFF_VERSION": "2"}, 1, "uint8", "1.1"),
+    ],
+)
+def test_values_that_gdal_would_ignore_are_refused(tmp_path, creation, bands, dtype, mend):
+    name, value = next(iter(creation.items()))
+    with pytest.raises(InputError, match=f"{name}={value} cannot be had") as caught:
+        RasterSink(tmp_path / "a.tif", grid_of(10, 10), bands, dtype, creation=creation)
+    assert mend in str(caught.value.mend)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_compression_that_is_offered_is_written(tmp_path, method):
+    values = picture(60, 70)
+    path = write_raster(tmp_path / "o.tif", values, np.ones((60, 70), np.uint8), creation={"compress": method.lower()})
+    with rasterio.open(path) as dataset:
+        assert method in dataset.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION", "NONE")
+        assert np.abs(dataset.read().transpose(1, 2, 0).astype(int) - values).mean() < 5
+
+
+def test_words_of_options_may_be_small(tmp_path):
+    words = {"bigtiff": "yes", "predictor": "no", "level": "9", "photometric": "minisblack"}
+    path = write_raster(tmp_path / "o.tif", picture(60, 70), np.ones((60, 70), np.uint8), creation=words)
+    assert path.read_bytes()[:4] == b"II+\0"
+    with rasterio.open(path) as dataset:
+        assert "PREDICTOR" not in dataset.tags(ns="IMAGE_STRUCTURE")
+        assert dataset.colorinterp[0].name == "gray"

@@ -11,6 +11,7 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.raster.codec import BLOCK
 from geomosaic.raster.info import DTYPES
+from geomosaic.raster.option_values import checked_values
 
 DRIVERS = ("COG", "GTiff")
 # Deflate level 1 is 4 times as fast as GDAL's level 6 for 5 % more bytes, and every TIFF reader knows it.
@@ -18,7 +19,6 @@ _DEFAULTS = {"COMPRESS": "DEFLATE", "BIGTIFF": "IF_SAFER"}
 _LEVELS = {"DEFLATE": "ZLEVEL", "ZSTD": "ZSTD_LEVEL", "LERC_DEFLATE": "ZLEVEL", "LERC_ZSTD": "ZSTD_LEVEL"}
 _QUALITIES = {"JPEG": "JPEG_QUALITY", "WEBP": "WEBP_LEVEL"}
 _PREDICTORS = {"NO": "1", "STANDARD": "2", "FLOATING_POINT": "3"}
-_METHODS = ("NONE", "DEFLATE", "ZSTD", "LZW", "PACKBITS", "LZMA", "JPEG", "WEBP", "LERC", "LERC_DEFLATE", "LERC_ZSTD")
 _PREDICTED = ("DEFLATE", "ZSTD", "LZW")
 # How a file is cut is this program's business; other values than its own cannot be had.
 _FIXED = {
@@ -82,7 +82,7 @@ def creation_options(
     Raises
     ------
     InputError
-        An unknown driver or option, or a layout that cannot be had.
+        An unknown driver or option, or a value or layout that cannot be had.
     """
     if driver not in DRIVERS:
         raise InputError(f"rasters are not written as '{driver}'", where=where, mend=f"choose {' or '.join(DRIVERS)}")
@@ -107,22 +107,20 @@ def creation_options(
             where=where,
             mend=f"one of {', '.join(sorted(_KNOWN))}",
         )
-    return Creation(_gtiff(user, bands, dtype, photometric, where), wanted)
+    level = _LEVELS.get(user.get("COMPRESS", _DEFAULTS["COMPRESS"]).strip().upper())
+    user = checked_values(user, bands, dtype.name, level, where)
+    return Creation(_gtiff(user, bands, dtype, photometric), wanted)
 
 
-def _gtiff(
-    user: dict[str, str], bands: int, dtype: np.dtype[Any], photometric: str | None, where: str
-) -> dict[str, str]:
+def _gtiff(user: dict[str, str], bands: int, dtype: np.dtype[Any], photometric: str | None) -> dict[str, str]:
     options = {**_DEFAULTS, **user}
-    method = options["COMPRESS"] = options["COMPRESS"].upper()
-    if method not in _METHODS:  # GDAL would write an uncompressed file and say nothing
-        raise InputError(f"there is no compression '{method}'", where=where, mend=f"one of {', '.join(_METHODS)}")
+    method = options["COMPRESS"]
     level, quality = options.pop("LEVEL", None), options.pop("QUALITY", None)
     if method in _LEVELS:
         options.setdefault(_LEVELS[method], level or "1")
     if method in _QUALITIES and quality is not None:
         options.setdefault(_QUALITIES[method], quality)
-    predictor = options.pop("PREDICTOR", "YES").upper()
+    predictor = options.pop("PREDICTOR", "YES")
     if method in _PREDICTED:
         best = "3" if dtype.kind == "f" else "2"
         options["PREDICTOR"] = best if predictor == "YES" else _PREDICTORS.get(predictor, predictor)
