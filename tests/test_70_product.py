@@ -593,22 +593,22 @@ def peak(sample: Path, out: Path, command: str, resolution: float, limit: int, *
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from /proc")
-@pytest.mark.parametrize("command", ["ortho", "mosaic"])
+@pytest.mark.parametrize("command", ["ortho", pytest.param("mosaic", marks=pytest.mark.slow)])
 def test_memory_does_not_grow_with_the_output(sample: Path, tmp_path: Path, command: str) -> None:
-    limit, fine = 400, 0.22 if command == "ortho" else 0.5
+    limit, fine = 512, 0.14 if command == "ortho" else 0.4
     small, few = peak(sample, tmp_path / "out.tif", command, fine * 10**0.5, limit)
     large, many = peak(sample, tmp_path / "out.tif", command, fine, limit)
     assert many > 9.5 * few
     assert large <= 1.2 * limit, f"{large:.0f} MB ({small:.0f} MB for a tenth of the output)"
-    assert large - small < 100, f"{small:.0f} MB to {large:.0f} MB"
+    assert large - small < 80, f"{small:.0f} MB to {large:.0f} MB"  # the larger ortho alone has 90 MB
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["ortho", "mosaic"])
 def test_memory_of_a_large_output(sample: Path, tmp_path: Path, command: str) -> None:
-    limit, fine = 400, 0.07 if command == "ortho" else 0.12
+    limit, fine = 512, 0.07 if command == "ortho" else 0.12
     small, few = peak(sample, tmp_path / "out.tif", command, fine * 10**0.5, limit)
     large, many = peak(sample, tmp_path / "out.tif", command, fine, limit)
     assert many > 9.5 * few
-    assert many * 3 > 0.4e9  # three bands of it would not fit the limit
+    assert many * 3 > 0.35e9  # three bands of it would not fit beside the program
     assert large <= 1.2 * limit, f"{large:.0f} MB ({small:.0f} MB for a tenth of the output)"
