@@ -37,7 +37,7 @@ def _where(job: Mapping[str, Any]) -> str:
 
 def _times(job: Mapping[str, Any]) -> list[str]:
     tools, ratios = job["tools"], job["wall_ratios"]
-    bases = [name for name in tools if not name.startswith("geomosaic")][:4] if len(tools) > 1 else []
+    bases = [name for name in tools if name.startswith(("floor", "orthority", "rio"))]
     head = ["tool", "n", "wall s (min-max)", "Mpix/s", "CPU s", "peak MB", *(f"x {base}" for base in bases)]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for name, t in tools.items():
