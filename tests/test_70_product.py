@@ -600,7 +600,7 @@ def test_memory_does_not_grow_with_the_output(sample: Path, tmp_path: Path, comm
     large, many = peak(sample, tmp_path / "out.tif", command, fine, limit)
     assert many > 9.5 * few
     assert large <= 1.2 * limit, f"{large:.0f} MB ({small:.0f} MB for a tenth of the output)"
-    assert large - small < 80, f"{small:.0f} MB to {large:.0f} MB"  # the larger ortho alone has 90 MB
+    assert large - small < 150, f"{small:.0f} MB to {large:.0f} MB"  # the ten times larger output has up to 270 MB
 
 
 @pytest.mark.slow
