@@ -16,6 +16,7 @@ from geomosaic_frame.fisheye import Fisheye
 from geomosaic_frame.fold import LEAST_SLOPE, fold_radius
 from geomosaic_frame.lenses import lens_from_dict, lens_from_table
 from geomosaic_frame.polynomial import Brown, Rational
+from geomosaic_frame.read import choice, known_keys
 
 BROWN = Brown(k1=-0.264, k2=0.1019, k3=-0.0258, p1=7.3e-4, p2=-2.6e-4)
 BARREL = Brown(k1=-0.3, p1=0.01, p2=-0.02)
@@ -279,3 +280,17 @@ def test_coefficients_not_given_are_zero() -> None:
     assert lens_from_table({"model": "none"}, None, "photo") == NoDistortion()
     assert lens_from_table({"model": "brown", "p2": 1e-4}, None, "photo") == Brown(p2=1e-4)
     assert lens_from_table({"model": "fisheye", "k4": 1e-4}, None, "photo") == Fisheye(k4=1e-4)
+
+
+def test_names_are_suggested_whatever_their_case() -> None:
+    """`K1` is k1, not the p1 that shares its digit."""
+    for word, meant in (("K1", "k1"), ("P2", "p2"), ("Convention", "convention")):
+        with pytest.raises(InputError, match=f"unknown key '{word}'") as caught:
+            known_keys({word: 0.1}, ("model", "p1", "p2", "k1", "k2", "convention"), "photo")
+        assert f"did you mean '{meant}'?" in str(caught.value.mend)
+    with pytest.raises(InputError, match="'BROWN'") as caught:
+        choice("BROWN", ("none", "brown", "opencv"), "model", "photo")
+    assert "did you mean 'brown'?" in str(caught.value.mend)
+    with pytest.raises(InputError) as caught:
+        known_keys({"zzz": 1}, ("k1",), "photo")
+    assert "did you mean" not in str(caught.value.mend)

@@ -10,6 +10,13 @@ from typing import Any
 from geomosaic.errors import InputError
 
 
+def did_you_mean(word: str, names: Iterable[str], cutoff: float = 0.6) -> str:
+    """'did you mean ...? ' with the nearest name, whatever the case; empty where none is near."""
+    folded = {name.casefold(): name for name in names}
+    close = difflib.get_close_matches(word.casefold(), folded, 1, cutoff)
+    return f"did you mean '{folded[close[0]]}'? " if close else ""
+
+
 def known_keys(table: Mapping[str, Any], allowed: Iterable[str], where: str) -> None:
     """Refuse keys that mean nothing here.
 
@@ -21,8 +28,7 @@ def known_keys(table: Mapping[str, Any], allowed: Iterable[str], where: str) -> 
     names = list(allowed)
     for key in table:
         if key not in names:
-            close = difflib.get_close_matches(str(key), names, 1, 0.5)
-            hint = f"did you mean '{close[0]}'? " if close else ""
+            hint = did_you_mean(str(key), names, 0.5)
             raise InputError(f"unknown key '{key}'", where=where, mend=f"{hint}known keys are: {', '.join(names)}")
 
 
@@ -94,7 +100,6 @@ def choice(value: Any, allowed: Iterable[str], key: str, where: str) -> str:
     """
     names = list(allowed)
     if value not in names:
-        close = difflib.get_close_matches(str(value), names, 1)
-        hint = f"did you mean '{close[0]}'? " if close else ""
+        hint = did_you_mean(str(value), names)
         raise InputError(f"{key} = {value!r} is not known", where=where, mend=f"{hint}choose from: {', '.join(names)}")
     return str(value)
