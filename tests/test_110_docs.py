@@ -206,6 +206,8 @@ def test_every_column_of_the_tables_is_documented() -> None:
     shown = tables(DOCS / "projects.md")
     assert set(shown["gcps.csv"]) == {*COLUMNS, "sigma_xy", "sigma_z", "sigma_px", "role"}
     assert {"image", "x", "y", "z"} <= set(shown["exterior.csv"])
+    page = (DOCS / "projects.md").read_text(encoding="utf-8")
+    assert all(f"`{name}`" in page for name in SYSTEM_NAMES)
     angles = tables(DOCS / "conventions.md")["Angles"]
     assert set(angles) == set(SYSTEMS) | set(SYSTEM_NAMES)
     for name, system in SYSTEMS.items():

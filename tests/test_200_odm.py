@@ -9,13 +9,17 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import rasterio
 
 from geomosaic.block.block import Block
+from geomosaic.errors import InputError
+from geomosaic.geo.transform import Transform
 from geomosaic.match.shift import Shifts, shifts
 from geomosaic.product.mosaic import beside
 from geomosaic.product.options import MosaicOptions, RenderOptions
@@ -105,6 +109,23 @@ def test_single_orthos_agree_where_they_overlap(real_data: RealData, tmp_path: P
     assert sum(int(pair.matched.sum()) for pair in pairs.values()) > 150
     assert max(pair.robust_rms for pair in pairs.values()) <= 1.0, said(pairs)
     assert pooled(pairs) <= 0.8, said(pairs)
+
+
+def test_the_reconstruction_is_read_as_a_table_is(real_data: RealData) -> None:
+    """`angles = "odm"` with the file in place of the table, and the sensor's own input, are one model."""
+    base = real_data("orthority-odm")
+    given = inputs(base)
+    file = base / "opensfm" / "reconstruction.json"
+    one = build_block(given)
+    other = build_block(replace(given, options={}, exterior=file, angles="odm"))
+    assert one.surface is not None
+    for a, b in zip(one.scenes, other.scenes, strict=True):
+        assert a.model.to_dict() == b.model.to_dict()
+        # The seed is on the ground that the DSM has there, not at the sea: it was told its height below the camera.
+        seed = Transform(a.model.crs, one.surface.crs)(np.array([a.model.seed]))
+        assert abs(seed[0, 2] - one.surface.height(seed[:, :2])[0]) < 15.0
+    with pytest.raises(InputError, match="have no CRS"):
+        build_block(replace(given, options={}, exterior=file, angles="odm", crs=None))
 
 
 def test_table_and_reconstruction_say_the_same(real_data: RealData) -> None:

@@ -262,8 +262,8 @@ def test_undeclared_heights_name_metres_pixels_and_option():
 
 def test_one_photo_of_a_table_in_radians_is_found_out(sample, tmp_path):
     """One image tells nothing of the unit; the rest of its table does."""
-    from geomosaic.project.build import photos_of
     from geomosaic.project.inputs import BlockInputs
+    from geomosaic.project.photos import photos_of
 
     lines = (sample / "exterior.csv").read_text().splitlines()
     turned = [lines[0]]

@@ -100,7 +100,7 @@ image_options = stack(
         "--angles",
         default="opk",
         show_default=True,
-        help="Angle system of the table: opk, pok, matrix, patb, rpy, dji, opensfm.",
+        help="Angle system of the table: opk, pok, matrix, patb, rpy, dji, opensfm, odm.",
     ),
     click.option(
         "--angle-unit",

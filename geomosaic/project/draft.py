@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import OutputError, OutputExistsError
-from geomosaic.project.build import RECONSTRUCTION
-from geomosaic.project.exterior import SYSTEM_NAMES, SYSTEMS, systems_of
+from geomosaic.project.exterior import RECONSTRUCTIONS, SYSTEM_NAMES, SYSTEMS, systems_of
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.names import stem
 from geomosaic.project.needs import HEIGHTS, needs
@@ -71,17 +70,21 @@ def write_project(draft: Draft, *, overwrite: bool = False) -> None:
 def _system(table: Path) -> str:
     """Angle system whose columns a table has; omega-phi-kappa where none fits, for its error."""
     if table.suffix.lower() == ".json":
-        return RECONSTRUCTION
+        # OpenDroneMap keeps OpenSfM's own beside the one that it has brought to its map.
+        own = "reconstruction.topocentric.json"
+        return "odm" if table.name != own and table.with_name(own).is_file() else "opensfm"
     fitting = systems_of(read_table(table, "orientation table", "image,x,y,z,omega,phi,kappa"))
     return fitting[0] if fitting else "opk"
 
 
 def _understood(inputs: BlockInputs, guessed: str | None) -> list[str]:
     lines = understood(inputs)
-    if guessed is not None:
-        others = [
-            name for name, columns in SYSTEMS.items() if name != guessed and {*columns} == {*SYSTEMS.get(guessed, ())}
-        ]
+    if guessed in RECONSTRUCTIONS:
+        lines.append(
+            f"angle system: {guessed}, for a .json file; OpenSfM writes opensfm, OpenDroneMap odm: say --angles if so"
+        )
+    elif guessed is not None:
+        others = [name for name, columns in SYSTEMS.items() if name != guessed and {*columns} == {*SYSTEMS[guessed]}]
         doubt = f"; the columns would also fit {', '.join(others)}: say --angles if so" if others else ""
         lines.append(f"angle system: {guessed}, from the columns of the table{doubt}")
     return lines
@@ -107,7 +110,7 @@ def _text(path: Path, inputs: BlockInputs, guessed: bool) -> str:
     ]
     if inputs.camera is not None:
         lines.append(f"camera = {near(inputs.camera)}")
-    elif inputs.sensor == "frame" and inputs.angles != RECONSTRUCTION:
+    elif inputs.sensor == "frame" and inputs.angles not in RECONSTRUCTIONS:
         lines.append('# camera = "camera.toml"    # NEEDED')
     lines += [f"{key} = {_value(value)}" for key, value in inputs.options.items()]
     lines += ["", "[exterior]"]
@@ -128,9 +131,10 @@ def _text(path: Path, inputs: BlockInputs, guessed: bool) -> str:
         else f'# heights = "egm96"    # {needed}vertical datum of z: {HEIGHTS}'
     )
     if inputs.exterior is not None:
-        read = "read off the columns; " if guessed else ""
+        read = "guessed; " if guessed and inputs.angles in RECONSTRUCTIONS else "read off the columns; "
+        read = read if guessed else ""
         lines.append(f"angles = {_string(inputs.angles)}    # {read}{SYSTEM_NAMES.get(inputs.angles, '')}")
-        if inputs.angles != RECONSTRUCTION:
+        if inputs.angles not in RECONSTRUCTIONS:
             unit = inputs.angle_unit
             lines.append(f"angle_unit = {_string(unit)}" if unit else '# angle_unit = "deg"    # deg, gon or rad')
         lines += [

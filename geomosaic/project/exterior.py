@@ -35,8 +35,12 @@ SYSTEM_NAMES: Mapping[str, str] = {
     "patb": "the matrix a PATB file prints, of a declared direction",
     "rpy": "roll (right wing down), pitch (nose up), yaw (clockwise from north)",
     "dji": "DJI gimbal yaw, pitch (-90 looks down), roll",
-    "opensfm": "rotation and translation of an OpenSfM or OpenDroneMap reconstruction.json",
+    "opensfm": "rotation and translation of an OpenSfM reconstruction.json, in east, north, up at its reference",
+    "odm": "the same in map axes: the reconstruction.json that OpenDroneMap has brought to its UTM zone",
 }
+
+RECONSTRUCTIONS = ("opensfm", "odm")
+"""Angle systems whose file is no table: the sensor reads camera and orientation from `reconstruction.json`."""
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,9 @@ from geomosaic.errors import HeightDatumError
 from geomosaic.geo.crs import height_name, horizontal, parse_crs, with_heights
 from geomosaic.surface.undeclared import undulation
 
+DATUMS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or a geoid grid file"
+"""What a vertical datum may be."""
+
 
 def declared(crs: CRS, heights: str | None, where: str | None = None) -> CRS:
     """Join a CRS with the vertical datum that was declared for it; one that is declared replaces its own."""
@@ -72,5 +75,5 @@ def undeclared(
     return HeightDatumError(
         f"the heights of {what} have no vertical datum{risk}",
         where=where,
-        mend=f"declare it with {option}: ellipsoidal, egm96, an EPSG code of a vertical CRS, or a geoid grid file",
+        mend=f"declare it with {option}: {DATUMS}",
     )

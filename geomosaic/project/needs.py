@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from geomosaic.geo.crs import has_heights
-from geomosaic.project.build import RECONSTRUCTION
+from geomosaic.project.exterior import RECONSTRUCTIONS
 from geomosaic.project.frames import named
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.raster.info import inspect
@@ -22,16 +22,17 @@ def needs(inputs: BlockInputs) -> list[str]:
                 )
                 break
         return found
-    reconstruction = inputs.angles == RECONSTRUCTION
+    reconstruction = inputs.angles in RECONSTRUCTIONS
+    framed = inputs.angles == "opensfm"  # it says itself what it counts from
     if inputs.sensor == "frame" and inputs.camera is None and not reconstruction:
         found.append("the camera: [sensor] camera, a TOML file (see `geomosaic sensors frame`)")
     if inputs.sensor == "frame" and inputs.exterior is None:
         found.append(
             "positions and angles of the photos: [exterior] file, a table with image, x, y, z, omega, phi, kappa"
         )
-    if inputs.crs is None and not reconstruction:
+    if inputs.crs is None and not framed:
         found.append("the CRS of the positions: [exterior] crs, such as EPSG:32633")
-    declared = inputs.heights is not None or reconstruction
+    declared = inputs.heights is not None or framed
     if not declared and not (inputs.crs and has_heights(named(inputs.crs, None))):
         found.append(f"the vertical datum of the positions: [exterior] heights: {HEIGHTS}")
     if inputs.dem is None and inputs.height is None:

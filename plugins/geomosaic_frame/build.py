@@ -99,7 +99,7 @@ def _tables(request: SensorRequest) -> tuple[Mapping[str, Any], Mapping[str, Any
         own, row = read_shot(path, request.image, str(row["system"]), where)
         table = own if table is None else table
     if isinstance(table, str):
-        table = _toml(Path(request.base) / table, where)
+        table = _toml(Path(request.base) / table, f"{where}, camera")
     if table is None:
         raise InputError(
             "'camera' is missing", where=where, mend="give the camera's table or the name of a camera.toml file"
@@ -168,13 +168,15 @@ def _unscaled(
             "positions",
         )
     true = undo_linear_alteration(crs, position, ground, where)
-    return true, f"linear alteration undone: projection centre moved by {true[2] - position[2]:+.3f} in height"
+    moved = true[2] - position[2]
+    return true, f"linear alteration undone about {ground:.1f}: projection centre moved by {moved:+.3f} in height"
 
 
 def _sigmas(options: Mapping[str, Any], where: str) -> FloatArray:
     """A-priori sigmas of the six parameters; free where nothing is said."""
     table = table_of(options.get("sigmas", {}), "sigmas", where)
-    known_keys(table, (*GROUPS, *NAMES), f"{where}, sigmas")
+    where = f"{where}, sigmas"
+    known_keys(table, (*GROUPS, *NAMES), where)
     values = dict.fromkeys(NAMES, np.inf)
     for group, names in GROUPS.items():
         if group in table:

@@ -40,11 +40,14 @@ INPUTS = (
     SensorInput(
         "scale_correction",
         "true where heights of projection centres above ground were multiplied by the map's scale factor (linear "
-        "alteration): undo it; needs ground_height",
+        "alteration): undo it, about ground_height",
         default="false",
     ),
     SensorInput(
-        "ground_height", "mean height of the ground under the photo, in the vertical datum of the positions", "m", "0"
+        "ground_height",
+        "mean height of the ground under the photo, in the vertical datum of the positions",
+        "m",
+        "that of the DEM below the camera; 0 without",
     ),
     SensorInput(
         "sigmas",

@@ -8,8 +8,8 @@ from geomosaic.jobs.atomic import read_json
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Machine, Progress
 from geomosaic.product.options import RenderOptions
-from geomosaic.project.build import build_surface
 from geomosaic.project.frames import named
+from geomosaic.project.ground import build_surface
 from geomosaic.project.load import Project
 from geomosaic.project.make import Area
 from geomosaic.sensor.registry import from_dict

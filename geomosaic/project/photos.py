@@ -1,0 +1,60 @@
+"""Image files with what is known of their orientation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from pyproj import CRS
+
+from geomosaic.errors import InputError
+from geomosaic.project.exterior import RECONSTRUCTIONS, Exterior, read_exterior
+from geomosaic.project.frames import named
+from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.units import check_units
+from geomosaic.raster.info import SourceInfo, inspect
+
+
+@dataclass(frozen=True)
+class Photo:
+    """An image file with what is known of its orientation."""
+
+    path: Path
+    info: SourceInfo
+    exterior: Exterior | None
+
+    @property
+    def name(self) -> str:
+        """Name of the scene: the file's name."""
+        return self.path.name
+
+
+def photos_of(inputs: BlockInputs) -> tuple[list[Photo], CRS | None]:
+    """Look at the images and their rows of the orientation table; no pixel is read.
+
+    Returns
+    -------
+    photos : list of Photo
+    crs : CRS or None
+        3-D CRS of positions and control points, where one was named.
+    """
+    if not inputs.images:
+        raise InputError("no images are given", mend="name one or more image files")
+    infos = [inspect(path, inputs.bands) for path in inputs.images]
+    crs = named(inputs.crs, inputs.heights, "exterior CRS") if inputs.crs else None
+    table = None
+    if inputs.exterior is not None and inputs.angles not in RECONSTRUCTIONS:
+        table = read_exterior(inputs.exterior, inputs.angles)
+    # OpenSfM's reference is on the ellipsoid of WGS 84, by its own definition; all others count from a named CRS.
+    if inputs.exterior is not None and crs is None and inputs.angles != "opensfm":
+        raise InputError(
+            "the positions have no CRS",
+            where=str(inputs.exterior),
+            mend="name it: --exterior-crs on the command line, crs under [exterior] in the project",
+        )
+    if table is None:
+        return [Photo(path, info, None) for path, info in zip(inputs.images, infos, strict=True)], crs
+    photos = [Photo(path, info, table.row(path.name)) for path, info in zip(inputs.images, infos, strict=True)]
+    # The whole table: one image alone tells nothing of the unit, its neighbours do.
+    check_units(table, inputs.angle_unit, list(table.rows.values()))
+    return photos, crs
