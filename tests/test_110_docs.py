@@ -233,6 +233,7 @@ def test_the_sample_sensor_passes_the_kit_as_the_page_shows_it(monkeypatch: pyte
     exec(example.replace("@pytest.fixture", ""), names)
     tests = names["TestVertical"]()
     assert failures(tests.model(), tests.ground()) == {}
+    names["test_inputs"]()
 
 
 def test_pictures_and_files_that_pages_name_are_there() -> None:

@@ -270,29 +270,69 @@ class Door:
         unknown = set(request.options) - {"height"}
         if unknown:
             raise InputError(f"no input {unknown}", where=request.image)
+        if "height" not in request.options:
+            raise InputError("'height' is missing", where=request.image)
         return camera()
+
+
+EXAMPLE = SensorRequest("an image", camera().size, {"height": 900.0}, camera().crs)
 
 
 class Taciturn(Door):
     def build(self, request: SensorRequest) -> Camera:
-        raise InputError("no")
+        if set(request.options) != {"height"}:
+            raise InputError("no")
+        return camera()
+
+
+class Nameless(Door):
+    def build(self, request: SensorRequest) -> Camera:
+        if set(request.options) != {"height"}:
+            raise InputError("no", where=request.image)
+        return camera()
 
 
 class Crashing(Door):
     def build(self, request: SensorRequest) -> Camera:
-        raise KeyError("height")
+        request.options["height"]
+        return camera()
 
 
 class Careless(Door):
+    """Says what is missing, and takes what it does not know."""
+
     def build(self, request: SensorRequest) -> Camera:
+        if "height" not in request.options:
+            raise InputError("'height' is missing", where=request.image)
         return camera()
+
+
+class Picky(Door):
+    def build(self, request: SensorRequest) -> Camera:
+        raise InputError("no", where=request.image)
+
+
+class Stranger(Door):
+    def build(self, request: SensorRequest) -> Any:
+        return object()
+
+
+class Cropping(Door):
+    def build(self, request: SensorRequest) -> Camera:
+        super().build(request)
+        return Camera(camera().values, size=(10, 10))
 
 
 @pytest.mark.parametrize(
     ("door", "says"),
     [
         (Taciturn(), "does not name the image"),
-        (Crashing(), "KeyError"),
+        (Nameless(), "does not name the input"),
+        (Crashing(), "a missing 'height' makes build raise KeyError"),
+        (Picky(), "refuses the example"),
+        (Stranger(), "gives a object"),
+        (Cropping(), "has the size"),
+        (type("Sparing", (Door,), {"inputs": (SensorInput("width", "x"),)})(), "does not list"),
         (Careless(), "without a word"),
         (object(), "no 'name'"),
         (type("Two", (Door,), {"name": "two words"})(), "not one word"),
@@ -305,11 +345,11 @@ class Careless(Door):
 )
 def test_broken_doors_fail(door: Any, says: str) -> None:
     with pytest.raises(AssertionError, match=says):
-        check_plugin(door)
+        check_plugin(door, EXAMPLE)
 
 
 def test_sound_door_passes() -> None:
-    check_plugin(Door())
+    check_plugin(Door(), EXAMPLE)
 
 
 def test_parameters_are_frozen() -> None:

@@ -101,7 +101,7 @@ class TestOblique(TestBrown):
 
 
 def test_the_door() -> None:
-    check_plugin(plugin)
+    check_plugin(plugin, SensorRequest("an image", SIZE, options(angle_unit="deg"), UTM))
 
 
 # --- truth ------------------------------------------------------------------------------------------------------------

@@ -61,7 +61,7 @@ class TestContract(SensorModelTests):
 
 
 def test_door() -> None:
-    check_plugin(plugin)
+    check_plugin(plugin, SensorRequest("an image", SIZE, {"transform": TRUE_TRANSFORM}, UTM))
     assert registry.plugin("planar") is plugin
 
 

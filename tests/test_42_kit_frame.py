@@ -27,22 +27,23 @@ LENSES: dict[str, dict[str, Any]] = {
 }
 
 
-def frame(lens: str, treatment: str = "rigorous", omega: float = 4.0, crs: CRS = MAP) -> SensorModel:
-    return registry.build(
-        "frame",
-        SensorRequest(
-            "photo",
-            (4000, 3000),
-            {
-                "camera": {"focal_length": 20.0, "sensor_size": [24.0, 18.0], "distortion": LENSES[lens]},
-                "position": [*PLACE[:2], 1500.0],
-                "orientation": {"system": "opk", "omega": omega, "phi": -3.0, "kappa": 25.0},
-                "ground_height": 450.0,
-                "treatment": treatment,
-            },
-            crs,
-        ),
+def request(lens: str, treatment: str = "rigorous", omega: float = 4.0, crs: CRS = MAP) -> SensorRequest:
+    return SensorRequest(
+        "photo",
+        (4000, 3000),
+        {
+            "camera": {"focal_length": 20.0, "sensor_size": [24.0, 18.0], "distortion": LENSES[lens]},
+            "position": [*PLACE[:2], 1500.0],
+            "orientation": {"system": "opk", "omega": omega, "phi": -3.0, "kappa": 25.0},
+            "ground_height": 450.0,
+            "treatment": treatment,
+        },
+        crs,
     )
+
+
+def frame(lens: str, treatment: str = "rigorous", omega: float = 4.0, crs: CRS = MAP) -> SensorModel:
+    return registry.build("frame", request(lens, treatment, omega, crs))
 
 
 CASES = [(lens, "rigorous") for lens in LENSES] + [("opencv", "planar")]
@@ -60,7 +61,7 @@ class TestContract(SensorModelTests):
 
 
 def test_door() -> None:
-    check_plugin(registry.plugin("frame"))
+    check_plugin(registry.plugin("frame"), request("opencv"))
 
 
 @pytest.mark.parametrize("omega", [4.0, 45.0])

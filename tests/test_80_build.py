@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from geomosaic.project.draft import draft_project
 from geomosaic.project.exterior import RECONSTRUCTIONS, SYSTEM_NAMES
 from geomosaic.project.ground import height_below
 from geomosaic.project.inputs import BlockInputs
+from geomosaic.sensor import registry
 from geomosaic.surface.plane import Plane
 from geomosaic.surface.undeclared import undulation
 
@@ -242,3 +244,30 @@ def test_errors_of_a_row_name_its_line(sample: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not above the ground") as caught:
         build_block(inputs(sample, options={"ground_height": 5000.0}))
     assert str(caught.value.where).endswith("exterior.csv, line 3)")
+
+
+# Sensors of others
+
+
+def test_a_sensor_without_angles_takes_the_positions_of_the_table(
+    sample: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The sensor that the docs show refuses what it does not know, and is given only what it has."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent / "sample_plugin"))
+    entry = EntryPoint("vertical", "geomosaic_sample_vertical:plugin", registry.GROUP)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [entry])
+    registry.plugin.cache_clear()
+    try:
+        given = inputs(sample, sensor="vertical", camera=None, options={"focal_length_px": 1500.0})
+        model = build_block(given).scenes[0].model
+        assert model.parameters.values.tolist() == [399821.031, 5500398.696, 1492.685]
+        with pytest.raises(InputError, match="no input 'focal'") as caught:
+            build_block(replace(given, options={"focal_length_px": 1500.0, "focal": 1}))
+        assert caught.value.where == "strip1_02.jpg"
+    finally:
+        registry.plugin.cache_clear()
+
+
+def test_a_table_that_a_sensor_cannot_use_is_no_secret(sample: Path) -> None:
+    with pytest.raises(InputError, match="no input 'position'"):
+        build_block(inputs(sample, sensor="planar", camera=None, options={"transform": [1, 0, 4e5, 0, -1, 55e5]}))

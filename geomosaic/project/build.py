@@ -17,7 +17,7 @@ from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.project.camera import read_camera
-from geomosaic.project.exterior import RECONSTRUCTIONS
+from geomosaic.project.exterior import RECONSTRUCTIONS, Exterior
 from geomosaic.project.frames import DATUMS
 from geomosaic.project.ground import OF_POSITIONS, build_surface, height_below, undeclared_positions
 from geomosaic.project.inputs import BlockInputs
@@ -78,11 +78,7 @@ def _model(
     if inputs.angles in RECONSTRUCTIONS and inputs.exterior is not None:
         options["orientation"] = {"system": inputs.angles, "reconstruction": str(inputs.exterior.resolve())}
     if row is not None:
-        options["position"] = list(row.position)
-        declared_too = {"frame": inputs.angle_frame, "matrix": inputs.matrix}
-        extra = {name: word for name, word in declared_too.items() if word is not None}
-        options["orientation"] = {"system": inputs.angles, **row.angles, **extra}
-        options["angle_unit"] = inputs.angle_unit or "deg"
+        options.update(_of_table(inputs, row))
     if inputs.sensor == "planar":
         crs = _planar(options, photo, crs, control)
     try:
@@ -95,6 +91,19 @@ def _model(
             elif isinstance(error, HeightDatumError):
                 error.mend = f"declare it with {OF_POSITIONS}: {DATUMS}"
         raise
+
+
+def _of_table(inputs: BlockInputs, row: Exterior) -> dict[str, Any]:
+    """What the table says of an image, as inputs of the sensor: those it has, or all where it would refuse them all."""
+    declared_too = {"frame": inputs.angle_frame, "matrix": inputs.matrix}
+    extra = {name: word for name, word in declared_too.items() if word is not None}
+    said = {
+        "position": list(row.position),
+        "orientation": {"system": inputs.angles, **row.angles, **extra},
+        "angle_unit": inputs.angle_unit or "deg",
+    }
+    known = {entry.name for entry in plugin(inputs.sensor).inputs}
+    return {name: value for name, value in said.items() if name in known} or said
 
 
 def _on_ground(

@@ -7,7 +7,7 @@ from typing import Any
 
 _HOMES = {
     "SensorModelTests": "geomosaic.testing.conformance",
-    "check_plugin": "geomosaic.testing.conformance",
+    "check_plugin": "geomosaic.testing.door",
     "failures": "geomosaic.testing.conformance",
 }
 

@@ -16,23 +16,20 @@ import inspect
 import json
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import geographic, has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import HasJacobian, HasRays, SensorModel
-from geomosaic.sensor.plugin import SensorInput, SensorPlugin, SensorRequest
 from geomosaic.sensor.solve import image_to_ground, image_to_height, resect
 from geomosaic.sensor.solve.jacobian import difference_jacobian
 from geomosaic.surface.plane import Plane
 from geomosaic.types import BoolArray, FloatArray
 
 
-def _require(condition: bool | np.bool, broken: str) -> None:
+def require(condition: bool | np.bool, broken: str) -> None:
     """Fail with the broken part of the contract in words."""
     if not condition:
         raise AssertionError(broken)
@@ -54,54 +51,54 @@ class SensorModelTests:
 
     def test_members(self, model: SensorModel, ground: FloatArray) -> None:
         """Every member is there and has its type."""
-        _require(isinstance(model, SensorModel), "the model lacks a member of geomosaic.sensor.model.SensorModel")
-        _require(isinstance(model.crs, CRS), "crs is not a pyproj CRS")
+        require(isinstance(model, SensorModel), "the model lacks a member of geomosaic.sensor.model.SensorModel")
+        require(isinstance(model.crs, CRS), "crs is not a pyproj CRS")
         width, height = model.size
-        _require(
+        require(
             isinstance(width, int) and isinstance(height, int) and min(model.size) > 0,
             "size is not (width, height) in whole pixels",
         )
         seed = np.asarray(model.seed, dtype=np.float64)
-        _require(seed.shape == (3,) and np.isfinite(seed).all(), "seed is not one finite ground point (x, y, z)")
+        require(seed.shape == (3,) and np.isfinite(seed).all(), "seed is not one finite ground point (x, y, z)")
 
     def test_ground_is_visible(self, model: SensorModel, ground: FloatArray) -> None:
         """The fixture `ground` is (N, 3), in `model.crs`, and falls inside the image."""
-        _require(ground.ndim == 2 and ground.shape[1] == 3, "the fixture `ground` is not (N, 3)")
+        require(ground.ndim == 2 and ground.shape[1] == 3, "the fixture `ground` is not (N, 3)")
         image = model.ground_to_image(ground)
         inside = ((image >= 0.0) & (image <= np.array(model.size))).all(axis=1)
-        _require(inside.all(), f"points {np.flatnonzero(~inside).tolist()} of `ground` do not fall inside the image")
+        require(inside.all(), f"points {np.flatnonzero(~inside).tolist()} of `ground` do not fall inside the image")
 
     def test_shapes(self, model: SensorModel, ground: FloatArray) -> None:
         """N points give an (N, 2) float64 array, for N = 0 and 1 too."""
         for count in (0, 1, len(ground)):
             image = model.ground_to_image(ground[:count])
-            _require(
+            require(
                 isinstance(image, np.ndarray) and image.shape == (count, 2),
                 f"ground_to_image of {count} points has shape {np.shape(image)}, not ({count}, 2)",
             )
-            _require(image.dtype == np.float64, f"ground_to_image gives {image.dtype}, not float64")
+            require(image.dtype == np.float64, f"ground_to_image gives {image.dtype}, not float64")
 
     def test_pure(self, model: SensorModel, ground: FloatArray) -> None:
         """The input is left as it was, and a result handed out does not change later."""
         given = ground.copy()
         image = model.ground_to_image(given)
-        _require(np.array_equal(given, ground), "ground_to_image changes the array it is given")
+        require(np.array_equal(given, ground), "ground_to_image changes the array it is given")
         kept = image.copy()
         model.ground_to_image(ground + 0.5)
-        _require(np.array_equal(image, kept), "a later call changes the result of an earlier one")
+        require(np.array_equal(image, kept), "a later call changes the result of an earlier one")
 
     def test_deterministic(self, model: SensorModel, ground: FloatArray) -> None:
         """The same points give the same bytes."""
         first, second = model.ground_to_image(ground), model.ground_to_image(ground.copy())
-        _require(first.tobytes() == second.tobytes(), "two calls with the same points differ")
+        require(first.tobytes() == second.tobytes(), "two calls with the same points differ")
 
     def test_points_are_independent(self, model: SensorModel, ground: FloatArray) -> None:
         """A point has the same image alone, in company and in another order."""
         image = model.ground_to_image(ground)
         alone = np.vstack([model.ground_to_image(point[None]) for point in ground])
-        _require(_near(image, alone, self.same), "a point alone has another image than among others")
+        require(_near(image, alone, self.same), "a point alone has another image than among others")
         backwards = model.ground_to_image(np.ascontiguousarray(ground[::-1]))[::-1]
-        _require(_near(image, backwards, self.same), "the image of a point depends on the order of the points")
+        require(_near(image, backwards, self.same), "the image of a point depends on the order of the points")
 
     def test_bad_points_are_nan(self, model: SensorModel, ground: FloatArray) -> None:
         """A NaN or far-off point raises nothing, warns of nothing and spoils no other point."""
@@ -114,12 +111,12 @@ class SensorModelTests:
             except Exception as error:
                 raise AssertionError(f"a {name} point makes ground_to_image raise {error!r}") from error
             rest = np.delete(image, 1, axis=0)
-            _require(
+            require(
                 _near(rest, model.ground_to_image(ground), self.same), f"a {name} point changes the image of others"
             )
             if np.isnan(value):
-                _require(np.isnan(image[1]).all(), "a NaN point has an image; it must be (NaN, NaN)")
-            _require(np.isnan(image[1]).all() or not np.isnan(image[1]).any(), "only one of (col, row) is NaN")
+                require(np.isnan(image[1]).all(), "a NaN point has an image; it must be (NaN, NaN)")
+            require(np.isnan(image[1]).all() or not np.isnan(image[1]).any(), "only one of (col, row) is NaN")
 
     def test_smooth_across_the_edge(self, model: SensorModel, ground: FloatArray) -> None:
         """Points just outside the image have finite coordinates that go on smoothly: the lattice needs them."""
@@ -135,23 +132,23 @@ class SensorModelTests:
             if np.abs(left).max() < 1e-3:
                 break
             by_ground = difference_jacobian(model, points)[1]
-            _require(
+            require(
                 np.isfinite(left).all() and np.isfinite(by_ground).all(),
                 "coordinates turn NaN at the edge of the image; only points that can never be seen may be NaN",
             )
             points = points + np.einsum("nij,nj->ni", np.linalg.pinv(by_ground), left)
         left = np.abs(target - model.ground_to_image(points)).max()
-        _require(
+        require(
             left < 1.0, "image coordinates do not go on smoothly beyond the edge of the image (clipped, or not finite)"
         )
 
     def test_parameters(self, model: SensorModel, ground: FloatArray) -> None:
         """Names are unique, values finite, sigmas from 0 to infinity, steps positive."""
         parameters = model.parameters
-        _require(len(set(parameters.names)) == len(parameters.names), "two parameters have the same name")
-        _require(np.isfinite(parameters.values).all(), "a parameter value is not finite")
-        _require(bool((parameters.sigmas >= 0.0).all()), "a sigma is negative or NaN (0 is fixed, inf is free)")
-        _require(
+        require(len(set(parameters.names)) == len(parameters.names), "two parameters have the same name")
+        require(np.isfinite(parameters.values).all(), "a parameter value is not finite")
+        require(bool((parameters.sigmas >= 0.0).all()), "a sigma is negative or NaN (0 is fixed, inf is free)")
+        require(
             bool(((parameters.steps > 0.0) & np.isfinite(parameters.steps)).all()), "a step is not a positive number"
         )
 
@@ -163,7 +160,7 @@ class SensorModelTests:
             values[index] += parameters.steps[index]
             moved = np.linalg.norm(model.with_values(values).ground_to_image(ground) - image, axis=1)
             most = float(np.nanmax(moved)) if np.isfinite(moved).any() else float("nan")
-            _require(0.01 <= most <= 100.0, f"a step of '{name}' moves the image by {most:.3g} px, not by about one")
+            require(0.01 <= most <= 100.0, f"a step of '{name}' moves the image by {most:.3g} px, not by about one")
 
     def test_with_values(self, model: SensorModel, ground: FloatArray) -> None:
         """`with_values` gives a new model with those values and leaves the old one as it was."""
@@ -171,18 +168,18 @@ class SensorModelTests:
         kept = before.values.copy()
         changed = kept + before.steps
         other = model.with_values(changed)
-        _require(np.array_equal(changed, kept + before.steps), "with_values changes the array it is given")
-        _require(np.array_equal(other.parameters.values, changed), "with_values does not give the values it was given")
-        _require(
+        require(np.array_equal(changed, kept + before.steps), "with_values changes the array it is given")
+        require(np.array_equal(other.parameters.values, changed), "with_values does not give the values it was given")
+        require(
             np.array_equal(model.parameters.values, kept)
             and np.array_equal(model.ground_to_image(ground), image, equal_nan=True),
             "with_values changes the model it is called on",
         )
         changed += 1.0
-        _require(not np.array_equal(other.parameters.values, changed), "a model shares its values with the caller")
+        require(not np.array_equal(other.parameters.values, changed), "a model shares its values with the caller")
         again = other.with_values(kept)
-        _require(_near(again.ground_to_image(ground), image, 0.0), "with_values there and back changes the image")
-        _require(
+        require(_near(again.ground_to_image(ground), image, 0.0), "with_values there and back changes the image")
+        require(
             other.parameters.names == before.names and np.array_equal(other.parameters.sigmas, before.sigmas),
             "with_values changes names or sigmas",
         )
@@ -196,23 +193,23 @@ class SensorModelTests:
             except (TypeError, ValueError) as error:
                 raise AssertionError(f"to_dict is not plain JSON: {error}") from error
             back = type(each).from_dict(json.loads(text))
-            _require(
+            require(
                 np.array_equal(back.ground_to_image(ground), each.ground_to_image(ground), equal_nan=True),
                 "the model that from_dict gives maps points elsewhere",
             )
-            _require(tuple(back.size) == tuple(each.size), "from_dict loses the size")
-            _require(back.crs == each.crs, "from_dict loses the crs")
-            _require(tuple(back.seed) == tuple(each.seed), "from_dict loses the seed")
+            require(tuple(back.size) == tuple(each.size), "from_dict loses the size")
+            require(back.crs == each.crs, "from_dict loses the crs")
+            require(tuple(back.seed) == tuple(each.seed), "from_dict loses the seed")
             for field in ("values", "sigmas", "steps"):
                 same = np.array_equal(getattr(back.parameters, field), getattr(each.parameters, field))
-                _require(same, f"from_dict loses the {field} of the parameters")
-            _require(json.dumps(back.to_dict()) == text, "to_dict of a rebuilt model differs")
+                require(same, f"from_dict loses the {field} of the parameters")
+            require(json.dumps(back.to_dict()) == text, "to_dict of a rebuilt model differs")
 
     def test_seed_is_visible(self, model: SensorModel, ground: FloatArray) -> None:
         """The seed falls on the image or at most half its size beside it."""
         image = model.ground_to_image(np.array([model.seed], dtype=np.float64))[0]
         share = image / np.array(model.size)
-        _require(
+        require(
             bool(((share > -0.5) & (share < 1.5)).all()), f"the seed falls on {image}, not near the middle of the image"
         )
 
@@ -221,15 +218,15 @@ class SensorModelTests:
         surface = _level(model, ground)
         image = model.ground_to_image(ground)
         found = image_to_ground(model, image, surface)
-        _require(np.isfinite(found).all(), "image_to_ground finds no ground for a visible point")
+        require(np.isfinite(found).all(), "image_to_ground finds no ground for a visible point")
         back = model.ground_to_image(Transform(surface.crs if surface else model.crs, model.crs)(found))
         worst = float(np.abs(back - image).max())
-        _require(worst <= 1e-6, f"image to ground to image is {worst:.2g} px off, more than 1e-6")
+        require(worst <= 1e-6, f"image to ground to image is {worst:.2g} px off, more than 1e-6")
 
     def test_jacobian(self, model: SensorModel, ground: FloatArray) -> None:
         """A closed-form Jacobian agrees with central differences within 1e-5 of its columns."""
         by_parameters, by_ground = difference_jacobian(model, ground)
-        _require(
+        require(
             np.isfinite(by_parameters).all() and np.isfinite(by_ground).all(),
             "the image is not smooth around a visible point: its differences are not finite",
         )
@@ -237,12 +234,12 @@ class SensorModelTests:
             return
         exact = model.jacobian(ground)
         for name, given, measured in zip(("parameters", "ground"), exact, (by_parameters, by_ground), strict=True):
-            _require(given.shape == measured.shape, f"jacobian by {name} has shape {given.shape}, not {measured.shape}")
+            require(given.shape == measured.shape, f"jacobian by {name} has shape {given.shape}, not {measured.shape}")
             size = np.abs(measured).max(axis=(0, 1))
             wrong = np.abs(given - measured).max(axis=(0, 1)) > 1e-5 * np.maximum(size, 1e-9 * size.max())
             labels = model.parameters.names if name == "parameters" else ("x", "y", "z")
             named = [label for label, bad in zip(labels, wrong, strict=True) if bad]
-            _require(not named, f"the closed-form derivative by {', '.join(named)} differs from the differences")
+            require(not named, f"the closed-form derivative by {', '.join(named)} differs from the differences")
 
     def test_resection(self, model: SensorModel, ground: FloatArray) -> None:
         """Free parameters that were moved by some steps are found again from `ground` and its image."""
@@ -252,11 +249,11 @@ class SensorModelTests:
         moved = parameters.values + np.where(free, self.perturbation * signs * parameters.steps, 0.0)
         solved = resect(model.with_values(moved), ground, image, priors=np.where(free, np.inf, 0.0))
         worst = float(np.nanmax(np.abs(solved.residuals)))
-        _require(worst < 1e-5, f"resection of exact points leaves {worst:.2g} px")
+        require(worst < 1e-5, f"resection of exact points leaves {worst:.2g} px")
         off = np.abs(solved.model.parameters.values - parameters.values) / parameters.steps
         bad = off > 1e-7 * max(1.0, solved.condition)
         names = [name for name, wrong in zip(parameters.names, bad, strict=True) if wrong]
-        _require(not names, f"resection does not find {', '.join(names)} again")
+        require(not names, f"resection does not find {', '.join(names)} again")
 
     def test_rays(self, model: SensorModel, ground: FloatArray) -> None:
         """Lines of sight, where given, are unit vectors towards the ground that `ground_to_image` maps to one point."""
@@ -264,15 +261,13 @@ class SensorModelTests:
             return
         image = model.ground_to_image(ground)
         origins, directions = model.rays(image)
-        _require(
-            origins.shape == ground.shape and directions.shape == ground.shape, "rays are not two arrays of (N, 3)"
-        )
-        _require(_near(np.linalg.norm(directions, axis=1), 1.0, 1e-9), "directions of rays are not unit vectors")
+        require(origins.shape == ground.shape and directions.shape == ground.shape, "rays are not two arrays of (N, 3)")
+        require(_near(np.linalg.norm(directions, axis=1), 1.0, 1e-9), "directions of rays are not unit vectors")
         along = np.einsum("ni,ni->n", ground - origins, directions)
-        _require(bool((along > 0.0).all()), "rays point away from the ground")
+        require(bool((along > 0.0).all()), "rays point away from the ground")
         for share in (0.7, 1.0, 1.1):
             back = model.ground_to_image(origins + directions * (share * along)[:, None])
-            _require(_near(back, image, 1e-6), "points along a ray are not mapped onto the image point of the ray")
+            require(_near(back, image, 1e-6), "points along a ray are not mapped onto the image point of the ray")
 
     def test_rays_agree_with_the_general_inverse(self, model: SensorModel, ground: FloatArray) -> None:
         """`image_to_ground` over rays and over `ground_to_image` alone give one ground point."""
@@ -284,7 +279,7 @@ class SensorModelTests:
         general = to_model(image_to_height(model, image, surface.z, surface.crs))
         short = to_model(image_to_ground(model, image, surface))
         moved = model.ground_to_image(short) - model.ground_to_image(general)
-        _require(_near(moved, 0.0, 1e-6), "rays lead to other ground points than ground_to_image")
+        require(_near(moved, 0.0, 1e-6), "rays lead to other ground points than ground_to_image")
 
     def test_threads(self, model: SensorModel, ground: FloatArray) -> None:
         """Threads that use one model at once get what one thread gets."""
@@ -293,7 +288,7 @@ class SensorModelTests:
         with ThreadPoolExecutor(4) as pool:
             found = list(pool.map(model.ground_to_image, batches))
         same = all(np.array_equal(a, b, equal_nan=True) for a, b in zip(expected, found, strict=True))
-        _require(same, "results differ when several threads use the model at once")
+        require(same, "results differ when several threads use the model at once")
 
 
 def _level(model: SensorModel, ground: FloatArray) -> Plane | None:
@@ -332,42 +327,3 @@ def failures(model: SensorModel, ground: FloatArray, kit: type[SensorModelTests]
             except Exception as error:
                 broken[name] = str(error) or type(error).__name__
     return broken
-
-
-def check_plugin(plugin: SensorPlugin | Any) -> None:
-    """Check a plugin's door: name, summary, inputs, model and the refusal of unknown inputs.
-
-    Raises
-    ------
-    AssertionError
-        In words, what is broken.
-    """
-    for part in ("name", "summary", "inputs", "model", "build"):
-        _require(hasattr(plugin, part), f"the plugin has no '{part}'")
-    _require(
-        isinstance(plugin.name, str) and plugin.name.replace("_", "").replace("-", "").isalnum(),
-        f"the name {plugin.name!r} is not one word",
-    )
-    _require(
-        isinstance(plugin.summary, str) and bool(plugin.summary.strip()) and "\n" not in plugin.summary,
-        "the summary is not one line of text",
-    )
-    _require(
-        isinstance(plugin.inputs, tuple) and all(isinstance(entry, SensorInput) for entry in plugin.inputs),
-        "inputs is not a tuple of SensorInput",
-    )
-    names = [entry.name for entry in plugin.inputs]
-    _require(len(set(names)) == len(names), "two inputs have the same name")
-    _require(all(entry.text.strip() for entry in plugin.inputs), "an input has no text that says what it is")
-    for member in ("ground_to_image", "with_values", "to_dict", "from_dict", "crs", "size", "parameters", "seed"):
-        fields = getattr(plugin.model, "__dataclass_fields__", {})
-        _require(hasattr(plugin.model, member) or member in fields, f"the class `model` has no '{member}'")
-    request = SensorRequest("the kit's image", (100, 100), {"no such input": 1}, CRS.from_epsg(32633).to_3d())
-    try:
-        plugin.build(request)
-    except GeomosaicError as error:
-        _require("the kit's image" in str(error), "the error about an unknown input does not name the image")
-    except Exception as error:
-        raise AssertionError(f"an unknown input makes build raise {error!r}, not an InputError") from error
-    else:
-        raise AssertionError("build accepts an unknown input without a word")

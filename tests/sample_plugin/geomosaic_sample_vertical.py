@@ -71,6 +71,10 @@ class VerticalPlugin:
 
     def build(self, request: SensorRequest) -> VerticalModel:
         """Make the model of one image."""
+        names = [entry.name for entry in self.inputs]
+        unknown = [key for key in request.options if key not in names]
+        if unknown:
+            raise InputError(f"no input '{unknown[0]}'", where=request.image, mend=f"the inputs are {', '.join(names)}")
         missing = [key for key in ("position", "focal_length_px") if key not in request.options]
         if missing or request.crs is None:
             raise InputError(f"{', '.join(missing) or 'the CRS of the position'} is missing", where=request.image)
