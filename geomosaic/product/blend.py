@@ -183,18 +183,13 @@ class Blender:
         if valid.all():
             return
         window = ground.window
-        reduced = self._reduced(window, CELL, 0)
         middle = self.grid.xy(np.array([[window.col + window.width / 2, window.row + window.height / 2]]))[0]
         centres = {i: np.hypot(*(np.array(self.photos.outlines[i].centre) - middle)) for i in near}
         for i in sorted(near, key=lambda i: (centres[i], i)):
-            holes = _cells(valid == 0)
-            if not holes.any():
-                break
-            # A cell counts where any of it may be shown, not only its centre.
-            around = self.seams.outlines[i].buffer(max(reduced.resolution))
-            need = (holes & (burn([(around, 1)], reduced) == 1)).astype(np.uint8)
+            # Outlines are drawn through a hundred points and cut corners of high relief: the image itself is asked.
+            need = _cells(valid == 0).astype(np.uint8)
             if not need.any():
-                continue
+                break
             own, seen = np.zeros_like(values), np.zeros_like(valid)
             self._pull(i, ground, own, seen, need, lattices)
             new = (seen > 0) & (valid == 0)
