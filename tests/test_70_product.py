@@ -345,9 +345,9 @@ def test_weights_sum_to_one_everywhere(strip: Strip, tmp_path: Path, feather: fl
     assert (values[~valid] == 0).all()
 
 
-@pytest.mark.parametrize("feather", [0.0, 60.0])
-def test_labels_cover_exactly_what_is_valid(strip: Strip, tmp_path: Path, feather: float) -> None:
-    made = job(strip.dem, strip.files, strip.photos, GSD)
+@pytest.mark.parametrize(("feather", "resolution"), [(0.0, GSD), (60.0, GSD), (20.0, 0.4)])
+def test_labels_cover_exactly_what_is_valid(strip: Strip, tmp_path: Path, feather: float, resolution: float) -> None:
+    made = job(strip.dem, strip.files, strip.photos, resolution)
     result = made.mosaic(tmp_path / "mosaic.tif", feather=feather)
     _, valid = read(result.path)
     labels, _ = read(beside(result.path, "-labels", ".tif"))
