@@ -56,8 +56,8 @@ def comparison_grid(photos: Photos) -> Grid:
 
 
 def _thumbnail(photos: Photos, index: int, grid: Grid, options: RenderOptions) -> Thumbnail:
-    photo, bands = photos[index], photos.info.bands
-    window = grid.window_of(photo.footprint.bounds)
+    bands = photos.info.bands
+    window = grid.window_of(photos.outlines[index].bounds)
     values = np.zeros((max(window.height, 0), max(window.width, 0), bands), dtype=np.float32)
     valid = np.zeros(values.shape[:2], dtype=np.uint8)
     if window.empty:
@@ -70,7 +70,8 @@ def _thumbnail(photos: Photos, index: int, grid: Grid, options: RenderOptions) -
         seen = np.zeros(out.shape[:2], dtype=np.uint8)
         ground = below.block(part)
         colour = Colour.identity(bands)
-        pull(engine, photo, grid, ground, "average", NEAR_ENOUGH, colour, out, seen, None, most_samples=3)
+        with photos.using(index) as photo:
+            pull(engine, photo, grid, ground, "average", NEAR_ENOUGH, colour, out, seen, None, most_samples=3)
         common = part.intersection(window)
         there = (
             slice(common.row - window.row, common.stop_row - window.row),

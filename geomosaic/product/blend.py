@@ -107,10 +107,11 @@ class Blender:
         need: ByteArray | None,
         lattices: Lattices,
     ) -> None:
-        lattices[index] = pull(
-            self.engine, self.photos[index], self.grid, ground, self.resampling, self.tolerance,
-            self.colours[index], out, valid, need, lattices=lattices.get(index),
-        )  # fmt: skip
+        with self.photos.using(index) as photo:
+            lattices[index] = pull(
+                self.engine, photo, self.grid, ground, self.resampling, self.tolerance,
+                self.colours[index], out, valid, need, lattices=lattices.get(index),
+            )  # fmt: skip
 
     def _shares(self, window: Window, near: list[int]) -> list[_Share]:
         """Weights of the images that have any in the block."""

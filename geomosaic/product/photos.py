@@ -1,9 +1,11 @@
-"""The open images of a mosaic: opened when first needed, closed when the rows of the output have passed them."""
+"""The open images of a mosaic: opened when first needed, closed when others need the room or the rows are done."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from threading import Lock, Thread, current_thread
 
 import numpy as np
 
@@ -13,10 +15,14 @@ from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.photo import Photo
 from geomosaic.raster.source import SourceInfo, inspect
+from geomosaic.sensor.lattice import BLOCK_HEIGHT
+
+MOST_HANDLES = 64
+"""Open files beyond which images that nobody reads are closed; opening one again takes about 2 ms."""
 
 
 class Photos:
-    """Photos by number, with their number of open ones bounded by what a row of the output needs.
+    """Photos by number, of which few are open at any time.
 
     Parameters
     ----------
@@ -33,19 +39,30 @@ class Photos:
         self.block, self.grid, self.outlines = block, grid, outlines
         self.windows = [grid.window_of(outline.bounds) for outline in outlines]
         self.info = _common([inspect(scene.path, scene.bands) for scene in block.scenes], block)
-        self._each = memory // max(1, self._most_at_once())
-        self._open: dict[int, Photo] = {}
-        self._lock = threading.Lock()
+        self._most_whole = _most_at_once(self.windows)
+        self._each = memory // self._most_whole
+        self._open: dict[int, _Open] = {}  # least recently used first
+        self._done_row = 0
+        self._lock = Lock()
 
     def __len__(self) -> int:
         return len(self.block.scenes)
 
-    def __getitem__(self, index: int) -> Photo:
+    @contextmanager
+    def using(self, index: int) -> Iterator[Photo]:
+        """Lend a photo; it stays open at least until it is given back."""
         with self._lock:
-            if index not in self._open:
-                scene, outline = self.block.scenes[index], self.outlines[index]
-                self._open[index] = Photo.open(scene, self.block.surface, self.grid, outline, self._each)
-            return self._open[index]
+            entry = self._open.pop(index, None) or self._opened(index)
+            self._open[index] = entry
+            entry.users += 1
+            entry.readers.add(current_thread())
+            self._close_spare()
+        try:
+            yield entry.photo
+        finally:
+            with self._lock:
+                entry.users -= 1
+                self._close_spare()
 
     def near(self, window: Window) -> list[int]:
         """Numbers of the photos whose footprint's bounds meet a window."""
@@ -54,22 +71,57 @@ class Photos:
     def passed(self, row: int) -> None:
         """Close what ends above an output row that is done."""
         with self._lock:
-            for index in [i for i in self._open if self.windows[i].stop_row <= row]:
-                self._open.pop(index).source.close()
+            self._done_row = max(self._done_row, row)
+            self._close_spare()
 
     def close(self) -> None:
         """Close all."""
         with self._lock:
-            for photo in self._open.values():
-                photo.source.close()
+            for entry in self._open.values():
+                entry.photo.source.close()
             self._open.clear()
 
-    def _most_at_once(self) -> int:
-        """Most photos that any row of the output needs."""
-        events = sorted(
-            [(w.row, 1) for w in self.windows if not w.empty] + [(w.stop_row, -1) for w in self.windows if not w.empty]
-        )
-        return int(max(np.cumsum([change for _, change in events]), default=1))
+    def _opened(self, index: int) -> _Open:
+        scene, outline = self.block.scenes[index], self.outlines[index]
+        return _Open(Photo.open(scene, self.block.surface, self.grid, outline, self._each))
+
+    def _close_spare(self) -> None:
+        """Of the photos that nobody reads, close those that are done with, and the least recently used beyond bounds.
+
+        What can be read by windows counts by its file handles, one per thread that has read it. What is decoded whole
+        costs memory and time, not handles: as many are kept as the output needs at once.
+        """
+        handles = sum(len(entry.readers) for entry in self._open.values() if entry.windowed)
+        whole = sum(not entry.windowed for entry in self._open.values())
+        for index, entry in list(self._open.items()):
+            excess = handles > MOST_HANDLES if entry.windowed else whole > self._most_whole
+            if entry.users or not (excess or self.windows[index].stop_row <= self._done_row):
+                continue
+            handles -= len(entry.readers) if entry.windowed else 0
+            whole -= not entry.windowed
+            self._open.pop(index).photo.source.close()
+
+
+@dataclass
+class _Open:
+    """An open photo, how many read it now, and the threads that ever did: each has a handle of its own."""
+
+    photo: Photo
+    users: int = 0
+    readers: set[Thread] = field(default_factory=set)
+
+    @property
+    def windowed(self) -> bool:
+        return self.photo.source.info.windowed
+
+
+def _most_at_once(windows: Sequence[Window]) -> int:
+    """Most photos that two successive rows of output blocks need: threads that end one row begin the next."""
+    events = []
+    for window in windows:
+        if not window.empty:
+            events += [(window.row // BLOCK_HEIGHT - 1, 1), (-(-window.stop_row // BLOCK_HEIGHT), -1)]
+    return max(1, int(max(np.cumsum([change for _, change in sorted(events)]), default=1)))
 
 
 def _common(infos: list[SourceInfo], block: Block) -> SourceInfo:

@@ -1,0 +1,131 @@
+"""Many photos: few are open at any time, and each reads only what lies below it."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from helpers import MAP, Hills, PinholeOverMap
+
+from geomosaic.block.block import Block
+from geomosaic.block.scene import Scene
+from geomosaic.geo.grid import Window
+from geomosaic.product import photos as photos_module
+from geomosaic.product.extent import footprints, output_grid
+from geomosaic.product.mosaic import mosaic
+from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.photos import Photos
+from geomosaic.surface.model import Surface
+
+SIZE = (96, 64)
+
+
+def photo_block(
+    folder: Path, count: int, surface: Surface | None = None, step: float = 40.0, suffix: str = "tif"
+) -> Block:
+    """A strip of vertical photos of noise, 1 m per pixel, `step` metres apart."""
+    rng = np.random.default_rng(1)
+    scenes = []
+    for i in range(count):
+        path = folder / f"{i:03d}.{suffix}"
+        with rasterio.open(
+            path, "w", driver={"tif": "GTiff", "jpg": "JPEG"}[suffix], width=SIZE[0], height=SIZE[1], count=1,
+            dtype="uint8", **({"tiled": True, "blockxsize": 16, "blockysize": 16} if suffix == "tif" else {}),
+        ) as file:  # fmt: skip
+            file.write(rng.integers(50, 200, SIZE[::-1], dtype=np.uint8), 1)
+        centre = (500_000.0 + step * i, 5_500_000.0, 1000.0)
+        scenes.append(Scene(path.stem, str(path), "pinhole", PinholeOverMap(SIZE, centre, tilt=(0.0, 0.0, 0.0))))
+    return Block(tuple(scenes), surface or Hills(amplitude=1.0))
+
+
+def opened(block: Block, resolution: float = 1.0, memory: int = 1 << 20) -> Photos:
+    outlines = footprints(block.scenes, block.surface, MAP)
+    return Photos(block, output_grid(MAP, outlines, resolution), outlines, memory)
+
+
+def descriptors() -> int:
+    return sum(1 for _ in Path("/proc/self/fd").iterdir())
+
+
+needs_proc = pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files are counted in /proc")
+
+
+@needs_proc
+@pytest.mark.parametrize("threads", [1, 3])
+def test_open_files_do_not_grow_with_the_number_of_photos(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int
+) -> None:
+    monkeypatch.setattr(photos_module, "MOST_HANDLES", 10)
+    block = photo_block(tmp_path, 40)
+    outlines = footprints(block.scenes, block.surface, MAP)
+    before, worst = descriptors(), {"balance": 0, "mosaic": 0}
+
+    def watch(done: int, total: int, stage: str) -> None:
+        worst[stage] = max(worst.get(stage, 0), descriptors() - before)
+
+    render = RenderOptions(threads=threads, progress=watch)
+    result = mosaic(
+        block, output_grid(MAP, outlines, 1.0), outlines, tmp_path / "out.tif", MosaicOptions(render, stac=False)
+    )
+    assert min(result.pixels) > 0  # all took part
+    assert worst["balance"] <= 10 + threads + 4, worst  # and a few of the outputs
+    assert worst["mosaic"] <= 10 + threads + 10, worst
+    assert descriptors() <= before + 4  # PROJ keeps its database open
+
+
+@needs_proc
+def test_images_decoded_whole_are_kept_only_while_rows_need_them(tmp_path: Path) -> None:
+    block = photo_block(tmp_path, 6, step=0.0, suffix="jpg")
+    scenes = tuple(
+        Scene(
+            s.name,
+            s.path,
+            s.sensor,
+            PinholeOverMap(SIZE, (500_000.0, 5_500_000.0 - 2000.0 * i, 1000.0), tilt=(0.0,) * 3),
+        )
+        for i, s in enumerate(block.scenes)
+    )
+    photos = opened(Block(scenes, block.surface))
+    for i in range(6):
+        with photos.using(i) as photo:
+            photo.source.read(Window(0, 0, 8, 8))
+    assert list(photos._open) == [5]  # 2000 rows apart: one at a time
+    photos.passed(photos.grid.height)
+    assert not photos._open
+    photos.close()
+
+
+def test_a_photo_in_use_is_never_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(photos_module, "MOST_HANDLES", 1)
+    photos = opened(photo_block(tmp_path, 8))
+    errors: list[BaseException] = []
+    whole = Window(0, 0, *SIZE)
+
+    def read(index: int, times: int) -> None:
+        try:
+            for k in range(times):
+                with photos.using((index + k) % 8) as photo:
+                    first, _ = photo.source.read(whole)
+                    photos.passed(photos.grid.height)  # everything may be closed, but for what is lent
+                    again, _ = photo.source.read(whole)
+                    assert np.array_equal(first, again)
+        except BaseException as error:
+            errors.append(error)
+
+    with photos.using(0) as held:
+        source = held.source
+        workers = [threading.Thread(target=read, args=(i, 30)) for i in range(4)]
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join()
+        with photos.using(0) as same:
+            assert same.source is source
+        source.read(whole)
+        assert list(photos._open) == [0]
+    assert not errors
+    assert not photos._open  # its rows have passed, and nobody has it any more
+    photos.close()
