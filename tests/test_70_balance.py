@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +13,14 @@ from helpers import MAP, Hills, PinholeOverMap
 
 from geomosaic.block.block import Block
 from geomosaic.block.scene import Scene
-from geomosaic.geo.grid import Window
+from geomosaic.geo.grid import Bounds, Window
 from geomosaic.product import photos as photos_module
+from geomosaic.product.balance import balance
 from geomosaic.product.extent import footprints, output_grid
 from geomosaic.product.mosaic import mosaic
 from geomosaic.product.options import MosaicOptions, RenderOptions
 from geomosaic.product.photos import Photos
-from geomosaic.surface.model import Surface
+from geomosaic.surface.model import HeightPatch, Surface
 
 SIZE = (96, 64)
 
@@ -129,3 +131,40 @@ def test_a_photo_in_use_is_never_closed(tmp_path: Path, monkeypatch: pytest.Monk
     assert not errors
     assert not photos._open  # its rows have passed, and nobody has it any more
     photos.close()
+
+
+@dataclass(frozen=True)
+class Heard(Hills):
+    """Relief that remembers which bounds were asked for."""
+
+    asked: list[Bounds] = field(default_factory=list)
+
+    def patch(self, bounds: Bounds) -> HeightPatch:
+        self.asked.append(bounds)
+        return super().patch(bounds)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_only_the_ground_below_a_photo_is_read(tmp_path: Path, threads: int) -> None:
+    surface = Heard(amplitude=1.0, spacing=1.0)
+    photos = opened(photo_block(tmp_path, 12, surface))
+    surface.asked.clear()
+    solved = balance(photos, RenderOptions(threads=threads))
+    photos.close()
+    assert solved.overlaps >= 11
+    below = {tuple(np.round(outline.centre)): np.prod(np.ptp(outline.ring, axis=0)) for outline in photos.outlines}
+    assert len(surface.asked) == 12
+    for left, bottom, right, top in surface.asked:
+        centre = tuple(np.round(((left + right) / 2, (bottom + top) / 2)))
+        nearest = min(below, key=lambda place: np.hypot(place[0] - centre[0], place[1] - centre[1]))
+        assert (right - left) * (top - bottom) < 1.3 * below[nearest]  # a cell and a hundredth at each side
+
+
+def test_the_balance_does_not_depend_on_threads(tmp_path: Path) -> None:
+    block = photo_block(tmp_path, 6, Hills(amplitude=8.0, wavelength=90.0))
+    gains = set()
+    for threads in (1, 2, 4):
+        photos = opened(block)
+        gains.add(balance(photos, RenderOptions(threads=threads)).gain.tobytes())
+        photos.close()
+    assert len(gains) == 1

@@ -14,8 +14,8 @@ from geomosaic.product.pool import in_order
 from geomosaic.radiometry.gain_offset import Balance, Overlap, solve
 from geomosaic.resample.warp import Colour, engine_for, value_range
 from geomosaic.sensor.ground import Ground
-from geomosaic.sensor.lattice import blocks
-from geomosaic.types import AnyArray, FloatArray
+from geomosaic.sensor.lattice import BLOCK_HEIGHT, BLOCK_WIDTH
+from geomosaic.types import AnyArray, ByteArray
 
 CELLS = 96
 """Cells across a footprint at which images are compared: coarse, so that small misfits of geometry do not count."""
@@ -23,15 +23,25 @@ LEAST_CELLS = 25
 """An overlap of fewer cells says nothing."""
 NEAR_ENOUGH = 0.1
 """Cells that the geometry may be off where only colours are compared."""
+MOST_SAMPLES = 3
+"""Samples along each side of a cell; the image is reduced on reading until they cover it."""
 
 
 @dataclass(frozen=True)
 class Thumbnail:
-    """One image on the coarse grid."""
+    """One image on the coarse grid.
+
+    Attributes
+    ----------
+    window : Window
+        Of the coarse grid.
+    values : float32 array (rows, cols, bands)
+    valid : uint8 array (rows, cols)
+    """
 
     window: Window
-    values: FloatArray
-    valid: AnyArray
+    values: AnyArray
+    valid: ByteArray
 
 
 def balance(photos: Photos, options: RenderOptions) -> Balance:
@@ -61,28 +71,20 @@ def _thumbnail(photos: Photos, index: int, grid: Grid, options: RenderOptions) -
     values = np.zeros((max(window.height, 0), max(window.width, 0), bands), dtype=np.float32)
     valid = np.zeros(values.shape[:2], dtype=np.uint8)
     if window.empty:
-        return Thumbnail(window, values.astype(np.float64), valid)
-    engine = engine_for(4 * valid.size)
+        return Thumbnail(window, values, valid)
+    engine, colour = engine_for(4 * valid.size), Colour.identity(bands)
     below = Ground.under(grid, photos.block.surface)
-    for whole in blocks(window):
-        part = whole.intersection(grid.window)
-        out = np.zeros((part.height, part.width, bands), dtype=np.float32)
-        seen = np.zeros(out.shape[:2], dtype=np.uint8)
+    # The window itself is cut into blocks, not the grid: only the heights below the photo are read.
+    for part in window.split(BLOCK_WIDTH, BLOCK_HEIGHT):
         ground = below.block(part)
-        colour = Colour.identity(bands)
+        rows, cols = part.row - window.row, part.col - window.col
+        here = slice(rows, rows + part.height), slice(cols, cols + part.width)
         with photos.using(index) as photo:
-            pull(engine, photo, grid, ground, "average", NEAR_ENOUGH, colour, out, seen, None, most_samples=3)
-        common = part.intersection(window)
-        there = (
-            slice(common.row - window.row, common.stop_row - window.row),
-            slice(common.col - window.col, common.stop_col - window.col),
-        )
-        here = (
-            slice(common.row - part.row, common.stop_row - part.row),
-            slice(common.col - part.col, common.stop_col - part.col),
-        )
-        values[there], valid[there] = out[here], seen[here]
-    return Thumbnail(window, values.astype(np.float64), valid)
+            pull(
+                engine, photo, grid, ground, "average", NEAR_ENOUGH, colour, values[here], valid[here],
+                most_samples=MOST_SAMPLES,
+            )  # fmt: skip
+    return Thumbnail(window, values, valid)
 
 
 def overlaps(pieces: list[Thumbnail], clipped: tuple[float, float] | None = None) -> list[Overlap]:
