@@ -99,7 +99,7 @@ def test_lattice_keeps_its_tolerance_against_every_pixel(tolerance: float, ampli
         x, y = lattice.surface[..., 0], lattice.surface[..., 1]
         places = np.stack([t.a * x + t.b * y + t.c - 0.5, t.d * x + t.e * y + t.f - 0.5], axis=-1)
         numba_engine().coordinates(
-            lattice.nodes, places, patch.heights, lattice.z_middle, 1 / lattice.z_half, False, lattice.step, 0, 1,
+            (lattice.nodes, places, patch.heights, lattice.z_middle, 1 / lattice.z_half, False, lattice.step), 0, 1,
             MODEL.size, np.ones((8, 16), dtype=np.uint8), cols, rows,
         )  # fmt: skip
         cc, rr = np.meshgrid(window.col + np.arange(window.width) + 0.5, window.row + np.arange(window.height) + 0.5)

@@ -17,13 +17,7 @@ Place = tuple[float, float, float, int, int]
 
 
 def coordinates(
-    nodes: FloatArray,
-    places: FloatArray,
-    heights: AnyArray,
-    z_middle: float,
-    z_inverse: float,
-    flat: bool,
-    step: int,
+    geometry: tuple[FloatArray, FloatArray, AnyArray, float, float, bool, int],
     first_row: int,
     n: int,
     size: tuple[int, int],
@@ -31,7 +25,8 @@ def coordinates(
     cols: FloatArray,
     rows: FloatArray,
 ) -> tuple[int, int, int, int]:
-    """Fill `cols`, `rows` and return what they span in the image; see `kernels.coordinates`."""
+    """Fill `cols`, `rows` and return what they span in the image; see `kernels.place.coordinates`."""
+    nodes, places, heights, z_middle, z_inverse, flat, step = geometry
     height, width = cols.shape
     v = (first_row + (np.arange(height) + 0.5) / n) / step
     j = v.astype(np.int64)
@@ -79,11 +74,11 @@ def _heights(heights: AnyArray, x: FloatArray, y: FloatArray) -> FloatArray:
     x0, y0 = np.minimum(x.astype(np.int64), dem_cols - 1), np.minimum(y.astype(np.int64), dem_rows - 1)
     fx, fy = x - x0, y - y0
     x1, y1 = np.minimum(x0 + 1, dem_cols - 1), np.minimum(y0 + 1, dem_rows - 1)
-    top, low = heights[y0, x0].astype(np.float64), heights[y1, x0].astype(np.float64)
-    top = np.where(fx > 0.0, top + (heights[y0, x1] - top) * fx, top)
-    low = np.where(fx > 0.0, low + (heights[y1, x1] - low) * fx, low)
-    top = np.where(fy > 0.0, top + (low - top) * fy, top)
-    return np.where(inside, top, np.nan)
+    first, second = heights[y0, x0].astype(np.float64), heights[y0, x1].astype(np.float64)
+    first = np.where(fy > 0.0, first + (heights[y1, x0] - first) * fy, first)
+    second = np.where(fy > 0.0, second + (heights[y1, x1] - second) * fy, second)
+    first = np.where(fx > 0.0, first + (second - first) * fx, first)
+    return np.where(inside, first, np.nan)
 
 
 def sample(
@@ -103,7 +98,7 @@ def sample(
     out: AnyArray,
     out_valid: AnyArray,
 ) -> None:
-    """Fill `out` and `out_valid` where the image is seen; see `kernels.sample_*`."""
+    """Fill `out` and `out_valid` where the image is seen; see `kernels.sample`."""
     col0, row0, shrink, width, height = place
     with np.errstate(invalid="ignore"):
         inside = (cols >= 0.0) & (rows >= 0.0) & (cols < width) & (rows < height)
@@ -234,7 +229,7 @@ def accumulate(
     best: AnyArray,
     label: AnyArray,
 ) -> None:
-    """Add one image's weighted values; see `kernels.accumulate`."""
+    """Add one image's weighted values; see `kernels.blend`."""
     height, width, _ = values.shape
     v = (np.arange(height) + 0.5) / factor - 0.5 + margin
     u = (np.arange(width) + 0.5) / factor - 0.5 + margin
@@ -254,7 +249,7 @@ def accumulate(
 def finish(
     total: AnyArray, sums: AnyArray, low: float, high: float, whole: bool, out: AnyArray, out_valid: AnyArray
 ) -> None:
-    """Divide by the sum of weights, round, and store; see `kernels.finish`."""
+    """Divide by the sum of weights, round, and store; see `kernels.blend`."""
     seen = sums > 0.0
     values = (total[seen] / sums[seen][:, None]).astype(np.float64)
     if whole:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -12,6 +12,7 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
+from geomosaic.sensor.lattice_error import at_height
 from geomosaic.surface.model import HeightPatch
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
@@ -22,10 +23,14 @@ CELL = FIRST_STEP
 
 # Beyond this many image pixels per output pixel the image is reduced while it is read.
 MOST_SAMPLES = 16
-# Image pixels read at once; larger windows are read strip by strip.
+# Image pixels read at once; a block that needs more is cut.
 MOST_PIXELS = 6_000_000
 # Sub-pixels handled at once: their coordinates stay in a processor's second-level cache.
 STRIP = 65536
+
+
+Geometry = tuple[FloatArray, FloatArray, AnyArray, float, float, bool, int]
+"""What kernels are told of a part of a block: nodes, places, heights, z_middle, 1 / z_half, flat, step."""
 
 
 class Reader(Protocol):
@@ -37,46 +42,36 @@ class Reader(Protocol):
 
 @dataclass(frozen=True)
 class Engine:
-    """Where the kernels come from; both engines give the same bytes."""
+    """Where the kernels come from; both engines give the same bytes.
+
+    `quick` holds, by resampling, kernels that place and sample a whole block of three bands of eight bits at once.
+    """
 
     coordinates: Callable[..., tuple[float, float, float, float]]
     sample: Callable[..., None]
     accumulate: Callable[..., None]
     finish: Callable[..., None]
+    quick: Mapping[str, Callable[..., int]]
 
 
 def numpy_engine() -> Engine:
     """Kernels in NumPy: nothing to start, slow on large jobs."""
     from geomosaic.resample import reference
 
-    return Engine(reference.coordinates, reference.sample, reference.accumulate, reference.finish)
+    return Engine(reference.coordinates, reference.sample, reference.accumulate, reference.finish, {})
 
 
 def numba_engine() -> Engine:
     """Compiled kernels."""
-    from geomosaic.resample import kernels
+    from geomosaic.resample.kernels import blend, place, sample
 
-    table: dict[str, Callable[..., None]] = {
-        "nearest": kernels.sample_nearest,
-        "bilinear": kernels.sample_bilinear,
-        "cubic": kernels.sample_cubic,
-        "lanczos": kernels.sample_lanczos,
-    }
-
-    quick: dict[str, Callable[..., None]] = {"bilinear": kernels.bilinear_rgb, "cubic": kernels.cubic_rgb}
-
-    def sample(
-        name: str, source: AnyArray, valid: AnyArray, masked: bool, cols: FloatArray, rows: FloatArray, n: int,
-        place: tuple[float, float, float, int, int], gain: FloatArray, offset: FloatArray,
-        low: float, high: float, whole: bool, out: AnyArray, out_valid: ByteArray,
-    ) -> None:  # fmt: skip
-        rgb = source.dtype == np.uint8 and source.shape[2] == 3 and source.flags.c_contiguous
-        if rgb and not masked and n == 1 and name in quick:
-            quick[name](source, cols, rows, place, gain, offset, low, high, whole, out, out_valid)
-        else:
-            table[name](source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid)
-
-    return Engine(kernels.coordinates, sample, kernels.accumulate, kernels.finish)
+    return Engine(
+        place.coordinates,
+        sample.sample,
+        blend.accumulate,
+        blend.finish,
+        {"bilinear": place.bilinear_rgb, "cubic": place.cubic_rgb},
+    )
 
 
 def engine_for(pixels: int) -> Engine:
@@ -166,47 +161,93 @@ def warp(
     if not wanted.any():
         return
     kernel = "bilinear" if resampling == "average" or n > 1 else resampling
-    low, high, whole = value_range(str(out.dtype))
-    flat = lattice.flat and (patch is None or not np.isnan(patch.heights).any())
-    z_inverse = 0.0 if lattice.z_half == 0.0 else 1.0 / lattice.z_half
-    if flat or patch is None:
-        flat, places, heights = True, np.zeros((*lattice.nodes.shape[:2], 2)), np.zeros((1, 1), dtype=np.float32)
+    shape = _Shape(kernel, n, shrink, size)
+    boxes = _boxes(lattice)
+    if patch is None or (lattice.flat and not np.isnan(patch.heights).any()):
+        places, heights = None, np.zeros((1, 1), dtype=np.float32)
     else:
         t = patch.transform
         x, y = lattice.surface[..., 0], lattice.surface[..., 1]
         places = np.stack([t.a * x + t.b * y + t.c - 0.5, t.d * x + t.e * y + t.f - 0.5], axis=-1)
         heights = patch.heights
-    reach = (RADIUS[kernel] + 1) * shrink
-    whole_block = _window(lattice.bounds, size, reach, shrink)
-    at_once = whole_block is not None and whole_block.width * whole_block.height <= MOST_PIXELS * shrink * shrink
-    window: Window | None = None
-    source, valid = np.empty((0, 0, 0)), None
-    rows_at_once = max(1, STRIP // (lattice.window.width * n * n))
-    buffer = np.empty((2, rows_at_once * n, lattice.window.width * n))
-    for start in range(0, lattice.window.height, rows_at_once):
-        stop = min(start + rows_at_once, lattice.window.height)
+    per = CELL // lattice.step
+    for rows, cols, window in _parts(boxes, wanted, slice(0, wanted.shape[0]), slice(0, wanted.shape[1]), shape):
+        nodes = slice(rows.start * per, rows.stop * per + 1), slice(cols.start * per, cols.stop * per + 1)
+        inside = slice(rows.start * CELL, rows.stop * CELL), slice(cols.start * CELL, cols.stop * CELL)
+        geometry = (
+            np.ascontiguousarray(lattice.nodes[nodes]),
+            np.zeros((1, 1, 2)) if places is None else np.ascontiguousarray(places[nodes]),
+            heights,
+            lattice.z_middle,
+            0.0 if lattice.flat else 1.0 / lattice.z_half,
+            places is None,
+            lattice.step,
+        )
+        here = np.ascontiguousarray(wanted[rows, cols])
+        _fill(engine, reader, shape, geometry, here, window, colour, out[inside], out_valid[inside])
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """How values are taken: kernel, samples per output pixel along each axis, reduction on reading; and the image."""
+
+    kernel: str
+    n: int
+    shrink: int
+    size: tuple[int, int]
+
+    @property
+    def reach(self) -> int:
+        """Image pixels that the kernel takes beyond a point."""
+        return (RADIUS[self.kernel] + 1) * self.shrink
+
+
+def _fill(
+    engine: Engine,
+    reader: Reader,
+    shape: _Shape,
+    geometry: Geometry,
+    need: ByteArray,
+    window: Window,
+    colour: Colour,
+    out: AnyArray,
+    out_valid: ByteArray,
+) -> None:
+    """Fill a part of a block whose image window is small enough to be read at once."""
+    low, high, whole = value_range(str(out.dtype))
+    ending = colour.gain, colour.offset, low, high, whole
+    source, valid = reader.read(window, shape.shrink)
+    start, (height, width), n = 0, out_valid.shape, shape.n
+    if valid is None and n == 1 and shape.kernel in engine.quick and _is_rgb(source):
+        quick = engine.quick[shape.kernel]
+        start = quick(geometry, shape.size, need, source, (window.col, window.row), ending, out, out_valid)
+    rows_at_once = max(1, STRIP // (width * n * n))
+    buffer = np.empty((2, rows_at_once * n, width * n))
+    while start < height:
+        stop = min(start + rows_at_once, height)
         cols, rows = buffer[0, : (stop - start) * n], buffer[1, : (stop - start) * n]
-        span = engine.coordinates(
-            lattice.nodes, places, heights, lattice.z_middle, z_inverse, flat, lattice.step, start, n, size, wanted,
-            cols, rows,
-        )  # fmt: skip
-        needed = _window(span, size, reach, shrink)
-        if needed is None:
-            continue
-        if window is None or needed.intersection(window) != needed:
-            # The block's window is read once; where it is too large, or its bounds fell short, the strip's.
-            inside = whole_block is not None and needed.intersection(whole_block) == needed
-            window = whole_block if at_once and inside and whole_block is not None else needed
-            source, valid = reader.read(window, shrink)
-        place = (float(window.col), float(window.row), float(shrink), size[0], size[1])
-        mask = _ALL_VALID if valid is None else valid
-        engine.sample(
-            kernel, source, mask, valid is not None, cols, rows, n, place, colour.gain, colour.offset,
-            low, high, whole, out[start:stop], out_valid[start:stop],
-        )  # fmt: skip
+        span = engine.coordinates(geometry, start, n, shape.size, need, cols, rows)
+        needed = _window(span, shape)
+        if needed is not None:
+            if needed.intersection(window) != needed:  # bounds from the lattice's nodes may fall short
+                window = needed
+                source, valid = reader.read(window, shape.shrink)
+            place = (float(window.col), float(window.row), float(shape.shrink), *shape.size)
+            mask = _ALL_VALID if valid is None else valid
+            engine.sample(
+                shape.kernel, source, mask, valid is not None, cols, rows, n, place, *ending,
+                out[start:stop], out_valid[start:stop],
+            )  # fmt: skip
+        start = stop
 
 
 _ALL_VALID = np.ones((1, 1), dtype=np.uint8)
+
+
+def _is_rgb(source: AnyArray) -> bool:
+    return bool(
+        source.dtype == np.uint8 and source.shape[2] == 3 and min(source.shape) > 1 and source.flags.c_contiguous
+    )
 
 
 def _cells(lattice: Lattice) -> ByteArray:
@@ -219,9 +260,49 @@ def _cells(lattice: Lattice) -> ByteArray:
     return seen
 
 
-def _window(span: tuple[float, float, float, float], size: tuple[int, int], reach: int, shrink: int) -> Window | None:
-    """Image window for points that span left, top, right, bottom, on multiples of `shrink`; None where all miss."""
-    (left, top, right, bottom), (width, height) = span, size
+def _boxes(lattice: Lattice) -> FloatArray:
+    """Left, top, −right, −bottom (4, rows, cols) of each cell of 64 x 64 pixels in the image; infinite where unseen."""
+    per = CELL // lattice.step
+    levels = (0.0,) if lattice.flat else (-1.0, 0.0, 1.0)
+    ends = np.stack([at_height(lattice.nodes, t) for t in levels])
+    both = np.moveaxis(np.concatenate([ends, -ends], axis=-1), -1, 0)  # (4, levels, node rows, node cols)
+    least = np.fmin.reduce(both, axis=1)
+    for axis in (1, 2):
+        starts = np.arange(0, least.shape[axis] - 1, per)
+        first = np.fmin.reduceat(least, starts, axis=axis)
+        last = least.take(np.minimum(starts + per, least.shape[axis] - 1), axis=axis)
+        least = np.fmin(first, last)
+    return np.where(np.isnan(least), np.inf, least)
+
+
+def _parts(
+    boxes: FloatArray, wanted: ByteArray, rows: slice, cols: slice, shape: _Shape
+) -> Iterator[tuple[slice, slice, Window]]:
+    """Cut cells in halves until the image window of what is wanted is small enough; parts without any are left out."""
+    here = wanted[rows, cols] > 0
+    if not here.any():
+        return
+    left, top, right, bottom = boxes[:, rows, cols][:, here].min(axis=1)
+    window = _window((left, top, -right, -bottom), shape)
+    if window is None:
+        return
+    tall, wide = rows.stop - rows.start, cols.stop - cols.start
+    if window.width * window.height <= MOST_PIXELS * shape.shrink**2 or (tall == 1 and wide == 1):
+        yield rows, cols, window
+    elif tall >= wide:
+        middle = rows.start + tall // 2
+        yield from _parts(boxes, wanted, slice(rows.start, middle), cols, shape)
+        yield from _parts(boxes, wanted, slice(middle, rows.stop), cols, shape)
+    else:
+        middle = cols.start + wide // 2
+        yield from _parts(boxes, wanted, rows, slice(cols.start, middle), shape)
+        yield from _parts(boxes, wanted, rows, slice(middle, cols.stop), shape)
+
+
+def _window(span: tuple[float, float, float, float], shape: _Shape) -> Window | None:
+    """Image window for points that span left, top, right, bottom, on multiples of the reduction; None if all miss."""
+    (left, top, right, bottom), (width, height) = span, shape.size
+    reach, shrink = shape.reach, shape.shrink
     if not (right >= 0 and bottom >= 0 and left < width and top < height):
         return None
     first_col = int(max(0.0, left - reach)) // shrink * shrink

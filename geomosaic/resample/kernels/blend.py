@@ -1,0 +1,49 @@
+"""Weighted means of several images."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def accumulate(values, valid, weight, factor, margin, index, total, sums, best, label):
+    """Add one image's weighted values to a block; `weight` is a reduced lattice with `margin` cells around it."""
+    height, width, bands = values.shape
+    for k in range(height):
+        v = (k + 0.5) / factor - 0.5 + margin
+        j = int(v)
+        fv = np.float32(v - j)
+        for c in range(width):
+            if not valid[k, c]:
+                continue
+            u = (c + 0.5) / factor - 0.5 + margin
+            i = int(u)
+            fu = np.float32(u - i)
+            top = weight[j, i] + (weight[j, i + 1] - weight[j, i]) * fu
+            low = weight[j + 1, i] + (weight[j + 1, i + 1] - weight[j + 1, i]) * fu
+            w = top + (low - top) * fv
+            if w <= np.float32(0.0):
+                continue
+            for m in range(bands):
+                total[k, c, m] += w * values[k, c, m]
+            sums[k, c] += w
+            if w > best[k, c]:
+                best[k, c] = w
+                label[k, c] = index
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def finish(total, sums, low, high, whole, out, out_valid):
+    """Divide by the sum of weights, round, and store."""
+    for k in range(out.shape[0]):
+        for c in range(out.shape[1]):
+            if sums[k, c] > np.float32(0.0):
+                for m in range(out.shape[2]):
+                    value = np.float64(total[k, c, m] / sums[k, c])
+                    if whole:
+                        value = np.float64(min(max(math.floor(value + 0.5), low), high))
+                    out[k, c, m] = value
+                out_valid[k, c] = 1

@@ -1,0 +1,285 @@
+"""Values at image coordinates, for any sample type, number of bands and validity."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from geomosaic.types import AnyArray, ByteArray, FloatArray
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _bilinear(source, valid, masked, x, y, values):
+    """Weighted mean of the valid ones of four pixels; taps beyond the window repeat its edge."""
+    height, width, bands = source.shape
+    i = int(x + 0.5) - 1
+    j = int(y + 0.5) - 1
+    a = x - 0.5 - i
+    b = y - 0.5 - j
+    if source.itemsize == 1:
+        a = math.floor(a * 2048.0 + 0.5) / 2048.0
+        b = math.floor(b * 2048.0 + 0.5) / 2048.0
+    i0 = np.uint64(max(i, 0))
+    j0 = np.uint64(max(j, 0))
+    i1 = np.uint64(min(i + 1, width - 1))
+    j1 = np.uint64(min(j + 1, height - 1))
+    if masked and not (valid[j0, i0] and valid[j0, i1] and valid[j1, i0] and valid[j1, i1]):
+        w00 = (1.0 - a) * (1.0 - b) * valid[j0, i0]
+        w01 = a * (1.0 - b) * valid[j0, i1]
+        w10 = (1.0 - a) * b * valid[j1, i0]
+        w11 = a * b * valid[j1, i1]
+        total = w00 + w01 + w10 + w11
+        for m in range(bands):
+            value = 0.0
+            if w00 > 0.0:
+                value += w00 * source[j0, i0, m]
+            if w01 > 0.0:
+                value += w01 * source[j0, i1, m]
+            if w10 > 0.0:
+                value += w10 * source[j1, i0, m]
+            if w11 > 0.0:
+                value += w11 * source[j1, i1, m]
+            values[m] = value / total
+        return
+    for m in range(bands):
+        p00 = np.float64(source[j0, i0, m])
+        p10 = np.float64(source[j1, i0, m])
+        top = p00 + (np.float64(source[j0, i1, m]) - p00) * a
+        low = p10 + (np.float64(source[j1, i1, m]) - p10) * a
+        values[m] = top + (low - top) * b
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _whole(valid, masked, width, height, i, j, radius):
+    """Whether all taps i−radius+1 … i+radius in both directions are in the window and valid."""
+    if i - radius + 1 < 0 or j - radius + 1 < 0 or i + radius >= width or j + radius >= height:
+        return False
+    if masked:
+        for q in range(j - radius + 1, j + radius + 1):
+            for p in range(i - radius + 1, i + radius + 1):
+                if not valid[q, p]:
+                    return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _store(out, out_valid, k, c, values, gain, offset, low, high, whole):
+    for m in range(out.shape[2]):
+        value = values[m] * gain[m] + offset[m]
+        if whole:
+            value = math.floor(value + 0.5)
+            value = min(max(value, low), high)
+        out[k, c, m] = value
+    out_valid[k, c] = 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sample_nearest(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):
+    """Value of the pixel that the point falls in; never averaged (n is 1)."""
+    col0, row0, shrink, width, height = place
+    values = np.empty(source.shape[2])
+    for k in range(out.shape[0]):
+        for c in range(out.shape[1]):
+            x = cols[k, c]
+            y = rows[k, c]
+            if not (x >= 0.0 and y >= 0.0 and x < width and y < height):
+                continue
+            i = int((x - col0) / shrink)
+            j = int((y - row0) / shrink)
+            if masked and not valid[j, i]:
+                continue
+            for m in range(source.shape[2]):
+                values[m] = source[j, i, m]
+            _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _cubic_whole(t):
+    """Keys' weights in 2048ths that sum to 2048; the outer two are negative, so cutting rounds them as the others."""
+    w0 = np.int32(((-0.5 * t + 1.0) * t - 0.5) * t * 2048.0 - 0.5)
+    w2 = np.int32(((-1.5 * t + 2.0) * t + 0.5) * t * 2048.0 + 0.5)
+    w3 = np.int32((0.5 * t - 0.5) * t * t * 2048.0 - 0.5)
+    return w0, np.int32(2048 - w0 - w2 - w3), w2, w3
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sample_bilinear(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):
+    """Bilinear values; with n > 1 the mean of n × n bilinear samples, which is an average over the footprint."""
+    col0, row0, shrink, width, height = place
+    values = np.empty(source.shape[2])
+    if n == 1:
+        for k in range(out.shape[0]):
+            for c in range(out.shape[1]):
+                x = cols[k, c]
+                y = rows[k, c]
+                if not (x >= 0.0 and y >= 0.0 and x < width and y < height):
+                    continue
+                x = (x - col0) / shrink
+                y = (y - row0) / shrink
+                if masked and not valid[int(y), int(x)]:
+                    continue
+                _bilinear(source, valid, masked, x, y, values)
+                _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
+        return
+    total = np.empty(source.shape[2])
+    for k in range(out.shape[0]):
+        for c in range(out.shape[1]):
+            count = 0
+            total[:] = 0.0
+            for q in range(k * n, k * n + n):
+                for p in range(c * n, c * n + n):
+                    x = cols[q, p]
+                    y = rows[q, p]
+                    if not (x >= 0.0 and y >= 0.0 and x < width and y < height):
+                        continue
+                    x = (x - col0) / shrink
+                    y = (y - row0) / shrink
+                    if masked and not valid[int(y), int(x)]:
+                        continue
+                    _bilinear(source, valid, masked, x, y, values)
+                    for m in range(source.shape[2]):
+                        total[m] += values[m]
+                    count += 1
+            if 2 * count >= n * n:
+                for m in range(source.shape[2]):
+                    values[m] = total[m] / count
+                _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _cubic(t, coarse):
+    """Keys' weights; in 2048ths where the samples have eight bits."""
+    if coarse:
+        w0, w1, w2, w3 = _cubic_whole(t)
+        return w0 / 2048.0, w1 / 2048.0, w2 / 2048.0, w3 / 2048.0
+    return (
+        ((-0.5 * t + 1.0) * t - 0.5) * t,
+        (1.5 * t - 2.5) * t * t + 1.0,
+        ((-1.5 * t + 2.0) * t + 0.5) * t,
+        (0.5 * t - 0.5) * t * t,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sample_cubic(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):
+    """Cubic convolution with a = −0.5 (Keys 1981), bilinear where its 16 pixels are not all there."""
+    col0, row0, shrink, width, height = place
+    bands = source.shape[2]
+    values = np.empty(bands)
+    for k in range(out.shape[0]):
+        for c in range(out.shape[1]):
+            x = cols[k, c]
+            y = rows[k, c]
+            if not (x >= 0.0 and y >= 0.0 and x < width and y < height):
+                continue
+            x = (x - col0) / shrink
+            y = (y - row0) / shrink
+            if masked and not valid[int(y), int(x)]:
+                continue
+            i = int(x + 0.5) - 1
+            j = int(y + 0.5) - 1
+            if not _whole(valid, masked, source.shape[1], source.shape[0], i, j, 2):
+                _bilinear(source, valid, masked, x, y, values)
+                _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
+                continue
+            u0, u1, u2, u3 = _cubic(x - 0.5 - i, source.itemsize == 1)
+            v0, v1, v2, v3 = _cubic(y - 0.5 - j, source.itemsize == 1)
+            s = source
+            for m in range(bands):
+                a = u0 * s[j - 1, i - 1, m] + u1 * s[j - 1, i, m] + u2 * s[j - 1, i + 1, m] + u3 * s[j - 1, i + 2, m]
+                b = u0 * s[j, i - 1, m] + u1 * s[j, i, m] + u2 * s[j, i + 1, m] + u3 * s[j, i + 2, m]
+                d = u0 * s[j + 1, i - 1, m] + u1 * s[j + 1, i, m] + u2 * s[j + 1, i + 1, m] + u3 * s[j + 1, i + 2, m]
+                e = u0 * s[j + 2, i - 1, m] + u1 * s[j + 2, i, m] + u2 * s[j + 2, i + 1, m] + u3 * s[j + 2, i + 2, m]
+                values[m] = v0 * a + v1 * b + v2 * d + v3 * e
+            _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sample_lanczos(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):
+    """Lanczos with three lobes, weights normalised to one, bilinear where its 36 pixels are not all there."""
+    col0, row0, shrink, width, height = place
+    bands = source.shape[2]
+    values = np.empty(bands)
+    u = np.empty(6)
+    v = np.empty(6)
+    for k in range(out.shape[0]):
+        for c in range(out.shape[1]):
+            x = cols[k, c]
+            y = rows[k, c]
+            if not (x >= 0.0 and y >= 0.0 and x < width and y < height):
+                continue
+            x = (x - col0) / shrink
+            y = (y - row0) / shrink
+            if masked and not valid[int(y), int(x)]:
+                continue
+            i = int(x + 0.5) - 1
+            j = int(y + 0.5) - 1
+            if not _whole(valid, masked, source.shape[1], source.shape[0], i, j, 3):
+                _bilinear(source, valid, masked, x, y, values)
+                _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
+                continue
+            _lanczos_weights(x - 0.5 - i, u)
+            _lanczos_weights(y - 0.5 - j, v)
+            for m in range(bands):
+                total = 0.0
+                for q in range(6):
+                    line = 0.0
+                    for p in range(6):
+                        line += u[p] * source[j - 2 + q, i - 2 + p, m]
+                    total += v[q] * line
+                values[m] = total
+            _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _lanczos_weights(t, weights):
+    total = 0.0
+    for p in range(6):
+        d = math.pi * (t + 2.0 - p)
+        w = 1.0 if d == 0.0 else 3.0 * math.sin(d) * math.sin(d / 3.0) / (d * d)
+        weights[p] = w
+        total += w
+    for p in range(6):
+        weights[p] /= total
+
+
+_BY_NAME = {
+    "nearest": sample_nearest,
+    "bilinear": sample_bilinear,
+    "cubic": sample_cubic,
+    "lanczos": sample_lanczos,
+}
+
+
+def sample(
+    name: str, source: AnyArray, valid: ByteArray, masked: bool, cols: FloatArray, rows: FloatArray, n: int,
+    place: tuple[float, float, float, int, int], gain: FloatArray, offset: FloatArray,
+    low: float, high: float, whole: bool, out: AnyArray, out_valid: ByteArray,
+) -> None:  # fmt: skip
+    """Fill `out` and `out_valid` where the image is seen.
+
+    Parameters
+    ----------
+    name : str
+    source : array (rows, cols, bands)
+        Window of the image.
+    valid : uint8 array (rows, cols)
+        Of the window; looked at only if `masked`.
+    masked : bool
+    cols, rows : array (R·n, C·n)
+        Image coordinates of the sub-pixels; NaN where not wanted.
+    n : int
+        Sub-pixels per output pixel along each axis.
+    place : tuple
+        First column and row of the window, reduction on reading, width and height of the image.
+    gain, offset : array (bands,)
+    low, high : float
+        Range of the output's type.
+    whole : bool
+        Whether values are rounded.
+    out : array (R, C, bands)
+    out_valid : uint8 array (R, C)
+    """
+    _BY_NAME[name](source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid)
