@@ -84,7 +84,7 @@ class Hills:
         k = 2 * np.pi / self.wavelength
         return self.amplitude * np.sin(k * (xy[:, 0] - 500000)) * np.cos(k * (xy[:, 1] - 5500000))
 
-    def patch(self, bounds: tuple[float, float, float, float]) -> HeightPatch:
+    def patch(self, bounds: tuple[float, float, float, float], spacing: float = 0.0) -> HeightPatch:
         s = self.spacing
         left, top = np.floor(bounds[0] / s - 2) * s, np.ceil(bounds[3] / s + 2) * s
         cols, rows = int((bounds[2] - left) / s) + 4, int((top - bounds[1]) / s) + 4

@@ -152,7 +152,7 @@ class Level:
     def height(self, xy: FloatArray) -> FloatArray:
         return np.full(len(xy), self.z)
 
-    def patch(self, bounds: Bounds) -> HeightPatch:
+    def patch(self, bounds: Bounds, spacing: float = 0.0) -> HeightPatch:
         return HeightPatch(np.full((2, 2), self.z, dtype=np.float32), Affine.identity())
 
 
@@ -175,7 +175,7 @@ class Hills:
         z = PLACE[2] + self.amplitude * np.sin(2 * np.pi * x / self.length) * np.cos(2 * np.pi * y / self.length)
         return np.where(np.hypot(x, y) < self.radius, z, np.nan)
 
-    def patch(self, bounds: Bounds) -> HeightPatch:
+    def patch(self, bounds: Bounds, spacing: float = 0.0) -> HeightPatch:
         left, bottom, _, _ = bounds
         heights = np.full((2, 2), PLACE[2], dtype=np.float32)
         return HeightPatch(heights, Affine(1 / 10.0, 0.0, -left / 10.0, 0.0, -1 / 10.0, bottom / 10.0))
@@ -196,7 +196,7 @@ class Cliff(Hills):
         z = PLACE[2] + 300.0 * np.clip(200.0 - np.maximum(np.abs(x), np.abs(y)), 0.0, 1.0)
         return np.where(np.hypot(x, y) < self.radius, z, np.nan)
 
-    def patch(self, bounds: Bounds) -> HeightPatch:
+    def patch(self, bounds: Bounds, spacing: float = 0.0) -> HeightPatch:
         left, bottom, _, _ = bounds
         return HeightPatch(np.zeros((2, 2), dtype=np.float32), Affine(1.0, 0.0, -left, 0.0, -1.0, bottom))
 

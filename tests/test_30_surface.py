@@ -141,6 +141,35 @@ def test_patch_holds_what_height_says(tmp_path):
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
+def test_a_coarse_patch_holds_means(tmp_path, monkeypatch):
+    heights = hills(203, 151)
+    heights[40:47, 60:75] = np.nan
+    dem = Dem.open(write_dem(tmp_path / "d.tif", heights), heights="ellipsoidal", memory_limit=0)
+    bounds = dem.grid.bounds
+    patch = dem.patch(bounds, 50.0)  # nodes are 10 apart
+    assert patch.heights.shape == (41, 31)
+    whole = np.full((205, 155), np.nan)
+    whole[:203, :151] = heights
+    cells = whole.reshape(41, 5, 31, 5).transpose(0, 2, 1, 3).reshape(41, 31, 25)
+    known = np.isfinite(cells).sum(axis=2)
+    mean = np.nansum(cells, axis=2) / np.maximum(known, 1)
+    nodes = np.outer(np.minimum(5, 203 - 5 * np.arange(41)), np.minimum(5, 151 - 5 * np.arange(31)))
+    expected = np.where(2 * known >= nodes, mean, np.nan)
+    np.testing.assert_allclose(patch.heights, expected, atol=1e-4)
+    assert np.isnan(patch.heights).sum() > 0
+    # The middle of a mean lies in the middle of what it covers.
+    xy = np.array([[bounds[0] + 25.0, bounds[3] - 25.0]])
+    np.testing.assert_allclose(apply(patch.transform, xy), [[0.5, 0.5]])
+    # However it is read, and whatever part of it.
+    monkeypatch.setattr("geomosaic.surface.nodes._STRIP_NODES", 2000)
+    again = Dem.open(tmp_path / "d.tif", heights="ellipsoidal").patch(bounds, 59.0)
+    np.testing.assert_array_equal(again.heights, patch.heights)
+    part = dem.patch((500_205.0, 5_299_010.0, 500_480.0, 5_299_490.0), 50.0)
+    first = np.round(apply(patch.transform, apply(~part.transform, np.array([[0.0, 0.0]])))).astype(int)[0]
+    rows, cols = part.heights.shape
+    np.testing.assert_array_equal(part.heights, patch.heights[first[1] : first[1] + rows, first[0] : first[0] + cols])
+
+
 def test_patch_outside_is_unknown(tmp_path):
     dem = Dem.open(write_dem(tmp_path / "d.tif", hills()), heights="ellipsoidal")
     patch = dem.patch((0.0, 0.0, 10.0, 10.0))
@@ -249,7 +278,7 @@ class Hill:
     def height(self, xy):
         return 100.0 * np.exp(-((xy[:, 0] - 500_000) ** 2 + (xy[:, 1] - 5_300_000) ** 2) / (2 * 50.0**2))
 
-    def patch(self, bounds):
+    def patch(self, bounds, spacing=0.0):
         return HeightPatch(np.zeros((2, 2), np.float32), Affine(0.2, 0, 0, 0, -0.2, 0))
 
 

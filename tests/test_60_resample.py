@@ -179,8 +179,8 @@ def test_colour_is_applied_before_rounding() -> None:
 
 def test_unknown_heights_leave_unknown_pixels_only() -> None:
     class Holed(Hills):
-        def patch(self, bounds):
-            patch = super().patch(bounds)
+        def patch(self, bounds, spacing=0.0):
+            patch = super().patch(bounds, spacing)
             heights = patch.heights.copy()
             heights[60:80, 60:80] = np.nan
             return type(patch)(heights, patch.transform)

@@ -139,9 +139,9 @@ class Heard(Hills):
 
     asked: list[Bounds] = field(default_factory=list)
 
-    def patch(self, bounds: Bounds) -> HeightPatch:
+    def patch(self, bounds: Bounds, spacing: float = 0.0) -> HeightPatch:
         self.asked.append(bounds)
-        return super().patch(bounds)
+        return super().patch(bounds, spacing)
 
 
 @pytest.mark.parametrize("threads", [1, 3])

@@ -49,17 +49,25 @@ class Ground:
     grid : Grid
     to_surface : Transform or None
         Output map to the surface's map.
+    spacing : float
+        Size of an output pixel in units of the surface's map, at the middle of the grid.
     """
 
     surface: Surface | None
     grid: Grid
     to_surface: Transform | None
+    spacing: float = 0.0
 
     @classmethod
     def under(cls, grid: Grid, surface: Surface | None) -> Ground:
         """Put a surface under a grid."""
-        to_surface = None if surface is None else Transform(horizontal(grid.crs), horizontal(surface.crs))
-        return cls(surface, grid, to_surface)
+        if surface is None:
+            return cls(None, grid, None)
+        to_surface = Transform(horizontal(grid.crs), horizontal(surface.crs))
+        middle = np.array([grid.width / 2, grid.height / 2])
+        place, right, below = to_surface(grid.xy(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
+        spacing = float(min(np.hypot(*(right - place)), np.hypot(*(below - place))))
+        return cls(surface, grid, to_surface, spacing if np.isfinite(spacing) else 0.0)
 
     def block(self, window: Window) -> BlockGround:
         """Read the heights of one block."""
@@ -74,5 +82,6 @@ class Ground:
             return BlockGround(window, None, (float("nan"), float("nan")))
         (left, bottom), (right, top) = xy.min(axis=0), xy.max(axis=0)
         margin = 0.01 * max(right - left, top - bottom)
-        patch = self.surface.patch((left - margin, bottom - margin, right + margin, top + margin))
+        bounds = left - margin, bottom - margin, right + margin, top + margin
+        patch = self.surface.patch(bounds, self.spacing)
         return BlockGround(window, patch, patch.range)

@@ -2,8 +2,8 @@
 
 A block of output pixels gets nodes every `step` pixels. At each node the exact model is evaluated at the four Chebyshev
 heights of the block's height range, which makes image (col, row) a cubic in height; between nodes the four coefficients
-are interpolated bilinearly. At every cell centre, where that errs most, the result is held against the exact model, and
-the step is halved until half the tolerance is met. A block depends on nothing but itself: the same pixels come out
+are interpolated bilinearly. Half-way between nodes, where that errs most, the result is held against the exact model,
+and the step is halved until half the tolerance is met. A block depends on nothing but itself: the same pixels come out
 whatever the tiles and threads.
 """
 
@@ -20,7 +20,7 @@ from geomosaic.sensor.mapper import MapToImage
 from geomosaic.types import BoolArray, FloatArray
 
 BLOCK_WIDTH, BLOCK_HEIGHT = 1024, 512
-FIRST_STEP, LAST_STEP = 64, 4
+FIRST_STEP, CLOSE_STEP = 64, 4
 SMALLEST = 16
 
 _CHEBYSHEV = np.cos((2 * np.arange(4) + 1) * np.pi / 8)
@@ -104,26 +104,24 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
         return []
     middle, half = (low + high) / 2, (high - low) / 2
     step, before = _first_step(window), np.inf
+    divisible = half > 0 and max(window.width, window.height) > SMALLEST
     while True:
         surface, nodes = _nodes(mapper, grid, window, step, middle, half)
         bounds = _bounds(nodes, half)
         if bounds is None or _misses(bounds, mapper.model.size):
             return []
-        scale = _scale(nodes, step)
+        scale, close = _scale(nodes, step), step <= CLOSE_STEP
         cells = Cells(mapper, grid, window, step, middle, half, surface, nodes, scale)
-        divisible = half > 0 and max(window.width, window.height) > SMALLEST
-        if divisible and np.isinf(before) and cells.height_error() > tolerance / 2:
-            return _parts(mapper, grid, ground, window, tolerance)
-        error, ragged, seen = cells.error(tolerance / 2, thorough=step <= LAST_STEP)
-        good = not error > tolerance / 2
-        if good and not ragged:
+        miss = cells.measure(tolerance / 2, thorough=close)
+        good = not miss.error > tolerance / 2
+        if (good and (close or not miss.ragged)) or step == 1:
             break
-        if divisible and not good and (error > before / 2 or step <= LAST_STEP):
-            return _parts(mapper, grid, ground, window, tolerance)
-        if step <= LAST_STEP:
-            break
-        step, before = step // 2, error
-    return [Lattice(window, step, nodes, surface, middle, half, error, bounds, scale, seen)]
+        if divisible and not good:
+            cubic = np.isinf(before) and miss.cubic > tolerance / 2
+            if cubic or close or miss.error > before / 2:
+                return _parts(mapper, grid, ground, window, tolerance)
+        step, before = step // 2, miss.error
+    return [Lattice(window, step, nodes, surface, middle, half, miss.error, bounds, scale, miss.seen)]
 
 
 def _parts(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, tolerance: float) -> list[Lattice]:
@@ -135,7 +133,7 @@ def _parts(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
 def _first_step(window: Window) -> int:
     """Return the largest step that is not much longer than the window."""
     step = FIRST_STEP
-    while step > LAST_STEP and step >= 2 * max(window.width, window.height):
+    while step > CLOSE_STEP and step >= 2 * max(window.width, window.height):
         step //= 2
     return step
 

@@ -22,6 +22,28 @@ def at_height(nodes: FloatArray, t: float) -> FloatArray:
 
 
 @dataclass(frozen=True)
+class Miss:
+    """What was measured of a lattice.
+
+    Attributes
+    ----------
+    error : float
+        Largest over the cells that may show the image, in pixels.
+    cubic : float
+        Largest at nodes that show the image, where only the cubic in height can err.
+    ragged : bool
+        Whether some of those cells are only partly seen by the model.
+    seen : bool array (rows, cols)
+        Cells that may show the image.
+    """
+
+    error: float
+    cubic: float
+    ragged: bool
+    seen: BoolArray
+
+
+@dataclass(frozen=True)
 class Cells:
     """The cells of a lattice under construction; its parts are those of `lattice.Lattice`.
 
@@ -39,8 +61,11 @@ class Cells:
     nodes: FloatArray
     scale: float
 
-    def error(self, admissible: float, *, thorough: bool) -> tuple[float, bool, BoolArray]:
-        """Measure at the centres of cells, where a bilinear interpolation errs most, at both ends of the height range.
+    def measure(self, admissible: float, *, thorough: bool) -> Miss:
+        """Hold the lattice against the model at nodes, edges and centres of cells, at both ends of the height range.
+
+        Between nodes a smooth mapping errs most there: at the centres where it bends alike in both directions, at the
+        middles of edges where it bends one way along and the other way across, as every conformal one does.
 
         Parameters
         ----------
@@ -49,49 +74,35 @@ class Cells:
         thorough : bool
             Measure the cells that err more again, at every output pixel and height at which they show the image:
             outside of it the model may be rough, and nobody will see that.
-
-        Returns
-        -------
-        error : float
-            Largest over the cells that may show the image, in pixels.
-        ragged : bool
-            Whether some of those cells are only partly seen by the model.
-        seen : bool array (rows, cols)
-            Cells that may show the image.
         """
-        xy = self._surface_xy(np.array([0.5]), np.arange(self._shape[0] * self._shape[1]))
+        rows, cols = self._shape
+        c = self.window.col + self.step * 0.5 * np.arange(2 * cols + 1)
+        r = self.window.row + self.step * 0.5 * np.arange(2 * rows + 1)
+        xy = self.mapper.surface_xy(self.grid.xy(np.stack(np.meshgrid(c, r), axis=-1).reshape(-1, 2)))
         levels = (-1.0, 1.0) if self.half else (0.0,)
-        corners = np.stack([_corners(at_height(self.nodes, t)) for t in levels])
+        exact = self._images(xy, levels).reshape(len(levels), 2 * rows + 1, 2 * cols + 1, 2)
+        ends = np.stack([at_height(self.nodes, t) for t in levels])
+        with np.errstate(invalid="ignore"):
+            miss = np.fmax.reduce(np.hypot(*np.moveaxis(_halved(ends) - exact, -1, 0))) / self._unit
+            inside = (exact > 0.0) & (exact < np.array(self.mapper.model.size))
+        shown = np.logical_and.reduce(inside, axis=-1).any(axis=0)
+        corners = np.stack([_corners(end) for end in ends])
         counts = _touch(corners.reshape(-1, *corners.shape[2:]), self.mapper.model.size, 0.5)
-        miss = np.zeros(len(xy))
-        for t, around in zip(levels, corners, strict=True):
-            with np.errstate(invalid="ignore"):
-                off = np.hypot(*(_mean(around) - self._image(xy, t)).T)
-            miss = np.fmax(miss, off / self._unit)
+        worst = np.fmax(_around(miss).ravel(), 0.0)
         if thorough:
-            doubtful = np.flatnonzero(counts & (miss > admissible))
+            doubtful = np.flatnonzero(counts & (worst > admissible))
             if len(doubtful):
-                miss[doubtful] = self._in_the_image(doubtful) / self._unit
+                worst[doubtful] = self._in_the_image(doubtful) / self._unit
         known = np.isfinite(corners).all(axis=-1).sum(axis=1)
         ragged = bool((counts & (known < 4).any(axis=0)).any())
-        worst = float(miss[counts].max(initial=0.0))
+        error = float(worst[counts].max(initial=0.0))
         # The surface's own map is interpolated as well: a shift of its place, in output pixels, counts the same.
-        shift = np.hypot(*(_mean(_corners(self.surface)) - xy).T) / self._pixel
-        if self.half and np.isfinite(shift).any():
-            worst = max(worst, float(np.nanmax(shift)))
-        return worst, ragged, counts.reshape(self._shape)
-
-    def height_error(self) -> float:
-        """Largest error in pixels at the nodes that show the image, at the ends of the height range: the cubic's."""
-        flat, size = self.surface.reshape(-1, 2), np.array(self.mapper.model.size)
-        worst = 0.0
-        for t in (-1.0, 1.0):
-            exact = self._image(flat, t)
+        shift = _halved(self.surface[None])[0].reshape(-1, 2) - xy
+        if self.half and shift.any():
             with np.errstate(invalid="ignore"):
-                shown = ((exact > 0.0) & (exact < size)).all(axis=1)
-            miss = np.hypot(*(at_height(self.nodes, t).reshape(-1, 2) - exact)[shown].T)
-            worst = max(worst, float(miss.max(initial=0.0)))
-        return worst / self._unit
+                error = float(np.fmax(error, np.fmax.reduce(np.hypot(*shift.T)) / self._pixel))
+        cubic = float(np.fmax.reduce(miss[::2, ::2][shown[::2, ::2]], initial=0.0))
+        return Miss(error, cubic, ragged, counts.reshape(self._shape))
 
     @property
     def _shape(self) -> tuple[int, int]:
@@ -115,8 +126,10 @@ class Cells:
         rows = self.window.row + self.step * (down[:, None] + r.ravel())
         return self.mapper.surface_xy(self.grid.xy(np.column_stack([cols.ravel(), rows.ravel()])))
 
-    def _image(self, surface_xy: FloatArray, t: float) -> FloatArray:
-        return self.mapper.image(surface_xy, np.full(len(surface_xy), self.middle + self.half * t))
+    def _images(self, surface_xy: FloatArray, levels: tuple[float, ...]) -> FloatArray:
+        """Exact image positions (levels · N, 2) of places (N, 2) at normalised heights."""
+        z = np.repeat(self.middle + self.half * np.array(levels), len(surface_xy))
+        return self.mapper.image(np.tile(surface_xy, (len(levels), 1)), z)
 
     def _in_the_image(self, cells: IntArray) -> FloatArray:
         """Largest error (N,) in image pixels over all output pixels of cells (N,) and heights that show the image."""
@@ -125,7 +138,7 @@ class Cells:
         xy, size = self._surface_xy(inner, cells), np.array(self.mapper.model.size)
         worst = np.zeros(len(cells))
         for t in _LEVELS if self.half else (0.0,):
-            exact = self._image(xy, t).reshape(len(cells), -1, 2)
+            exact = self._images(xy, (t,)).reshape(len(cells), -1, 2)
             a, b, below_a, below_b = _corners(at_height(self.nodes, t))[:, cells, None]
             near = (1 - r) * ((1 - c) * a + c * b) + r * ((1 - c) * below_a + c * below_b)
             with np.errstate(invalid="ignore"):
@@ -141,10 +154,21 @@ def _corners(nodes: FloatArray) -> FloatArray:
     return np.stack([nodes[i : i + rows, j : j + cols].reshape(-1, 2) for i in (0, 1) for j in (0, 1)])
 
 
-def _mean(corners: FloatArray) -> FloatArray:
-    """Middle of each cell."""
-    mean: FloatArray = (corners[0] + corners[1] + corners[2] + corners[3]) / 4
-    return mean
+def _halved(nodes: FloatArray) -> FloatArray:
+    """Positions (levels, rows, cols, 2) at nodes and, interpolated, half-way between them."""
+    levels, rows, cols, _ = nodes.shape
+    fine = np.empty((levels, 2 * rows - 1, 2 * cols - 1, 2))
+    fine[:, ::2, ::2] = nodes
+    fine[:, ::2, 1::2] = (nodes[:, :, 1:] + nodes[:, :, :-1]) / 2
+    fine[:, 1::2] = (fine[:, 2::2] + fine[:, :-1:2]) / 2
+    return fine
+
+
+def _around(miss: FloatArray) -> FloatArray:
+    """Largest of the nine values (2 · rows + 1, 2 · cols + 1) of each cell: (rows, cols)."""
+    down = np.fmax(np.fmax(miss[:-1:2], miss[1::2]), miss[2::2])
+    largest: FloatArray = np.fmax(np.fmax(down[:, :-1:2], down[:, 1::2]), down[:, 2::2])
+    return largest
 
 
 def _touch(places: FloatArray, size: tuple[int, int], around: float) -> BoolArray:

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
-from collections.abc import Iterator
-
 import numpy as np
 from pyproj import CRS
 
@@ -14,16 +10,10 @@ from geomosaic.geo.crs import has_heights, height_name, horizontal, parse_crs, w
 from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.raster.source import Source
 from geomosaic.surface.model import HeightPatch
+from geomosaic.surface.nodes import BLOCK, Nodes
 from geomosaic.surface.undeclared import undeclared_heights
 from geomosaic.types import BoolArray, Float32Array, FloatArray, IntArray, PathLike
 
-HIGHEST = 20_000.0
-"""Metres; a height beyond this either way is a mark for 'unknown' that the file forgot to declare."""
-FORGOTTEN = -9999.0
-"""The commonest such mark that is not beyond it; no photo shows ground at exactly this depth."""
-_BLOCK = 256
-_BLOCKS_KEPT = 64
-_STRIP_NODES = 4 << 20
 _UNITS = {
     "m": 1.0,
     "metre": 1.0,
@@ -67,12 +57,11 @@ class Dem:
 
     def __init__(
         self,
-        source: Source,
+        nodes: Nodes,
+        path: str,
         crs: CRS,
         grid: Grid,
         *,
-        scale: float = 1.0,
-        offset: float = 0.0,
         declared: str | None = None,
         overridden: str | None = None,
         notes: tuple[str, ...] = (),
@@ -80,11 +69,8 @@ class Dem:
         self.crs, self.grid = crs, grid
         self.declared, self.overridden, self.notes = declared, overridden, notes
         self.spacing = min(grid.resolution)
-        self.path = source.info.path
-        self._source, self._scale, self._offset = source, scale, offset
-        self._range: tuple[float, float] | None = None
-        self._lock = threading.Lock()
-        self._blocks: OrderedDict[tuple[int, int], Float32Array] = OrderedDict()
+        self.path = path
+        self._nodes = nodes
 
     @classmethod
     def open(
@@ -141,11 +127,10 @@ class Dem:
         full = file_crs if heights is None else with_heights(grid.crs, heights, place)
         scale, offset, notes = _metres(source, band, full, place)
         return cls(
-            source,
+            Nodes(source, scale, offset, memory_limit // 4),
+            source.info.path,
             full,
             grid,
-            scale=scale,
-            offset=offset,
             declared=heights,
             overridden=height_name(file_crs) if heights is not None and own else None,
             notes=notes,
@@ -153,9 +138,7 @@ class Dem:
 
     def close(self) -> None:
         """Close the file and free the memory."""
-        self._source.close()
-        with self._lock:
-            self._blocks.clear()
+        self._nodes.close()
 
     @property
     def range(self) -> tuple[float, float]:
@@ -166,57 +149,26 @@ class Dem:
         InputError
             No node has a height.
         """
-        with self._lock:
-            if self._range is None:
-                self._range = self._find_range()
-            return self._range
+        return self._nodes.range
 
-    def _find_range(self) -> tuple[float, float]:
-        low, high = np.inf, -np.inf
-        for window in self._strips():
-            heights = self._read(window)
-            known = heights[np.isfinite(heights)]
-            if len(known):
-                low, high = min(low, float(known.min())), max(high, float(known.max()))
-        if low > high:
-            raise InputError(
-                "the DEM holds no height: every node is nodata, NaN or beyond 20 km",
-                where=self.path,
-                mend="check the file and its nodata value",
-            )
-        return low, high
-
-    def _strips(self) -> Iterator[Window]:
-        rows = max(1, _STRIP_NODES // self.grid.width)
-        yield from self.grid.window.split(self.grid.width, max(_BLOCK, rows - rows % _BLOCK))
-
-    def _read(self, window: Window) -> Float32Array:
-        """Heights (rows, cols) of the nodes of a window in metres; NaN where unknown."""
-        values, valid = self._source.read(window)
-        heights = values[:, :, 0].astype(np.float32)
-        if self._scale != 1.0 or self._offset != 0.0:
-            heights = (values[:, :, 0] * self._scale + self._offset).astype(np.float32)
-        if valid is not None:
-            heights[valid == 0] = np.nan
-        with np.errstate(invalid="ignore"):
-            heights[~(np.abs(heights) <= HIGHEST) | (heights == FORGOTTEN)] = np.nan
-        return heights
-
-    def patch(self, bounds: Bounds) -> HeightPatch:
+    def patch(self, bounds: Bounds, spacing: float = 0.0) -> HeightPatch:
         """Heights that cover bounds (left, bottom, right, top) in `crs`, with two nodes around for interpolation.
 
-        Outside the file there is a single unknown node.
+        Where nodes are closer than `spacing`, means of blocks of them: what an output pixel shows is the ground it
+        covers, not a node within. Outside the file there is a single unknown node.
         """
-        image = self.grid.window
+        factor = max(1, int(spacing / max(self.grid.resolution) + 1e-6))
+        grid = self.grid.coarser(factor)
         corners = np.array([[bounds[i], bounds[j]] for i in (0, 2) for j in (1, 3)])
-        colrow = np.clip(self.grid.colrow(corners), -1e9, 1e9)
+        colrow = np.clip(grid.colrow(corners), -1e9, 1e9)
         (col, row), (stop_col, stop_row) = np.floor(colrow.min(axis=0)), np.ceil(colrow.max(axis=0))
         first_col, first_row = int(col) - 2, int(row) - 2
         window = Window(first_col, first_row, int(stop_col) + 2 - first_col, int(stop_row) + 2 - first_row)
-        inside = window.intersection(image)
+        inside = window.intersection(grid.window)
         if inside.empty:
-            return HeightPatch(np.full((1, 1), np.nan, dtype=np.float32), ~self.grid.crop(window).transform)
-        return HeightPatch(self._read(inside), ~self.grid.crop(inside).transform)
+            return HeightPatch(np.full((1, 1), np.nan, dtype=np.float32), ~grid.crop(window).transform)
+        heights = np.ascontiguousarray(self._nodes.reduced(inside, factor))
+        return HeightPatch(heights, ~grid.crop(inside).transform)
 
     def height(self, xy: FloatArray) -> FloatArray:
         """Heights (N,) in metres at (N, 2) in `crs`, bilinear; NaN where a node that counts is unknown.
@@ -233,31 +185,16 @@ class Dem:
         node = np.clip(colrow[inside] - 0.5, 0.0, (width - 1.0, height - 1.0))
         first = np.floor(node).astype(np.int64)
         weight = node - first
-        across = -(-width // _BLOCK)
-        number = (first[:, 1] // _BLOCK) * across + first[:, 0] // _BLOCK
+        across = -(-width // BLOCK)
+        number = (first[:, 1] // BLOCK) * across + first[:, 0] // BLOCK
         order = np.argsort(number, kind="stable")
         cuts = np.flatnonzero(np.diff(number[order])) + 1
         for part in np.split(order, cuts):
             block_row, block_col = divmod(int(number[part[0]]), across)
-            nodes = self._block(block_col, block_row)
-            local = first[part] - np.array([block_col, block_row]) * _BLOCK
+            nodes = self._nodes.block(block_col, block_row)
+            local = first[part] - np.array([block_col, block_row]) * BLOCK
             heights[inside[part]] = bilinear(nodes, local, weight[part])
         return heights
-
-    def _block(self, block_col: int, block_row: int) -> Float32Array:
-        """Return one block of nodes and the first nodes of its right and lower neighbours; the last used are kept."""
-        key = (block_col, block_row)
-        with self._lock:
-            if key in self._blocks:
-                self._blocks.move_to_end(key)
-                return self._blocks[key]
-        window = Window(block_col * _BLOCK, block_row * _BLOCK, _BLOCK + 1, _BLOCK + 1)
-        nodes = self._read(window.intersection(self.grid.window))
-        with self._lock:
-            self._blocks[key] = nodes
-            while len(self._blocks) > _BLOCKS_KEPT:
-                self._blocks.popitem(last=False)
-        return nodes
 
 
 def bilinear(nodes: Float32Array, first: IntArray, weight: FloatArray) -> FloatArray:

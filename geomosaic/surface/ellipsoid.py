@@ -49,7 +49,7 @@ class Ellipsoid:
         points = np.asarray(xy, dtype=np.float64)
         return np.where(np.isfinite(points[:, :2]).all(axis=1), self.z, np.nan)
 
-    def patch(self, bounds: Bounds) -> HeightPatch:
+    def patch(self, bounds: Bounds, spacing: float = 0.0) -> HeightPatch:
         """Heights that cover bounds (left, bottom, right, top) in `crs`, with a margin for interpolation."""
         return constant_patch(self.z, bounds)
 

@@ -31,9 +31,7 @@ class HeightPatch:
     @property
     def range(self) -> tuple[float, float]:
         """Lowest and highest known height; NaN where none is known."""
-        if not np.isfinite(self.heights).any():
-            return float("nan"), float("nan")
-        return float(np.nanmin(self.heights)), float(np.nanmax(self.heights))
+        return float(np.fmin.reduce(self.heights, None)), float(np.fmax.reduce(self.heights, None))
 
 
 class Surface(Protocol):
@@ -50,5 +48,8 @@ class Surface(Protocol):
     def height(self, xy: FloatArray) -> FloatArray:
         """Heights (N,) at (N, 2) in `crs`; NaN where unknown."""
 
-    def patch(self, bounds: Bounds) -> HeightPatch:
-        """Heights that cover bounds (left, bottom, right, top) in `crs`, with a margin for interpolation."""
+    def patch(self, bounds: Bounds, spacing: float = 0.0) -> HeightPatch:
+        """Heights that cover bounds (left, bottom, right, top) in `crs`, with a margin for interpolation.
+
+        They may be means over `spacing`, in units of the CRS: no more detail is needed.
+        """

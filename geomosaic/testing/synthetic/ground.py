@@ -111,7 +111,7 @@ class AnalyticGround:
             out[part][~seen] = np.nan
         return out
 
-    def patch(self, bounds: Bounds) -> HeightPatch:
+    def patch(self, bounds: Bounds, spacing: float = 0.0) -> HeightPatch:
         """Heights at nodes `spacing` apart over bounds (left, bottom, right, top) in `crs`, two nodes to spare."""
         s = self.spacing
         first_col, last_col = np.floor(bounds[0] / s) - 2, np.ceil(bounds[2] / s) + 2
