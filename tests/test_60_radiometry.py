@@ -30,8 +30,8 @@ def overlaps(
 
 
 def expected(gain: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The correction that undoes the cameras, of mean gain 1 and mean offset 0 over one group."""
-    scale = 1 / np.mean(1 / gain, axis=0)
+    """The correction that undoes the cameras, of geometric mean gain 1 and mean offset 0 over one group."""
+    scale = np.exp(np.mean(np.log(gain), axis=0))
     shift = np.mean(scale * offset / gain, axis=0)
     return scale / gain, shift - scale * offset / gain
 
@@ -45,17 +45,18 @@ def test_noise_free_values_give_the_cameras_back() -> None:
     gain, offset = truth(1)
     solved = solve(IMAGES, 3, overlaps(gain, offset, CHAIN))
     dg, do = off(solved, gain, offset)
-    assert dg < 1e-9, f"gain off by {dg:.2e}"
-    assert do < 1e-7, f"offset off by {do:.2e} grey values"  # 1e-9 of the values
+    # The prior holds against an overlap as 1 against LEAST_SIGMA: 1e-5 of the corrections.
+    assert dg < 2e-5, f"gain off by {dg:.2e}"
+    assert do < 2e-3, f"offset off by {do:.2e} grey values"
     assert (solved.before > 10).all()
-    assert (solved.after < 1e-6).all()
+    assert (solved.after < 2e-3).all()
     assert solved.overlaps == len(CHAIN)
 
 
-def test_the_gauge_is_mean_gain_one_and_mean_offset_zero() -> None:
+def test_the_gauge_is_geometric_mean_gain_one_and_mean_offset_zero() -> None:
     gain, offset = truth(2)
     solved = solve(IMAGES, 3, overlaps(gain, offset, CHAIN, noise=2.0))
-    assert np.allclose(solved.gain.mean(axis=0), 1.0, atol=1e-12)
+    assert np.allclose(np.log(solved.gain).mean(axis=0), 0.0, atol=1e-10)
     assert np.allclose(solved.offset.mean(axis=0), 0.0, atol=1e-9)
 
 
@@ -93,8 +94,10 @@ def test_each_connected_group_has_its_own_gauge() -> None:
     solved = solve(IMAGES, 3, pairs)
     for group in ([0, 1, 2], [3, 4]):
         g, o = expected(gain[group], offset[group])
-        assert np.allclose(solved.gain[group], g, atol=1e-9)
-        assert np.allclose(solved.offset[group], o, atol=1e-7)
+        assert np.allclose(solved.gain[group], g, atol=2e-5)
+        assert np.allclose(solved.offset[group], o, atol=2e-3)
+        assert np.allclose(np.log(solved.gain[group]).mean(axis=0), 0.0, atol=1e-10)
+        assert np.allclose(solved.offset[group].mean(axis=0), 0.0, atol=1e-8)
     assert (solved.gain[5] == 1).all()  # alone, so left as it is
     assert (solved.offset[5] == 0).all()
 
@@ -121,7 +124,7 @@ def test_overlaps_of_one_tone_are_still_matched() -> None:
     solved = solve(2, 1, [Overlap(0, 1, a, b)])
     assert np.isfinite(solved.gain).all()
     assert solved.after[0] == pytest.approx(0.0, abs=1e-3)
-    assert (np.abs(solved.gain - 1) < 0.2).all()
+    assert (solved.gain == 1).all()  # nothing is known of it
 
 
 def test_bands_do_not_mix() -> None:

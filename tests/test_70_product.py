@@ -254,7 +254,7 @@ def test_known_gains_and_offsets_come_back(strip: Strip, tmp_path: Path) -> None
     gain, offset = np.array([0.75, 1.0, 1.2, 0.9]), np.array([10.0, -4.0, 6.0, 0.0])
     files = strip.exposed(tmp_path / "photos", lambda i, v: (gain[i] * 200 * v + offset[i]).astype(np.float32))
     result = job(strip.dem, files, strip.photos, GSD).mosaic(tmp_path / "mosaic.tif")
-    scale = 1 / np.mean(1 / gain)
+    scale = np.exp(np.mean(np.log(gain)))
     shift = np.mean(scale * offset / gain)
     dg = np.abs(result.balance.gain / (scale / gain)[:, None] - 1).max()
     do = np.abs(result.balance.offset - (shift - scale * offset / gain)[:, None]).max()

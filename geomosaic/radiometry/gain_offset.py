@@ -1,22 +1,30 @@
 """One linear correction per image and band, from what overlapping images show of the same ground.
 
-Corrected values are g·v + o. Over all overlaps the sum of squared differences (gᵢ·vᵢ + oᵢ) − (gⱼ·vⱼ + oⱼ) is made
-small, with the mean gain held at 1 and the mean offset at 0 in every group of connected images: without that, making
-everything black would be the best fit. Samples that disagree with the rest (moving things, leaning houses) lose their
-weight by Huber's rule.
+Corrected values are g·v + o. Each overlap gives, by `relation.relate`, one observation of a ratio of gains,
+log gᵢ − log gⱼ = log (s_j / s_i), and with the gains known one of a difference of offsets, oᵢ − oⱼ = gⱼ·m_j − gᵢ·m_i,
+where s and m are spread and mean of the overlap in each image. Both sets are adjusted over the graph of overlaps by
+weighted least squares (a levelling network: observations are differences), with weak prior observations log g = 0 and
+o = 0 of every image. The priors settle what differences cannot: the geometric mean of the gains is 1 and the mean of
+the offsets 0 in every group of connected images, and an image without overlaps stays as it is.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.types import FloatArray
+from geomosaic.radiometry.relation import Relation, relate
+from geomosaic.types import AnyArray, FloatArray
 
-ROUNDS = 6
-HUBER = 1.345
+PRIOR_SIGMA = 1.0
+"""Of the logarithm of a gain, and of an offset in mean grey values: a hint where overlaps say nothing, no more."""
+LEAST_SIGMA = 0.003
+"""Of an observation, in the same units: one line per image is no exact model (vignetting, view angle)."""
+MOST_DENSE = 1000
+"""Images beyond which the normal equations are kept sparse."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +41,8 @@ class Overlap:
 
     first: int
     second: int
-    a: FloatArray
-    b: FloatArray
+    a: AnyArray
+    b: AnyArray
 
 
 @dataclass(frozen=True)
@@ -57,89 +65,70 @@ class Balance:
     overlaps: int
 
 
-def solve(images: int, bands: int, overlaps: list[Overlap]) -> Balance:
+def solve(images: int, bands: int, overlaps: Sequence[Overlap]) -> Balance:
     """Solve gains and offsets of all images, band by band.
 
-    An image without overlaps keeps gain 1 and offset 0.
+    An image without overlaps keeps gain 1 and offset 0. Clipped values are to be left out beforehand: they look too
+    much like the ground to be told from it.
+
+    Raises
+    ------
+    SolveError
+        Values that are not finite.
     """
-    gain, offset = np.ones((images, bands)), np.zeros((images, bands))
-    before, after = np.full(bands, np.nan), np.full(bands, np.nan)
     used = [overlap for overlap in overlaps if len(overlap.a)]
+    gain, offset = np.ones((images, bands)), np.zeros((images, bands))
+    if not used:
+        return Balance(gain, offset, np.full(bands, np.nan), np.full(bands, np.nan), 0)
+    first, second = np.array([(pair.first, pair.second) for pair in used]).T
+    relations = [relate(pair.a, pair.b) for pair in used]
     for band in range(bands):
-        if not used:
-            break
-        gain[:, band], offset[:, band] = _solve_band(images, used, band)
-        plain, mended = [], []
-        for pair in used:
-            i, j, a, b = pair.first, pair.second, pair.a[:, band], pair.b[:, band]
-            plain.append(a - b)
-            mended.append(gain[i, band] * a + offset[i, band] - gain[j, band] * b - offset[j, band])
-        before[band] = float(np.sqrt(np.mean(np.concatenate(plain) ** 2)))
-        after[band] = float(np.sqrt(np.mean(np.concatenate(mended) ** 2)))
-    return Balance(gain, offset, before, after, len(used))
-
-
-def _solve_band(images: int, overlaps: list[Overlap], band: int) -> tuple[FloatArray, FloatArray]:
-    scale = max(1e-12, float(np.mean([np.abs(pair.a[:, band]).mean() for pair in overlaps])))
-    pairs = [(p.first, p.second, p.a[:, band] / scale, p.b[:, band] / scale) for p in overlaps]
-    groups = _groups(images, pairs)
-    weights = [np.ones(len(a)) for _, _, a, _ in pairs]
-    gain, offset = np.ones(images), np.zeros(images)
-    for _ in range(ROUNDS):
-        gain, offset = _least_squares(images, pairs, weights, groups)
-        residuals = [gain[i] * a + offset[i] - gain[j] * b - offset[j] for i, j, a, b in pairs]
-        spread = 1.4826 * float(np.median(np.abs(np.concatenate(residuals))))
-        if spread < 1e-9:
-            break
-        weights = [np.minimum(1.0, HUBER * spread / np.maximum(np.abs(r), 1e-30)) for r in residuals]
+        gain[:, band], offset[:, band] = _solve_band(images, first, second, relations, band)
     if not (np.isfinite(gain).all() and np.isfinite(offset).all()):
         raise SolveError("the colour balance has no solution", mend="run with --no-balance")
-    return gain, offset * scale
+    before, after, count = np.zeros(bands), np.zeros(bands), 0
+    for pair in used:
+        a, b = pair.a.astype(np.float64), pair.b.astype(np.float64)
+        before += ((a - b) ** 2).sum(axis=0)
+        i, j = pair.first, pair.second
+        after += ((gain[i] * a + offset[i] - gain[j] * b - offset[j]) ** 2).sum(axis=0)
+        count += len(a)
+    return Balance(gain, offset, np.sqrt(before / count), np.sqrt(after / count), len(used))
 
 
-def _least_squares(
-    images: int, pairs: list[tuple[int, int, FloatArray, FloatArray]], weights: list[FloatArray], groups: FloatArray
+def _solve_band(
+    images: int, first: AnyArray, second: AnyArray, relations: Sequence[Relation], band: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Weighted normal equations, bordered by the two conditions of each group."""
+    def column(name: str) -> FloatArray:
+        return np.array([getattr(relation, name)[band] for relation in relations])
+
+    ratio, variance = column("log_ratio"), column("log_ratio_variance")
+    gain = np.exp(_level(images, first, second, ratio, variance + LEAST_SIGMA**2))
+    mean_a, mean_b = gain[first] * column("mean_a"), gain[second] * column("mean_b")
+    spread = gain[first] * column("spread_a") * gain[second] * column("spread_b")
+    noise = 2 * spread * (1 - column("correlation")) / column("count")
+    unit = max(1e-12, float(np.mean((np.abs(mean_a) + np.abs(mean_b)) / 2)))
+    variance = noise / unit**2 + LEAST_SIGMA**2
+    return gain, unit * _level(images, first, second, (mean_b - mean_a) / unit, variance)
+
+
+def _level(images: int, first: AnyArray, second: AnyArray, difference: FloatArray, variance: FloatArray) -> FloatArray:
+    """Least-squares values x of all images from observed differences x[first] − x[second] and the prior x = 0.
+
+    The normal matrix is the weighted Laplacian of the graph plus the prior's weight on its diagonal. Rows of a
+    Laplacian sum to 0, so the values of every connected group do too.
+    """
+    weight = PRIOR_SIGMA**2 / variance
+    pull = np.bincount(first, weight * difference, images) - np.bincount(second, weight * difference, images)
+    diagonal = 1.0 + np.bincount(first, weight, images) + np.bincount(second, weight, images)
+    each = np.arange(images)
+    rows, cols = np.concatenate([first, second, each]), np.concatenate([second, first, each])
+    values = np.concatenate([-weight, -weight, diagonal])
+    if images <= MOST_DENSE:
+        dense = np.zeros((images, images))
+        np.add.at(dense, (rows, cols), values)
+        return np.asarray(np.linalg.solve(dense, pull))
     from scipy.sparse import coo_matrix
-    from scipy.sparse.linalg import splu
+    from scipy.sparse.linalg import spsolve
 
-    rows, cols, values = [], [], []
-    for (i, j, a, b), w in zip(pairs, weights, strict=True):
-        terms = ((2 * i, a), (2 * i + 1, np.ones_like(a)), (2 * j, -b), (2 * j + 1, -np.ones_like(b)))
-        for p, x in terms:
-            for q, y in terms:
-                rows.append(p)
-                cols.append(q)
-                values.append(float(np.sum(w * x * y)))
-    number = int(groups.max()) + 1
-    size = 2 * images
-    # Where an overlap shows one tone only, gain and offset cannot be told apart: a whisper of a prior decides.
-    total = sum(float(w.sum()) for w in weights)
-    prior = 1e-11 * total / max(1, len(pairs))
-    right = np.zeros(size + 2 * number)
-    for k in range(images):
-        rows += [2 * k, 2 * k + 1]
-        cols += [2 * k, 2 * k + 1]
-        values += [prior, prior]
-        right[2 * k] = prior
-        border = size + 2 * int(groups[k])
-        for row, col in ((border, 2 * k), (border + 1, 2 * k + 1)):
-            rows += [row, col]
-            cols += [col, row]
-            values += [1.0, 1.0]
-        right[border] += 1.0
-    matrix = coo_matrix((values, (rows, cols)), shape=(len(right), len(right))).tocsc()
-    solution: FloatArray = splu(matrix).solve(right)
-    return solution[0:size:2], solution[1:size:2]
-
-
-def _groups(images: int, pairs: list[tuple[int, int, FloatArray, FloatArray]]) -> FloatArray:
-    """Number the groups of images that overlaps connect."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    i, j = [p[0] for p in pairs], [p[1] for p in pairs]
-    graph = coo_matrix((np.ones(len(pairs)), (i, j)), shape=(images, images))
-    groups: FloatArray = connected_components(graph, directed=False)[1]
-    return groups
+    return np.asarray(spsolve(coo_matrix((values, (rows, cols)), shape=(images, images)).tocsc(), pull))
