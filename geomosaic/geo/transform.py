@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
 import warnings
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from pyproj import CRS, Transformer
+from pyproj.enums import TransformDirection
 from pyproj.exceptions import ProjError
 from pyproj.transformer import TransformerGroup
 
@@ -36,23 +39,23 @@ class Transform:
     source: CRS
     target: CRS
     spatial: bool = field(init=False, repr=False, compare=False)
-    _operation: Transformer | None = field(init=False, repr=False, compare=False)
+    _operation: _Operation | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "spatial", has_heights(self.source) and has_heights(self.target))
         # Made here so that it fails when made, not at the first point.
         object.__setattr__(self, "_operation", self._find())
 
-    def _find(self) -> Transformer | None:
+    def _find(self) -> _Operation | None:
         if self.spatial:
-            return _operation(_wkt(self.source), _wkt(self.target), True)
+            return _operation(_key(self.source), _key(self.target))
         if self.source.is_geocentric or self.target.is_geocentric:
             flat = self.target if self.source.is_geocentric else self.source
             raise HeightDatumError(
                 f"the heights of '{flat.name}' have no vertical datum, so they cannot meet an Earth-centred model",
                 mend="declare the heights: 'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid",
             )
-        return _operation(_wkt(horizontal(self.source)), _wkt(horizontal(self.target)), False)
+        return _operation(_key(horizontal(self.source)), _key(horizontal(self.target)))
 
     def __call__(self, xyz: FloatArray) -> FloatArray:
         """Transform points.
@@ -73,9 +76,9 @@ class Transform:
             return points.copy()
         out = np.array(points, dtype=np.float64)
         if self.spatial and points.shape[1] == 3:
-            out[:, 0], out[:, 1], out[:, 2] = operation.transform(points[:, 0], points[:, 1], points[:, 2])
+            out[:, 0], out[:, 1], out[:, 2] = operation(points[:, 0], points[:, 1], points[:, 2])
         else:
-            out[:, 0], out[:, 1] = operation.transform(points[:, 0], points[:, 1])
+            out[:, 0], out[:, 1] = operation(points[:, 0], points[:, 1])
         out[~np.isfinite(out).all(axis=1)] = np.nan
         return out
 
@@ -84,23 +87,55 @@ class Transform:
         return Transform(self.target, self.source)
 
 
+@dataclass(frozen=True)
+class _Operation:
+    """A PROJ operation, forwards or backwards."""
+
+    transformer: Transformer
+    backwards: bool
+
+    def __call__(self, *columns: FloatArray) -> Any:
+        direction = TransformDirection.INVERSE if self.backwards else TransformDirection.FORWARD
+        apply: Any = self.transformer.transform
+        return apply(*columns, direction=direction)
+
+
+_lock = threading.RLock()
+_equals: list[tuple[CRS, str]] = []
+_made: dict[tuple[str, str], _Operation | None] = {}
+
+
 @lru_cache(maxsize=256)
-def _wkt(crs: CRS) -> str:
-    return str(crs.to_wkt())
+def _key(crs: CRS) -> str:
+    """WKT of the first CRS met that means the same; making an operation takes long enough to do it once for all."""
+    wkt = str(crs.to_wkt())
+    if "BOUNDCRS" in wkt:  # what it is bound by is not compared
+        return wkt
+    with _lock:
+        for other, found in _equals:
+            if len(other.axis_info) == len(crs.axis_info) and crs.equals(other, ignore_axis_order=True):
+                return found
+        _equals.append((crs, wkt))
+    return wkt
 
 
-@lru_cache(maxsize=64)
-def _operation(source_wkt: str, target_wkt: str, spatial: bool) -> Transformer | None:
+def _operation(source_wkt: str, target_wkt: str) -> _Operation | None:
     """Make the PROJ operation once per pair; None is the identity."""
     if source_wkt == target_wkt:
         return None
-    source, target = CRS.from_wkt(source_wkt), CRS.from_wkt(target_wkt)
-    if not spatial and source.equals(target, ignore_axis_order=True):
-        return None
-    try:
-        return Transformer.from_crs(source, target, always_xy=True, allow_ballpark=False)
-    except ProjError as error:
-        raise _no_operation(source, target) from error
+    with _lock:
+        pair = source_wkt, target_wkt
+        if pair not in _made:
+            source, target = CRS.from_wkt(source_wkt), CRS.from_wkt(target_wkt)
+            try:
+                transformer = Transformer.from_crs(source, target, always_xy=True, allow_ballpark=False)
+            except ProjError as error:
+                raise _no_operation(source, target) from error
+            _made[pair] = _Operation(transformer, backwards=False)
+            # Where PROJ has several operations, by area, it may choose another one for the way back.
+            if transformer.description != "unavailable until proj_trans is called":
+                _made[pair[::-1]] = _Operation(transformer, backwards=True)
+        return _made[pair]
 
 
 def _no_operation(source: CRS, target: CRS) -> InputError:
