@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,8 @@ from geomosaic.product.extent import footprints, output_grid
 from geomosaic.product.mosaic import mosaic
 from geomosaic.product.options import MosaicOptions, RenderOptions
 from geomosaic.product.photos import Photos
+from geomosaic.project.build import build_block
+from geomosaic.project.inputs import BlockInputs
 from geomosaic.radiometry.gain_offset import solve
 from geomosaic.surface.model import HeightPatch, Surface
 
@@ -185,3 +188,58 @@ def test_clipped_values_do_not_bias_gains() -> None:
     kept, left_out = (s.gain[1, 0] / s.gain[0, 0] / (gain[0] / gain[1]) - 1 for s in solved)
     assert abs(kept) > 0.03  # the test can fail
     assert abs(left_out) < 0.015, left_out
+
+
+def sample_gains(sample: Path, files: list[Path], exterior: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Relative errors (photos, bands) of the solved gains, and the spread (bands,) of the exposures put in."""
+    inputs = BlockInputs(
+        images=tuple(files), sensor="frame", camera=sample / "camera.toml", exterior=exterior, crs="EPSG:32633",
+        heights="egm96", dem=sample / "dem.tif",
+    )  # fmt: skip
+    block = build_block(inputs)
+    outlines = footprints(block.scenes, block.surface, MAP)
+    photos = Photos(block, output_grid(MAP, outlines, 1.0), outlines, 1 << 30)
+    solved = balance(photos, RenderOptions(threads=2))
+    photos.close()
+    truth = json.loads((sample / "truth" / "truth.json").read_text())["photos"]
+    gain = np.array([truth[f"{file.stem}.jpg"]["gain"] for file in files])
+    left = np.log(solved.gain * gain)  # equal for all photos where the balance undoes the exposures
+    return left - left.mean(axis=0), np.log(gain).std(axis=0)
+
+
+def rms(values: np.ndarray) -> np.ndarray:
+    return np.sqrt((values**2).mean(axis=0))
+
+
+def test_exposures_of_the_sample_come_back(sample: Path) -> None:
+    """Measured: 1.3, 1.9 and 3.4 % RMS; least squares left 6.2, 7.3 and 6.6 % of 13 % put in.
+
+    Vignetting sets the limit, see the next test: it makes a corner a third darker, which no single gain describes.
+    """
+    off, put_in = sample_gains(sample, sorted((sample / "photos").glob("*.jpg")), sample / "exterior.csv")
+    assert (put_in > 0.12).all()
+    assert (rms(off) < 0.04).all(), rms(off)
+    assert rms(off.ravel()) < 0.03, rms(off.ravel())
+
+
+def test_without_vignetting_exposures_of_the_sample_come_back_to_half_a_percent(sample: Path, tmp_path: Path) -> None:
+    """The same photos with the known vignetting taken out. Measured: 0.11, 0.10 and 0.19 % RMS, 0.37 % at worst."""
+    told = json.loads((sample / "truth" / "truth.json").read_text())
+    a, b = told["vignetting"]["a"], told["vignetting"]["b"]
+    files = []
+    for photo in sorted((sample / "photos").glob("*.jpg")):
+        with rasterio.open(photo) as file:
+            values = file.read().astype(np.float64)
+        rows, cols = values.shape[1:]
+        x, y = np.meshgrid(np.arange(cols) + 0.5 - cols / 2, np.arange(rows) + 0.5 - rows / 2)
+        rho2 = (x**2 + y**2) / ((cols / 2) ** 2 + (rows / 2) ** 2)
+        haze = 255 * np.array(told["photos"][photo.name]["offset"])[:, None, None]
+        even = np.where(values >= 254, np.nan, (values - haze) / (1 - a * rho2 - b * rho2**2) + haze)
+        files.append(tmp_path / f"{photo.stem}.tif")
+        with rasterio.open(
+            files[-1], "w", driver="GTiff", width=cols, height=rows, count=3, dtype="float32", tiled=True, nodata=np.nan
+        ) as out:
+            out.write(even.astype(np.float32))
+    (tmp_path / "exterior.csv").write_text((sample / "exterior.csv").read_text().replace(".jpg", ".tif"))
+    off, _ = sample_gains(sample, files, tmp_path / "exterior.csv")
+    assert np.abs(off).max() < 0.005, np.abs(off).max()
