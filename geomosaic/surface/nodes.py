@@ -92,14 +92,17 @@ class Nodes:
 
     def _decode(self, window: Window) -> Float32Array:
         values, valid = self._source.read(window)
-        heights = values[:, :, 0].astype(np.float32)
+        heights = values[:, :, 0]
         if self._scale != 1.0 or self._offset != 0.0:
-            heights = (values[:, :, 0] * self._scale + self._offset).astype(np.float32)
-        if valid is not None:
-            heights[valid == 0] = np.nan
+            heights = heights * self._scale + self._offset
+        heights = heights.astype(np.float32, copy=False)
+        unknown = None if valid is None else valid == 0
         if not (heights.min() > FORGOTTEN and heights.max() <= HIGHEST):  # nor where any is NaN
             with np.errstate(invalid="ignore"):
-                heights[~(np.abs(heights) <= HIGHEST) | (heights == FORGOTTEN)] = np.nan
+                marked = ~(np.abs(heights) <= HIGHEST) | (heights == FORGOTTEN)
+            unknown = marked if unknown is None else unknown | marked
+        if unknown is not None:
+            heights = np.where(unknown, np.float32(np.nan), heights)
         return heights
 
     def reduced(self, window: Window, factor: int) -> Float32Array:
