@@ -21,6 +21,8 @@ import numpy as np
 from geomosaic.types import AnyArray, FloatArray
 
 ROUNDS = 20
+CLOSE_ENOUGH = 1e-4
+"""Relative change of the spreads at which the iteration ends: far below what sampling leaves open."""
 BIWEIGHT = 4.685
 """Robust standard deviations beyond which a sample has no weight: 95 % efficient on normal noise."""
 TO_SIGMA = 1.4826
@@ -85,18 +87,21 @@ def relate(a: AnyArray, b: AnyArray) -> Relation:
     spread = np.where(spread > 0, spread, views.std(axis=1))
     least = 1e-9 * np.abs(views).max(axis=(0, 1)) + 1e-300
     one_tone = (spread <= least).any(axis=0)
+    done, weight = np.zeros(one_tone.shape, dtype=bool), np.ones(views.shape[1:])
     for _ in range(ROUNDS):
         unit = (views - mean[:, None]) / np.where(one_tone, 1.0, np.maximum(spread, least))[:, None]
         difference = unit[1] - unit[0]
         limit = BIWEIGHT * np.maximum(TO_SIGMA * np.median(np.abs(difference), axis=0), 1e-9)
         limit = np.where(one_tone, np.maximum(limit, least), limit)
-        weight = np.maximum(1 - (difference / limit) ** 2, 0.0) ** 2
-        total = weight.sum(axis=0)
-        before, mean = spread, (weight * views).sum(axis=1) / total
+        # A band that is done stays as it is while others go on: bands know nothing of each other.
+        weight = np.where(done, weight, np.maximum(1 - (difference / limit) ** 2, 0.0) ** 2)
+        total, before = weight.sum(axis=0), spread
+        mean = np.where(done, mean, (weight * views).sum(axis=1) / total)
         centred = views - mean[:, None]
-        spread = np.sqrt((weight * centred**2).sum(axis=1) / total)
+        spread = np.where(done, spread, np.sqrt((weight * centred**2).sum(axis=1) / total))
         one_tone = (spread <= least).any(axis=0)
-        if (np.abs(spread - before) <= 1e-6 * spread + least).all():
+        done = done | (np.abs(spread - before) <= CLOSE_ENOUGH * spread + least).all(axis=0)
+        if done.all():
             break
     product = (weight * centred[0] * centred[1]).sum(axis=0) / total
     scale = np.where(one_tone, 1.0, spread[0] * spread[1])
