@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -133,3 +136,16 @@ def test_bands_do_not_mix() -> None:
     both = solve(IMAGES, 3, pairs)
     alone = solve(IMAGES, 1, [Overlap(p.first, p.second, p.a[:, 1:2], p.b[:, 1:2]) for p in pairs])
     assert np.allclose(both.gain[:, 1], alone.gain[:, 0], atol=1e-12)
+
+
+def test_a_small_block_does_not_load_scipy() -> None:
+    """It takes 0.3 s, longer than the solution."""
+    code = """
+import sys
+import numpy as np
+from geomosaic.radiometry.gain_offset import Overlap, solve
+values = np.arange(100.0)[:, None]
+assert solve(3, 1, [Overlap(0, 1, values, 0.8 * values)]).gain[1, 0] > 1.1
+assert "scipy" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
