@@ -122,11 +122,11 @@ def test_how_coarse_weights_may_be() -> None:
         factor = reduction(feather)
         assert factor in (1, 2, 4, 8, 16, 32)
         assert factor == 1 or feather / factor >= 8  # eight steps to a ramp
-        assert halo(feather, factor) * factor >= feather / 2 + factor
+        assert halo(feather, factor) * factor >= feather + factor
 
 
 def test_weights_of_overlapping_windows_agree() -> None:
-    """With the halo around it, a block's weights are those of the whole picture."""
+    """With the halo around it, a block's weights are those of the whole picture, and so are those a cell beyond it."""
     rng = np.random.default_rng(2)
     from scipy.ndimage import gaussian_filter
 
@@ -134,9 +134,33 @@ def test_weights_of_overlapping_windows_agree() -> None:
     own = gaussian_filter(rng.normal(size=(300, 300)), 40) > -0.01
     for feather, factor in ((24.0, 1), (64.0, 4)):
         margin = halo(feather, factor)
-        whole = weights(label, 1, own, feather, factor)
-        block = slice(100, 180)
-        wide = slice(100 - margin, 180 + margin)
-        part = weights(label[wide, wide], 1, own[wide, wide], feather, factor)[margin:-margin, margin:-margin]
-        assert 0 < part.mean() < 1
-        assert np.array_equal(part, whole[block, block])
+        for index in (0, 1):
+            whole = weights(label, index, own, feather, factor)
+            block = slice(99, 181)
+            wide = slice(100 - margin, 180 + margin)
+            cut = slice(margin - 1, 1 - margin)
+            part = weights(label[wide, wide], index, own[wide, wide], feather, factor)[cut, cut]
+            assert 0 < part.mean() < 1
+            assert np.array_equal(part, whole[block, block])
+
+
+def test_the_ramp_at_a_footprints_edge_is_seen_from_the_next_block() -> None:
+    """The edge runs a feather beyond the block; with half the halo the block would not know of it."""
+    feather, factor = 32.0, 4
+    label, own = np.zeros((60, 60), dtype=int), np.ones((60, 60), dtype=bool)
+    own[:, 37:] = False
+    margin = halo(feather, factor)
+    whole = weights(label, 0, own, feather, factor)
+    wide = slice(20 - margin, 30 + margin)
+    part = weights(label[wide, wide], 0, own[wide, wide], feather, factor)[margin:-margin, margin:-margin]
+    assert part.min() < 0.95
+    assert np.array_equal(part, whole[20:30, 20:30])
+
+
+def test_what_is_known_need_not_be_given() -> None:
+    label, everywhere = halves(), np.ones((20, 80), dtype=bool)
+    distance = signed_distance(label == 1)
+    for index, known in ((1, distance), (0, -distance)):
+        plain = weights(label, index, everywhere, 20.0, 1)
+        assert np.array_equal(weights(label, index, None, 20.0, 1), plain)
+        assert np.array_equal(weights(label, index, None, 20.0, 1, known), plain)

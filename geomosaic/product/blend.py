@@ -12,7 +12,7 @@ from geomosaic.product.photo import pull
 from geomosaic.product.photos import Photos
 from geomosaic.raster.burn import burn
 from geomosaic.resample.warp import CELL, Colour, Engine, value_range
-from geomosaic.seam.feather import halo, reduction, weights
+from geomosaic.seam.feather import halo, reduction, signed_distance, weights
 from geomosaic.sensor.ground import BlockGround, Ground
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.types import AnyArray, ByteArray
@@ -126,10 +126,16 @@ class Blender:
         if len(close) == 1 and self.seams.regions[close[0]].covers(frame):
             return [_Share(close[0], None, factor, margin)]
         label = burn([(self.seams.regions[i], i) for i in close], reduced)
+        distance: dict[int, AnyArray] = {}
+        if feather > 0 and len(close) == 2 and label.min() >= 0:  # what is beyond the one's seam is within the other's
+            distance[close[0]] = signed_distance(label == close[0])
+            distance[close[1]] = -distance[close[0]]
         shares = []
         for i in close:
-            footprint = burn([(self.seams.outlines[i], 1)], reduced) == 1
-            weight = weights(label, i, footprint, feather, factor)
+            footprint = None
+            if feather > 0 and not self.seams.outlines[i].covers(frame):
+                footprint = burn([(self.seams.outlines[i], 1)], reduced) == 1
+            weight = weights(label, i, footprint, feather, factor, distance.get(i))
             if weight.any():
                 shares.append(_Share(i, weight, factor, margin))
         return shares
@@ -155,14 +161,16 @@ class Blender:
         lattices: Lattices,
     ) -> None:
         shape, bands = valid.shape, values.shape[2]
-        total = np.zeros((*shape, bands), dtype=np.float32)
+        # Sums of numbers of 32 bits and more need more digits than those of photos.
+        kind = np.float32 if values.dtype.itemsize < 4 or values.dtype == np.float32 else np.float64
+        total = np.zeros((*shape, bands), dtype=kind)
         sums, best = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
         for share in shares:
             assert share.weight is not None
             need = share.need(shape)
             if not need.any():
                 continue
-            own = np.zeros((*shape, bands), dtype=np.float32)
+            own = np.zeros((*shape, bands), dtype=kind)
             seen = np.zeros(shape, dtype=np.uint8)
             self._pull(share.index, ground, own, seen, need, lattices)
             self.engine.accumulate(

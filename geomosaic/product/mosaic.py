@@ -21,6 +21,7 @@ from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.product.records import write_item, write_vectors
 from geomosaic.radiometry.gain_offset import Balance, solve
+from geomosaic.raster.output import check_output
 from geomosaic.raster.sink import RasterSink
 from geomosaic.resample.warp import Colour, engine_for
 from geomosaic.seam.voronoi import regions
@@ -97,6 +98,12 @@ def mosaic(
     """
     options = options or MosaicOptions()
     render = options.render
+    labels = beside(output, "-labels", ".tif") if options.labels else None
+    vectors = beside(output, "", ".gpkg") if options.vectors else None
+    item = beside(output, "", ".stac.json") if options.stac else None
+    for path in (output, labels, vectors, item):
+        if path is not None:  # before an hour's work, not behind it
+            check_output(path, overwrite=render.overwrite)
     feather = FEATHER_PIXELS * grid.resolution[0] if options.feather is None else options.feather
     seconds: dict[str, float] = {}
     photos = Photos(block, grid, outlines, render.memory_limit // 2)
@@ -113,17 +120,15 @@ def mosaic(
             photos, grid, Ground.under(grid, block.surface), seams, colours, engine, render.resampling, render.tolerance
         )
         with _Clock(seconds, "mosaic"):
-            labels = beside(output, "-labels", ".tif") if options.labels else None
             seen, pixels, record = _render(blender, output, labels, options)
     finally:
         photos.close()
     with _Clock(seconds, "records"):
-        vectors = beside(output, "", ".gpkg") if options.vectors else None
         if vectors is not None:
             write_vectors(vectors, grid, outlines, shares, solved, pixels, overwrite=render.overwrite)
-        item = beside(output, "", ".stac.json") if options.stac else None
         if item is not None:
-            write_item(item, output, labels, vectors, grid, shapes, overwrite=render.overwrite)
+            images = [Path(scene.path) for scene in block.scenes]
+            write_item(item, output, labels, vectors, grid, shapes, images, overwrite=render.overwrite)
     return MosaicResult(
         output, labels, vectors, item, grid, seen, pixels, solved, feather, record.error, render.tolerance,
         record.scale, seconds,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -57,12 +57,12 @@ class GeometryRecord:
     """Worst lattice error and typical scale, gathered block by block."""
 
     error: float = 0.0
-    scales: list[float] | None = None
+    scales: list[float] = field(default_factory=list)
 
     def add(self, error: float, scale: float) -> None:
         """Take in one block."""
         self.error = max(self.error, error if np.isfinite(error) else 0.0)
-        self.scales = [*(self.scales or []), scale]
+        self.scales.append(scale)
 
     def judge(self, tolerance: float) -> None:
         """Warn where the tolerance could not be kept: at the walls of a surface model, on a coarse grid."""

@@ -6,25 +6,27 @@ import json
 import os
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from pyproj import CRS
+from pyproj import CRS, Geod
 
 from geomosaic.block.footprint import Footprint
-from geomosaic.errors import OutputExistsError
+from geomosaic.errors import OutputError
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.checksum import sha256
-from geomosaic.raster.vector import write_layers
+from geomosaic.raster.output import check_output, partial, remove
+from geomosaic.raster.vector import Layer, write_layers
 
-if TYPE_CHECKING:
-    from geopandas import GeoDataFrame
-
-STAC_PROJECTION = "https://stac-extensions.github.io/projection/v2.0.0/schema.json"
-STAC_FILE = "https://stac-extensions.github.io/file/v2.1.0/schema.json"
+STAC_EXTENSIONS = (
+    "https://stac-extensions.github.io/projection/v2.0.0/schema.json",
+    "https://stac-extensions.github.io/file/v2.1.0/schema.json",
+    "https://stac-extensions.github.io/processing/v1.2.0/schema.json",
+)
+COG = "image/tiff; application=geotiff; profile=cloud-optimized"
 
 
 def write_vectors(
@@ -46,9 +48,7 @@ def write_vectors(
     write_layers(path, layers, overwrite=overwrite)
 
 
-def _footprints(crs: CRS, outlines: list[Footprint], balance: Balance, pixels: list[int]) -> GeoDataFrame:
-    import geopandas
-
+def _footprints(crs: CRS, outlines: list[Footprint], balance: Balance, pixels: list[int]) -> Layer:
     columns: dict[str, list[Any]] = {
         "label": list(range(1, len(outlines) + 1)),
         "image": [outline.name for outline in outlines],
@@ -61,22 +61,16 @@ def _footprints(crs: CRS, outlines: list[Footprint], balance: Balance, pixels: l
     for band in range(balance.gain.shape[1]):
         columns[f"gain_{band + 1}"] = [float(value) for value in balance.gain[:, band]]
         columns[f"offset_{band + 1}"] = [float(value) for value in balance.offset[:, band]]
-    return geopandas.GeoDataFrame(columns, geometry=[outline.polygon for outline in outlines], crs=crs.to_wkt())
+    return Layer(crs, "Polygon", [outline.polygon for outline in outlines], columns)
 
 
-def _areas(crs: CRS, outlines: list[Footprint], shares: list[Any]) -> GeoDataFrame:
-    import geopandas
-
+def _areas(crs: CRS, outlines: list[Footprint], shares: list[Any]) -> Layer:
     kept = [i for i, share in enumerate(shares) if not share.is_empty]
-    return geopandas.GeoDataFrame(
-        {"label": [i + 1 for i in kept], "image": [outlines[i].name for i in kept]},
-        geometry=[shares[i] for i in kept],
-        crs=crs.to_wkt(),
-    )
+    columns: dict[str, list[Any]] = {"label": [i + 1 for i in kept], "image": [outlines[i].name for i in kept]}
+    return Layer(crs, "MultiPolygon", [shares[i] for i in kept], columns)
 
 
-def _lines(grid: Grid, outlines: list[Footprint], shares: list[Any]) -> GeoDataFrame:
-    import geopandas
+def _lines(grid: Grid, outlines: list[Footprint], shares: list[Any]) -> Layer:
     import shapely
 
     # A hair of width finds the common edge although the two were cut in floating point.
@@ -92,7 +86,7 @@ def _lines(grid: Grid, outlines: list[Footprint], shares: list[Any]) -> GeoDataF
                 first.append(outlines[i].name)
                 second.append(outlines[j].name)
                 lines.append(shapely.line_merge(line) if line.geom_type != "LineString" else line)
-    return geopandas.GeoDataFrame({"first": first, "second": second}, geometry=lines, crs=grid.crs.to_wkt())
+    return Layer(grid.crs, "MultiLineString", lines, {"first": first, "second": second})
 
 
 def write_item(
@@ -102,56 +96,107 @@ def write_item(
     vectors: Path | None,
     grid: Grid,
     outlines: list[Any],
+    images: list[Path],
     *,
     overwrite: bool,
 ) -> None:
-    """Write a STAC item whose assets are the files beside it."""
-    import pystac
+    """Write a STAC item (version 1.1) whose assets are the files beside it.
+
+    Its times are those of the image files, oldest and newest, since nothing says yet when they were taken; or
+    SOURCE_DATE_EPOCH. Equal runs make equal bytes.
+
+    Raises
+    ------
+    OutputExistsError, OutputError
+        The name is taken; writing failed.
+    """
+    check_output(path, overwrite=overwrite)
+    geometry, box = _outline(grid, outlines)
+    first, last = _times(images)
+    code, t = horizontal(grid.crs).to_authority(), grid.transform
+    properties: dict[str, Any] = {
+        "datetime": last if first == last else None,
+        "start_datetime": first,
+        "end_datetime": last,
+        "gsd": _metres(grid),
+        "processing:software": {"geomosaic": _version()},
+        "proj:code": ":".join(code) if code else None,
+        "proj:shape": list(grid.shape),
+        "proj:transform": [t.a, t.b, t.c, t.d, t.e, t.f],
+    }
+    if code is None:
+        properties["proj:projjson"] = horizontal(grid.crs).to_json_dict()
+    item = {
+        "type": "Feature",
+        "stac_version": "1.1.0",
+        "stac_extensions": list(STAC_EXTENSIONS),
+        "id": mosaic.stem,
+        "geometry": geometry,
+        "bbox": box,
+        "properties": properties,
+        "links": [],
+        "assets": {
+            key: _asset(file, kind, role)
+            for key, file, kind, role in (
+                ("mosaic", mosaic, COG, "data"),
+                ("labels", labels, COG, "metadata"),
+                ("seams", vectors, "application/geopackage+sqlite3", "metadata"),
+            )
+            if file is not None
+        },
+    }
+    try:
+        unfinished = partial(path)
+        try:
+            unfinished.write_text(json.dumps(item, indent=2) + "\n", encoding="utf-8")
+            unfinished.replace(path)
+        finally:
+            remove(unfinished)
+    except OSError as error:
+        raise OutputError(
+            f"writing failed ({error.strerror})",
+            where=str(path),
+            mend="check the space on the disk and the rights of the folder",
+        ) from error
+
+
+def _asset(file: Path, kind: str, role: str) -> dict[str, Any]:
+    return {
+        "href": f"./{file.name}",
+        "type": kind,
+        "roles": [role],
+        "file:size": file.stat().st_size,
+        "file:checksum": "1220" + sha256(file),  # a multihash: SHA-256, 32 bytes
+    }
+
+
+def _outline(grid: Grid, outlines: list[Any]) -> tuple[dict[str, Any], list[float]]:
+    """GeoJSON of what the images cover, in longitude and latitude, and its bounds."""
     import shapely
 
-    if path.exists() and not overwrite:
-        raise OutputExistsError("the output exists", where=str(path), mend="choose another name, or give --overwrite")
-    to_lonlat = Transform(horizontal(grid.crs), parse_crs("OGC:CRS84"))
     hull = shapely.union_all(outlines)
     outer = hull if hull.geom_type == "Polygon" else hull.convex_hull
-    ring = to_lonlat(np.asarray(outer.exterior.coords)[:, :2])
-    geometry = shapely.geometry.mapping(shapely.Polygon(ring).normalize())
-    code = horizontal(grid.crs).to_authority()
-    t = grid.transform
-    item = pystac.Item(
-        id=mosaic.stem,
-        geometry=geometry,
-        bbox=[float(v) for v in (*ring.min(axis=0), *ring.max(axis=0))],
-        datetime=_when(),
-        properties={
-            "proj:code": ":".join(code) if code else None,
-            "proj:shape": list(grid.shape),
-            "proj:transform": [t.a, t.b, t.c, t.d, t.e, t.f],
-            "gsd": grid.resolution[0],
-            "processing:software": {"geomosaic": _version()},
-        },
-    )
-    if code is None:
-        item.properties["proj:projjson"] = horizontal(grid.crs).to_json_dict()
-    item.stac_extensions += [STAC_PROJECTION, STAC_FILE]
-    cog = pystac.MediaType.COG
-    for key, file, kind, role in (
-        ("mosaic", mosaic, cog, "data"),
-        ("labels", labels, cog, "metadata"),
-        ("seams", vectors, pystac.MediaType.GEOPACKAGE, "metadata"),
-    ):
-        if file is not None:
-            facts = {"file:size": file.stat().st_size, "file:checksum": "1220" + sha256(file)}
-            item.add_asset(key, pystac.Asset(href=f"./{file.name}", media_type=kind, roles=[role], extra_fields=facts))
-    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
-    partial.write_text(json.dumps(item.to_dict(include_self_link=False), indent=2) + "\n")
-    partial.replace(path)
+    ring = Transform(horizontal(grid.crs), parse_crs("OGC:CRS84"))(np.asarray(outer.exterior.coords)[:, :2])
+    geometry: dict[str, Any] = shapely.geometry.mapping(shapely.Polygon(ring).normalize())
+    return geometry, [float(v) for v in (*ring.min(axis=0), *ring.max(axis=0))]
 
 
-def _when() -> datetime:
-    """Time of processing; SOURCE_DATE_EPOCH makes it repeatable."""
+def _metres(grid: Grid) -> float:
+    """Pixel size in metres, whatever the unit of the map."""
+    crs = horizontal(grid.crs)
+    if not crs.is_geographic:
+        return float(grid.resolution[0] * crs.axis_info[0].unit_conversion_factor)
+    middle = np.array([grid.width / 2, grid.height / 2])
+    (x, y), (x1, y1) = Transform(crs, parse_crs("OGC:CRS84"))(grid.xy(middle + np.array([[0.0, 0.0], [0.0, 1.0]])))
+    return float(Geod(ellps="WGS84").inv(x, y, x1, y1)[2])
+
+
+def _times(images: list[Path]) -> tuple[str, str]:
+    """Oldest and newest time of the image files; SOURCE_DATE_EPOCH takes their place."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
-    return datetime.fromtimestamp(int(epoch), UTC) if epoch else datetime.now(UTC).replace(microsecond=0)
+    seconds = [int(epoch)] if epoch else [int(image.stat().st_mtime) for image in images]
+    first, last = (datetime.fromtimestamp(second, UTC) for second in (min(seconds), max(seconds)))
+    return f"{first:%Y-%m-%dT%H:%M:%SZ}", f"{last:%Y-%m-%dT%H:%M:%SZ}"
 
 
 def _version() -> str:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from rasterio.errors import NotGeoreferencedWarning
 from rasterio.features import rasterize
 
 from geomosaic.geo.grid import Grid
@@ -32,7 +30,5 @@ def burn(shapes: Sequence[tuple[Any, int]], grid: Grid, fill: int = -1) -> AnyAr
     kept = [(shape, number) for shape, number in shapes if not shape.is_empty]
     if not kept:
         return np.full(grid.shape, fill, dtype=np.int32)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # said of the array in memory that is burnt into
-        burnt: AnyArray = rasterize(kept, out_shape=grid.shape, transform=grid.transform, fill=fill, dtype="int32")
+    burnt: AnyArray = rasterize(kept, out_shape=grid.shape, transform=grid.transform, fill=fill, dtype="int32")
     return burnt

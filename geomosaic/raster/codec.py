@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 import zlib
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import rasterio.crs
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import RasterioError
 from rasterio.io import MemoryFile
 
 from geomosaic.errors import InputError
@@ -45,13 +44,24 @@ def encode_tile(values: AnyArray, profile: Mapping[str, Any]) -> bytes:
 
     A pure function of its arguments, safe in any thread.
     """
+    first = values[0, 0]
+    if (values == first).all():  # labels are so nearly everywhere
+        return _encode_constant(first.tobytes(), tuple(sorted(profile.items())))
     _, data = _one_tile_file(values, profile)
     return data
 
 
+@lru_cache(maxsize=256)
+def _encode_constant(pixel: bytes, profile: tuple[tuple[str, Any], ...]) -> bytes:
+    options = dict(profile)
+    values = np.empty((BLOCK, BLOCK, options["count"]), dtype=options["dtype"])
+    values[:] = np.frombuffer(pixel, dtype=options["dtype"])
+    _, data = _one_tile_file(values, options)
+    return data
+
+
 def _one_tile_file(values: AnyArray, profile: Mapping[str, Any], **described: Any) -> tuple[Directory, bytes]:
-    with environment(), warnings.catch_warnings(), MemoryFile() as memory:
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    with environment(), MemoryFile() as memory:
         tags, descriptions = described.pop("tags", {}), described.pop("descriptions", ())
         with memory.open(**profile, **described) as dataset:
             for band, text in enumerate(descriptions, start=1):

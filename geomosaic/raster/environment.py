@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import warnings
 from typing import Any
 
 import rasterio
+from rasterio.errors import NotGeoreferencedWarning
 
 CACHE_BYTES = 96 << 20
 """Decoded blocks that GDAL keeps, over all files and threads of the process."""
@@ -36,6 +38,8 @@ _SETTINGS: dict[str, Any] = {
     "VRT_VIRTUAL_OVERVIEWS": "NO",
 }
 
+# Raw photos have no geo-reference. Said once for the process: filters cannot be changed for one thread alone.
+warnings.filterwarnings("ignore", category=NotGeoreferencedWarning)
 logging.getLogger("rasterio").addHandler(logging.NullHandler())  # GDAL's messages come back as exceptions
 
 

@@ -1,8 +1,10 @@
-"""Final names: taken only with leave, and only by whole files."""
+"""Final names: taken only with leave, and only by whole files; until then a file has a name that says whose it is."""
 
 from __future__ import annotations
 
 import os
+import platform
+import re
 from pathlib import Path
 
 from geomosaic.errors import InputError, OutputExistsError
@@ -24,6 +26,43 @@ def check_output(path: Path, *, overwrite: bool) -> None:
         raise InputError("the folder of the output does not exist", where=str(path), mend="make it, or check the path")
     if path.exists() and not overwrite:
         raise OutputExistsError("the output exists", where=str(path), mend="choose another name, or give --overwrite")
+
+
+def partial(path: Path, suffix: str = "") -> Path:
+    """Name of a file under construction: `.NAME.partial-HOST-PID`, in the folder of the final one.
+
+    Those that dead processes of this machine left of the same final name are removed.
+    """
+    start = f".{path.name}.partial-{_host()}-"
+    pattern = re.compile(re.escape(start) + r"(\d+)(\..*|-.*)?")
+    for entry in os.scandir(path.parent):
+        found = pattern.fullmatch(entry.name)
+        if found and not _alive(int(found.group(1))):
+            Path(entry.path).unlink(missing_ok=True)
+    return path.with_name(f"{start}{os.getpid()}{suffix}")
+
+
+def remove(unfinished: Path) -> None:
+    """Remove a file under construction and what lies beside it under longer names (levels, journals)."""
+    for entry in os.scandir(unfinished.parent):
+        if entry.name == unfinished.name or entry.name.startswith((f"{unfinished.name}.", f"{unfinished.name}-")):
+            Path(entry.path).unlink(missing_ok=True)
+
+
+def _host() -> str:
+    return re.sub(r"[^A-Za-z0-9]", "", platform.node()) or "here"
+
+
+def _alive(process: int) -> bool:
+    if os.name == "nt":  # there is no harmless signal
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def sync(path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +13,7 @@ from geomosaic.errors import OutputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.codec import BLOCK
 from geomosaic.raster.options import check_nodata, check_type, creation_options
-from geomosaic.raster.output import check_output, sync
+from geomosaic.raster.output import check_output, partial, remove, sync
 from geomosaic.raster.tilefile import TileFile
 from geomosaic.types import AnyArray, ByteArray, PathLike
 
@@ -29,7 +28,7 @@ class RasterSink:
     Parameters
     ----------
     path : path
-        Final name. Until it is whole, the file is called `.NAME.partial-PID` in the same folder.
+        Final name. Until it is whole, the file is called `.NAME.partial-HOST-PID` in the same folder.
     grid : Grid
         Place and size.
     bands : int
@@ -93,7 +92,7 @@ class RasterSink:
         self._raw = made.gtiff["COMPRESS"] == "NONE"
         self._bytes = grid.width * grid.height * bands * self._dtype.itemsize
         self._check_space()
-        self._partial = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}")
+        self._partial = self._name()
         try:
             self._tiles = TileFile(
                 self._partial,
@@ -211,14 +210,16 @@ class RasterSink:
             mend="free some space, write to another disk, or choose a stronger compression (--co COMPRESS=...)",
         )
 
+    def _name(self) -> Path:
+        try:
+            return partial(self.path)
+        except OSError as error:
+            raise OutputError(
+                f"the folder cannot be read ({error.strerror})", where=str(self.path), mend="check its rights"
+            ) from error
+
     def _remove(self) -> None:
-        for file in self.path.parent.glob(f"{_literal(self._partial.name)}*"):
-            file.unlink(missing_ok=True)
-
-
-def _literal(name: str) -> str:
-    """Escape a file name for glob."""
-    return "".join(f"[{c}]" if c in "*?[" else c for c in name)
+        remove(self._partial)
 
 
 def _size(size: int) -> str:

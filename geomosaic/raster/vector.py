@@ -4,20 +4,44 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pyproj import CRS
 
 from geomosaic.errors import InputError, OutputError
-from geomosaic.raster.output import check_output, sync
+from geomosaic.raster.output import check_output, partial, remove, sync
 from geomosaic.types import PathLike
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
 
-def write_layers(path: PathLike, layers: Mapping[str, GeoDataFrame], *, overwrite: bool = False) -> Path:
+@dataclass(frozen=True)
+class Layer:
+    """A vector layer.
+
+    Attributes
+    ----------
+    crs : CRS
+    kind : str
+        OGR name of the geometry type: 'Polygon', 'MultiPolygon', 'LineString' ... of all geometries.
+    geometries : sequence of shapely geometry
+    columns : mapping of str to sequence
+        One value per geometry.
+    """
+
+    crs: CRS
+    kind: str
+    geometries: Sequence[Any]
+    columns: Mapping[str, Sequence[Any]]
+
+
+def write_layers(path: PathLike, layers: Mapping[str, Layer], *, overwrite: bool = False) -> Path:
     """Write a GeoPackage with one layer per entry, whole under its final name or not at all.
 
     Equal layers make equal bytes: the time in the file is SOURCE_DATE_EPOCH, or 1970-01-01 where that is not set.
@@ -26,7 +50,7 @@ def write_layers(path: PathLike, layers: Mapping[str, GeoDataFrame], *, overwrit
     ----------
     path : path
         Ends in .gpkg.
-    layers : mapping of str to GeoDataFrame
+    layers : mapping of str to Layer
         By layer name, in this order.
     overwrite : bool
         Replace an existing file.
@@ -45,15 +69,15 @@ def write_layers(path: PathLike, layers: Mapping[str, GeoDataFrame], *, overwrit
     check_output(final, overwrite=overwrite)
     if not layers:
         raise InputError("there is no layer to write", where=str(path))
-    partial = final.with_name(f".{final.stem}.partial-{os.getpid()}.gpkg")
-    partial.unlink(missing_ok=True)
     before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
+    unfinished: Path | None = None
     try:
+        unfinished = partial(final, ".gpkg")
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": _date()})
-        for name, frame in layers.items():
-            pyogrio.write_dataframe(frame, partial, layer=name, driver="GPKG", append=partial.exists())
-        sync(partial)
-        partial.replace(final)
+        for name, layer in layers.items():
+            _write(unfinished, name, layer)
+        sync(unfinished)
+        unfinished.replace(final)
         sync(final.parent)
     except (DataSourceError, DataLayerError, FeatureError, GeometryError, OSError) as error:
         raise OutputError(
@@ -63,9 +87,33 @@ def write_layers(path: PathLike, layers: Mapping[str, GeoDataFrame], *, overwrit
         ) from error
     finally:
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": before})
-        for file in (partial, *(partial.with_name(partial.name + end) for end in ("-journal", "-wal", "-shm"))):
-            file.unlink(missing_ok=True)
+        if unfinished is not None:
+            remove(unfinished)
     return final
+
+
+def _write(path: Path, name: str, layer: Layer) -> None:
+    """Write one layer, without the detour over a data frame, whose libraries take a second to import."""
+    import pyogrio.raw
+    import shapely
+
+    many = layer.kind.startswith("Multi")
+    geometries = np.empty(len(layer.geometries), dtype=object)
+    for i, geometry in enumerate(layer.geometries):
+        geometries[i] = shapely.to_wkb(_many(geometry) if many else geometry)
+    columns = [np.array(values) for values in layer.columns.values()]
+    columns = [column.astype(object) if column.dtype.kind in "US" else column for column in columns]
+    pyogrio.raw.write(
+        path, geometries, columns, list(layer.columns), layer=name, driver="GPKG", geometry_type=layer.kind,
+        crs=layer.crs.to_wkt(), append=path.exists(), promote_to_multi=False,
+    )  # fmt: skip
+
+
+def _many(geometry: Any) -> Any:
+    import shapely
+
+    plain = {"Polygon": shapely.MultiPolygon, "LineString": shapely.MultiLineString, "Point": shapely.MultiPoint}
+    return plain[geometry.geom_type]([geometry]) if geometry.geom_type in plain else geometry
 
 
 def _date() -> str:

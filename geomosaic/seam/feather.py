@@ -18,11 +18,18 @@ def reduction(feather: float) -> int:
 
 
 def halo(feather: float, factor: int) -> int:
-    """Cells beyond a block that its weights depend on."""
-    return int(np.ceil(feather / 2 / factor)) + 2
+    """Cells beyond a block that its weights depend on: the ramp at a footprint's edge is a whole feather wide."""
+    return int(np.ceil(feather / factor)) + 2
 
 
-def weights(label: AnyArray, index: int, footprint: BoolArray, feather: float, factor: int) -> Float32Array:
+def weights(
+    label: AnyArray,
+    index: int,
+    footprint: BoolArray | None,
+    feather: float,
+    factor: int,
+    distance: AnyArray | None = None,
+) -> Float32Array:
     """Weight of one image on a reduced lattice.
 
     Parameters
@@ -31,12 +38,14 @@ def weights(label: AnyArray, index: int, footprint: BoolArray, feather: float, f
         Image number that the seams give each cell.
     index : int
         The image.
-    footprint : bool array (rows, cols)
-        Cells that the image shows.
+    footprint : bool array (rows, cols) or None
+        Cells that the image shows; None where it shows all, to a feather beyond what matters.
     feather : float
         Width of the transition in output pixels; 0 for a hard seam.
     factor : int
         Output pixels per cell.
+    distance : array (rows, cols), optional
+        `signed_distance` of the cells labelled `index`, where it is known.
 
     Returns
     -------
@@ -48,11 +57,13 @@ def weights(label: AnyArray, index: int, footprint: BoolArray, feather: float, f
     if feather <= 0:
         hard: Float32Array = own.astype(np.float32)
         return hard
-    distance = signed_distance(own) * factor
-    across: AnyArray = np.clip(0.5 + distance / feather, 0.0, 1.0)
-    inside: AnyArray = np.clip(signed_distance(footprint) * factor / feather, 1e-4, 1.0)
-    weight: Float32Array = (across * np.where(footprint | own, inside, 0.0)).astype(np.float32)
-    return weight
+    if distance is None:
+        distance = signed_distance(own)
+    weight: AnyArray = np.clip(0.5 + distance * factor / feather, 0.0, 1.0)
+    if footprint is not None:
+        inside = np.clip(signed_distance(footprint) * factor / feather, 1e-4, 1.0)
+        weight = weight * np.where(footprint | own, inside, 0.0)
+    return weight.astype(np.float32)
 
 
 def signed_distance(mask: BoolArray) -> AnyArray:

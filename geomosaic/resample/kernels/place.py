@@ -90,7 +90,7 @@ def cubic_rgb(geometry, size, need, source, corner, ending, out, out_valid):
     return height
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _room(geometry, width, n):
     """Place of each sub-pixel between the nodes of its cell; room for a row of heights; for the height of each."""
     step = geometry[6]
@@ -100,7 +100,7 @@ def _room(geometry, width, n):
     return across, np.empty(geometry[2].shape[1]), np.empty(width)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _row(geometry, n, v, wanted, room, cols, rows):
     """Place one row of sub-pixels, `v` steps down."""
     nodes, places, heights, z_middle, z_inverse, flat, step = geometry
@@ -143,7 +143,7 @@ def _row(geometry, n, v, wanted, room, cols, rows):
             rows[c] = (((r3 + e3 * u) * t + (r2 + e2 * u)) * t + (r1 + e1 * u)) * t + (r0 + e0 * u)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _heights_along(heights, xa, xd, xb, y, across, line, z):
     """Heights of sub-pixels that lie along a row of heights: down once per height, then across once per sub-pixel."""
     y0 = min(np.int32(y), heights.shape[0] - 1)
@@ -162,7 +162,7 @@ def _heights_along(heights, xa, xd, xb, y, across, line, z):
         z[c] = second if fx > 0.0 else first
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _heights(heights, xa, xd, ya, yd, across, z):
     """Bilinear heights; a tap of no weight may be unknown."""
     dem_rows, dem_cols = heights.shape
@@ -192,7 +192,7 @@ def _heights(heights, xa, xd, ya, yd, across, z):
         z[c] = first + (second - first) * fx if fx > 0.0 else first
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _span(cols, rows, width, height, span):
     """Widen `span` by what falls in the image; in whole numbers, so that the loop can be vectorised."""
     least_col, least_row, most_col, most_row = span[0], span[1], span[2], span[3]
@@ -209,7 +209,7 @@ def _span(cols, rows, width, height, span):
     span[0], span[1], span[2], span[3] = least_col, least_row, most_col, most_row
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _inside(x, y, size, shape, corner, radius):
     """Judge a row: 1 if all its taps lie in the window, or beyond the image; −1 if not; 0 if it is not seen."""
     span = np.array([FAR, FAR, NONE, NONE], dtype=np.int32)
@@ -223,14 +223,14 @@ def _inside(x, y, size, shape, corner, radius):
     return 1 if here else -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _plain(ending):
     """Whether values stay what they are."""
     gain, offset, _, _, whole = ending
     return whole and (gain == 1.0).all() and (offset == 0.0).all()
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _bilinear_taps(xs, ys, size, shape, corner, taps):
     """Upper-left of four pixels in the flat window, −1 outside the image; weights right and below in 2048ths.
 
@@ -257,7 +257,7 @@ def _bilinear_taps(xs, ys, size, shape, corner, taps):
         at[c] = inner_j * stride + inner_i * np.int32(3) if seen else NONE
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(nogil=True, error_model="numpy", inline="always")
 def _between(values, p, q, r, s, a, b):
     """Bilinear value in units of 2⁻²²."""
     first = np.int32(values[p])
@@ -267,7 +267,7 @@ def _between(values, p, q, r, s, a, b):
     return first * UNIT + (second - first) * b
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _bilinear_values(values, columns, taps, plain, ending, out, out_valid):
     stride = np.uint64(columns * 3)
     at, a, b = taps
@@ -288,7 +288,7 @@ def _bilinear_values(values, columns, taps, plain, ending, out, out_valid):
         out_valid[c] = 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(nogil=True, error_model="numpy", inline="always")
 def _put(v0, v1, v2, ending, out, c):
     """Store three values in units of 2⁻²² with gain and offset."""
     gain, offset, low, high, whole = ending
@@ -305,7 +305,7 @@ def _put(v0, v1, v2, ending, out, c):
         out[c, 2] = w2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _packed(source):
     """Three bands of a pixel in one word, 21 bits apart, so that one product serves all three."""
     packed = np.empty(source.shape[0] * source.shape[1], dtype=np.int64)
@@ -316,7 +316,7 @@ def _packed(source):
     return packed
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(nogil=True, error_model="numpy", inline="always")
 def _keys(t):
     """Keys' weights in 2048ths that sum to 2048; the outer two are negative, so cutting rounds them as the others."""
     w0 = np.int32(((-0.5 * t + 1.0) * t - 0.5) * t * 2048.0 - 0.5)
@@ -325,7 +325,7 @@ def _keys(t):
     return w0, UNIT - w0 - w2 - w3, w2, w3
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _cubic_taps(xs, ys, size, shape, corner, at, u, w):
     """First of 16 pixels in the packed window, −1 outside the image, −2 where some are missing; weights both ways."""
     width, height = np.float64(size[0]), np.float64(size[1])
@@ -349,13 +349,13 @@ def _cubic_taps(xs, ys, size, shape, corner, at, u, w):
     return edge
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(nogil=True, error_model="numpy", inline="always")
 def _sums(packed, p, u0, u1, u2, u3):
     """Weighted sums over four pixels side by side, all three bands at once."""
     return packed[p] * u0 + packed[p + ONE] * u1 + packed[p + TWO] * u2 + packed[p + THREE] * u3 + LIFT
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _cubic_values(packed, columns, at, u, w, plain, ending, out, out_valid):
     stride = np.uint64(columns)
     least, most = int(max(ending[2], -2147483648.0)), int(min(ending[3], 2147483647.0))

@@ -10,7 +10,7 @@ from numba import njit
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(nogil=True, error_model="numpy", inline="always")
 def _bilinear(source, valid, masked, x, y, values):
     """Weighted mean of the valid ones of four pixels; taps beyond the window repeat its edge."""
     height, width, bands = source.shape
@@ -51,7 +51,7 @@ def _bilinear(source, valid, masked, x, y, values):
         values[m] = top + (low - top) * b
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(nogil=True, error_model="numpy", inline="always")
 def _whole(valid, masked, width, height, i, j, radius):
     """Whether all taps i−radius+1 … i+radius in both directions are in the window and valid."""
     if i - radius + 1 < 0 or j - radius + 1 < 0 or i + radius >= width or j + radius >= height:
@@ -64,7 +64,7 @@ def _whole(valid, masked, width, height, i, j, radius):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(nogil=True, error_model="numpy", inline="always")
 def _store(out, out_valid, k, c, values, gain, offset, low, high, whole):
     for m in range(out.shape[2]):
         value = values[m] * gain[m] + offset[m]
@@ -95,7 +95,7 @@ def sample_nearest(source, valid, masked, cols, rows, n, place, gain, offset, lo
             _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(nogil=True, error_model="numpy", inline="always")
 def _cubic_whole(t):
     """Keys' weights in 2048ths that sum to 2048; the outer two are negative, so cutting rounds them as the others."""
     w0 = np.int32(((-0.5 * t + 1.0) * t - 0.5) * t * 2048.0 - 0.5)
@@ -148,7 +148,7 @@ def sample_bilinear(source, valid, masked, cols, rows, n, place, gain, offset, l
                 _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(nogil=True, error_model="numpy", inline="always")
 def _cubic(t, coarse):
     """Keys' weights; in 2048ths where the samples have eight bits."""
     if coarse:
@@ -233,7 +233,7 @@ def sample_lanczos(source, valid, masked, cols, rows, n, place, gain, offset, lo
             _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _lanczos_weights(t, weights):
     total = 0.0
     for p in range(6):

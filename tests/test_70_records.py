@@ -1,0 +1,150 @@
+"""What lies beside a mosaic: STAC item and vectors; names that are taken; what killed runs left."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from affine import Affine
+from pyproj import CRS, Geod
+
+from geomosaic.block.footprint import Footprint
+from geomosaic.errors import OutputError, OutputExistsError
+from geomosaic.geo.grid import Grid
+from geomosaic.product.ortho import GeometryRecord
+from geomosaic.product.records import write_item, write_vectors
+from geomosaic.radiometry.gain_offset import solve
+from geomosaic.raster.output import partial, remove
+from geomosaic.raster.vector import read_layer
+
+METRES = Grid(CRS.from_epsg(32633), Affine(0.5, 0, 4e5, 0, -0.5, 5.5e6), 100, 100)
+FEET = Grid(CRS.from_epsg(2263), Affine(2.0, 0, 9.8e5, 0, -2.0, 2e5), 100, 100)
+DEGREES = Grid(CRS.from_epsg(4326), Affine(1e-5, 0, 13.0, 0, -1e-5, 60.0), 100, 100)
+
+
+def made(folder: Path, grid: Grid, name: str = "m.stac.json", *, overwrite: bool = False) -> dict:
+    folder.mkdir(exist_ok=True)
+    mosaic, image = folder / "m.tif", folder / "photo.tif"
+    mosaic.write_bytes(b"abc")
+    image.write_bytes(b"photo")
+    os.utime(image, (1_600_000_000, 1_600_000_000))
+    left, bottom, right, top = grid.bounds
+    outline = shapely.box(left, bottom, right, top)
+    write_item(folder / name, mosaic, None, None, grid, [outline], [image], overwrite=overwrite)
+    return json.loads((folder / name).read_text())
+
+
+def test_the_item_is_valid_stac_and_always_the_same(tmp_path: Path) -> None:
+    import pystac
+
+    facts = made(tmp_path / "a", METRES)
+    item = pystac.Item.from_dict(facts)
+    assert item.id == "m"
+    assert item.assets["mosaic"].extra_fields["file:size"] == 3
+    assert item.properties["proj:code"] == "EPSG:32633"
+    assert facts["properties"]["datetime"] == "2020-09-13T12:26:40Z"
+    west, south, east, north = facts["bbox"]
+    assert 13.0 < west < east < 14.0
+    assert 49.0 < south < north < 50.0
+    again = made(tmp_path / "b", METRES)
+    assert again == facts
+    assert (tmp_path / "a" / "m.stac.json").read_bytes() == (tmp_path / "b" / "m.stac.json").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("grid", "gsd"),
+    [
+        (METRES, 0.5),
+        (FEET, 2 * 1200 / 3937),
+        (DEGREES, abs(Geod(ellps="WGS84").inv(13.0, 60.0, 13.0, 59.99999)[2])),
+    ],
+)
+def test_gsd_is_in_metres(tmp_path: Path, grid: Grid, gsd: float) -> None:
+    assert made(tmp_path, grid)["properties"]["gsd"] == pytest.approx(gsd, rel=1e-5)
+
+
+def test_an_item_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made(tmp_path, METRES)
+    with pytest.raises(OutputExistsError):
+        made(tmp_path, METRES)
+    before = (tmp_path / "m.stac.json").read_bytes()
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(OutputError, match="No space left"):
+        made(tmp_path, METRES, overwrite=True)
+    assert (tmp_path / "m.stac.json").read_bytes() == before
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["m.stac.json", "m.tif", "photo.tif"]
+
+
+def test_vectors(tmp_path: Path) -> None:
+    boxes = [shapely.box(4e5, 5.5e6 - 50, 4e5 + 30, 5.5e6), shapely.box(4e5 + 20, 5.5e6 - 50, 4e5 + 50, 5.5e6)]
+    outlines = [
+        Footprint(f"photo {i}", np.array(box.exterior.coords)[:-1], (4e5 + 15 + 20 * i, 5.5e6 - 25), 0.5, True)
+        for i, box in enumerate(boxes)
+    ]
+    shares = [shapely.box(4e5, 5.5e6 - 50, 4e5 + 25, 5.5e6), shapely.box(4e5 + 25, 5.5e6 - 50, 4e5 + 50, 5.5e6)]
+    path = tmp_path / "m.gpkg"
+    write_vectors(path, METRES, outlines, shares, solve(2, 3, []), [5, 7], overwrite=False)
+    footprints, lines = read_layer(path, "footprints"), read_layer(path, "seamlines")
+    assert footprints["image"].tolist() == ["photo 0", "photo 1"]
+    assert footprints["pixels"].tolist() == [5, 7]
+    assert footprints["gain_3"].tolist() == [1.0, 1.0]
+    assert footprints.geometry.area.tolist() == [1500.0, 1500.0]
+    assert lines[["first", "second"]].values.tolist() == [["photo 0", "photo 1"]]
+    assert lines.length[0] == pytest.approx(50.0)
+    assert read_layer(path, "seams").geometry.area.tolist() == [1250.0, 1250.0]
+
+
+CHILD = """
+import sys, time
+from pathlib import Path
+from geomosaic.raster.output import partial
+name = partial(Path(sys.argv[1]), ".gpkg")
+name.write_bytes(b"half")
+Path(f"{name}-journal").write_bytes(b"half")
+print(name, flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no signals")
+def test_what_a_killed_run_left_goes_and_what_a_living_one_writes_stays(tmp_path: Path) -> None:
+    final = tmp_path / "m[1].gpkg"
+    others = [tmp_path / ".m[1].gpkg.partial-elsewhere-1", tmp_path / ".m1.gpkg.partial-x-1", tmp_path / "m[1].gpkg"]
+    for other in others:
+        other.write_bytes(b"mine")
+    child = subprocess.Popen([sys.executable, "-c", CHILD, str(final)], stdout=subprocess.PIPE, text=True)
+    assert child.stdout is not None
+    name = Path(child.stdout.readline().strip())
+    assert name.name.endswith(f"-{child.pid}.gpkg")
+    own = partial(final)
+    assert own.parent == tmp_path
+    assert name.exists()
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    child.stdout.close()
+    assert partial(final) == own
+    assert sorted(tmp_path.iterdir()) == sorted(others)
+    own.write_bytes(b"")
+    Path(f"{own}.1").write_bytes(b"")
+    Path(f"{own}9").write_bytes(b"")
+    remove(own)
+    assert sorted(tmp_path.iterdir()) == sorted([*others, Path(f"{own}9")])
+
+
+def test_many_facts_are_gathered_quickly() -> None:
+    record = GeometryRecord()
+    for i in range(200_000):
+        record.add(0.001 * (i % 7), float(i % 3))
+    assert record.error == 0.006
+    assert record.scale == 1.0
