@@ -20,7 +20,7 @@ CELLS = 96
 NEAR_ENOUGH = 0.1
 """Cells that the geometry may be off where only colours are compared."""
 MOST_SAMPLES = 3
-"""Samples along each side of a cell; the image is reduced on reading until they cover it."""
+"""Samples along each side of a cell, of an image reduced on reading; two take 0.6 of the time and double the noise."""
 
 
 def balance(photos: Photos, options: RenderOptions) -> Balance:
