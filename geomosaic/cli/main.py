@@ -12,6 +12,10 @@ import click
 
 import geomosaic
 
+# Read when NumPy is first loaded. Our matrices are small, and threads of our own keep the processor busy; more of them
+# would also make the last bits of a solution depend on the machine.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 COMMANDS: dict[str, str] = {
     "demo": "Run the sample block from photos to mosaic, with its accuracy.",
     "new": "Write a project file from images and tables.",

@@ -138,6 +138,7 @@ def _bound_vertical(path: str) -> CRS:
     return CRS.from_wkt(wkt)
 
 
+@lru_cache(maxsize=64)
 def geocentric(crs: CRS) -> CRS:
     """Return the Earth-centred, Earth-fixed Cartesian CRS on the datum of `crs` (no datum shift between them).
 
@@ -169,6 +170,7 @@ def geocentric(crs: CRS) -> CRS:
     return CRS.from_json_dict(description)
 
 
+@lru_cache(maxsize=64)
 def geographic(crs: CRS) -> CRS:
     """Return longitude, latitude and ellipsoidal height in degrees and metres on the datum of `crs`."""
     geodetic = horizontal(crs).geodetic_crs

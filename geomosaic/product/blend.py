@@ -15,7 +15,7 @@ from geomosaic.resample.warp import CELL, Colour, Engine, value_range
 from geomosaic.seam.feather import halo, reduction, signed_distance, weights
 from geomosaic.sensor.ground import BlockGround, Ground
 from geomosaic.sensor.lattice import Lattice
-from geomosaic.types import AnyArray, ByteArray
+from geomosaic.types import AnyArray, ByteArray, IntArray
 
 Lattices = dict[int, list[Lattice]]
 """Of one block, by image."""
@@ -40,24 +40,42 @@ class Seams:
     feather: float
 
 
+def label_type(images: int) -> str:
+    """Smallest sample type that numbers the images from 1."""
+    return "uint8" if images < 255 else "uint16" if images < 65535 else "int32"
+
+
 @dataclass(frozen=True)
-class MosaicBlock:
-    """Pixels of one block.
+class MosaicUnit:
+    """Pixels of one or more blocks side by side, filled block by block.
 
     Attributes
     ----------
+    window : Window
     values : array (rows, cols, bands)
+        Zero where not valid.
     valid : uint8 array (rows, cols)
     label : array (rows, cols)
         Number of the image with the most weight, counted from 1; 0 where none.
+    counts : int array (images + 1,)
+        Pixels by label.
     facts : list of (error, scale)
         Of the lattices used.
     """
 
+    window: Window
     values: AnyArray
     valid: ByteArray
     label: AnyArray
+    counts: IntArray
     facts: list[tuple[float, float]]
+
+    @classmethod
+    def empty(cls, window: Window, bands: int, dtype: str, images: int) -> MosaicUnit:
+        """Nothing seen yet."""
+        shape = window.height, window.width
+        label, counts = np.zeros(shape, dtype=label_type(images)), np.zeros(images + 1, dtype=np.int64)
+        return cls(window, np.zeros((*shape, bands), dtype=dtype), np.zeros(shape, dtype=np.uint8), label, counts, [])
 
 
 @dataclass(frozen=True)
@@ -73,30 +91,32 @@ class Blender:
     resampling: str
     tolerance: float
 
-    def block(self, window: Window) -> MosaicBlock:
-        """Render one block."""
-        bands, dtype = self.photos.info.bands, self.photos.info.dtype
-        values = np.zeros((window.height, window.width, bands), dtype=dtype)
-        valid = np.zeros((window.height, window.width), dtype=np.uint8)
-        label = np.zeros(valid.shape, dtype=np.int32)
-        facts: list[tuple[float, float]] = []
+    def fill(self, window: Window, unit: MosaicUnit) -> None:
+        """Render one block into its place in a unit."""
         near = self.photos.near(window)
         if not near:
-            return MosaicBlock(values, valid, label, facts)
+            return
         ground = self.below.block(window)
         if ground.unknown:
-            return MosaicBlock(values, valid, label, facts)
+            return
+        rows = slice(window.row - unit.window.row, window.stop_row - unit.window.row)
+        cols = slice(window.col - unit.window.col, window.stop_col - unit.window.col)
+        values, valid, label = unit.values[rows, cols], unit.valid[rows, cols], unit.label[rows, cols]
         shares = self._shares(window, near)
         lattices: Lattices = {}
         if len(shares) == 1:
-            self._pull(shares[0].index, ground, values, valid, None, lattices)
-            label[valid > 0] = shares[0].index + 1
-            near = [index for index in near if index != shares[0].index]
+            index = shares[0].index
+            self._pull(index, ground, values, valid, None, lattices)
+            np.multiply(valid, label.dtype.type(index + 1), out=label)
+            near = [i for i in near if i != index]
         elif shares:
             self._blend(ground, shares, values, valid, label, lattices)
-        self._fill(ground, near, values, valid, label, lattices)
-        facts = [(lattice.error, lattice.scale) for used in lattices.values() for lattice in used]
-        return MosaicBlock(values, valid, label, facts)
+        filled = self._fill(ground, near, values, valid, label, lattices)
+        if len(shares) == 1 and not filled:
+            unit.counts[shares[0].index + 1] += np.count_nonzero(valid.view(np.bool_))
+        else:
+            unit.counts[:] += np.bincount(label.ravel(), minlength=len(unit.counts))
+        unit.facts.extend((lattice.error, lattice.scale) for used in lattices.values() for lattice in used)
 
     def _pull(
         self,
@@ -187,10 +207,11 @@ class Blender:
         valid: ByteArray,
         label: AnyArray,
         lattices: Lattices,
-    ) -> None:
-        """Where the seams' choice shows nothing (its nodata, its edge), take the nearest image that does."""
-        if valid.all():
-            return
+    ) -> bool:
+        """Where the seams' choice shows nothing (its nodata, its edge), take the nearest image that does, if any."""
+        if valid.view(np.bool_).all():
+            return False
+        filled = False
         window = ground.window
         middle = self.grid.xy(np.array([[window.col + window.width / 2, window.row + window.height / 2]]))[0]
         centres = {i: np.hypot(*(np.array(self.photos.outlines[i].centre) - middle)) for i in near}
@@ -203,6 +224,8 @@ class Blender:
             self._pull(i, ground, own, seen, need, lattices)
             new = (seen > 0) & (valid == 0)
             values[new], valid[new], label[new] = own[new], 1, i + 1
+            filled = filled or bool(new.any())
+        return filled
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.balance import balance
-from geomosaic.product.blend import Blender, MosaicBlock, Seams
+from geomosaic.product.blend import Blender, MosaicUnit, Seams, label_type
 from geomosaic.product.options import MosaicOptions
 from geomosaic.product.ortho import GeometryRecord, samples, tiles
 from geomosaic.product.photos import Photos
@@ -27,7 +27,6 @@ from geomosaic.resample.warp import Colour, engine_for
 from geomosaic.seam.voronoi import regions
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import blocks
-from geomosaic.types import AnyArray, ByteArray
 
 FEATHER_PIXELS = 32
 
@@ -142,11 +141,12 @@ def _render(
     number = len(blender.photos)
     counts, record = np.zeros(number + 1, dtype=np.int64), GeometryRecord()
     units = tiles(grid, render.tile)
-    label_type = "uint8" if number < 255 else "uint16" if number < 65535 else "int32"
 
-    def unit(window: Window) -> list[tuple[Window, MosaicBlock]]:
-        parts = [block.intersection(grid.window) for block in blocks(window)]
-        return [(part, blender.block(part)) for part in parts]
+    def unit(window: Window) -> MosaicUnit:
+        made = MosaicUnit.empty(window, info.bands, info.dtype, number)
+        for block in blocks(window):
+            blender.fill(block.intersection(grid.window), made)
+        return made
 
     with ExitStack() as stack:
         sink = stack.enter_context(
@@ -160,19 +160,17 @@ def _render(
         if labels is not None:
             label_sink = stack.enter_context(
                 RasterSink(
-                    labels, grid, 1, label_type, nodata=0, overviews="nearest", descriptions=("source image",),
+                    labels, grid, 1, label_type(number), nodata=0, overviews="nearest", descriptions=("source image",),
                     driver=render.driver, overwrite=render.overwrite, threads=render.threads,
                 )
             )  # fmt: skip
-        for done, (window, parts) in enumerate(in_order(unit, units, render.threads)):
-            values, valid, label = _join(parts)
-            sink.write(window, values, valid)
+        for done, (window, made) in enumerate(in_order(unit, units, render.threads)):
+            sink.write(window, made.values, made.valid, blank=render.nodata is None)
             if label_sink is not None:
-                label_sink.write(window, label[..., None].astype(label_type), (label > 0).astype(np.uint8))
-            counts += np.bincount(label.ravel(), minlength=number + 1)
-            for _, part in parts:
-                for fact in part.facts:
-                    record.add(*fact)
+                label_sink.write(window, made.label[..., None], made.valid, blank=True)
+            counts += made.counts
+            for fact in made.facts:
+                record.add(*fact)
             blender.photos.passed(window.row)
             render.report(done + 1, len(units), "mosaic")
         if not counts[1:].any():
@@ -183,15 +181,6 @@ def _render(
             label_sink.finish()
     record.judge(render.tolerance)
     return int(counts[1:].sum()), [int(count) for count in counts[1:]], record
-
-
-def _join(parts: list[tuple[Window, MosaicBlock]]) -> tuple[AnyArray, ByteArray, AnyArray]:
-    """Put the blocks of a unit side by side."""
-    if len(parts) == 1:
-        return parts[0][1].values, parts[0][1].valid, parts[0][1].label
-    whole = [[getattr(part, name) for _, part in parts] for name in ("values", "valid", "label")]
-    values, valid, label = (np.concatenate(arrays, axis=1) for arrays in whole)
-    return values, valid, label
 
 
 class _Clock:

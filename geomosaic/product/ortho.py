@@ -157,8 +157,8 @@ def ortho(
             tags={"GEOMOSAIC_SENSOR": scene.sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
         ) as sink:
             for done, (unit, (values, valid, facts)) in enumerate(in_order(render, units, options.threads)):
-                sink.write(unit, values, valid)
-                seen += int(np.count_nonzero(valid))
+                sink.write(unit, values, valid, blank=options.nodata is None)
+                seen += int(np.count_nonzero(valid.view(np.bool_)))
                 for fact in facts:
                     record.add(*fact)
                 options.report(done + 1, len(units), "ortho")

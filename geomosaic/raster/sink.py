@@ -124,7 +124,7 @@ class RasterSink:
         self._tiles.close()
         self._remove()
 
-    def write(self, window: Window, values: AnyArray, valid: ByteArray | None = None) -> None:
+    def write(self, window: Window, values: AnyArray, valid: ByteArray | None = None, *, blank: bool = False) -> None:
         """Write a window; call from one thread, windows row by row, each once.
 
         Parameters
@@ -135,6 +135,8 @@ class RasterSink:
             Of the raster's type; what stands in invalid pixels does not matter.
         valid : uint8 array (rows, cols) of 1 and 0, optional
             All are valid without it.
+        blank : bool
+            Promise that invalid pixels, and no others, hold nodata already (zero where there is none); saves a pass.
 
         Raises
         ------
@@ -151,7 +153,7 @@ class RasterSink:
         if values.shape != (window.height, window.width, self._bands) or values.dtype != self._dtype:
             raise ValueError(f"{values.dtype} values of shape {values.shape} do not fill {window} of {self.path}")
         try:
-            self._tiles.write(window, values, valid)
+            self._tiles.write(window, values, valid, blank=blank)
         except (OSError, RasterioError) as error:
             self._tiles.close()
             raise self._failed(error) from error

@@ -116,7 +116,7 @@ class TileFile:
         for file in self._files:
             file.close()
 
-    def write(self, window: Window, values: AnyArray, valid: ByteArray | None) -> None:
+    def write(self, window: Window, values: AnyArray, valid: ByteArray | None, *, blank: bool = False) -> None:
         """Add a window that covers whole blocks (but for the image's edge).
 
         Parameters
@@ -127,41 +127,45 @@ class TileFile:
             Of the file's type. Not changed; the caller may use it again at once.
         valid : uint8 array (rows, cols) of 1 and 0, or None
             None where all are valid.
+        blank : bool
+            Whether invalid pixels, and no others, hold nodata already (zero where there is none).
         """
         across = self._levels[0].across
         for part in window.split(BLOCK, BLOCK):
             rows = slice(part.row - window.row, part.stop_row - window.row)
             cols = slice(part.col - window.col, part.stop_col - window.col)
             index = (part.row // BLOCK) * across + part.col // BLOCK
-            self._add(self._tile(index, values[rows, cols], None if valid is None else valid[rows, cols]))
+            tile = self._tile(index, values[rows, cols], None if valid is None else valid[rows, cols])
+            self._add(tile, blank=blank)
 
     def _tile(self, index: int, values: AnyArray, valid: ByteArray | None) -> Tile:
         """Copy to a whole tile."""
         rows, cols = values.shape[:2]
-        if valid is not None and valid.all():
+        if valid is not None and valid.view(np.bool_).all():
             valid = None
         self._masked = self._masked or valid is not None
         if (rows, cols) == (BLOCK, BLOCK):
-            copied = np.ascontiguousarray(values) if self._pool is None else np.array(values, order="C")
-            return Tile(0, index, copied, None if valid is None else (np.asarray(valid) != 0).view(np.uint8))
+            copy = np.ascontiguousarray if self._pool is None else np.array
+            return Tile(0, index, copy(values), None if valid is None else copy(valid))
         whole = np.zeros((BLOCK, BLOCK, self._bands), dtype=self._dtype)
         whole[:rows, :cols] = values
         whole_valid = np.zeros((BLOCK, BLOCK), dtype=np.uint8)
-        whole_valid[:rows, :cols] = 1 if valid is None else np.asarray(valid) != 0
+        whole_valid[:rows, :cols] = 1 if valid is None else valid
         return Tile(0, index, whole, whole_valid)
 
-    def _add(self, tile: Tile) -> None:
+    def _add(self, tile: Tile, *, blank: bool = False) -> None:
         """Make a tile's pieces, here or in another thread, and put what is ready in its place."""
         if self._pool is None:
-            self._place(*self._pieces(tile))
+            self._place(*self._pieces(tile, blank))
             return
-        self._jobs.append(self._pool.submit(self._pieces, tile))
+        self._jobs.append(self._pool.submit(self._pieces, tile, blank))
         while len(self._jobs) > self._most_jobs:
             self._place(*self._jobs.popleft().result())
 
-    def _pieces(self, tile: Tile) -> tuple[Tile, bytes, _Half | None]:
+    def _pieces(self, tile: Tile, blank: bool) -> tuple[Tile, bytes, _Half | None]:
         """Fill, compress and halve a tile; changes nothing of this object, so any thread may do it."""
-        tile = Tile(tile.level, tile.index, _filled(tile.values, tile.valid, self._nodata), tile.valid)
+        if not blank:
+            tile = Tile(tile.level, tile.index, _filled(tile.values, tile.valid, self._nodata), tile.valid)
         data = b"" if self._raw else codec.encode_tile(tile.values, self._profile)
         half = None
         if tile.level + 1 < len(self._levels):
@@ -173,7 +177,9 @@ class TileFile:
         if self._keep_mask:
             store.masks[tile.index] = codec.encode_mask(tile.valid)
         if self._raw:
-            store.add(tile.index, tile.values.data.cast("B"), zero=not tile.values.any())
+            middle = tile.values[BLOCK // 2, BLOCK // 2]
+            zero = not (middle.any() or tile.values.any())  # the middle spares the rest, nearly everywhere
+            store.add(tile.index, tile.values.data.cast("B"), zero=zero)
         else:
             store.add(tile.index, data)
         if half is not None:
