@@ -44,8 +44,11 @@ def once(like: str, target: str, inputs: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    with rasterio.Env(GDAL_CACHEMAX=256, GDAL_TIFF_INTERNAL_MASK=True):
-        if sys.argv[1] == "copy":
+    if sys.argv[1] == "copy":
+        # GDAL's own settings, as gdal_translate has them.
+        with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
             copy(*sys.argv[2:4])
-        else:
+    else:
+        # A small cache makes this the faster one.
+        with rasterio.Env(GDAL_CACHEMAX=256, GDAL_TIFF_INTERNAL_MASK=True):
             once(sys.argv[2], sys.argv[3], sys.argv[4:])

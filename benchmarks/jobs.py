@@ -122,7 +122,8 @@ def ortho(s: Setting) -> Result:
     result.facts["output"] = f"{grid['width']} x {grid['height']}"
     result.accuracy = geometry(s, methods)
     for method, most in (("bilinear", 2.0), ("cubic", 3.0)):
-        result.at_most(f"{method}: wall / floor", times.ratio(f"geomosaic {method}", "floor"), most)
+        for floor in ("floor", "floor: inputs + output"):
+            result.at_most(f"{method}: wall / {floor}", times.ratio(f"geomosaic {method}", floor), most)
         result.at_most(f"{method}: peak memory, MB", peak(result, f"geomosaic {method}"), 400)
         result.at_least(
             f"{method}: times as fast as orthority", times.ratio(f"orthority {method}", f"geomosaic {method}"), 5.0
