@@ -32,29 +32,48 @@ def coordinates(
     j = v.astype(np.int64)
     fv = (v - j)[:, None, None]
     i = np.arange(width) // (step * n)
-    u = ((np.arange(width) + 0.5) / n / step - i)[None, :]
-
-    unwanted = need[np.ix_((first_row + np.arange(height) // n) // 64, np.arange(width) // n // 64)] == 0
-
-    def spread(values: FloatArray) -> FloatArray:
-        """Between nodes: down first, then across."""
-        down = values[j] + (values[j + 1] - values[j]) * fv
-        left, delta = down[:, :-1], down[:, 1:] - down[:, :-1]
-        spread_out: FloatArray = left[:, i] + delta[:, i] * u[..., None]
-        return spread_out
-
-    if flat:
-        image = spread(nodes[..., [0, 4]])
-        cols[...], rows[...] = image[..., 0], image[..., 1]
-        cols[unwanted], rows[unwanted] = np.nan, np.nan
-        return _span(cols, rows, size)
-    place = spread(places)
-    t = (_heights(heights, place[..., 0], place[..., 1]) - z_middle) * z_inverse
-    c = spread(nodes)
-    cols[...] = ((c[..., 3] * t + c[..., 2]) * t + c[..., 1]) * t + c[..., 0]
-    rows[...] = ((c[..., 7] * t + c[..., 6]) * t + c[..., 5]) * t + c[..., 4]
-    cols[unwanted], rows[unwanted] = np.nan, np.nan
+    u = (np.arange(width) + 0.5) / n / step - i
+    group = (first_row + np.arange(height) // n) // 64
+    node_values, node_places = (_down(values, j, fv) for values in (nodes, places))
+    for cell in range(-(-width // (64 * n))):
+        part = slice(cell * 64 * n, min((cell + 1) * 64 * n, width))
+        wanted = need[group, cell] > 0
+        if not wanted.any():
+            cols[:, part], rows[:, part] = np.nan, np.nan
+            continue
+        c = _Across(node_values, i[part], u[part])
+        if flat:
+            cols[:, part], rows[:, part] = c[0], c[4]
+        else:
+            place = _Across(node_places, i[part], u[part])
+            t = (_heights(heights, place[0], place[1]) - z_middle) * z_inverse
+            cols[:, part] = ((c[3] * t + c[2]) * t + c[1]) * t + c[0]
+            rows[:, part] = ((c[7] * t + c[6]) * t + c[5]) * t + c[4]
+        cols[~wanted, part], rows[~wanted, part] = np.nan, np.nan
     return _span(cols, rows, size)
+
+
+def _down(values: FloatArray, j: AnyArray, fv: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Between rows of nodes: the left of each cell, and what is added to the right of it."""
+    if len(values) == 1:  # no places where heights play no part
+        return values, values
+    down = values[j] + (values[j + 1] - values[j]) * fv
+    return down[:, :-1], down[:, 1:] - down[:, :-1]
+
+
+class _Across:
+    """Coefficients (rows, cols) between columns of nodes, by number."""
+
+    def __init__(self, down: tuple[FloatArray, FloatArray], cells: AnyArray, u: FloatArray) -> None:
+        self.left, self.delta = down
+        self.cells: AnyArray | slice = cells
+        if cells[0] == cells[-1]:
+            self.cells = slice(int(cells[0]), int(cells[0]) + 1)
+        self.u = u
+
+    def __getitem__(self, number: int) -> FloatArray:
+        across: FloatArray = self.left[:, self.cells, number] + self.delta[:, self.cells, number] * self.u
+        return across
 
 
 def _span(cols: FloatArray, rows: FloatArray, size: tuple[int, int]) -> tuple[int, int, int, int]:

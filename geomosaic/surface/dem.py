@@ -185,6 +185,10 @@ class Dem:
         node = np.clip(colrow[inside] - 0.5, 0.0, (width - 1.0, height - 1.0))
         first = np.floor(node).astype(np.int64)
         weight = node - first
+        whole = self._nodes.whole
+        if whole is not None:
+            heights[inside] = bilinear(whole, first, weight)
+            return heights
         across = -(-width // BLOCK)
         number = (first[:, 1] // BLOCK) * across + first[:, 0] // BLOCK
         order = np.argsort(number, kind="stable")

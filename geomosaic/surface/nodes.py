@@ -90,6 +90,11 @@ class Nodes:
             nodes = self._all
         return nodes[window.row : window.stop_row, window.col : window.stop_col]
 
+    @property
+    def whole(self) -> Float32Array | None:
+        """All nodes, where they are kept."""
+        return self.read(self.window) if self._keep else None
+
     def _decode(self, window: Window) -> Float32Array:
         values, valid = self._source.read(window)
         heights = values[:, :, 0]
