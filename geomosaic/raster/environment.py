@@ -36,6 +36,10 @@ _SETTINGS: dict[str, Any] = {
     "GTIFF_REPORT_COMPD_CS": "YES",
     "GDAL_VRT_ENABLE_PYTHON": "NO",
     "VRT_VIRTUAL_OVERVIEWS": "NO",
+    # Inputs are files of this machine. No address is allowed, and the proxy that everything else would go through is
+    # of a kind that does not exist, which fails before a connection is tried.
+    "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
+    "GDAL_HTTP_PROXY": "none://none",
 }
 
 # Raw photos have no geo-reference. Said once for the process: filters cannot be changed for one thread alone.

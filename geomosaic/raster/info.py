@@ -18,6 +18,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geomosaic.errors import InputError, RasterReadError
 from geomosaic.raster.environment import READ_DRIVERS, environment
+from geomosaic.raster.local import check_files, named_files
 from geomosaic.types import PathLike
 
 DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
@@ -112,23 +113,27 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
     Raises
     ------
     RasterReadError
-        The file is missing, a folder, or no raster that can be read.
+        The file is missing, a folder, no raster that can be read, or one that reads from elsewhere than this machine.
     """
     file = Path(path)
     if not file.exists():
         raise RasterReadError("the file does not exist", where=str(path), mend="check the path")
     if file.is_dir():
         raise RasterReadError("this is a folder, not a raster", where=str(path), mend="name the file in it")
+    named_files(file)
     reason: Exception | None = None
     with environment(GTIFF_DIRECT_IO="YES" if direct else "NO"), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         for driver in READ_DRIVERS:
             try:
-                return rasterio.open(str(path), driver=driver)
+                dataset = rasterio.open(str(path), driver=driver)
             except (RasterioError, OSError) as error:
                 # The driver that knew the format says why; the others only that they do not know it.
                 if reason is None or "not recognized" in str(reason):
                     reason = error
+            else:
+                check_files(dataset, str(path))
+                return dataset
     raise RasterReadError(
         f"this is not a raster that can be read ({_short(reason or OSError('empty'))})",
         where=str(path),

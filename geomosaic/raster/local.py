@@ -1,0 +1,112 @@
+"""A raster may name other files (a VRT its sources, a TIFF its overviews): only files of this machine are read."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import rasterio
+from rasterio.errors import RasterioError
+
+from geomosaic.errors import RasterReadError
+from geomosaic.raster.environment import READ_DRIVERS, environment
+
+# GDAL knows these formats by such words in the first bytes of a file, whatever the file is called.
+_VRT, _DIMAP, _HEAD = b"<VRTDataset", b"<Dimap_Document", 4096
+# GDAL's virtual file systems, addresses, datasets written out as XML, and the prefixes of its drivers ("WMS:http").
+_ELSEWHERE = re.compile(r"^\s*<|^[\\/]vsi|://|^\w\w+:")
+_DEEPEST = 8
+
+
+def named_files(path: Path) -> tuple[Path, ...]:
+    """Files that a raster reads its pixels from besides itself: the sources of a VRT, and the sources of those.
+
+    They are looked for in the text of the file: opening it, GDAL would open them too, in any format it knows.
+
+    Raises
+    ------
+    RasterReadError
+        A source is no file of this machine, is of a format that is not read, or VRTs are nested deeper than anyone
+        would.
+    """
+    return _sources(path, 0)
+
+
+def check_files(dataset: Any, path: str) -> None:
+    """Refuse an open dataset that has come to read from elsewhere, by a sidecar or by what its format names inside."""
+    for name in dataset.files:
+        if name != path and _ELSEWHERE.search(name):
+            raise _elsewhere(name, path)
+
+
+def _sources(path: Path, depth: int) -> tuple[Path, ...]:
+    if depth > _DEEPEST:
+        raise RasterReadError(f"virtual rasters are nested more than {_DEEPEST} deep", where=str(path))
+    try:
+        stat = path.stat()
+        names = _names(path, stat.st_size, stat.st_mtime_ns, depth > 0)
+    except OSError as error:
+        raise RasterReadError(f"the file cannot be read ({error.strerror})", where=str(path)) from error
+    found: dict[Path, None] = {}
+    for name, relative, needed in names:
+        if _ELSEWHERE.search(name):
+            raise _elsewhere(name, str(path))
+        source = path.parent / name if relative else Path(name)
+        if source.is_file():
+            found.update(dict.fromkeys((source, *_sources(source, depth + 1))))
+        elif needed:
+            raise RasterReadError(
+                f"this virtual raster reads from '{name[:100]}', and there is no such file",
+                where=str(path),
+                mend="bring that file to its place, or make the virtual raster again",
+            )
+    return tuple(found)
+
+
+@lru_cache(maxsize=4096)
+def _names(path: Path, size: int, time: int, inside: bool) -> tuple[tuple[str, bool, bool], ...]:
+    """Other files that a file, as it was at that time, names: name, from its folder or not, must be there or not."""
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    if _VRT not in head and _DIMAP not in head:
+        if inside:
+            _readable(path)
+        return ()
+    try:
+        root = ElementTree.fromstring(path.read_bytes())
+    except ElementTree.ParseError as error:
+        raise RasterReadError(f"the text of this raster is damaged ({error})", where=str(path)) from error
+    found = []
+    for element in root.iter():
+        if element.tag in ("SourceFilename", "SourceDataset") and element.text:
+            relative = element.get("relativeToVRT") or element.get("relativetoVRT") or "0"
+            found.append((element.text.strip(), relative not in ("0", "false", "NO"), True))
+        if element.tag in ("DATA_FILE_PATH", "COMPONENT_PATH"):
+            found.append((element.get("href", ""), True, False))
+    return tuple(found)
+
+
+def _readable(path: Path) -> None:
+    """Refuse a source of a format that is not read; some of the others fetch addresses that a file names."""
+    with environment():
+        for driver in READ_DRIVERS:
+            with suppress(RasterioError, OSError):
+                rasterio.open(str(path), driver=driver).close()
+                return
+    raise RasterReadError(
+        "this source of a virtual raster is not a raster that can be read",
+        where=str(path),
+        mend=f"check that it is whole and of a known format ({', '.join(READ_DRIVERS)})",
+    )
+
+
+def _elsewhere(name: str, where: str) -> RasterReadError:
+    return RasterReadError(
+        f"this raster reads from '{name[:100]}', which is no file of this machine",
+        where=where,
+        mend="copy that data here first and name the copy; geomosaic fetches nothing",
+    )
