@@ -118,9 +118,16 @@ def test_a_draft_tells_reconstructions_apart(sample: Path, tmp_path: Path) -> No
     """OpenDroneMap leaves OpenSfM's own beside the one that it has brought to its map."""
     given = inputs(sample, camera=None, exterior=reconstruction(tmp_path), crs=None, heights=None)
     draft = draft_project(tmp_path / "p.toml", given, None)
-    assert 'angles = "opensfm"' in draft.text
-    assert any("OpenDroneMap odm: say --angles" in line for line in draft.understood)
-    assert not draft.needed
+    assert '\n# angles = "odm"    # NEEDED: opensfm (' in draft.text
+    assert "camera" not in draft.text
+    assert [text.split(":")[0] for text in draft.needed] == ["the angle system of the reconstruction"]
+    assert not any("angle system" in line for line in draft.understood)
+    framed = replace(given, crs=UTM, heights="ellipsoidal")
+    assert any("NEEDED" in line for line in draft_project(tmp_path / "p.toml", framed, None).text.splitlines())
+    with pytest.raises(InputError, match="angle system is not declared") as caught:
+        build_block(framed)
+    assert "opensfm" in str(caught.value.mend)
+    assert not draft_project(tmp_path / "p.toml", replace(given, angles="opensfm"), "opensfm").needed
     own = reconstruction(tmp_path, "reconstruction.topocentric.json")
     draft = draft_project(tmp_path / "p.toml", given, None)
     assert 'angles = "odm"' in draft.text

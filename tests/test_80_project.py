@@ -50,7 +50,6 @@ def test_blanks_in_quotes_comments_and_other_names_of_columns(tmp_path):
     table = read_exterior(write(tmp_path / "e.csv", text), "rpy")
     assert table.row("100_18").position == (120.25, 24.5, 186.5)
     assert table.row("/some/where/100_36.TIF").angles["yaw"] == -175.8
-    assert table.unused(["100_18.tif"]) == ["100_36.tif"]
 
 
 def test_a_header_may_start_with_a_hash(tmp_path):

@@ -10,7 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import OutputError, OutputExistsError
-from geomosaic.project.exterior import RECONSTRUCTIONS, SYSTEM_NAMES, SYSTEMS, systems_of
+from geomosaic.project.exterior import (
+    RECONSTRUCTION_SYSTEM,
+    RECONSTRUCTIONS,
+    SYSTEM_NAMES,
+    SYSTEMS,
+    systems_of,
+    undeclared_reconstruction,
+)
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.names import stem
 from geomosaic.project.needs import HEIGHTS, needs
@@ -38,20 +45,21 @@ def draft_project(path: Path, inputs: BlockInputs, angles: str | None) -> Draft:
     inputs : BlockInputs
         What is known.
     angles : str or None
-        Angle system as declared; read off the columns of the table where it is not.
+        Angle system as declared; read off the columns of the table where it is not. A reconstruction does not say
+        whose it is: its system stays open unless the names of the files tell.
 
     Raises
     ------
     InputError
         A file that was given cannot be read.
     """
-    guessed = None
+    read = None
     if inputs.exterior is not None and angles is None:
-        guessed = _system(inputs.exterior)
-        inputs = replace(inputs, angles=guessed)
+        read = _system(inputs.exterior)
+        inputs = replace(inputs, angles=read or inputs.angles)
     needed = needs(inputs)
-    text = _text(path, inputs, guessed is not None)
-    return Draft(path, text, _understood(inputs, guessed), needed)
+    text = _text(path, inputs, read is not None)
+    return Draft(path, text, _understood(inputs, read), needed)
 
 
 def write_project(draft: Draft, *, overwrite: bool = False) -> None:
@@ -67,31 +75,33 @@ def write_project(draft: Draft, *, overwrite: bool = False) -> None:
         raise OutputError(f"cannot be written: {error.strerror}", where=str(draft.path)) from error
 
 
-def _system(table: Path) -> str:
-    """Angle system whose columns a table has; omega-phi-kappa where none fits, for its error."""
+def _system(table: Path) -> str | None:
+    """Angle system whose columns a table has, omega-phi-kappa where none fits, for its error; None if nothing tells."""
     if table.suffix.lower() == ".json":
-        # OpenDroneMap keeps OpenSfM's own beside the one that it has brought to its map.
+        # OpenDroneMap keeps OpenSfM's own, under this name, beside the one that it has brought to its map.
         own = "reconstruction.topocentric.json"
-        return "odm" if table.name != own and table.with_name(own).is_file() else "opensfm"
+        if table.name == own:
+            return "opensfm"
+        return "odm" if table.with_name(own).is_file() else None
     fitting = systems_of(read_table(table, "orientation table", "image,x,y,z,omega,phi,kappa"))
     return fitting[0] if fitting else "opk"
 
 
-def _understood(inputs: BlockInputs, guessed: str | None) -> list[str]:
+def _understood(inputs: BlockInputs, read: str | None) -> list[str]:
     lines = understood(inputs)
-    if guessed in RECONSTRUCTIONS:
-        lines.append(
-            f"angle system: {guessed}, for a .json file; OpenSfM writes opensfm, OpenDroneMap odm: say --angles if so"
-        )
-    elif guessed is not None:
-        others = [name for name, columns in SYSTEMS.items() if name != guessed and {*columns} == {*SYSTEMS[guessed]}]
+    if read in RECONSTRUCTIONS:
+        lines.append(f"angle system: {read}, by the name of OpenDroneMap's reconstruction.topocentric.json")
+    elif read is not None:
+        others = [name for name, columns in SYSTEMS.items() if name != read and {*columns} == {*SYSTEMS[read]}]
         doubt = f"; the columns would also fit {', '.join(others)}: say --angles if so" if others else ""
-        lines.append(f"angle system: {guessed}, from the columns of the table{doubt}")
+        lines.append(f"angle system: {read}, from the columns of the table{doubt}")
     return lines
 
 
-def _text(path: Path, inputs: BlockInputs, guessed: bool) -> str:
+def _text(path: Path, inputs: BlockInputs, read: bool) -> str:
     folder = path.absolute().parent
+    undeclared = undeclared_reconstruction(inputs.exterior, inputs.angles)
+    reconstruction = undeclared or inputs.angles in RECONSTRUCTIONS
 
     def near(file: Path) -> str:
         return _string(relative(file, folder))
@@ -110,7 +120,7 @@ def _text(path: Path, inputs: BlockInputs, guessed: bool) -> str:
     ]
     if inputs.camera is not None:
         lines.append(f"camera = {near(inputs.camera)}")
-    elif inputs.sensor == "frame" and inputs.angles not in RECONSTRUCTIONS:
+    elif inputs.sensor == "frame" and not reconstruction:
         lines.append('# camera = "camera.toml"    # NEEDED')
     lines += [f"{key} = {_value(value)}" for key, value in inputs.options.items()]
     lines += ["", "[exterior]"]
@@ -119,7 +129,7 @@ def _text(path: Path, inputs: BlockInputs, guessed: bool) -> str:
     elif inputs.sensor != "planar":
         lines.append('# file = "exterior.csv"    # NEEDED: image, x, y, z, omega, phi, kappa')
     frames = "x and y here and of the control points"
-    needed = "" if inputs.sensor == "planar" else "NEEDED: "
+    needed = "NEEDED with odm: " if undeclared else "" if inputs.sensor == "planar" else "NEEDED: "
     lines.append(
         f"crs = {_string(inputs.crs)}    # of {frames}"
         if inputs.crs
@@ -130,11 +140,12 @@ def _text(path: Path, inputs: BlockInputs, guessed: bool) -> str:
         if inputs.heights
         else f'# heights = "egm96"    # {needed}vertical datum of z: {HEIGHTS}'
     )
-    if inputs.exterior is not None:
-        read = "guessed; " if guessed and inputs.angles in RECONSTRUCTIONS else "read off the columns; "
-        read = read if guessed else ""
-        lines.append(f"angles = {_string(inputs.angles)}    # {read}{SYSTEM_NAMES.get(inputs.angles, '')}")
-        if inputs.angles not in RECONSTRUCTIONS:
+    if undeclared:
+        lines.append(f'# angles = "odm"    # NEEDED: {RECONSTRUCTION_SYSTEM}')
+    elif inputs.exterior is not None:
+        off = f"read off the {'name of the file' if reconstruction else 'columns'}; " if read else ""
+        lines.append(f"angles = {_string(inputs.angles)}    # {off}{SYSTEM_NAMES.get(inputs.angles, '')}")
+        if not reconstruction:
             unit = inputs.angle_unit
             lines.append(f"angle_unit = {_string(unit)}" if unit else '# angle_unit = "deg"    # deg, gon or rad')
         lines += [

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 from geomosaic.errors import InputError
 from geomosaic.project.names import did_you_mean, find_by_name, missing_row, stem
@@ -41,6 +42,11 @@ SYSTEM_NAMES: Mapping[str, str] = {
 
 RECONSTRUCTIONS = ("opensfm", "odm")
 """Angle systems whose file is no table: the sensor reads camera and orientation from `reconstruction.json`."""
+
+RECONSTRUCTION_SYSTEM = (
+    "opensfm (OpenSfM's own, from its reference) or odm (OpenDroneMap's, brought to its map: needs crs and heights)"
+)
+"""The choice between them, which the file does not say."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +86,10 @@ class ExteriorTable:
             raise missing_row(self.path, image, [stem(name) for name in self.rows])
         return found
 
-    def unused(self, images: Iterable[str]) -> list[str]:
-        """Names in the table that belong to none of the images."""
-        used = {row.image for row in (find_by_name(self.rows, image) for image in images) if row}
-        return [name for name in self.rows if name not in used]
+
+def undeclared_reconstruction(path: PathLike | None, system: str) -> bool:
+    """Whether a file is a reconstruction, and nothing says whose: the two kinds look the same inside."""
+    return path is not None and Path(path).suffix.lower() == ".json" and system not in RECONSTRUCTIONS
 
 
 def read_exterior(path: PathLike, system: str) -> ExteriorTable:
@@ -106,6 +112,12 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
             f"no angle system named '{system}'",
             where=str(path),
             mend=f"{did_you_mean(system, SYSTEM_NAMES)} Known are: {', '.join(SYSTEM_NAMES)}".strip(),
+        )
+    if undeclared_reconstruction(path, system):
+        raise InputError(
+            "this is a reconstruction, and its angle system is not declared",
+            where=str(path),
+            mend=f"declare it, --angles on the command line, angles under [exterior]: {RECONSTRUCTION_SYSTEM}",
         )
     columns = SYSTEMS[system]
     wanted = ("image", "x", "y", "z", *columns)

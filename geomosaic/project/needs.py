@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from geomosaic.geo.crs import has_heights
-from geomosaic.project.exterior import RECONSTRUCTIONS
+from geomosaic.project.exterior import RECONSTRUCTION_SYSTEM, RECONSTRUCTIONS, undeclared_reconstruction
 from geomosaic.project.frames import named
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.raster.info import inspect
@@ -22,8 +22,11 @@ def needs(inputs: BlockInputs) -> list[str]:
                 )
                 break
         return found
-    reconstruction = inputs.angles in RECONSTRUCTIONS
-    framed = inputs.angles == "opensfm"  # it says itself what it counts from
+    undeclared = undeclared_reconstruction(inputs.exterior, inputs.angles)
+    reconstruction = undeclared or inputs.angles in RECONSTRUCTIONS
+    framed = undeclared or inputs.angles == "opensfm"  # it says itself what it counts from
+    if undeclared:
+        found.append(f"the angle system of the reconstruction: [exterior] angles: {RECONSTRUCTION_SYSTEM}")
     if inputs.sensor == "frame" and inputs.camera is None and not reconstruction:
         found.append("the camera: [sensor] camera, a TOML file (see `geomosaic sensors frame`)")
     if inputs.sensor == "frame" and inputs.exterior is None:

@@ -10,6 +10,7 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import has_heights
 from geomosaic.project.build import build_block
 from geomosaic.project.control import read_control
+from geomosaic.project.exterior import undeclared_reconstruction
 from geomosaic.project.frames import crs_name, describe
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, plan
@@ -21,7 +22,8 @@ from geomosaic.raster.info import inspect
 def understood(inputs: BlockInputs) -> list[str]:
     """Describe images, positions, DEM and control points; where the block is complete, its place and sampling."""
     lines = _images(inputs)
-    if inputs.exterior is not None and inputs.crs is not None:
+    known = not undeclared_reconstruction(inputs.exterior, inputs.angles)
+    if inputs.exterior is not None and inputs.crs is not None and known:
         photos, crs = photos_of(inputs)
         lines.append(f"positions: {describe(crs)}")
         lines += _positions(photos, inputs.angle_unit or "deg")
