@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pyproj import CRS
 
 from geomosaic.sensor.sanity import unit_suspicion
 from geomosaic.types import FloatArray
@@ -51,3 +52,20 @@ def test_nothing_is_said_without_evidence() -> None:
     assert unit_suspicion(np.empty((0, 3)), np.empty((0, 3))) is None
     angles[:, 2] = np.random.default_rng(2).uniform(-180, 180, len(angles))  # hand-held: kappa follows nothing
     assert unit_suspicion(angles, places) is None
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:4979", "EPSG:4326+5773", "EPSG:4807"])
+@pytest.mark.parametrize("heading", [40.0, 140.0])
+def test_a_map_in_degrees_is_not_taken_for_a_square_one(crs: str, heading: float) -> None:
+    """At 65° north a degree of longitude is 0.42 of one of latitude: a heading of 40° would be read as 63°."""
+    angles, places = flight(heading)
+    named = CRS(crs)
+    degree = np.degrees(named.axis_info[0].unit_conversion_factor)
+    y = (65.0 + places[:, 1] / 111_200) / degree
+    x = (15.0 + places[:, 0] / (111_200 * np.cos(np.radians(65.0)))) / degree
+    places = np.column_stack([x, y, places[:, 2]])
+    assert unit_suspicion(angles, places, named) is None
+    text = unit_suspicion(np.radians(angles), places, named)
+    assert text is not None
+    assert "angle_unit = 'rad'" in text
+    assert unit_suspicion(np.radians(angles), places) is None  # the same numbers on a square map tell nothing

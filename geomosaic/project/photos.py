@@ -56,5 +56,5 @@ def photos_of(inputs: BlockInputs) -> tuple[list[Photo], CRS | None]:
         return [Photo(path, info, None) for path, info in zip(inputs.images, infos, strict=True)], crs
     photos = [Photo(path, info, table.row(path.name)) for path, info in zip(inputs.images, infos, strict=True)]
     # The whole table: one image alone tells nothing of the unit, its neighbours do.
-    check_units(table, inputs.angle_unit, list(table.rows.values()))
+    check_units(table, inputs.angle_unit, list(table.rows.values()), crs)
     return photos, crs

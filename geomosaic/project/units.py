@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from pyproj import CRS
 
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.project.exterior import Exterior, ExteriorTable
@@ -23,7 +24,7 @@ HEADINGS: Mapping[str, tuple[tuple[str, float], ...]] = {
 """Two tilts and the turn of each system, the turn counted counter-clockwise as kappa is, up to multiples of 90°."""
 
 
-def check_units(table: ExteriorTable, unit: str | None, rows: Sequence[Exterior]) -> None:
+def check_units(table: ExteriorTable, unit: str | None, rows: Sequence[Exterior], crs: CRS | None = None) -> None:
     """Stop where angles without a declared unit look as if they were not in degrees; note it where one is declared.
 
     Parameters
@@ -33,6 +34,8 @@ def check_units(table: ExteriorTable, unit: str | None, rows: Sequence[Exterior]
         As declared; None is degrees.
     rows : sequence of Exterior
         Those that tell of the unit: all of the table.
+    crs : CRS, optional
+        Of the positions.
     """
     if unit is not None and unit not in TO_DEGREES:
         raise InputError(f"no angle unit named '{unit}'", mend=f"use one of {', '.join(TO_DEGREES)}")
@@ -43,7 +46,7 @@ def check_units(table: ExteriorTable, unit: str | None, rows: Sequence[Exterior]
 
     given = np.array([[sign * row.angles[name] for name, sign in turns] for row in rows])
     angles = given * TO_DEGREES[unit or "deg"]
-    text = unit_suspicion(angles, np.array([row.position for row in rows]))
+    text = unit_suspicion(angles, np.array([row.position for row in rows]), crs)
     if text is None and half_turns_in_radians(angles):
         text = "the angles look like radians: read as degrees, no tilt reaches 0.15° and every heading is near 0 or π"
     if text is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from pyproj import CRS
 
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.local import enu_axes
@@ -30,13 +31,7 @@ def centre_dip(model: SensorModel) -> float | None:
     return float(-np.degrees(np.arcsin(np.clip(directions[0] @ up, -1.0, 1.0))))
 
 
-def looks_up(model: SensorModel) -> bool:
-    """Whether the ray through the image's centre does not go below the horizon; False for models without rays."""
-    dip = centre_dip(model)
-    return dip is not None and not dip > 0.0
-
-
-def unit_suspicion(angles_deg: FloatArray, positions: FloatArray) -> str | None:
+def unit_suspicion(angles_deg: FloatArray, positions: FloatArray, crs: CRS | None = None) -> str | None:
     """Say which unit the angles of a block probably have, when degrees do not fit the flight and another unit does.
 
     A frame camera is mounted along or across the aircraft, so kappa, counter-clockwise from the map's x axis, is the
@@ -48,6 +43,8 @@ def unit_suspicion(angles_deg: FloatArray, positions: FloatArray) -> str | None:
         Omega, phi, kappa as given, taken for degrees.
     positions : array (N, 3) or (N, 2)
         Projection centres in map units.
+    crs : CRS, optional
+        Of the positions. Where it counts in degrees, a unit of longitude is shorter than one of latitude.
 
     Returns
     -------
@@ -57,7 +54,10 @@ def unit_suspicion(angles_deg: FloatArray, positions: FloatArray) -> str | None:
     angles, places = np.asarray(angles_deg, dtype=np.float64), np.asarray(positions, dtype=np.float64)
     good = np.isfinite(angles).all(axis=1) & np.isfinite(places).all(axis=1)
     angles, places = angles[good], places[good, :2]
-    flight = _flight_directions(places)
+    shrink = np.ones(len(places))
+    if crs is not None and crs.is_geographic:
+        shrink = np.cos(places[:, 1] * crs.axis_info[0].unit_conversion_factor)
+    flight = _flight_directions(places, shrink)
     known = np.isfinite(flight)
     if np.count_nonzero(known) < 2:
         return None
@@ -78,11 +78,14 @@ def _sentence(unit: str, name: str) -> str:
     )
 
 
-def _flight_directions(xy: FloatArray) -> FloatArray:
-    """Direction in degrees, counter-clockwise from x, from each point to its nearest other point; NaN without one."""
+def _flight_directions(xy: FloatArray, shrink: FloatArray) -> FloatArray:
+    """Direction in degrees, counter-clockwise from x, from each point to its nearest other point; NaN without one.
+
+    `shrink` is the length of a unit of x at each point, in units of y: the cosine of the latitude in a map in degrees.
+    """
     directions = np.full(len(xy), np.nan)
     for i, place in enumerate(xy):
-        step = xy - place
+        step = (xy - place) * (shrink[i], 1.0)
         distance = np.hypot(step[:, 0], step[:, 1])
         distance[distance == 0.0] = np.inf
         if len(xy) > 1 and np.isfinite(distance.min()):
