@@ -121,11 +121,21 @@ def sample(
     col0, row0, shrink, width, height = place
     with np.errstate(invalid="ignore"):
         inside = (cols >= 0.0) & (rows >= 0.0) & (cols < width) & (rows < height)
+    if name == "bilinear" and n == 1 and not masked and source.dtype == np.uint8:
+        seen = ... if inside.all() else inside
+        units = _bilinear_bytes(source, (cols[seen] - col0) / shrink, (rows[seen] - row0) / shrink)
+        if whole and out.dtype == np.uint8 and (gain == 1.0).all() and (offset == 0.0).all():
+            out[seen] = (units + 2097152) >> 22
+        else:
+            exact = units / 4194304.0 * gain + offset
+            out[seen] = np.clip(np.floor(exact + 0.5), low, high) if whole else exact
+        out_valid[seen] = 1
+        return
     x, y = (cols[inside] - col0) / shrink, (rows[inside] - row0) / shrink
     if masked:
-        seen = valid[y.astype(np.int64), x.astype(np.int64)] > 0
-        inside[inside] = seen
-        x, y = x[seen], y[seen]
+        known = valid[y.astype(np.int64), x.astype(np.int64)] > 0
+        inside[inside] = known
+        x, y = x[known], y[known]
     values = _VALUES[name](source, valid, masked, x, y)
     if n > 1:
         bands, (sub_rows, sub_cols) = source.shape[2], cols.shape
@@ -174,6 +184,22 @@ def _bilinear(source: AnyArray, valid: AnyArray, masked: bool, x: FloatArray, y:
                 total = total + share
                 mean = mean + np.where(share > 0.0, share * source[tap][part], 0.0)
             values[part] = mean / total
+    return values
+
+
+def _bilinear_bytes(source: AnyArray, x: FloatArray, y: FloatArray) -> AnyArray:
+    """Bilinear values (..., bands) of eight bits in whole units of 2⁻²², in a fraction of the time."""
+    height, width, bands = source.shape
+    i, j = (x + 0.5).astype(np.int32) - 1, (y + 0.5).astype(np.int32) - 1
+    a, b = ((x - 0.5 - i) * 2048.0 + 0.5).astype(np.int32), ((y - 0.5 - j) * 2048.0 + 0.5).astype(np.int32)
+    a, b = a[..., None], b[..., None]
+    i0, i1 = np.maximum(i, 0), np.minimum(i + 1, width - 1)
+    j0, j1 = np.maximum(j, 0) * width, np.minimum(j + 1, height - 1) * width
+    pixels = source.reshape(-1, bands)
+    top, low = (pixels.take(row + i0, axis=0).astype(np.int32) for row in (j0, j1))
+    top = top * 2048 + (pixels.take(j0 + i1, axis=0) - top) * a
+    low = low * 2048 + (pixels.take(j1 + i1, axis=0) - low) * a
+    values: AnyArray = top * 2048 + (low - top) * b
     return values
 
 
