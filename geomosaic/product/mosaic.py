@@ -164,7 +164,7 @@ def _render(
                     driver=render.driver, overwrite=render.overwrite, threads=render.threads,
                 )
             )  # fmt: skip
-        for done, (window, made) in enumerate(in_order(unit, units, render.threads)):
+        for done, (window, made) in enumerate(in_order(unit, units, blender.engine.threads(render.threads))):
             sink.write(window, made.values, made.valid, blank=render.nodata is None)
             if label_sink is not None:
                 label_sink.write(window, made.label[..., None], made.valid, blank=True)

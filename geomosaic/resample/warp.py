@@ -53,6 +53,10 @@ class Engine:
     finish: Callable[..., None]
     quick: Mapping[str, Callable[..., int]]
 
+    def threads(self, most: int) -> int:
+        """Threads that are worth starting: NumPy's small steps would only wait for each other."""
+        return most if self.quick else 1
+
 
 def numpy_engine() -> Engine:
     """Kernels in NumPy: nothing to start, slow on large jobs."""
