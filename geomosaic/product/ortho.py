@@ -156,7 +156,8 @@ def ortho(
             descriptions=info.descriptions,
             tags={"GEOMOSAIC_SENSOR": scene.sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
         ) as sink:
-            for done, (unit, (values, valid, facts)) in enumerate(in_order(render, units, engine.threads(options.threads))):
+            threads = engine.threads(options.threads)
+            for done, (unit, (values, valid, facts)) in enumerate(in_order(render, units, threads)):
                 sink.write(unit, values, valid, blank=options.nodata is None)
                 seen += int(np.count_nonzero(valid.view(np.bool_)))
                 for fact in facts:
