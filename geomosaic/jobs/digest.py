@@ -67,12 +67,13 @@ def ingredients(
 ) -> dict[str, str]:
     """Everything a step's result depends on, each with its digest, so that a change can be named."""
     parts = {"step": f"{name} {step_version}"}
-    parts |= {f"parameter {key}": _digest(value) for key, value in parameters.items()}
+    parts |= {f"parameter {key}": digest_of(value) for key, value in parameters.items()}
     parts |= {f"file {path}": digest for path, digest in files.items()}
     parts |= {f"library {library}": found for library, found in versions().items()}
     return parts
 
 
-def _digest(value: Any) -> str:
+def digest_of(value: Any) -> str:
+    """SHA-256 of a value as JSON; what JSON does not know counts by its text."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), default=str)
     return hashlib.sha256(text.encode()).hexdigest()

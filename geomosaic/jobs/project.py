@@ -11,6 +11,7 @@ from typing import Any
 from geomosaic.errors import QualityError
 from geomosaic.jobs import engine
 from geomosaic.jobs.atomic import read_json
+from geomosaic.jobs.depends import plugin_versions, with_companions
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Job, Machine, Progress, State, Step
 from geomosaic.jobs.steps.check import check, failure
@@ -24,9 +25,11 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     """Make the job: orient, mosaic, orthos (where wanted), check, report."""
     machine = machine or Machine()
     layout, settings, inputs = Layout(project), project.settings, project.inputs
-    tables, ground = inputs.tables, inputs.ground
     against = project.file(settings.quality.reference)
-    reference = (against,) if against is not None else ()
+    images, said_of_images = with_companions(project, project.images, inputs.bands)
+    ground, said_of_ground = with_companions(project, inputs.ground)
+    reference, said_of_reference = with_companions(project, (against,) if against is not None else ())
+    tables = inputs.tables
     orientation: dict[str, Any] = {
         "sensor": settings.sensor.model_dump(mode="json"),
         "exterior": settings.exterior.model_dump(mode="json"),
@@ -34,6 +37,9 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         "images": [path.name for path in project.images],
         "nodata": settings.project.nodata,
         "bands": settings.project.bands,
+        **plugin_versions(settings.sensor.name),
+        **said_of_images,
+        **said_of_ground,
     }
     place: dict[str, Any] = {"output": settings.output.model_dump(mode="json", exclude={"folder", "orthos"})}
     blend: dict[str, Any] = {"mosaic": settings.mosaic.model_dump(mode="json")}
@@ -47,14 +53,14 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             "orient",
             partial(orient, project),
             orientation,
-            (*project.images, *tables, *ground),
+            (*images, *tables, *ground),
             oriented,
         ),
         Step(
             "mosaic",
             partial(mosaic, project, machine),
             {**orientation, **place, **blend},
-            (*project.images, *ground, *layout.models),
+            (*images, *ground, *layout.models),
             (*rasters, layout.facts("mosaic")),
         ),
     ]
@@ -64,7 +70,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
                 "orthos",
                 partial(orthos, project, machine),
                 {**orientation, **place},
-                (*project.images, *ground, *layout.models),
+                (*images, *ground, *layout.models),
                 every_ortho,
             )
         )
@@ -72,7 +78,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         Step(
             "check",
             partial(check, project),
-            {"quality": settings.quality.model_dump(mode="json")},
+            {"quality": settings.quality.model_dump(mode="json"), **said_of_reference},
             (layout.mosaic, *reference, layout.facts("orient"), layout.facts("mosaic")),
             (layout.facts("check"),),
         ),
@@ -81,7 +87,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             partial(report, project),
             {"name": project.name},
             (
-                project.path, *project.images, *tables, *ground, *reference, *rasters, *every_ortho,
+                project.path, *images, *tables, *ground, *reference, *rasters, *every_ortho,
                 *(layout.facts(name) for name in ("orient", "mosaic", "check")),
             ),
             (layout.report, layout.report_json),

@@ -71,14 +71,10 @@ class BlockInputs:
     bands: tuple[int, ...] | None = None
 
     @property
-    def files(self) -> tuple[Path, ...]:
-        """Every file that is read."""
-        return (*self.images, *self.tables, *self.ground)
-
-    @property
     def tables(self) -> tuple[Path, ...]:
         """Files that say how the images were taken."""
-        return tuple(path for path in (self.camera, self.exterior, self.control, _grid(self.heights)) if path)
+        own = (self.camera, self.exterior, self.control, _grid(self.heights))
+        return (*(path for path in own if path), *_named_in(self.options, self.base))
 
     @property
     def ground(self) -> tuple[Path, ...]:
@@ -89,3 +85,15 @@ class BlockInputs:
 def _grid(heights: str | None) -> Path | None:
     """Path of a geoid grid, where a vertical datum is given as one."""
     return Path(heights) if heights and heights.lower().endswith((".tif", ".gtx")) else None
+
+
+def _named_in(value: Any, base: Path) -> tuple[Path, ...]:
+    """Files that the inputs of a sensor name, at any depth."""
+    if isinstance(value, Mapping):
+        return tuple(path for item in value.values() for path in _named_in(item, base))
+    if isinstance(value, list):
+        return tuple(path for item in value for path in _named_in(item, base))
+    try:
+        return (base / value,) if isinstance(value, str) and value and (base / value).is_file() else ()
+    except (OSError, ValueError):  # too long, or not what a name can be
+        return ()

@@ -1,0 +1,44 @@
+"""What steps depend on that no project file names: files beside the rasters, and the code of sensor plugins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from geomosaic.errors import GeomosaicError
+from geomosaic.jobs.digest import digest_of
+from geomosaic.project.load import Project
+from geomosaic.raster.companions import companions
+from geomosaic.sensor.registry import installed
+
+
+def with_companions(
+    project: Project, rasters: Sequence[Path], bands: Sequence[int] | None = None
+) -> tuple[tuple[Path, ...], dict[str, str]]:
+    """Rasters and the files beside them that count, and a digest of what each says of itself, under words for people.
+
+    A world file or a mask that comes, goes or changes makes a step stale, statistics in a .aux.xml do not. A raster
+    that cannot be opened has nothing beside it; the step that reads it says what is wrong.
+    """
+    files: dict[Path, None] = {}
+    said: dict[str, str] = {}
+    for raster in rasters:
+        files[raster] = None
+        try:
+            found = companions(raster, bands)
+        except GeomosaicError:
+            continue
+        files.update(dict.fromkeys(found.files))
+        name = raster.relative_to(project.folder) if raster.is_relative_to(project.folder) else raster
+        said[f"georeference or kind of {name.as_posix()}"] = digest_of(asdict(found.said))
+    return tuple(files), said
+
+
+def plugin_versions(sensor: str) -> dict[str, str]:
+    """Version of the distribution that a sensor comes from; geomosaic's own counts for every step already."""
+    return {
+        f"version of {entry.distribution}": entry.version
+        for entry in installed()
+        if entry.name == sensor and entry.distribution != "geomosaic"
+    }
