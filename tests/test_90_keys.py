@@ -10,6 +10,7 @@ import pytest
 import rasterio
 from PIL import Image
 
+from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.project import job_of, run_project, status_of
 from geomosaic.project.load import load_project
 from geomosaic.raster.companions import companions
@@ -51,6 +52,25 @@ def project(tmp_path: Path) -> Path:
 
 def stale(file: Path) -> dict[str, str]:
     return {state.name: state.reason for state in status_of(load_project(file)) if not state.fresh}
+
+
+def test_images_that_differ_in_their_extension_have_an_ortho_each(project):
+    own = load_project(project)
+    assert [path.name for path in Layout(own).orthos] == ["a.tif", "b.tif", "virtual.tif"]
+    for name in ("A.bmp", "a.png.bmp"):
+        (project.parent / name).write_bytes((project.parent / "in" / "c.bmp").read_bytes())
+    (project.parent / "A.bpw").write_text(WORLD.format(400401))
+    (project.parent / "a.png.bpw").write_text(WORLD.format(400501))
+    project.write_text(PROJECT.replace('"*.png"', '"*.png", "*.bmp"') + "orthos = true\n")
+    layout = Layout(load_project(project))
+    run_project(layout.project)
+    names = [path.name for path in layout.orthos]
+    assert names == ["a.png.tif", "b.png.tif", "A.bmp.tif", "a.png.bmp.tif", "virtual.tif.tif"]
+    lefts = []
+    for path in layout.orthos:
+        with rasterio.open(path) as image:
+            lefts.append(image.bounds.left)
+    assert lefts == [400000, 400200, 400400, 400500, 400300]
 
 
 def test_nothing_is_stale_after_a_run_nor_after_a_move(project):

@@ -22,8 +22,10 @@ class Layout:
 
     @property
     def orthos(self) -> tuple[Path, ...]:
-        """Ortho of each image."""
-        return tuple(self.project.output / "orthos" / f"{path.stem}.tif" for path in self.project.images)
+        """Ortho of each image: its name without extension, or with it where two would else be one file."""
+        images = self.project.images
+        short = len({path.stem.casefold() for path in images}) == len(images)  # some file systems know no capitals
+        return tuple(self.project.output / "orthos" / f"{path.stem if short else path.name}.tif" for path in images)
 
     @property
     def mosaic(self) -> Path:
