@@ -73,9 +73,24 @@ def test_signed_distance() -> None:
     mask = np.zeros((5, 9), dtype=bool)
     mask[:, 4:] = True
     # The edge lies between the cells: half a cell from both centres.
-    assert signed_distance(mask)[2].tolist() == [-3.5, -2.5, -1.5, -0.5, 0.5, 1.5, 2.5, 3.5, 4.5]
-    assert np.isposinf(signed_distance(np.ones((2, 2), dtype=bool))).all()
-    assert np.isneginf(signed_distance(np.zeros((2, 2), dtype=bool))).all()
+    assert signed_distance(mask, 9.0)[2].tolist() == [-3.5, -2.5, -1.5, -0.5, 0.5, 1.5, 2.5, 3.5, 4.5]
+    assert np.isposinf(signed_distance(np.ones((2, 2), dtype=bool), 9.0)).all()
+    assert np.isneginf(signed_distance(np.zeros((2, 2), dtype=bool), 9.0)).all()
+
+
+@pytest.mark.parametrize("reach", [1.0, 5.0, 16.0, 60.0])
+@pytest.mark.parametrize("share", [0.002, 0.5, 0.999])
+def test_distances_are_exact_as_far_as_is_asked(reach: float, share: float) -> None:
+    from scipy.ndimage import distance_transform_edt
+
+    mask = np.random.default_rng(7).random((90, 130)) < share
+    exact = np.where(mask, distance_transform_edt(mask) - 0.5, 0.5 - distance_transform_edt(~mask))
+    found = signed_distance(mask, reach)
+    near = np.abs(exact) <= reach
+    assert near.sum() > 20
+    np.testing.assert_allclose(found[near], exact[near], rtol=1e-12)
+    assert (np.abs(found[~near]) > reach).all()
+    assert (np.sign(found) == np.sign(exact)).all()
 
 
 def halves(size: int = 80) -> np.ndarray:
@@ -159,7 +174,7 @@ def test_the_ramp_at_a_footprints_edge_is_seen_from_the_next_block() -> None:
 
 def test_what_is_known_need_not_be_given() -> None:
     label, everywhere = halves(), np.ones((20, 80), dtype=bool)
-    distance = signed_distance(label == 1)
+    distance = signed_distance(label == 1, 10.0)
     for index, known in ((1, distance), (0, -distance)):
         plain = weights(label, index, everywhere, 20.0, 1)
         assert np.array_equal(weights(label, index, None, 20.0, 1), plain)

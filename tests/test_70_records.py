@@ -37,7 +37,7 @@ def made(folder: Path, grid: Grid, name: str = "m.stac.json", *, overwrite: bool
     os.utime(image, (1_600_000_000, 1_600_000_000))
     left, bottom, right, top = grid.bounds
     outline = shapely.box(left, bottom, right, top)
-    write_item(folder / name, mosaic, None, None, grid, [outline], [image], overwrite=overwrite)
+    write_item(folder / name, mosaic, None, None, grid, [outline], [image], {}, overwrite=overwrite)
     return json.loads((folder / name).read_text())
 
 

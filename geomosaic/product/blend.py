@@ -148,7 +148,7 @@ class Blender:
         label = burn([(self.seams.regions[i], i) for i in close], reduced)
         distance: dict[int, AnyArray] = {}
         if feather > 0 and len(close) == 2 and label.min() >= 0:  # what is beyond the one's seam is within the other's
-            distance[close[0]] = signed_distance(label == close[0])
+            distance[close[0]] = signed_distance(label == close[0], feather / 2 / factor)
             distance[close[1]] = -distance[close[0]]
         shares = []
         for i in close:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.product.records import write_item, write_vectors
 from geomosaic.radiometry.gain_offset import Balance, solve
+from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output
 from geomosaic.raster.sink import RasterSink
 from geomosaic.resample.warp import Colour, engine_for
@@ -122,12 +124,14 @@ def mosaic(
             seen, pixels, record = _render(blender, output, labels, options)
     finally:
         photos.close()
-    with _Clock(seconds, "records"):
+    with _Clock(seconds, "records"), ThreadPoolExecutor(1) as beside_it:
+        checksum = beside_it.submit(sha256, output)
         if vectors is not None:
             write_vectors(vectors, grid, outlines, shares, solved, pixels, overwrite=render.overwrite)
         if item is not None:
             images = [Path(scene.path) for scene in block.scenes]
-            write_item(item, output, labels, vectors, grid, shapes, images, overwrite=render.overwrite)
+            sums = {output: checksum.result()}
+            write_item(item, output, labels, vectors, grid, shapes, images, sums, overwrite=render.overwrite)
     return MosaicResult(
         output, labels, vectors, item, grid, seen, pixels, solved, feather, record.error, render.tolerance,
         record.scale, seconds,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -97,10 +98,11 @@ def write_item(
     grid: Grid,
     outlines: list[Any],
     images: list[Path],
+    checksums: Mapping[Path, str],
     *,
     overwrite: bool,
 ) -> None:
-    """Write a STAC item (version 1.1) whose assets are the files beside it.
+    """Write a STAC item (version 1.1) whose assets are the files beside it; `checksums` are known SHA-256.
 
     Its times are those of the image files, oldest and newest, since nothing says yet when they were taken; or
     SOURCE_DATE_EPOCH. Equal runs make equal bytes.
@@ -136,7 +138,7 @@ def write_item(
         "properties": properties,
         "links": [],
         "assets": {
-            key: _asset(file, kind, role)
+            key: _asset(file, kind, role, checksums.get(file) or sha256(file))
             for key, file, kind, role in (
                 ("mosaic", mosaic, COG, "data"),
                 ("labels", labels, COG, "metadata"),
@@ -160,13 +162,13 @@ def write_item(
         ) from error
 
 
-def _asset(file: Path, kind: str, role: str) -> dict[str, Any]:
+def _asset(file: Path, kind: str, role: str, checksum: str) -> dict[str, Any]:
     return {
         "href": f"./{file.name}",
         "type": kind,
         "roles": [role],
         "file:size": file.stat().st_size,
-        "file:checksum": "1220" + sha256(file),  # a multihash: SHA-256, 32 bytes
+        "file:checksum": "1220" + checksum,  # a multihash: SHA-256, 32 bytes
     }
 
 
