@@ -63,8 +63,11 @@ def failed(error: Exception, *, as_json: bool, debug: bool) -> int:
 def _tell(parts: dict[str, str | None], as_json: bool, error: GeomosaicError | None = None) -> None:
     parts = {"what": parts["what"], "where": parts.get("where"), "mend": parts.get("mend")}
     if as_json:
-        print(json.dumps({"error": parts}, ensure_ascii=False))
-        return
+        try:
+            print(json.dumps({"error": parts}, ensure_ascii=False), flush=True)
+            return
+        except OSError:  # standard output takes no more: say it where people look
+            pass
     head, colour = ("error", "red")
     if isinstance(error, QualityError | Interrupted):
         head, colour = ("quality" if isinstance(error, QualityError) else "interrupted"), "yellow"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import os
 import sys
 from importlib import import_module
@@ -11,6 +10,7 @@ from typing import Any, NoReturn
 import click
 
 import geomosaic
+from geomosaic.cli.ending import end, patient_streams
 
 # Read when NumPy is first loaded. Our matrices are small, and threads of our own keep the processor busy; more of them
 # would also make the last bits of a solution depend on the machine.
@@ -82,23 +82,8 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     """
     if arguments is not None:
         sys.exit(run(arguments))
-    _leave(run(sys.argv[1:]))
-
-
-def _leave(code: int) -> NoReturn:
-    """End the process at once: taking down an interpreter with GDAL and PROJ in it costs as much as starting one.
-
-    What would run at exit runs (temporary folders); only memory is left to the system.
-    """
-    atexit._run_exitfuncs()
-    for stream in (sys.stdout, sys.stderr):
-        try:
-            stream.flush()
-        except (BrokenPipeError, ValueError, AttributeError):  # the reader has gone; closed; never there
-            pass
-        except OSError:
-            code = code or 1
-    os._exit(code)
+    patient_streams()
+    end(lambda: run(sys.argv[1:]))
 
 
 def run(words: list[str]) -> int:
@@ -113,10 +98,6 @@ def run(words: list[str]) -> int:
         from geomosaic.cli.failure import stopped
 
         return stopped(as_json)
-    except BrokenPipeError:
-        # The reader of our output has gone (`| head`); that is no error of ours.
-        sys.stderr.close()
-        return 0
     except Exception as error:
         from geomosaic.cli.failure import failed
 

@@ -12,7 +12,7 @@ from typing import Any, TextIO
 
 import click
 
-from geomosaic.errors import GeomosaicWarning
+from geomosaic.errors import GeomosaicWarning, OutputError
 
 Progress = Callable[[int, int, str], None]
 
@@ -24,10 +24,15 @@ def say(text: str = "") -> None:
 
 def answer(result: Mapping[str, Any], words: str, as_json: bool) -> None:
     """Put the result on standard output: one JSON object, or words."""
-    if as_json:
-        print(json.dumps(result, ensure_ascii=False, default=str))
-    else:
-        click.echo(words)
+    text = json.dumps(result, ensure_ascii=False, default=str) if as_json else words
+    try:
+        print(text, flush=True)
+    except OSError as error:
+        raise OutputError(
+            f"the work is done, but its result cannot be printed: {error.strerror}",
+            where="standard output",
+            mend="free some space, or send the output elsewhere",
+        ) from error
 
 
 @contextmanager

@@ -111,9 +111,6 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
         if bounds is None or _misses(bounds, mapper.model.size):
             return []
         scale, close = _scale(nodes, step), step <= CLOSE_STEP
-        if not close and _bends(nodes, half, mapper.model.size) > 0.6 * tolerance * max(1.0, scale):
-            step //= 2  # to measure that would be in vain
-            continue
         cells = Cells(mapper, grid, window, step, middle, half, surface, nodes, scale)
         miss = cells.measure(tolerance / 2, thorough=close)
         good = not miss.error > tolerance / 2
@@ -194,19 +191,6 @@ def _bounds(nodes: FloatArray, half: float) -> tuple[float, float, float, float]
     seen = ends[finite]
     (left, top), (right, bottom) = seen.min(axis=0), seen.max(axis=0)
     return float(left), float(top), float(right), float(bottom)
-
-
-def _bends(nodes: FloatArray, half: float, size: tuple[int, int]) -> float:
-    """Error to expect half-way between nodes, in image pixels, from second differences at nodes that show the image."""
-    worst = 0.0
-    for t in (-1.0, 1.0) if half else (0.0,):
-        image = at_height(nodes, t)
-        with np.errstate(invalid="ignore"):
-            shown = np.logical_and.reduce((image > 0.0) & (image < np.array(size)), axis=-1)
-            for places, inner in ((image, shown[1:-1]), (image.swapaxes(0, 1), shown.T[1:-1])):
-                second = np.hypot(*np.moveaxis(places[2:] - 2.0 * places[1:-1] + places[:-2], -1, 0)) / 8.0
-                worst = max(worst, float(np.fmax.reduce(second[inner], initial=0.0)))
-    return worst
 
 
 def _misses(bounds: tuple[float, float, float, float], size: tuple[int, int]) -> bool:
