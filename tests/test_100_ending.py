@@ -1,0 +1,110 @@
+"""How the command ends: closed pipes, full disks, odd terminals, what must happen at exit, Ctrl-C at any time."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COMMAND = [sys.executable, "-m", "geomosaic.cli"]
+
+
+def piped(*words: str, close: str = "stdout", command: list[str] = COMMAND) -> tuple[int, str]:
+    """Exit code and what the other stream got, where the reader of one stream has gone before the first word."""
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | {close: write}
+        done = subprocess.run([*command, *words], check=False, text=True, timeout=60, **streams)  # type: ignore[call-overload]
+    finally:
+        os.close(write)
+    return done.returncode, (done.stderr if close == "stdout" else done.stdout)
+
+
+@pytest.mark.parametrize(
+    "words", [["sensors"], ["sensors", "--json"], ["sensors", "frame"], ["--help"], ["--version"], ["ortho", "--help"]]
+)
+def test_a_reader_that_has_gone_is_no_error(words):
+    assert piped(*words) == (0, "")
+
+
+def test_the_exit_code_is_told_whether_anyone_reads_or_not():
+    assert piped("sensors", "nope", "--json") == (1, "")
+    assert piped("sensors", "nope", close="stderr") == (1, "")
+    assert piped("nonsense", close="stderr") == (2, "")
+
+
+def test_work_whose_log_is_closed_goes_on():
+    script = """
+from geomosaic.cli.ending import end, patient_streams
+from geomosaic.cli.talk import answer, say
+def run():
+    for number in range(3):
+        say(f"note {number}")
+    answer({"done": True}, "done", True)
+    return 3
+patient_streams()
+end(run)
+"""
+    assert piped(script, close="stderr", command=[sys.executable, "-c"]) == (3, '{"done": true}\n')
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+@pytest.mark.parametrize("words", [["sensors"], ["sensors", "--json"], ["sensors", "nope", "--json"]])
+def test_a_result_that_cannot_be_printed_is_an_error(words):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run([*COMMAND, *words], check=False, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert ("standard output" if "nope" not in words else "no sensor named 'nope'") in done.stderr
+
+
+def test_names_that_the_terminal_does_not_know():
+    env = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([*COMMAND, "sensors", "Жук", "--json"], check=False, capture_output=True, text=True, env=env)
+    assert (done.returncode, done.stderr) == (1, "")
+    assert "Жук" in json.loads(done.stdout)["error"]["what"]
+
+
+def ended(script: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", script], check=False, capture_output=True, text=True, timeout=60)
+
+
+def test_what_must_happen_at_the_end_happens(tmp_path):
+    """Threads are joined, exit functions run, streams are flushed; only then the process goes."""
+    script = f"""
+import atexit, sys, tempfile, threading, time
+from geomosaic.cli.ending import end
+class Tail:
+    def __del__(self): print("torn down")
+def work():
+    time.sleep(0.3)
+    print("thread")
+def run():
+    global keep, tail
+    keep, tail = tempfile.TemporaryDirectory(dir={str(tmp_path)!r}), Tail()
+    atexit.register(lambda: print("exit function"))
+    threading.Thread(target=work).start()
+    sys.stdout.write("run\\n")
+    return 3
+end(run)
+"""
+    done = ended(script)
+    assert (done.returncode, done.stderr) == (3, "")
+    assert done.stdout.splitlines() == ["run", "thread", "exit function"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_who_was_there_before_ends_as_usual():
+    script = """
+import atexit
+atexit.register(lambda: print("coverage"))
+from geomosaic.cli.ending import end
+end(lambda: 4)
+"""
+    done = ended(script)
+    assert (done.returncode, done.stdout) == (4, "coverage\n")
