@@ -171,7 +171,17 @@ def test_a_broken_sensor_is_listed_and_told_by_name_only(tell, monkeypatch):
         (["ortho", "a.tif", "-o", "b.tif", "--mem-limit", "1M"], "too little"),
         (["ortho", "a.tif", "-o", "b.tif", "--co", "COMPRESS"], "NAME=VALUE"),
         (["ortho", "a.tif", "-o", "b.tif", "--threads", "0"], "threads"),
-        (["ortho", "a.tif", "-o", "b.tif", "--bounds", "1", "2", "3", "x"], "bounds"),
+        (["ortho", "a.tif", "-o", "b.tif", "--bounds", "1", "2", "3", "x"], "'--bounds': '1 2 3 x' is no area"),
+        (["ortho", "a.tif", "-o", "b.tif", "--bounds", "5", "2", "3", "9"], "such as 399850 5499850"),
+        (["ortho", "a.tif", "-o", "b.tif", "--bounds", "nan", "2", "3", "9"], "is no area"),
+        (["ortho", "a.tif", "-o", "b.tif", "--res", "wide"], "'--res': 'wide' is not a pixel size"),
+        (["ortho", "a.tif", "-o", "b.tif", "--res", "0"], "such as 0.5"),
+        (["ortho", "a.tif", "-o", "b.tif", "--res", "inf"], "such as 0.5"),
+        (["ortho", "a.tif", "-o", "b.tif", "--dst-crs", "EPSG:999999"], "'--dst-crs': 'EPSG:999999' is not a coord"),
+        (["mosaic", "a.tif", "-o", "b.tif", "--dst-crs", "there.prj"], "such as EPSG:32633"),
+        (["mosaic", "a.tif", "-o", "b.tif", "--dst-crs", ""], "such as EPSG:32633"),
+        (["mosaic", "a.tif", "-o", "b.tif", "--dst-crs", "EPSG:5773"], "has not two axes"),
+        (["mosaic", "a.tif", "-o", "b.tif", "--dst-crs", "EPSG:4978"], "has not two axes"),
     ],
 )
 def test_wrong_usage_is_2(tell, words, said):
@@ -183,8 +193,15 @@ def test_wrong_usage_is_2(tell, words, said):
     assert said in json.loads(out)["error"]["what"]
 
 
+def test_a_raster_that_no_file_can_hold_is_refused_before_any_work(tell, block, tmp_path):
+    code, _, err = tell("ortho", photos(block)[0], *flags(block), "--res", "1e-6", "-o", tmp_path / "o.tif")
+    assert code == 1
+    assert "more than a GeoTIFF can hold" in err
+    assert "resolution" in err
+
+
 def test_sizes_are_read():
-    from geomosaic.cli.options import size
+    from geomosaic.cli.values import size
 
     assert [size(None, None, text) for text in ("512M", "2G", "1.5g", "100MiB", str(1 << 28))] == [  # type: ignore[arg-type]
         512 << 20, 2 << 30, 3 << 29, 100 << 20, 1 << 28,

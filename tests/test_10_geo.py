@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -16,7 +17,17 @@ from pyproj import CRS
 from scipy.spatial.transform import Rotation
 
 from geomosaic.errors import HeightDatumError, InputError
-from geomosaic.geo.crs import geocentric, geographic, has_heights, height_name, horizontal, parse_crs, with_heights
+from geomosaic.geo.crs import (
+    DATA,
+    geocentric,
+    geographic,
+    has_heights,
+    height_name,
+    horizontal,
+    parse_crs,
+    parse_map,
+    with_heights,
+)
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.local import LocalFrame, enu_axes, map_place
 from geomosaic.geo.rotation import angle_axis, angles_of, omega_phi_kappa, r1, r2, r3
@@ -191,13 +202,45 @@ def test_egm96_comes_along():
 
 def test_a_geoid_grid_by_path():
     """The shipped grid given as a user's file does what 'egm96' does."""
-    from geomosaic.geo.crs import DATA
-
     own = with_heights(CRS.from_epsg(32632), str(DATA / "us_nga_egm96_15.tif"))
     named = with_heights(CRS.from_epsg(32632), "egm96")
     points = np.array([[691_900.0, 5_334_900.0, 500.0], [500_000.0, 100_000.0, -3.0]])
     np.testing.assert_allclose(Transform(own, WGS84)(points), Transform(named, WGS84)(points), atol=1e-9)
     assert has_heights(own)
+
+
+@pytest.mark.parametrize("name", ['my "best" geoid.tif', "O'Neill [2020] (m) & co %20 $x\\y.tif", "Höhe 高.tif"])
+def test_a_geoid_grid_under_any_name(tmp_path, name):
+    folder = tmp_path / name.removesuffix(".tif")
+    folder.mkdir()
+    shutil.copy(DATA / "us_nga_egm96_15.tif", folder / name)
+    flat = CRS.from_epsg(32632)
+    point = np.array([[690_000.0, 5_335_000.0, 500.0]])
+    by_path, by_code = (
+        Transform(with_heights(flat, datum), with_heights(flat, "ellipsoidal"))(point)
+        for datum in (str(folder / name), "egm96")
+    )
+    np.testing.assert_array_equal(by_path, by_code)
+    assert height_name(with_heights(flat, str(folder / name))) == f"geoid {name.removesuffix('.tif')}"
+
+
+@pytest.mark.parametrize("mark", list("#,;{=\t\n"))
+def test_a_geoid_grid_whose_name_proj_cannot_read(tmp_path, mark):
+    file = tmp_path / f"a {mark}b" / "grid.tif"
+    file.parent.mkdir()
+    shutil.copy(DATA / "us_nga_egm96_15.tif", file)
+    with pytest.raises(HeightDatumError, match="cannot open a geoid grid") as caught:
+        with_heights(CRS.from_epsg(32632), str(file), "exterior.csv")
+    assert caught.value.where == "exterior.csv"
+    assert "rename" in str(caught.value.mend)
+
+
+@pytest.mark.parametrize("text", ["EPSG:4978", "EPSG:5773"])
+def test_no_map_without_two_axes(text):
+    assert parse_map("EPSG:32632+5773") == CRS.from_epsg(32632)
+    assert parse_map("EPSG:4979") == CRS.from_epsg(4979).to_2d()
+    with pytest.raises(InputError, match="has not two axes"):
+        parse_map(text)
 
 
 def test_a_missing_grid_is_named():

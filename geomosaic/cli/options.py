@@ -2,52 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
+from geomosaic.cli.values import band_numbers, box, map_crs, pairs, pixel, size
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average")
-LEAST_MEMORY = 64 << 20
-UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
-
-
-def size(ctx: click.Context, param: click.Parameter, value: str | None) -> int | None:
-    """Bytes of a size such as 512M or 2G."""
-    if value is None:
-        return None
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", value, re.IGNORECASE)
-    if not found:
-        raise click.BadParameter(f"'{value}' is not a size; write 512M or 2G")
-    number = int(float(found[1]) * UNITS[found[2].upper()])
-    if number < LEAST_MEMORY:
-        raise click.BadParameter(f"'{value}' is too little memory to work in; give at least 64M")
-    return number
-
-
-def pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    """NAME=VALUE, given any number of times."""
-    out = {}
-    for value in values:
-        name, mark, text = value.partition("=")
-        if not mark or not name.strip():
-            raise click.BadParameter(f"'{value}' is not NAME=VALUE")
-        out[name.strip()] = text.strip()
-    return out
-
-
-def band_numbers(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> tuple[int, ...] | None:
-    """Band numbers from 1: separated by commas, given any number of times; None where none is."""
-    words = [word.strip() for text in values for word in text.split(",")]
-    if not all(word.isascii() and word.isdigit() and int(word) > 0 for word in words):
-        raise click.BadParameter(f"'{','.join(values)}' are not band numbers; write 1,2,3, counted from 1")
-    return tuple(map(int, words)) or None
-
-
 FILE = click.Path(path_type=Path)
 
 
@@ -129,11 +94,18 @@ image_options = stack(
 )
 
 output_options = stack(
-    click.option("--dst-crs", metavar="CRS", help="CRS of the output.  [default: that of the DEM or the positions]"),
-    click.option("--res", type=float, metavar="UNITS", help="Pixel size in map units.  [default: that of the images]"),
+    click.option(
+        "--dst-crs",
+        callback=map_crs,
+        metavar="CRS",
+        help="CRS of the output, such as EPSG:32633.  [default: that of the DEM or the positions]",
+    ),
+    click.option(
+        "--res", callback=pixel, metavar="UNITS", help="Pixel size in map units.  [default: that of the images]"
+    ),
     click.option(
         "--bounds",
-        type=float,
+        callback=box,
         nargs=4,
         metavar="LEFT BOTTOM RIGHT TOP",
         help="Area in map units.  [default: all images]",

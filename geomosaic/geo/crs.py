@@ -23,6 +23,9 @@ pyproj.datadir.append_data_dir(str(DATA))
 
 EGM96 = "EPSG:5773"
 
+# They separate, comment or assign in the text of an operation, and no quotes shield them there ('=' would give NaN).
+_NOT_IN_PROJ = "#,;{="
+
 _CARTESIAN = "CS[Cartesian,3]," + ",".join(
     f'AXIS["({axis})",geocentric{axis},ORDER[{i}],LENGTHUNIT["metre",1]]' for i, axis in enumerate("XYZ", start=1)
 )
@@ -55,6 +58,24 @@ def parse_crs(text: str | CRS, where: str | None = None) -> CRS:
             where=where,
             mend="give an EPSG code such as EPSG:32633, a PROJ string, WKT, or the path of a .prj file",
         ) from error
+
+
+def parse_map(text: str, where: str | None = None) -> CRS:
+    """Read the CRS of a map: its horizontal part, which must have two axes.
+
+    Raises
+    ------
+    InputError
+        The text names no CRS, or one in which no map can be drawn (geocentric, vertical).
+    """
+    crs = horizontal(parse_crs(text, where))
+    if len(crs.axis_info) != 2 or crs.is_geocentric:
+        raise InputError(
+            f"'{text[:80]}' ({crs.name}) has not two axes, so no map can be drawn in it",
+            where=where,
+            mend="give a projected or a geographic CRS, such as EPSG:32633",
+        )
+    return crs
 
 
 @lru_cache(maxsize=256)
@@ -133,18 +154,26 @@ def _geoid_grid(path: PathLike, where: str | None) -> CRS:
     file = Path(path)
     if not file.is_file():
         raise HeightDatumError("the geoid grid does not exist", where=where or str(path))
+    odd = "".join(sorted({mark for mark in str(file.resolve()) if mark in _NOT_IN_PROJ or not mark.isprintable()}))
+    if odd:
+        raise HeightDatumError(
+            f"PROJ cannot open a geoid grid whose path has {odd!r} in it",
+            where=where or str(path),
+            mend="rename the file or its folder, or copy it to a path without such marks",
+        )
     return _bound_vertical(str(file.resolve()))
 
 
 @lru_cache
 def _bound_vertical(path: str) -> CRS:
     """Make a vertical CRS bound to WGS 84 ellipsoidal heights by a grid file."""
+    name, file = (text.replace('"', '""') for text in (Path(path).stem, path))  # as WKT quotes a quote
     wkt = f"""BOUNDCRS[
-        SOURCECRS[VERTCRS["geoid {Path(path).stem}",VDATUM["geoid {Path(path).stem}"],CS[vertical,1],
+        SOURCECRS[VERTCRS["geoid {name}",VDATUM["geoid {name}"],CS[vertical,1],
             AXIS["gravity-related height (H)",up],LENGTHUNIT["metre",1]]],
         TARGETCRS[{CRS.from_epsg(4979).to_wkt()}],
         ABRIDGEDTRANSFORMATION["geoid height",METHOD["GravityRelatedHeight to Geographic3D"],
-            PARAMETERFILE["Geoid (height correction) model file","{path}"]]]"""
+            PARAMETERFILE["Geoid (height correction) model file","{file}"]]]"""
     return CRS.from_wkt(wkt)
 
 

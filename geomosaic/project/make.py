@@ -12,7 +12,7 @@ from pyproj import CRS
 from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError, OutputExistsError
-from geomosaic.geo.crs import horizontal, parse_crs
+from geomosaic.geo.crs import parse_map
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.product.extent import footprints, output_crs, output_grid
 from geomosaic.project.build import build_block
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from geomosaic.product.mosaic import MosaicResult
     from geomosaic.product.options import MosaicOptions, RenderOptions
     from geomosaic.product.ortho import OrthoResult
+
+# Rows, columns and tiles of a GeoTIFF are counted in 31 bits.
+_MOST, _TILE = 1 << 31, 512 * 512
 
 
 @dataclass(frozen=True)
@@ -47,9 +50,15 @@ class Area:
 def plan(scenes: Sequence[Scene], surface: Surface | None, area: Area) -> tuple[Grid, list[Footprint]]:
     """Outlines of the images and the grid of the output."""
     several = tuple(scenes)
-    crs: CRS = horizontal(parse_crs(area.crs, "output CRS")) if area.crs else output_crs(several, surface)
+    crs: CRS = parse_map(area.crs, "output CRS") if area.crs else output_crs(several, surface)
     outlines = footprints(several, surface, crs)
-    return output_grid(crs, outlines, area.resolution, area.bounds), outlines
+    grid = output_grid(crs, outlines, area.resolution, area.bounds)
+    if max(grid.width, grid.height) >= _MOST or grid.width * grid.height / _TILE >= _MOST:
+        raise InputError(
+            f"the output would have {grid.width:.3g} x {grid.height:.3g} pixels, more than a GeoTIFF can hold",
+            mend=f"a coarser resolution or smaller bounds; one pixel is {grid.resolution[0]:g} map units now",
+        )
+    return grid, outlines
 
 
 def refuse_existing(path: Path, overwrite: bool) -> None:

@@ -1,0 +1,91 @@
+"""Values of options, read and checked: what cannot be meant is wrong usage, told with an example."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import click
+
+LEAST_MEMORY = 64 << 20
+UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+
+
+def size(ctx: click.Context, param: click.Parameter, value: str | None) -> int | None:
+    """Bytes of a size such as 512M or 2G."""
+    if value is None:
+        return None
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", value, re.IGNORECASE)
+    if not found:
+        raise click.BadParameter(f"'{value}' is not a size; write 512M or 2G")
+    number = int(float(found[1]) * UNITS[found[2].upper()])
+    if number < LEAST_MEMORY:
+        raise click.BadParameter(f"'{value}' is too little memory to work in; give at least 64M")
+    return number
+
+
+def pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
+    """NAME=VALUE, given any number of times."""
+    out = {}
+    for value in values:
+        name, mark, text = value.partition("=")
+        if not mark or not name.strip():
+            raise click.BadParameter(f"'{value}' is not NAME=VALUE")
+        out[name.strip()] = text.strip()
+    return out
+
+
+def band_numbers(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> tuple[int, ...] | None:
+    """Band numbers from 1: separated by commas, given any number of times; None where none is."""
+    words = [word.strip() for text in values for word in text.split(",")]
+    if not all(word.isascii() and word.isdigit() and int(word) > 0 for word in words):
+        raise click.BadParameter(f"'{','.join(values)}' are not band numbers; write 1,2,3, counted from 1")
+    return tuple(map(int, words)) or None
+
+
+def map_crs(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    """Check that a CRS is one in which a map can be drawn; it stays text."""
+    if value is None:
+        return None
+    from geomosaic.errors import InputError
+    from geomosaic.geo.crs import parse_map
+
+    try:
+        parse_map(value)
+    except InputError as error:
+        what = error.what.partition(" (Invalid projection")[0]
+        raise click.BadParameter(
+            f"{what}; write an EPSG code such as EPSG:32633, a PROJ string, WKT or the path of a .prj file"
+        ) from None
+    return value
+
+
+def pixel(ctx: click.Context, param: click.Parameter, value: str | None) -> float | None:
+    """Size of a pixel in map units."""
+    if value is None:
+        return None
+    size = number(value)
+    if not size > 0:
+        raise click.BadParameter(f"'{value}' is not a pixel size; write map units, such as 0.5")
+    return size
+
+
+def box(ctx: click.Context, param: click.Parameter, values: tuple[str, ...] | None) -> tuple[float, ...] | None:
+    """Left, bottom, right, top in map units."""
+    if not values:
+        return None
+    left, bottom, right, top = (number(value) for value in values)
+    if not (left < right and bottom < top):
+        raise click.BadParameter(
+            f"'{' '.join(values)}' is no area; write left bottom right top, such as 399850 5499850 400250 5500150"
+        )
+    return left, bottom, right, top
+
+
+def number(text: str) -> float:
+    """Value of a finite number, NaN of anything else: it fails every comparison."""
+    try:
+        value = float(text)
+    except ValueError:
+        return math.nan
+    return value if math.isfinite(value) else math.nan
