@@ -517,6 +517,24 @@ def test_what_files_are_called_cannot_become_part_of_the_page(project):
     assert "script" not in page.tags
 
 
+def test_numbers_of_the_report_have_the_decimals_their_units_ask_for(project):
+    """A map in degrees and values between 0 and 1 are not rounded to nothing."""
+    from geomosaic.product.report.numbers import decimals
+    from geomosaic.product.report.report import render_html
+
+    assert [decimals(scale) for scale in (500.0, 0.5, 9e-6, 0.0, None)] == [0, 3, 8, 0, 0]
+    assert decimals(500.0, 2) == 2
+    output = project.parent / "output"
+    data = read_json(output / "report.json")
+    made = data["mosaic"]
+    made["grid"] |= {"resolution": [9e-6, 9e-6], "bounds": [14.1, 49.2, 14.123456789, 49.212345678]}
+    made["images"][0] |= {"sampling": 8.7e-6, "offset": [0.00123]}
+    made |= {"feather": 0.000288, "before": [0.0213], "after": [0.00414]}
+    text = render_html(data, output / "trial.tif", output / "trial.gpkg")
+    for shown in ("0.00000870", "0.00028800", "14.12345679, 49.21234568", "0.0012", "0.0213 → 0.0041"):
+        assert shown in text
+
+
 def test_pictures_of_the_report_show_the_mosaic(project):
     from io import BytesIO
 

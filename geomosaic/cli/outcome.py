@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from geomosaic.cli.words import rms
+from geomosaic.cli.words import colour_words, rms
 
 if TYPE_CHECKING:
     from geomosaic.errors import QualityError
@@ -48,7 +48,7 @@ def accuracy_words(facts: Mapping[str, Any]) -> list[str]:
         )
         if made["overlaps"] and made["balanced"]:
             before, after = rms(made["before"]), rms(made["after"])
-            lines.append(f"colour difference in {made['overlaps']} overlaps: {before:.2f} before, {after:.2f} after")
+            lines.append(colour_words(made["overlaps"], before, after))
     if check and check["reference"]:
         found = check["reference"]
         lines.append(

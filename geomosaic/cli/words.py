@@ -77,13 +77,21 @@ def mosaic_words(result: MosaicResult) -> str:
     ]
     if result.balance.overlaps:
         before, after = (rms(values.tolist()) for values in (result.balance.before, result.balance.after))
-        lines.append(f"colour difference in {result.balance.overlaps} overlaps: {before:.2f} before, {after:.2f} after")
+        lines.append(colour_words(result.balance.overlaps, before, after))
     lines.append(
         f"geometry within {result.lattice_error:.4f} px of the exact model (tolerance {result.tolerance:g} px), "
         f"{sum(result.seconds.values()):.1f} s"
     )
     beside = [str(path) for path in (result.labels, result.vectors, result.item) if path]
     return "\n".join(lines + ([f"beside it: {', '.join(beside)}"] if beside else []))
+
+
+def colour_words(overlaps: int, before: float, after: float) -> str:
+    """Say what balancing did, with the decimals that the values ask for."""
+    from geomosaic.product.report.numbers import decimals
+
+    digits = decimals(before, 2)
+    return f"colour difference in {overlaps} overlaps: {before:.{digits}f} before, {after:.{digits}f} after"
 
 
 def size_words(grid: Grid) -> str:

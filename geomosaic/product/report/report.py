@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.product.report.figures import mosaic_map, residual_plot
+from geomosaic.product.report.numbers import byte_size, decimals, number, rms, share, words
 
 MOST_ROWS = 100
 """Rows of a table; the JSON twin has them all."""
@@ -46,6 +47,8 @@ def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path) -> str:
     plot = residual_plot(points, sizes.pop(), orient["measured"]) if points and len(sizes) == 1 else None
     return environment.get_template("template.html.j2").render(
         **data,
+        ground=decimals(made["grid"]["resolution"][0]),
+        grey=decimals(rms(made["before"]) or rms((data["check"]["reference"] or {}).get("colour_rms", [])), 2),
         cards=cards(data),
         unit="m" if unit == "metre" else unit,
         points=points,
@@ -86,54 +89,14 @@ def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
     text = f"Largest measured error of interpolating the exact geometry; tolerance {made['tolerance_px']:g} px."
     found.append(card("Lattice error", number(made["lattice_error_px"], 4), "px", text, "max_lattice_error_px"))
     if made["balanced"] and made["overlaps"]:
-        value = f"{number(rms(made['before']), 1)} → {number(rms(made['after']), 1)}"
+        digits = decimals(rms(made["before"]), 1)
+        value = f"{number(rms(made['before']), digits)} → {number(rms(made['after']), digits)}"
         text = f"RMS difference of grey values in {made['overlaps']} overlaps, before and after balancing."
         found.append(card("Colour", value, "", text))
     used = sum(1 for image in made["images"] if image["pixels"])
     seen = share(made["valid_pixels"], made["grid"]["width"] * made["grid"]["height"])
     found.append(card("Images", f"{used} of {len(made['images'])}", "", f"Used; {seen} of the grid is filled."))
     return found
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """Write a number, or a dash where there is none."""
-    if value is None or not math.isfinite(value):
-        return "–"
-    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")
-
-
-def words(values: Mapping[str, Any]) -> str:
-    """Write a table of inputs in one line, tables in it in brackets."""
-    parts = []
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            shown = f"({words(value)})"
-        elif isinstance(value, list):
-            shown = " × ".join(map(str, value)) if key.endswith("size") else ", ".join(map(str, value))
-        else:
-            shown = str(value)
-        parts.append(f"{key.replace('_', ' ')} {shown}")
-    return "; ".join(parts) if any(isinstance(value, Mapping | list) for value in values.values()) else ", ".join(parts)
-
-
-def byte_size(size: float) -> str:
-    """Bytes in a unit that can be read."""
-    for unit in ("bytes", "kB", "MB", "GB"):
-        if size < 1000 or unit == "GB":
-            return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.1f} {unit}"
-        size /= 1000
-    raise AssertionError  # unreachable
-
-
-def rms(values: list[float | None]) -> float | None:
-    """Root mean square over bands; None where a value is missing."""
-    known = [value for value in values if value is not None]
-    return math.sqrt(sum(v * v for v in known) / len(known)) if known and len(known) == len(values) else None
-
-
-def share(part: float, whole: float) -> str:
-    """Per cent."""
-    return f"{100 * part / whole:.1f} %"
 
 
 def _length(point: Mapping[str, Any]) -> float:
