@@ -37,7 +37,6 @@ def imported(*arguments: str) -> set[str]:
 
 def test_layers() -> None:
     """The contracts of [tool.importlinter]: imports go down, plugins stand apart, raster alone uses GDAL."""
-    pytest.importorskip("importlinter", reason="import-linter is not installed (extra 'lint')")
     done = run("-c", "from importlinter.cli import lint_imports_command; lint_imports_command()", "--no-cache")
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
     assert "0 broken" in done.stdout
@@ -58,18 +57,10 @@ def test_lazy_names_are_there() -> None:
             _ = module.nonsense
 
 
-@pytest.fixture
-def cli() -> None:
-    if not (ROOT / "geomosaic" / "cli" / "main.py").exists():
-        pytest.skip("geomosaic/cli/main.py is not there yet")
-
-
-@pytest.mark.usefixtures("cli")
 def test_help_imports_nothing_heavy() -> None:
     assert not imported("-m", "geomosaic.cli", "--help") & HEAVY
 
 
-@pytest.mark.usefixtures("cli")
 def test_help_is_fast() -> None:
     best = float("inf")
     for _ in range(5):

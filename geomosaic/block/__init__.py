@@ -1,1 +1,1 @@
-"""geomosaic.block."""
+"""Images with their models, the surface they show, footprints and control points."""

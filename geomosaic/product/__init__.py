@@ -1,1 +1,1 @@
-"""geomosaic.product."""
+"""What is made of a block: orthos, mosaics, checks and the report."""

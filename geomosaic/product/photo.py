@@ -29,9 +29,7 @@ class Photo:
     footprint: Footprint
 
     @classmethod
-    def open(
-        cls, scene: Scene, surface: Surface | None, grid: Grid, footprint: Footprint, memory: int, threads: int = 1
-    ) -> Photo:
+    def open(cls, scene: Scene, surface: Surface | None, grid: Grid, footprint: Footprint, memory: int) -> Photo:
         """Open the image and check that it is the one the model was made for."""
         source = Source(scene.path, nodata=scene.nodata, bands=scene.bands, memory_limit=memory)
         info = source.info

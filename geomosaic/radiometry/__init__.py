@@ -1,1 +1,1 @@
-"""geomosaic.radiometry."""
+"""Gain and offset of each image, solved over the overlaps."""

@@ -1,1 +1,1 @@
-"""geomosaic.raster."""
+"""The only user of GDAL: reading by windows, writing whole files, vectors."""

@@ -1,1 +1,1 @@
-"""geomosaic.seam."""
+"""Which image shows which place, and the weights across the seams."""

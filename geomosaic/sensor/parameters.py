@@ -47,11 +47,3 @@ class Parameters:
     def with_values(self, values: FloatArray) -> Parameters:
         """Return the same parameters with new values (P,)."""
         return replace(self, values=np.asarray(values, dtype=np.float64))
-
-    def with_sigmas(self, sigmas: FloatArray) -> Parameters:
-        """Return the same parameters with new a-priori sigmas (P,)."""
-        return replace(self, sigmas=np.asarray(sigmas, dtype=np.float64))
-
-    def as_dict(self) -> dict[str, float]:
-        """Values by name."""
-        return {name: float(value) for name, value in zip(self.names, self.values, strict=True)}

@@ -1,1 +1,1 @@
-"""geomosaic.surface."""
+"""Heights of the ground: plane, ellipsoid, DEM; and where rays meet it."""
