@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +11,16 @@ import numpy as np
 from geomosaic.block.block import Block
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
-from geomosaic.geo.grid import Grid
+from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
 from geomosaic.match.shift import Shifts, shifts
 from geomosaic.raster.source import Source
 from geomosaic.resample import reference
 from geomosaic.types import AnyArray, BoolArray, FloatArray
+
+# Bytes of values of one picture that are looked at together, and those that a format without windows may keep.
+_STRIP, _HELD = 8 << 20, 64 << 20
+_SHIFTS = ("places", "shifts", "correlation")
 
 
 @dataclass(frozen=True)
@@ -65,14 +69,29 @@ def against_reference(product: Path, truth: Path, tile: int = 64, reach: int = 8
         `registration_rms_px`, `registration_robust_rms_px`, `shift_px` (median col, row), `shift_m`, `tiles`,
         `matched`, `colour_rms` per band, `colour_bias` per band, `pixels` compared.
     """
-    grid, values, there = _whole(truth)
-    own, seen = _sampled(product, grid)
-    both = there & seen
-    if not both.any():
+    margin, found, total = reach + 2, [], _Totals()
+    with Source(truth, memory_limit=_HELD) as ours, Source(product, memory_limit=_HELD) as theirs:
+        grid, own = _grid(ours), _grid(theirs)
+        to_own = Transform(grid.crs, own.crs)
+        bands = min(ours.info.bands, theirs.info.bands)
+        # Rows of whole tiles at a time, with the margin that matching looks into: the tiles are those of the whole.
+        many = max(1, _STRIP // (grid.width * max(ours.info.bands, theirs.info.bands) * 8 * tile))
+        tiles = max(0, grid.height - 2 * margin) // tile
+        starts = range(0, max(1, tiles), many)
+        for start in starts:
+            last = start == starts[-1]
+            stop = grid.height if last else (start + many) * tile + 2 * margin
+            part = grid.crop(Window(0, start * tile, grid.width, stop - start * tile))
+            values, there = _read(ours, Window(0, start * tile, grid.width, part.height))
+            sampled, seen = _sampled(theirs, own, part, to_own)
+            both = there & seen
+            moved = match(sampled[..., :bands], values[..., :bands], both, tile, reach)
+            found.append(replace(moved, places=moved.places + np.array([0.0, start * tile])))
+            new = slice(None) if last else slice(None, many * tile)
+            total.add(sampled[new][both[new]][:, :bands] - values[new][both[new]][:, :bands])
+    if not total.pixels:
         raise InputError("the product and the reference share no pixel", where=str(truth))
-    bands = min(values.shape[2], own.shape[2])
-    moved = match(own[..., :bands], values[..., :bands], both, tile, reach)
-    difference = own[both][:, :bands] - values[both][:, :bands]
+    moved = Shifts(*(np.concatenate([getattr(one, name) for one in found]) for name in _SHIFTS))
     middle = np.nanmedian(moved.shifts, axis=0) if moved.matched.any() else np.full(2, np.nan)
     return {
         "registration_rms_px": moved.rms,
@@ -81,10 +100,24 @@ def against_reference(product: Path, truth: Path, tile: int = 64, reach: int = 8
         "shift_m": [float(v) * r for v, r in zip(-middle, grid.resolution, strict=True)],
         "tiles": len(moved.places),
         "matched": int(moved.matched.sum()),
-        "colour_rms": [float(v) for v in np.sqrt((difference**2).mean(axis=0))],
-        "colour_bias": [float(v) for v in difference.mean(axis=0)],
-        "pixels": int(both.sum()),
+        "colour_rms": [float(v) for v in np.sqrt(total.squares / total.pixels)],
+        "colour_bias": [float(v) for v in total.sums / total.pixels],
+        "pixels": total.pixels,
     }
+
+
+@dataclass
+class _Totals:
+    """Sums over pixels, per band."""
+
+    pixels: int = 0
+    sums: Any = 0.0
+    squares: Any = 0.0
+
+    def add(self, difference: FloatArray) -> None:
+        self.pixels += len(difference)
+        self.sums = self.sums + difference.sum(axis=0)
+        self.squares = self.squares + (difference**2).sum(axis=0)
 
 
 def match(first: AnyArray, second: AnyArray, both: BoolArray, tile: int = 64, reach: int = 8) -> Shifts:
@@ -92,36 +125,28 @@ def match(first: AnyArray, second: AnyArray, both: BoolArray, tile: int = 64, re
     return shifts(first.mean(axis=2), second.mean(axis=2), both, tile, reach)
 
 
-def _whole(path: Path) -> tuple[Grid, FloatArray, BoolArray]:
-    source = Source(path, memory_limit=1 << 30)
-    try:
-        info = source.info
-        if info.crs is None or info.transform is None:
-            raise InputError("the raster is not georeferenced", where=str(path))
-        grid = Grid(horizontal(info.crs), info.transform, info.width, info.height)
-        values, valid = source.read(grid.window)
-    finally:
-        source.close()
-    seen = np.ones(grid.shape, dtype=bool) if valid is None else valid > 0
-    return grid, values.astype(np.float64), seen
+def _grid(source: Source) -> Grid:
+    info = source.info
+    if info.crs is None or info.transform is None:
+        raise InputError("the raster is not georeferenced", where=info.path)
+    return Grid(horizontal(info.crs), info.transform, info.width, info.height)
 
 
-def _sampled(path: Path, grid: Grid) -> tuple[FloatArray, BoolArray]:
-    """Bilinear values of a raster at the pixel centres of a grid."""
-    source = Source(path, memory_limit=1 << 30)
-    try:
-        info = source.info
-        if info.crs is None or info.transform is None:
-            raise InputError("the raster is not georeferenced", where=str(path))
-        own = Grid(horizontal(info.crs), info.transform, info.width, info.height)
-        window = own.window_of(_bounds_in(grid, own)).intersection(own.window)
-        if window.empty:
-            return np.zeros((*grid.shape, info.bands)), np.zeros(grid.shape, dtype=bool)
-        values, valid = source.read(window)
-    finally:
-        source.close()
+def _read(source: Source, window: Window) -> tuple[FloatArray, BoolArray]:
+    values, valid = source.read(window)
+    seen = np.ones(values.shape[:2], dtype=bool) if valid is None else valid > 0
+    return values.astype(np.float64), seen
+
+
+def _sampled(source: Source, own: Grid, grid: Grid, to_own: Transform) -> tuple[FloatArray, BoolArray]:
+    """Bilinear values of a raster, which lies on `own`, at the pixel centres of a grid."""
+    info = source.info
+    window = own.window_of(_bounds_in(grid, own, to_own)).intersection(own.window)
+    if window.empty:
+        return np.zeros((*grid.shape, info.bands)), np.zeros(grid.shape, dtype=bool)
+    values, valid = source.read(window)
     c, r = np.meshgrid(np.arange(grid.width) + 0.5, np.arange(grid.height) + 0.5)
-    xy = Transform(grid.crs, own.crs)(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
+    xy = to_own(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
     place = own.colrow(xy) - (window.col, window.row)
     out = np.zeros((*grid.shape, info.bands))
     seen = np.zeros(grid.shape, dtype=np.uint8)
@@ -149,10 +174,10 @@ def _sampled(path: Path, grid: Grid) -> tuple[FloatArray, BoolArray]:
     return out, seen > 0
 
 
-def _bounds_in(grid: Grid, own: Grid) -> tuple[float, float, float, float]:
+def _bounds_in(grid: Grid, own: Grid, to_own: Transform) -> tuple[float, float, float, float]:
     edge = np.linspace(0, 1, 9)
     c, r = np.meshgrid(edge * grid.width, edge * grid.height)
-    xy = Transform(grid.crs, own.crs)(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
+    xy = to_own(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
     pad = 2 * max(own.resolution)
     (left, bottom), (right, top) = np.nanmin(xy, axis=0) - pad, np.nanmax(xy, axis=0) + pad
     return float(left), float(bottom), float(right), float(top)
