@@ -9,7 +9,8 @@ import pytest
 from helpers import GROUND, MAP, ArrayReader, PinholeOverMap
 
 from geomosaic.geo.grid import Grid
-from geomosaic.resample.warp import Colour, numpy_engine, warp
+from geomosaic.resample.engine import numpy_engine
+from geomosaic.resample.warp import Colour, warp
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import Lattice, blocks, build
 from geomosaic.sensor.mapper import MapToImage

@@ -7,7 +7,8 @@ import pytest
 from helpers import GROUND, MAP, ArrayReader, Hills, PinholeOverMap
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.resample.warp import RESAMPLING, Colour, numba_engine, numpy_engine, supersampling, warp
+from geomosaic.resample.engine import numba_engine, numpy_engine
+from geomosaic.resample.warp import RESAMPLING, Colour, supersampling, warp
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import build
 from geomosaic.sensor.mapper import MapToImage

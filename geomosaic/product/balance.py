@@ -11,7 +11,8 @@ from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.radiometry.overlaps import Overlaps, Thumbnail
-from geomosaic.resample.warp import Colour, engine_for, value_range
+from geomosaic.resample.engine import engine_for
+from geomosaic.resample.warp import Colour, value_range
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import BLOCK_HEIGHT, BLOCK_WIDTH
 

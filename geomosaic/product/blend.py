@@ -11,7 +11,8 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.photo import pull
 from geomosaic.product.photos import Photos
 from geomosaic.raster.burn import burn
-from geomosaic.resample.warp import CELL, Colour, Engine, value_range
+from geomosaic.resample.engine import Engine
+from geomosaic.resample.warp import CELL, Colour, value_range
 from geomosaic.seam.feather import halo, reduction, signed_distance, weights
 from geomosaic.sensor.ground import BlockGround, Ground
 from geomosaic.sensor.lattice import Lattice

@@ -25,7 +25,8 @@ from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output
 from geomosaic.raster.sink import RasterSink
-from geomosaic.resample.warp import Colour, engine_for
+from geomosaic.resample.engine import engine_for
+from geomosaic.resample.warp import Colour
 from geomosaic.seam.voronoi import regions
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import blocks

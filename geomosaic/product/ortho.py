@@ -17,7 +17,8 @@ from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo, pull
 from geomosaic.product.pool import in_order
 from geomosaic.raster.sink import RasterSink
-from geomosaic.resample.warp import MOST_SAMPLES, Colour, engine_for
+from geomosaic.resample.engine import engine_for
+from geomosaic.resample.warp import MOST_SAMPLES, Colour
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import BLOCK_HEIGHT, blocks
 from geomosaic.surface.model import Surface

@@ -11,7 +11,8 @@ from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.raster.source import Source
-from geomosaic.resample.warp import CELL, Colour, Engine, warp
+from geomosaic.resample.engine import Engine
+from geomosaic.resample.warp import CELL, Colour, warp
 from geomosaic.sensor.ground import BlockGround
 from geomosaic.sensor.lattice import Lattice, build
 from geomosaic.sensor.mapper import MapToImage

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
+from geomosaic.resample.engine import Engine
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
 from geomosaic.sensor.lattice_error import at_height
 from geomosaic.surface.model import HeightPatch
@@ -38,49 +39,6 @@ class Reader(Protocol):
 
     def read(self, window: Window, shrink: int = 1) -> tuple[AnyArray, ByteArray | None]:
         """Values (rows, cols, bands) and validity (rows, cols), None where all are valid."""
-
-
-@dataclass(frozen=True)
-class Engine:
-    """Where the kernels come from; both engines give the same bytes.
-
-    `quick` holds, by resampling, kernels that place and sample a whole block of three bands of eight bits at once.
-    """
-
-    coordinates: Callable[..., tuple[float, float, float, float]]
-    sample: Callable[..., None]
-    accumulate: Callable[..., None]
-    finish: Callable[..., None]
-    quick: Mapping[str, Callable[..., int]]
-
-    def threads(self, most: int) -> int:
-        """Threads that are worth starting: NumPy's small steps would only wait for each other."""
-        return most if self.quick else 1
-
-
-def numpy_engine() -> Engine:
-    """Kernels in NumPy: nothing to start, slow on large jobs."""
-    from geomosaic.resample import reference
-
-    return Engine(reference.coordinates, reference.sample, reference.accumulate, reference.finish, {})
-
-
-def numba_engine() -> Engine:
-    """Compiled kernels."""
-    from geomosaic.resample.kernels import blend, place, sample
-
-    return Engine(
-        place.coordinates,
-        sample.sample,
-        blend.accumulate,
-        blend.finish,
-        {"bilinear": place.bilinear_rgb, "cubic": place.cubic_rgb},
-    )
-
-
-def engine_for(pixels: int) -> Engine:
-    """Choose by the work to do: starting the compiled kernels costs as much as about 1.5 million pixels in NumPy."""
-    return numba_engine() if pixels > 1_500_000 else numpy_engine()
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,49 @@
+"""Where the kernels come from: compiled, or plain NumPy for jobs too small to wait for a compiler."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Where the kernels come from; both engines give the same bytes.
+
+    `quick` holds, by resampling, kernels that place and sample a whole block of three bands of eight bits at once.
+    """
+
+    coordinates: Callable[..., tuple[float, float, float, float]]
+    sample: Callable[..., None]
+    accumulate: Callable[..., None]
+    finish: Callable[..., None]
+    quick: Mapping[str, Callable[..., int]]
+
+    def threads(self, most: int) -> int:
+        """Threads that are worth starting: NumPy's small steps would only wait for each other."""
+        return most if self.quick else 1
+
+
+def numpy_engine() -> Engine:
+    """Kernels in NumPy: nothing to start, slow on large jobs."""
+    from geomosaic.resample import reference
+
+    return Engine(reference.coordinates, reference.sample, reference.accumulate, reference.finish, {})
+
+
+def numba_engine() -> Engine:
+    """Compiled kernels."""
+    from geomosaic.resample.kernels import blend, place, sample
+
+    return Engine(
+        place.coordinates,
+        sample.sample,
+        blend.accumulate,
+        blend.finish,
+        {"bilinear": place.bilinear_rgb, "cubic": place.cubic_rgb},
+    )
+
+
+def engine_for(pixels: int) -> Engine:
+    """Choose by the work to do: starting the compiled kernels costs as much as about 1.5 million pixels in NumPy."""
+    return numba_engine() if pixels > 1_500_000 else numpy_engine()
