@@ -200,6 +200,17 @@ def test_a_raster_that_no_file_can_hold_is_refused_before_any_work(tell, block, 
     assert "resolution" in err
 
 
+def test_a_limit_that_cannot_be_kept_is_noted_and_the_work_goes_on(tell, block, tmp_path):
+    words = ["ortho", photos(block)[0], *flags(block), "--res", 8, "--overwrite", "-o", tmp_path / "o.tif"]
+    code, out, err = tell(*words, "--mem-limit", "64M", "--threads", 2, "--json")
+    assert code == 0
+    assert json.loads(out)["valid_pixels"] > 0
+    assert err.startswith("note: --mem-limit 64M will be exceeded: with 2 threads")
+    assert "300M" in err
+    for kept in (["--mem-limit", "256M"], []):
+        assert tell(*words, "--threads", 1, *kept)[2] == ""
+
+
 def test_sizes_are_read():
     from geomosaic.cli.values import size
 
@@ -406,7 +417,7 @@ def test_status_and_only_what_is_stale(tell, own):
     lines = {line.split()[0]: line for line in out.splitlines()}
     assert "fresh" in lines["orient"]
     assert "stale: 'output' changed" in lines["mosaic"]
-    code, out, _ = tell("run", own, "--json", "--threads", 1, "--mem-limit", "256M")
+    code, out, _ = tell("run", own, "--json", "--threads", 1, "--mem-limit", "512M")
     ran = {state["name"]: not state["fresh"] for state in json.loads(out)["steps"]}
     assert (code, ran) == (0, {"orient": False, "mosaic": True, "check": True, "report": True})
     assert [path.name for path in (own.parent / "output").iterdir() if path.name.startswith(".")] == []

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, machine_options
 from geomosaic.cli.outcome import accuracy_words, verdict
 from geomosaic.cli.talk import answer, notes, progress, say
@@ -27,6 +28,7 @@ def command(folder: Path, threads: int | None, mem_limit: int | None, as_json: b
 
     project = load_project(copy_sample(folder))
     say(f"sample block: {len(project.images)} photos in {folder}")
+    note_memory(mem_limit, threads)
     with notes(), progress(as_json) as report:
         done = run_project(project, machine=Machine(threads, mem_limit), progress=report)
     facts = done.facts

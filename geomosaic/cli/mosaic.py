@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack
 from geomosaic.cli.request import area, block_inputs, mosaic_options
 from geomosaic.cli.talk import answer, notes, progress
@@ -34,6 +35,7 @@ def command(images: tuple[Path, ...], output: Path, as_json: bool, **flags: Any)
     """
     from geomosaic.project.make import make_mosaic
 
+    note_memory(flags["mem_limit"], flags["threads"])
     with notes(), progress(as_json) as report:
         result = make_mosaic(block_inputs(images, flags), area(flags), output, mosaic_options(flags, report))
     answer(mosaic_facts(result), mosaic_words(result), as_json)

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack
 from geomosaic.cli.request import area, block_inputs, render_options
 from geomosaic.cli.talk import answer, notes, progress
@@ -27,6 +28,7 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
     """  # noqa: D301
     from geomosaic.project.make import make_ortho
 
+    note_memory(flags["mem_limit"], flags["threads"])
     with notes(), progress(as_json) as report:
         result = make_ortho(block_inputs((image,), flags), area(flags), output, render_options(flags, report))
     answer(ortho_facts(result), ortho_words(result), as_json)

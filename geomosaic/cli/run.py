@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, machine_options
 from geomosaic.cli.outcome import outcome_words, verdict
 from geomosaic.cli.talk import answer, notes, progress
@@ -29,6 +30,7 @@ def command(
     from geomosaic.project.load import load_project
 
     loaded, machine = load_project(project), Machine(threads, mem_limit)
+    note_memory(mem_limit, threads)
     with notes(), progress(as_json) as report:
         done = run_project(loaded, only=steps, force=force, machine=machine, progress=report)
     answer({"steps": [asdict(state) for state in done.states], **done.facts}, outcome_words(done), as_json)
