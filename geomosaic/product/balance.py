@@ -51,7 +51,7 @@ def _thumbnail(photos: Photos, index: int, grid: Grid, options: RenderOptions) -
     valid = np.zeros(values.shape[:2], dtype=np.uint8)
     if window.empty:
         return Thumbnail(window, values, valid)
-    engine, colour = engine_for(4 * valid.size), Colour.identity(bands)
+    engine, colour = engine_for(4 * valid.size, "average"), Colour.identity(bands)
     below = Ground.under(grid, photos.block.surface)
     # The window itself is cut into blocks, not the grid: only the heights below the photo are read.
     for part in window.split(BLOCK_WIDTH, BLOCK_HEIGHT):

@@ -117,7 +117,7 @@ def mosaic(
             shares = regions(shapes, [outline.centre for outline in outlines])
         colours = [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
         seams = Seams(shares, shapes, feather / grid.resolution[0])
-        engine = engine_for(2 * samples(grid, outlines))
+        engine = engine_for(2 * samples(grid, outlines), render.resampling)
         blender = Blender(
             photos, grid, Ground.under(grid, block.surface), seams, colours, engine, render.resampling, render.tolerance
         )

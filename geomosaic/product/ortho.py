@@ -123,7 +123,7 @@ def ortho(
     started = time.perf_counter()
     photo = Photo.open(scene, surface, grid, outline, options.memory_limit // 2)
     info = photo.source.info
-    engine = engine_for(samples(grid, [outline]))
+    engine = engine_for(samples(grid, [outline]), options.resampling)
     record, seen = GeometryRecord(), 0
     below = Ground.under(grid, surface)
     colour = Colour.identity(info.bands)
