@@ -14,6 +14,8 @@ GeomosaicError                what, where, mend; exit code 1
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 
 class GeomosaicError(Exception):
     """A failure with its place and its mend.
@@ -83,3 +85,12 @@ class Interrupted(GeomosaicError):
 
 class GeomosaicWarning(UserWarning):
     """Something the user should know; the work goes on."""
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """'did you mean ...?' with the closest known word, whatever the capitals; empty where none is close."""
+    import difflib
+
+    folded = {name.casefold(): name for name in known}
+    close = difflib.get_close_matches(word.casefold(), folded, 1, 0.6)
+    return f"did you mean '{folded[close[0]]}'?" if close else ""

@@ -257,6 +257,27 @@ def test_bad_inputs_name_image_and_input(options: dict[str, Any], says: str) -> 
     assert caught.value.where == "photo 12"
 
 
+POINT = {"x": 1, "y": 2, "col": 3, "row": 4}
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"Transfrom": [1, 0, 0, 0, -1, 0]}, "did you mean 'transform'"),
+        ({"POINTS": [POINT]}, "did you mean 'points'"),
+        ({"points": [POINT], "kind": "Affine"}, "did you mean 'affine'"),
+        ({"points": [POINT], "kind": "POLYNOM"}, "did you mean 'polynomial'"),
+        ({"points": [{"X": 1, "y": 2, "col": 3, "row": 4}]}, "did you mean 'x'"),
+        ({"points": [{"x": 1, "y": 2, "Column": 3, "row": 4}]}, "did you mean 'col'"),
+        ({"coefficients": {"A00": 1, "a10": 1, "a01": 0, "b00": 0, "b10": 0, "b01": 1}}, "did you mean 'a00'"),
+    ],
+)
+def test_what_was_meant_is_suggested_whatever_its_case(options: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError) as caught:
+        plugin.build(SensorRequest("photo 12", SIZE, options, UTM))
+    assert says in str(caught.value.mend)
+
+
 def test_no_crs() -> None:
     with pytest.raises(InputError, match="horizontal CRS"):
         plugin.build(SensorRequest("photo 12", SIZE, {"transform": TRUE_TRANSFORM}))

@@ -48,11 +48,10 @@ class LazyGroup(click.Group):
         """Suggest the command that was meant."""
         name = args[0] if args else ""
         if name and not name.startswith("-") and name not in COMMANDS:
-            import difflib
+            from geomosaic.errors import did_you_mean
 
-            close = difflib.get_close_matches(name, COMMANDS, 1)
-            hint = f" Did you mean '{close[0]}'?" if close else ""
-            ctx.fail(f"No such command '{name}'.{hint}")
+            hint = did_you_mean(name, COMMANDS)
+            ctx.fail(f"No such command '{name}'. {hint[:1].upper()}{hint[1:]}".rstrip())
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from geomosaic.errors import InputError
-from geomosaic.project.names import did_you_mean, find_by_name, missing_row, stem
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.project.names import find_by_name, missing_row, stem
 from geomosaic.project.tables import Table, read_table
 from geomosaic.types import PathLike
 

@@ -10,10 +10,9 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, did_you_mean
 from geomosaic.project.camera import read_toml
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.names import did_you_mean
 from geomosaic.project.schema import ProjectFile
 from geomosaic.project.tables import read_text
 from geomosaic.types import PathLike

@@ -2,24 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from pathlib import PurePath
 from typing import TypeVar
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, did_you_mean
 
 Value = TypeVar("Value")
-
-
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """'did you mean ...?' with the closest known name; empty where none is close."""
-    names = list(known)
-    close = difflib.get_close_matches(name, names, 1, 0.6)
-    if not close:
-        folded = {known_name.casefold(): known_name for known_name in names}
-        close = [folded[match] for match in difflib.get_close_matches(name.casefold(), folded, 1, 0.6)]
-    return f"did you mean '{close[0]}'?" if close else ""
 
 
 def stem(name: str) -> str:

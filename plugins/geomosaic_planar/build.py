@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from affine import Affine
 from pyproj import CRS
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import horizontal
 from geomosaic.sensor.plugin import SensorInput, SensorRequest
 from geomosaic.types import FloatArray
@@ -19,6 +18,7 @@ from geomosaic_planar.fit import fit_planar
 from geomosaic_planar.model import PlanarModel
 from geomosaic_planar.terms import KINDS, MAX_ORDER, parameter_names
 
+POINT = ("x", "y", "col", "row")
 SOURCES = ("transform", "geotransform", "points", "coefficients")
 
 
@@ -54,11 +54,7 @@ class PlanarPlugin:
         known = [entry.name for entry in self.inputs]
         for key in options:
             if key not in known:
-                close = difflib.get_close_matches(str(key), known, 1)
-                hint = f"did you mean '{close[0]}'? " if close else ""
-                raise InputError(
-                    f"sensor 'planar' has no input '{key}'", where=where, mend=f"{hint}it has {', '.join(known)}"
-                )
+                raise InputError(f"sensor 'planar' has no input '{key}'", where=where, mend=_mend(key, "it has", known))
         given = [source for source in SOURCES if source in options]
         if len(given) != 1:
             what = f"{' and '.join(given)} are given together" if given else "there is nothing to place the image with"
@@ -110,7 +106,7 @@ def _georeferenced(request: SensorRequest, crs: CRS, option: str) -> PlanarModel
 def _kind(options: Mapping[str, Any], where: str) -> tuple[str, int]:
     kind, order = options.get("kind", "affine"), options.get("order", 1)
     if kind not in KINDS:
-        raise InputError(f"input 'kind' is '{kind}'", where=where, mend=f"choose one of {', '.join(KINDS)}")
+        raise InputError(f"input 'kind' is '{kind}'", where=where, mend=_mend(kind, "choose one of", KINDS))
     if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= MAX_ORDER:
         raise InputError(f"input 'order' is {order}", where=where, mend=f"give a whole number from 1 to {MAX_ORDER}")
     if kind != "polynomial" and order != 1:
@@ -126,10 +122,15 @@ def _points(points: Any, where: str) -> tuple[FloatArray, FloatArray, FloatArray
     for index, point in enumerate(points, 1):
         if not isinstance(point, Mapping):
             raise InputError(f"control point {index} is not a table of x, y, col, row", where=where)
-        missing = [key for key in ("x", "y", "col", "row") if key not in point]
+        missing = [key for key in POINT if key not in point]
         if missing:
-            raise InputError(f"control point {index} has no {', '.join(missing)}", where=where)
-        row = [point[key] for key in ("x", "y", "col", "row")] + [point.get("sigma", 1.0)]
+            hints = (did_you_mean(str(key), missing) for key in point if key not in (*POINT, "sigma"))
+            raise InputError(
+                f"control point {index} has no {', '.join(missing)}",
+                where=where,
+                mend=f"{' '.join(filter(None, hints))} give each point {', '.join(POINT)}".strip(),
+            )
+        row = [point[key] for key in POINT] + [point.get("sigma", 1.0)]
         rows.append(_numbers(row, 5, f"points, number {index}", where))
         if rows[-1][4] <= 0.0:
             raise InputError(f"control point {index} has a sigma that is not greater than 0", where=where)
@@ -141,11 +142,17 @@ def _coefficients(given: Any, kind: str, order: int, where: str) -> FloatArray:
     names = parameter_names(kind, order)
     if isinstance(given, Mapping):
         if set(given) != set(names):
+            odd = next((str(key) for key in given if key not in names), "")
             raise InputError(
-                "input 'coefficients' does not name what this kind has", where=where, mend=f"give {', '.join(names)}"
+                "input 'coefficients' does not name what this kind has", where=where, mend=_mend(odd, "give", names)
             )
         given = [given[name] for name in names]
     return np.array(_numbers(given, len(names), "coefficients", where))
+
+
+def _mend(word: Any, words: str, known: Sequence[str]) -> str:
+    """What was probably meant, and all there is."""
+    return f"{did_you_mean(str(word), known)} {words} {', '.join(known)}".strip()
 
 
 def _numbers(given: Any, count: int, option: str, where: str) -> list[float]:
