@@ -21,7 +21,7 @@ import rasterio
 from PIL import Image
 
 from geomosaic.cli.main import COMMANDS, run
-from geomosaic.jobs.atomic import read_json
+from geomosaic.jobs.facts import read_json
 
 PHOTOS = ("strip1_02.jpg", "strip1_03.jpg", "strip2_02.jpg", "strip2_03.jpg")
 PLACE = ("--res", "1", "--bounds", "399850", "5499850", "400250", "5500150")
@@ -283,6 +283,30 @@ def test_an_output_is_never_written_over_unasked(tell, block, tmp_path):
         assert made.count == 3
 
 
+def test_an_input_is_never_written_over_asked_for_or_not(tell, block, tmp_path):
+    """The first photo as output, as companion of the output, and where the project file should be named."""
+    own = tmp_path / "own"
+    shutil.copytree(block, own)
+    before = {path: path.read_bytes() for path in own.rglob("*.*")}
+    link = own / "link.jpg"
+    link.symlink_to(photos(own)[0])
+    for output in (photos(own)[0], link, own / "dem.tif", own / "exterior.csv"):
+        code, _, err = tell("ortho", photos(own)[0], *flags(own), "--res", 8, "--overwrite", "-o", output)
+        assert code == 1
+        assert "one of the inputs" in err
+        assert str(output) in err
+    labels = own / "all-labels.tif"
+    labels.write_bytes(Path(photos(own)[1]).read_bytes())
+    before[labels] = labels.read_bytes()
+    code, _, err = tell("mosaic", labels, *flags(own), "--res", 8, "--overwrite", "-o", own / "all.tif")
+    assert (code, "one of the inputs" in err) == (1, True)
+    code, _, err = tell("new", *photos(own), *flags(own), "--overwrite")
+    assert code == 2
+    assert "the project file comes first" in err
+    link.unlink()
+    assert {path: path.read_bytes() for path in own.rglob("*.*")} == before
+
+
 # Bad input: each with a message, exit code 1, and nothing under the final name
 
 
@@ -442,6 +466,35 @@ def test_a_step_can_be_asked_for(tell, own):
     code, _, err = tell("run", own, "mozaic")
     assert code == 1
     assert "orient, mosaic, check, report" in err
+
+
+def test_a_project_that_is_not_filled_in_says_all_it_needs(tell, block, tmp_path):
+    file = tmp_path / "bare.toml"
+    code, out, _ = tell("new", file, *photos(block), "--sensor", "frame", "--json")
+    assert code == 0
+    code, _, err = tell("run", file)
+    assert code == 1
+    assert "bare.toml: the project is not complete" in err
+    for text in json.loads(out)["needed"]:
+        assert text in err
+    assert not (tmp_path / "output" / "bare.tif").exists()
+
+
+def test_outputs_are_not_mixed_with_images(tell, own):
+    own.write_text(own.read_text().replace('folder = "output"', 'folder = "photos"'))
+    before = sorted((own.parent / "photos").iterdir())
+    code, _, err = tell("run", own)
+    assert code == 1
+    assert "the output folder holds an image" in err
+    assert sorted((own.parent / "photos").iterdir()) == before
+
+
+def test_an_output_folder_that_is_a_file(tell, own):
+    own.write_text(own.read_text().replace('folder = "output"', 'folder = "exterior.csv"'))
+    code, _, err = tell("run", own)
+    assert code == 1
+    assert "exterior.csv" in err
+    assert "cannot be written" in err
 
 
 def test_an_unknown_project_key(tell, own):

@@ -17,11 +17,11 @@ from pathlib import Path
 import pytest
 
 from geomosaic.errors import InputError, Interrupted, OutputError, OutputExistsError
-from geomosaic.jobs.atomic import write_atomic
 from geomosaic.jobs.engine import run, status
 from geomosaic.jobs.lock import project_lock
 from geomosaic.jobs.manifest import Manifest
 from geomosaic.jobs.step import Job, Step
+from geomosaic.project.atomic import write_atomic
 
 CALLS: list[str] = []
 

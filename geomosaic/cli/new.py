@@ -11,8 +11,17 @@ from geomosaic.cli.options import FILE, debug_option, image_options, json_option
 from geomosaic.cli.talk import answer, notes
 
 
+def project_file(ctx: click.Context, param: click.Parameter, value: Path) -> Path:
+    """Refuse a name that is no project file's: a forgotten first word must not cost the first photo."""
+    if value.suffix.lower() != ".toml":
+        raise click.BadParameter(
+            f"'{value}' does not end in .toml; the project file comes first: geomosaic new project.toml IMAGE..."
+        )
+    return value
+
+
 @click.command()
-@click.argument("project", type=FILE)
+@click.argument("project", type=FILE, callback=project_file, metavar="PROJECT.toml")
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
 @image_options
 @click.option("--gcps", type=FILE, help="Control and check points: id, x, y, z, image, col, row.")
@@ -31,8 +40,8 @@ def command(
     from geomosaic.project.make import refuse_existing
 
     with notes():
-        refuse_existing(project, overwrite)
         inputs = block_inputs(images, flags, control=gcps)
+        refuse_existing(project, overwrite, inputs)
         context = click.get_current_context()
         declared = context.get_parameter_source("angles") is click.core.ParameterSource.COMMANDLINE
         draft = draft_project(project, inputs, flags["angles"] if declared else None)

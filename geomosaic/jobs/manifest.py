@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from geomosaic.jobs.atomic import write_atomic
+from geomosaic.project.atomic import write_atomic
 
 FORMAT = 1
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from geomosaic.errors import QualityError
 from geomosaic.jobs import engine
-from geomosaic.jobs.atomic import read_json
 from geomosaic.jobs.depends import plugin_versions, with_companions
+from geomosaic.jobs.facts import read_json
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Job, Machine, Progress, State, Step
 from geomosaic.jobs.steps.check import check, failure

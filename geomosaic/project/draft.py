@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from geomosaic.errors import OutputError, OutputExistsError
+from geomosaic.errors import OutputExistsError
+from geomosaic.project.atomic import write_atomic
 from geomosaic.project.exterior import (
     RECONSTRUCTION_SYSTEM,
     RECONSTRUCTIONS,
@@ -66,13 +67,7 @@ def write_project(draft: Draft, *, overwrite: bool = False) -> None:
     """Write the project file, never over an existing one unasked."""
     if draft.path.exists() and not overwrite:
         raise OutputExistsError("the project exists", where=str(draft.path), mend="give another name, or --overwrite")
-    temporary = draft.path.with_name(f".{draft.path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(draft.text, encoding="utf-8")
-        temporary.replace(draft.path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise OutputError(f"cannot be written: {error.strerror}", where=str(draft.path)) from error
+    write_atomic(draft.path, draft.text)
 
 
 def _system(table: Path) -> str | None:

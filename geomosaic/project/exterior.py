@@ -138,7 +138,11 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
         image = row.text("image")
         bare = stem(image)
         if bare in lines:
-            raise InputError(f"image '{image}' has a row already, on line {lines[bare]}", where=row.where)
+            raise InputError(
+                f"image '{image}' has a row already, on line {lines[bare]}",
+                where=row.where,
+                mend="keep the one that is right; names are told apart without folder and extension",
+            )
         lines[bare] = row.line
         x, y, z = (row.number(axis) for axis in "xyz")
         rows[image] = Exterior(image, (x, y, z), {name: row.number(name) for name in columns}, row.line)

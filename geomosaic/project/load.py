@@ -113,7 +113,16 @@ def load_project(path: PathLike) -> Project:
         settings = ProjectFile.model_validate(values)
     except ValidationError as error:
         raise _all_errors(error, str(path), text) from None
-    return Project(file, settings, find_images(file.parent, settings.project.images, f"{path}, [project] images"))
+    project = Project(file, settings, find_images(file.parent, settings.project.images, f"{path}, [project] images"))
+    written = {(project.output / part).resolve() for part in ("", "orthos")}
+    mixed = next((image for image in project.images if image.parent.resolve() in written), None)
+    if mixed is not None:
+        raise InputError(
+            f"the output folder holds an image, {mixed.name}: what is written would mix with what is read",
+            where=f"{path}, [output] folder",
+            mend="give a folder of its own",
+        )
+    return project
 
 
 def find_images(folder: Path, patterns: list[str], where: str) -> tuple[Path, ...]:

@@ -61,8 +61,11 @@ def plan(scenes: Sequence[Scene], surface: Surface | None, area: Area) -> tuple[
     return grid, outlines
 
 
-def refuse_existing(path: Path, overwrite: bool) -> None:
-    """Stop before any work where the output exists."""
+def refuse_existing(path: Path, overwrite: bool, inputs: BlockInputs | None = None) -> None:
+    """Stop before any work where the output exists; an input is never written over, asked for or not."""
+    read = () if inputs is None else (*inputs.images, *inputs.tables, *inputs.ground)
+    if path.exists() and any(file.exists() and path.samefile(file) for file in read):
+        raise InputError("the output is one of the inputs", where=str(path), mend="give another name for the output")
     if path.exists() and not overwrite:
         raise OutputExistsError("the output exists", where=str(path), mend="give another name, or --overwrite")
     if not path.absolute().parent.is_dir():
@@ -75,7 +78,7 @@ def make_ortho(inputs: BlockInputs, area: Area, output: Path, options: RenderOpt
     """Rectify the one image of `inputs`."""
     from geomosaic.product.ortho import ortho
 
-    refuse_existing(output, options.overwrite)
+    refuse_existing(output, options.overwrite, inputs)
     block = build_block(inputs)
     grid, outlines = plan(block.scenes, block.surface, area)
     return ortho(block.scenes[0], block.surface, grid, outlines[0], output, options)
@@ -83,9 +86,11 @@ def make_ortho(inputs: BlockInputs, area: Area, output: Path, options: RenderOpt
 
 def make_mosaic(inputs: BlockInputs, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
     """Make a mosaic of all images of `inputs`."""
-    from geomosaic.product.mosaic import mosaic
+    from geomosaic.product.mosaic import beside, mosaic
 
-    refuse_existing(output, options.render.overwrite)
+    named = (("-labels", ".tif", options.labels), ("", ".gpkg", options.vectors), ("", ".stac.json", options.stac))
+    for file in (output, *(beside(output, mark, suffix) for mark, suffix, wanted in named if wanted)):
+        refuse_existing(file, options.render.overwrite, inputs)
     block = build_block(inputs)
     grid, outlines = plan(block.scenes, block.surface, area)
     return mosaic(block, grid, outlines, output, options)

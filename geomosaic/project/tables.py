@@ -161,7 +161,7 @@ def read_table(path: PathLike, what: str, example: str) -> Table:
         if not line.lstrip().startswith("#")
     ]
     if not rows:
-        raise InputError(f"the {what} has a header but no rows", where=str(path))
+        raise InputError(f"the {what} has a header but no rows", where=str(path), mend="add a line for each row")
     return Table(str(path), tuple(columns), tuple(rows))
 
 

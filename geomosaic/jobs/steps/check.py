@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from geomosaic.errors import QualityError
-from geomosaic.jobs.atomic import read_json, write_json
+from geomosaic.jobs.facts import read_json, write_json
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Context
 from geomosaic.project.load import Project

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from geomosaic.jobs.atomic import write_json
+from geomosaic.block.block import Block
+from geomosaic.errors import InputError
+from geomosaic.jobs.facts import write_json
 from geomosaic.jobs.heard import heard
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Context
@@ -15,6 +17,7 @@ from geomosaic.project.camera import read_camera
 from geomosaic.project.exterior import SYSTEM_NAMES
 from geomosaic.project.frames import describe
 from geomosaic.project.load import Project
+from geomosaic.project.needs import needs
 from geomosaic.sensor.registry import to_dict
 
 
@@ -22,7 +25,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     """Write `models/<image>.json` and the facts of the orientation."""
     layout = Layout(project)
     with heard() as notes:
-        block = build_block(project.inputs)
+        block = _block(project)
         for done, (scene, path) in enumerate(zip(block.scenes, layout.models, strict=True)):
             write_json(path, {"image": scene.name, **to_dict(scene.sensor, scene.model)})
             context.progress(done + 1, len(block.scenes), "orient")
@@ -65,3 +68,18 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     }
     write_json(layout.facts("orient"), facts)
     return {"images": len(block.scenes), "control": len(residuals)}
+
+
+def _block(project: Project) -> Block:
+    """Build the block; where that fails for want of something, say all that is wanting, not only the first."""
+    try:
+        return build_block(project.inputs)
+    except InputError as error:
+        lacking = needs(project.inputs)
+        if not lacking:
+            raise
+        raise InputError(
+            "the project is not complete: it needs\n    " + "\n    ".join(lacking),
+            where=project.path.name,
+            mend="fill it in; `geomosaic new` marks the places with NEEDED",
+        ) from error

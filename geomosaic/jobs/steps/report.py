@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import geomosaic
-from geomosaic.jobs.atomic import plain, read_json, write_atomic, write_json
 from geomosaic.jobs.digest import versions
+from geomosaic.jobs.facts import plain, read_json, write_json
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Context
+from geomosaic.project.atomic import write_atomic
 from geomosaic.project.load import Project
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from geomosaic.block.block import Block
 from geomosaic.block.scene import Scene
-from geomosaic.jobs.atomic import read_json
+from geomosaic.jobs.facts import read_json
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Machine, Progress
 from geomosaic.product.options import RenderOptions
