@@ -1,0 +1,182 @@
+"""Control of one image as a value."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import InputError
+from geomosaic.geo.transform import Transform
+from geomosaic.types import BoolArray, FloatArray
+
+ROLES = ("control", "check")
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a point was read.
+
+    Attributes
+    ----------
+    path : str
+    number : int
+        Counted from 1.
+    unit : str
+        What is counted: 'line' of a text, 'GCP' of a raster, 'corner' of the image a world file belongs to.
+    """
+
+    path: str
+    number: int
+    unit: str = "line"
+
+    def __str__(self) -> str:
+        return f"{self.path}, {self.unit} {self.number}"
+
+
+@dataclass(frozen=True, eq=False)
+class ImageControl:
+    """Points of one image with their places on the ground.
+
+    Attributes
+    ----------
+    names : tuple of str
+        One each, no two alike.
+    colrow : array (N, 2)
+        Pixels, corner-based: (0.5, 0.5) is the centre of the upper-left pixel.
+    ground : array (N, 2) or (N, 3)
+        x, y and, where heights are given, z (NaN where one is not known), in `crs`.
+    crs : CRS
+        Of the ground.
+    sigma : array (N,)
+        Standard deviation of the image coordinates, pixels.
+    roles : tuple of str
+        'control' takes part in fits, 'check' only judges them.
+    enabled : bool array (N,)
+        Whether the point counts at all.
+    origins : tuple of Origin
+        Where each was read.
+
+    Raises
+    ------
+    InputError
+        Parts of different length, a name twice, a coordinate that is not finite, a sigma that is not positive or an
+        unknown role; the point is named.
+    """
+
+    names: tuple[str, ...]
+    colrow: FloatArray
+    ground: FloatArray
+    crs: CRS
+    sigma: FloatArray
+    roles: tuple[str, ...]
+    enabled: BoolArray
+    origins: tuple[Origin, ...]
+
+    def __post_init__(self) -> None:
+        count = len(self.names)
+        arrays = {
+            "colrow": np.array(self.colrow, dtype=np.float64).reshape(-1, 2),
+            "ground": np.array(self.ground, dtype=np.float64),
+            "sigma": np.array(self.sigma, dtype=np.float64),
+            "enabled": np.array(self.enabled, dtype=np.bool_),
+        }
+        for name, array in arrays.items():
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        lengths = {*map(len, arrays.values()), len(self.roles), len(self.origins)}
+        if lengths != {count} or self.ground.ndim != 2 or self.ground.shape[1] not in (2, 3):
+            raise InputError(f"control of {count} names has parts of other lengths: {sorted(lengths)}")
+        first: dict[str, Origin] = {}
+        for index, (name, origin) in enumerate(zip(self.names, self.origins, strict=True)):
+            if not np.isfinite([*self.colrow[index], *self.ground[index, :2]]).all():
+                raise InputError(
+                    f"point '{name}' has a coordinate that is not finite", where=str(origin), mend="give a number"
+                )
+            if not (np.isfinite(self.sigma[index]) and self.sigma[index] > 0):
+                raise InputError(
+                    f"point '{name}' has the sigma {self.sigma[index]:g}", where=str(origin), mend="above 0, pixels"
+                )
+            if self.roles[index] not in ROLES:
+                raise InputError(
+                    f"point '{name}' has the role '{self.roles[index]}'",
+                    where=str(origin),
+                    mend=f"write {' or '.join(ROLES)}",
+                )
+            if name in first:
+                raise InputError(
+                    f"two points are called '{name}': {first[name]} has the other",
+                    where=str(origin),
+                    mend="rename one; one point is measured once in an image",
+                )
+            first[name] = origin
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def xy(self) -> FloatArray:
+        """Ground without heights, (N, 2)."""
+        return self.ground[:, :2]
+
+    def select(self, which: BoolArray | Sequence[bool]) -> ImageControl:
+        """Return the points for which `which` (N,) is true."""
+        kept = np.flatnonzero(np.asarray(which, dtype=np.bool_))
+        return ImageControl(
+            tuple(self.names[i] for i in kept),
+            self.colrow[kept],
+            self.ground[kept],
+            self.crs,
+            self.sigma[kept],
+            tuple(self.roles[i] for i in kept),
+            self.enabled[kept],
+            tuple(self.origins[i] for i in kept),
+        )
+
+    def of_role(self, role: str) -> ImageControl:
+        """Return the enabled points of a role, 'control' or 'check'."""
+        return self.select(self.enabled & np.array([own == role for own in self.roles], dtype=np.bool_))
+
+    def without(self, names: Sequence[str]) -> ImageControl:
+        """Return the same points with those of these names not enabled."""
+        unknown = sorted(set(names) - set(self.names))
+        if unknown:
+            raise InputError(f"there is no point '{unknown[0]}'", mend=f"there are {', '.join(self.names[:12])}")
+        return replace(self, enabled=self.enabled & ~np.isin(np.array(self.names), list(names)))
+
+    def to_crs(self, crs: CRS) -> ImageControl:
+        """Return the same points with the ground in another CRS.
+
+        Heights take part where both CRS have them, else they pass through (`geo.transform.Transform`).
+
+        Raises
+        ------
+        InputError
+            No trustworthy transformation, or a point that cannot be transformed, which is named.
+        """
+        transform = Transform(self.crs, crs)
+        unknown = np.zeros(len(self), dtype=np.bool_)
+        ground = self.ground.copy()
+        if ground.shape[1] == 3:
+            unknown = np.isnan(ground[:, 2])
+            ground[unknown, 2] = 0.0
+            if transform.spatial and unknown.any():
+                at = int(np.flatnonzero(unknown)[0])
+                raise InputError(
+                    f"point '{self.names[at]}' has no height, which '{self.crs.name}' to '{crs.name}' needs",
+                    where=str(self.origins[at]),
+                    mend="give its height, or CRS without heights",
+                )
+        moved = transform(ground)
+        lost = np.flatnonzero(~np.isfinite(moved).all(axis=1))
+        if len(lost):
+            raise InputError(
+                f"point '{self.names[lost[0]]}' at {self.xy[lost[0]].tolist()} has no place in '{crs.name}'"
+                + (f"; nor have {len(lost) - 1} more" if len(lost) > 1 else ""),
+                where=str(self.origins[lost[0]]),
+                mend=f"check that the coordinates are in '{self.crs.name}', x before y",
+            )
+        moved[unknown, 2:] = np.nan
+        return replace(self, ground=moved, crs=crs)

@@ -1,0 +1,174 @@
+"""geomosaic's own table: id, x, y, z, image, col, row, sigma_px, role, enabled, in any order, one line per point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from pyproj import CRS
+
+from geomosaic.control.points import Origin
+from geomosaic.control.reading import Measured, Reading, choose_image, control_of, ground_crs
+from geomosaic.control.text import Line, delimiter_of, has_decimal_commas, number, read_lines, split
+from geomosaic.errors import InputError
+from geomosaic.types import PathLike
+
+NEEDED = ("x", "y", "col", "row")
+EXAMPLE = "id,x,y,z,image,col,row"
+WORDS: Mapping[str, tuple[str, ...]] = {
+    "id": ("name", "point", "label", "gcp"),
+    "x": ("easting", "east", "lon", "longitude", "mapx"),
+    "y": ("northing", "north", "lat", "latitude", "mapy"),
+    "z": ("height", "alt", "altitude", "elevation"),
+    "image": ("filename", "file", "photo", "imagename", "image_name"),
+    "col": ("column",),
+    "row": ("line",),
+    "sigma_px": ("sigma",),
+    "role": (),
+    "enabled": ("enable",),
+}
+"""Columns, each with other names that can mean nothing else."""
+_NAMES = {other: word for word, others in WORDS.items() for other in (word, *others)}
+_NUMBERS = (*NEEDED, "z", "sigma_px")
+_FLAGS = {"1": True, "true": True, "yes": True, "": True, "0": False, "false": False, "no": False}
+
+
+def header_at(lines: Sequence[tuple[Origin, str]]) -> int | None:
+    """Return the index of the first line that is no comment."""
+    return next((i for i, (_, line) in enumerate(lines) if not line.lstrip().startswith("#")), None)
+
+
+def comment_crs(lines: Sequence[tuple[Origin, str]]) -> str | None:
+    """Return the CRS of a comment '#CRS: ...', where there is one (QGIS writes it so)."""
+    for _, line in lines:
+        head, colon, rest = line.lstrip().partition(":")
+        if colon and head.replace(" ", "").casefold() == "#crs":
+            return rest.strip() or None
+    return None
+
+
+def is_table(header: str) -> bool:
+    """Say whether a header names image and ground coordinates."""
+    names = {_NAMES.get(field.casefold()) for field in split(header, delimiter_of(header))}
+    return {"col", "row"} <= names or {"x", "y"} <= names
+
+
+def rows(lines: Sequence[tuple[Origin, str]], path: str) -> tuple[tuple[str, ...], list[Line], str]:
+    """Split a table into its header (lower case), its lines and the delimiter.
+
+    Raises
+    ------
+    InputError
+        A line with more or fewer values than the header.
+    """
+    at = header_at(lines)
+    if at is None:
+        raise InputError("the table is empty", where=path, mend=f"its first line should read: {EXAMPLE}")
+    delimiter = delimiter_of(lines[at][1])
+    header = tuple(field.casefold() for field in split(lines[at][1], delimiter))
+    body = []
+    for origin, text in lines[at + 1 :]:
+        if text.lstrip().startswith("#"):
+            continue
+        fields = split(text, delimiter)
+        fields += ("",) * (len(header) - len(fields))
+        if len(fields) > len(header):
+            raise InputError(
+                f"{len(fields)} values for {len(header)} columns",
+                where=str(origin),
+                mend="if these are decimal commas, part the columns by semicolons"
+                if delimiter == ","
+                else "every line needs one value per column",
+            )
+        body.append(Line(origin, fields))
+    return header, body, delimiter
+
+
+def read_table_control(
+    path: PathLike, *, image: str | None = None, crs: str | CRS | None = None, half: float = 0.0
+) -> Reading:
+    """Read control of one image from a table.
+
+    Parameters
+    ----------
+    path : path
+        A header and one line per measurement, parted by commas, semicolons, tabs or blanks; decimal commas where
+        commas do not part the columns. `#CRS: EPSG:32633` in a comment names the CRS.
+    image : str, optional
+        Needed where the column `image` names several.
+    crs : str or CRS, optional
+        Needed where no comment names it.
+    half : float
+        Added to col and row: 0.5 for a file that counts pixels by their centres from 0.
+
+    Raises
+    ------
+    InputError
+        Names file, line, point and column.
+    """
+    where = str(path)
+    lines = read_lines(path)
+    header, body, delimiter = rows(lines, where)
+    column = _columns(header, f"{where}, line {lines[header_at(lines) or 0][0].number}")
+    cells = [(line.origin, line.fields[column[name]]) for line in body for name in _NUMBERS if name in column]
+    commas = delimiter != "," and has_decimal_commas(cells)
+    notes = [f"columns parted by {_DELIMITERS[delimiter]}"] + ["decimal commas"] * commas
+    unknown = [name for name in header if name and name not in _NAMES]
+    notes += [f"columns not used: {', '.join(unknown)}"] * bool(unknown)
+    if "image" in column:
+        at = column["image"]
+        empty = next((line for line in body if not line.fields[at]), None)
+        if empty is not None:
+            raise InputError("column 'image' is empty", where=str(empty.origin), mend="name the image of every point")
+        chosen = choose_image([line.fields[at] for line in body], image, where)
+        notes += [f"{sum(line.fields[at] not in chosen for line in body)} points of other images left out"] * (
+            len({line.fields[at] for line in body} - chosen) > 0
+        )
+        body = [line for line in body if line.fields[at] in chosen]
+    points = [_point(index, line, column, commas, half) for index, line in enumerate(body, start=1)]
+    return Reading(control_of(points, ground_crs(comment_crs(lines), crs, where), where), "csv", tuple(notes))
+
+
+_DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
+
+
+def _columns(header: Sequence[str], where: str) -> dict[str, int]:
+    found: dict[str, int] = {}
+    for index, name in enumerate(header):
+        word = _NAMES.get(name)
+        if word is None:
+            continue
+        if word in found:
+            raise InputError(
+                f"columns '{header[found[word]]}' and '{name}' both mean {word}", where=where, mend="keep one of them"
+            )
+        found[word] = index
+    missing = [name for name in NEEDED if name not in found]
+    if missing:
+        raise InputError(
+            f"control needs the column{'s' * (len(missing) > 1)} {', '.join(missing)}; the header has "
+            f"{', '.join(header)}",
+            where=where,
+            mend=f"the header should read: {EXAMPLE}",
+        )
+    return found
+
+
+def _point(index: int, line: Line, column: Mapping[str, int], commas: bool, half: float) -> Measured:
+    text = {name: line.fields[at] for name, at in column.items()}
+    get = {
+        name: number(text[name], name, line.origin, commas=commas)
+        for name in _NUMBERS
+        if name in text and (name in NEEDED or text[name])
+    }
+    flag = text.get("enabled", "").casefold()
+    if flag not in _FLAGS:
+        raise InputError(f"column 'enabled' has '{flag}'", where=str(line.origin), mend="write 1 or 0")
+    return Measured(
+        text.get("id") or str(index),
+        (get["col"] + half, get["row"] + half),
+        (get["x"], get["y"], get.get("z", float("nan"))),
+        line.origin,
+        get.get("sigma_px", 1.0),
+        text.get("role", "").casefold() or "control",
+        _FLAGS[flag],
+    )
