@@ -1,0 +1,58 @@
+"""Points that contradict or repeat each other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geomosaic.control.finding import Advice, plane
+from geomosaic.control.points import ImageControl
+from geomosaic.types import FloatArray
+
+SAME = 2.0
+"""Pixels, or as much on the ground, within which two places are one: about what a hand setting a mark misses by."""
+OTHER = 5.0
+"""Pixels, or as much on the ground, beyond which they are surely two."""
+REPEATED = 0.05
+"""Pixels, or as much on the ground, within which a point is the same measurement again."""
+_MOST = 300
+
+
+def pixel_on_ground(colrow: FloatArray, ground: FloatArray) -> float:
+    """Return the ground length of a pixel: the median over pairs of points, which blunders in 25 % do not move much."""
+    step = -(-len(colrow) // _MOST)
+    colrow, ground = colrow[::step], ground[::step]
+    first, second = np.triu_indices(len(colrow), 1)
+    image = np.hypot(*(colrow[first] - colrow[second]).T)
+    apart = np.hypot(*(ground[first] - ground[second]).T)
+    kept = image > SAME
+    return float(np.median(apart[kept] / image[kept])) if kept.any() else 0.0
+
+
+def contradictions(control: ImageControl) -> list[Advice]:
+    """Find one image place with two on the ground, the reverse, and points given twice."""
+    if len(control) < 2:
+        return []
+    ground = plane(control)
+    pixel = pixel_on_ground(control.colrow, ground)
+    if pixel <= 0.0:
+        return []
+    from scipy.spatial import cKDTree
+
+    pixels = ground / pixel
+    close = cKDTree(control.colrow).query_pairs(SAME) | cKDTree(pixels).query_pairs(SAME)
+    found = []
+    for first, second in sorted(close):
+        image = float(np.hypot(*(control.colrow[first] - control.colrow[second])))
+        apart = float(np.hypot(*(pixels[first] - pixels[second])))
+        names = control.names[first], control.names[second]
+        two = f"points {names[0]} ({control.origins[first]}) and {names[1]} ({control.origins[second]})"
+        if image <= SAME and apart > OTHER:
+            what = f"{two} are one place in the image and lie {apart:.0f} pixels apart on the ground"
+            found.append(Advice("one-place-two-grounds", "error", what, names, "correct or disable one of them"))
+        elif apart <= SAME and image > OTHER:
+            what = f"{two} are one place on the ground and lie {image:.0f} pixels apart in the image"
+            found.append(Advice("one-ground-two-places", "error", what, names, "correct or disable one of them"))
+        elif image <= REPEATED and apart <= REPEATED:
+            what = f"{two} are the same measurement: it counts twice"
+            found.append(Advice("repeated", "warning", what, names, "leave one of them out"))
+    return found

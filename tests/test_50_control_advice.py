@@ -1,0 +1,323 @@
+"""Every kind of bad control is recognised and named, and good control is left in peace."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyproj import CRS
+
+from geomosaic.control.advice import advise
+from geomosaic.control.finding import Advice
+from geomosaic.control.points import ImageControl, Origin
+from geomosaic.control.read import read_control
+from geomosaic.control.spread import hull_area, needed
+from geomosaic.errors import InputError
+from geomosaic.types import FloatArray
+
+SIZE = (4000, 3000)
+PIXEL = 0.25
+LIKE_A_GRID = np.array(
+    [[300, 250], [2050, 180], [3700, 300],
+     [260, 1500], [1900, 1480], [3750, 1550],
+     [350, 2750], [2000, 2800], [3650, 2700]], dtype=float
+)  # fmt: skip
+ZONE_33 = (612_345.0, 5_412_000.0)
+
+
+def ground(colrow: FloatArray, turn: float = 8.0, origin: tuple[float, float] = ZONE_33) -> FloatArray:
+    """A tilted photo over the plane: nearly a similarity, with a little perspective; y upwards, rows downwards."""
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    flat = (colrow - [2000, 1500]) * [1, -1] * PIXEL @ np.array([[c, s], [-s, c]])
+    return origin + flat / (1.0 + 2e-5 * flat[:, :1])
+
+
+def good(colrow: FloatArray = LIKE_A_GRID, crs: str = "EPSG:32633", **how: object) -> ImageControl:
+    noise = np.random.default_rng(4).normal(0.0, 0.3, colrow.shape)
+    count = len(colrow)
+    return ImageControl(
+        tuple(f"P{i}" for i in range(count)),
+        colrow + noise,
+        ground(colrow, **how),  # type: ignore[arg-type]
+        CRS(crs),
+        np.ones(count),
+        ("control",) * count,
+        np.ones(count, dtype=bool),
+        tuple(Origin("points.csv", i + 2) for i in range(count)),
+    )
+
+
+def degrees(control: ImageControl) -> ImageControl:
+    return control.to_crs(CRS("EPSG:4326"))
+
+
+def moved(control: ImageControl, **parts: FloatArray) -> ImageControl:
+    return replace(control, **parts)  # type: ignore[arg-type]
+
+
+def codes(found: tuple[Advice, ...]) -> list[str]:
+    return [advice.code for advice in found]
+
+
+def with_last(image: tuple[float, float], of: int, aside: float = 0.0) -> ImageControl:
+    """The good set and one more point: at an image place, with the ground of another."""
+    control = good()
+    return ImageControl(
+        (*control.names, "again"),
+        np.vstack([control.colrow, image]),
+        np.vstack([control.ground, control.ground[of] + aside]),
+        control.crs,
+        np.append(control.sigma, 1.0),
+        (*control.roles, "control"),
+        np.append(control.enabled, True),
+        (*control.origins, Origin("points.csv", 11)),
+    )
+
+
+@pytest.mark.parametrize("turn", [0.0, 8.0, 44.0, 90.0, 133.0, 180.0, 270.0])
+@pytest.mark.parametrize("kind", ["conformal", "affine", "projective", "poly2", "tps"])
+def test_good_control_has_no_advice(turn: float, kind: str) -> None:
+    assert advise(good(turn=turn), kind=kind, size=SIZE, near=(16.5, 48.8)) == ()
+    assert advise(degrees(good(turn=turn)), kind=kind, size=SIZE) == ()
+
+
+ROW = np.column_stack([np.linspace(200, 3800, 9), np.linspace(300, 2700, 9)])
+NEAR_ROW = ROW + np.array([[0, 60], [0, -60], [0, 60]] * 3)
+ALL_BUT_ONE = np.array([[200, 200], [2000, 1500], [3800, 2800], [3700, 300]]) * 1.0
+CLUSTER = LIKE_A_GRID * 0.15 + [500, 400]
+MIDDLE = (LIKE_A_GRID - [2000, 1500]) * 0.62 + [2000, 1500]
+NO_CORNER = np.vstack([np.delete(LIKE_A_GRID, [1, 2, 5], axis=0), [1600.0, 180.0]])
+
+
+def mirror_rows(control: ImageControl) -> ImageControl:
+    return moved(control, colrow=control.colrow * [1, -1] + [0, SIZE[1]])
+
+
+CASES: dict[str, tuple[Callable[[], ImageControl], list[str], str, dict[str, object]]] = {
+    "too few": (lambda: good(LIKE_A_GRID[[0, 8]]), ["few-points"], "2 places for a affine fit, which needs 3", {}),
+    "too few for an order": (
+        lambda: good(),
+        ["few-points"],
+        "9 places for a polynomial of order 3 fit, which needs 10",
+        {"kind": "polynomial", "order": 3},
+    ),
+    "no redundancy": (
+        lambda: good(LIKE_A_GRID[[0, 2, 6, 8]]),
+        ["no-redundancy"],
+        "4 places determine",
+        {"kind": "projective"},
+    ),
+    "on a line": (lambda: good(ROW), ["collinear"], "on a line: 0.", {}),
+    "nearly on a line": (lambda: good(NEAR_ROW), ["collinear"], "on a line, nearly", {}),
+    "all but one on a line": (
+        lambda: good(ALL_BUT_ONE),
+        ["collinear", "no-redundancy"],
+        "all points but P3 lie on a line",
+        {"kind": "projective"},
+    ),
+    "one cluster": (lambda: good(CLUSTER), ["clustered"], "surround 1.6% of the image", {}),
+    "an empty corner": (lambda: good(NO_CORNER), ["empty-corner"], "near the upper right corner", {}),
+    "only the middle": (lambda: good(MIDDLE), ["extrapolation"], "of the image lies outside the hull", {}),
+    "one place, two grounds": (
+        lambda: with_last(tuple(good().colrow[3] + 0.1), of=4, aside=50.0),
+        ["one-place-two-grounds"],
+        r"P3 \(points.csv, line 5\) and again \(points.csv, line 11\) are one place in the image",
+        {},
+    ),
+    "one ground, two places": (
+        lambda: with_last((2500.0, 900.0), of=4),
+        ["one-ground-two-places"],
+        "P4 .* and again .* are one place on the ground",
+        {},
+    ),
+    "the same twice": (lambda: with_last(tuple(good().colrow[4]), of=4), ["repeated"], "counts twice", {}),
+    "x and y": (lambda: moved(good(), ground=good().ground[:, ::-1]), ["swapped-axes"], "axes exchanged", {}),
+    "x and y in a local system": (
+        lambda: replace(
+            moved(good(), ground=good(origin=(0.0, 0.0)).ground[:, ::-1]),
+            crs=CRS('LOCAL_CS["site",UNIT["metre",1],AXIS["x",EAST],AXIS["y",NORTH]]'),
+        ),
+        ["swapped-axes"],
+        "mirrored",
+        {},
+    ),
+    "latitude and longitude": (
+        lambda: moved(degrees(good()), ground=degrees(good()).ground[:, ::-1]),
+        ["latitude-longitude-swapped"],
+        "mirrored",
+        {},
+    ),
+    "latitude beyond the pole": (
+        lambda: moved(degrees(good()), ground=(degrees(good()).ground + np.array([-117.0, 0.0]))[:, ::-1]),
+        ["latitude-longitude-swapped"],
+        "axes exchanged",
+        {},
+    ),
+    "a neighbouring zone": (lambda: good(origin=(1_100_000.0, 5.4e6)), ["wrong-zone"], "neighbouring zone", {}),
+    "a zone that only a place nearby betrays": (
+        lambda: good(),
+        ["wrong-zone"],
+        "they do in EPSG:32632",
+        {"near": (10.5, 48.8)},
+    ),
+    "degrees in a metric CRS": (
+        lambda: replace(degrees(good()), crs=CRS("EPSG:32633")),
+        ["degrees-in-metres"],
+        "look like degrees",
+        {},
+    ),
+    "degrees in a world-wide metric CRS": (
+        lambda: replace(degrees(good()), crs=CRS("EPSG:3857")),
+        ["degrees-in-metres"],
+        "look like degrees",
+        {},
+    ),
+    "metres in degrees": (
+        lambda: replace(good(), crs=CRS("EPSG:4326")),
+        ["metres-in-degrees"],
+        "look like metres",
+        {},
+    ),
+    "feet": (lambda: moved(good(), ground=good().ground / 0.3048), ["wrong-unit"], "look like feet", {}),
+    "kilometres": (lambda: moved(good(), ground=good().ground / 1000), ["wrong-unit"], "like kilometres", {}),
+    "metres in feet": (
+        lambda: moved(good(crs="EPSG:2263"), ground=ground(LIKE_A_GRID, origin=(300_000.0, 60_000.0))),
+        ["wrong-unit"],
+        "look like metres",
+        {},
+    ),
+    "a lost digit": (
+        lambda: moved(good(), ground=np.vstack([[61_234.5, 5_412_300.0], good().ground[1:]])),
+        ["outside-crs-area"],
+        "1 of 9 points do not lie in the area of use .*: P0",
+        {},
+    ),
+    "rows from the bottom": (lambda: mirror_rows(good()), ["mirrored-rows"], "mirrored in the image", {}),
+    "columns from the right": (
+        lambda: moved(good(), colrow=good().colrow * [-1, 1] + [SIZE[0], 0]),
+        ["mirrored-columns"],
+        "mirrored in the image",
+        {},
+    ),
+    "rows upwards from the top": (
+        lambda: moved(good(), colrow=good().colrow * [1, -1]),
+        ["negative-rows"],
+        "rows are negative",
+        {},
+    ),
+    "beyond the edge": (
+        lambda: moved(good(), colrow=np.vstack([good().colrow[:-1], [4100.0, 2700.0]]), ground=np.vstack(
+            [good().ground[:-1], ground(np.array([[4100.0, 2700.0]]))])),
+        ["outside-image"],
+        "1 of 9 points lie outside the image of 4000 × 3000 pixels: P8",
+        {},
+    ),
+    "of a larger image": (lambda: moved(good(), colrow=good().colrow * 4), ["outside-image"], "8 of 9", {}),
+    "col and row exchanged": (
+        lambda: moved(good(), colrow=good().colrow[:, ::-1]),
+        ["swapped-axes"],
+        "mirrored",
+        {"size": (4000, 4000)},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("make", "expected", "message", "options"), CASES.values(), ids=CASES.keys())
+def test_bad_control(
+    make: Callable[[], ImageControl], expected: list[str], message: str, options: dict[str, object]
+) -> None:
+    found = advise(make(), **{"size": SIZE, **options})  # type: ignore[arg-type]
+    assert codes(found) == expected
+    assert re.search(message, found[0].what), found[0].what
+    assert all(advice.mend for advice in found)
+
+
+def test_points_left_out_do_not_count() -> None:
+    control = with_last(tuple(good().colrow[3] + 0.1), of=4)
+    assert advise(control.without(["again"]), size=SIZE) == ()
+    as_check = replace(good(), roles=("check",) * 7 + ("control",) * 2)
+    assert codes(advise(as_check, size=SIZE)) == ["few-points"]
+    # Two points determine a conformal fit, so that a line of them is enough; it is thin all the same.
+    assert codes(advise(good(ROW), kind="conformal", size=SIZE)) == ["clustered"]
+
+
+def test_a_third_of_blunders_hides_no_mirror_and_makes_none() -> None:
+    random = np.random.default_rng(1)
+    colrow = random.uniform([50, 50], [3950, 2950], (40, 2))
+    for seed in range(20):
+        control = good(colrow)
+        wrong = np.random.default_rng(seed).permutation(40)[:12]
+        shifted = control.ground.copy()
+        shifted[wrong] += np.random.default_rng(seed).uniform(-400, 400, (12, 2))
+        blundered = moved(control, ground=shifted)
+        assert "mirrored-rows" not in codes(advise(blundered, size=SIZE))
+        assert "mirrored-rows" in codes(advise(mirror_rows(blundered), size=SIZE))
+
+
+def test_hull_area() -> None:
+    square = np.array([[0, 0], [2, 0], [2, 2], [0, 2], [1, 1], [1, 0]], dtype=float)
+    assert hull_area(square) == 4.0
+    assert hull_area(square[:2]) == 0.0
+    assert hull_area(np.array([[0.0, 0], [1, 1], [2, 2]])) == 0.0
+
+
+def test_needed() -> None:
+    assert [needed("poly1"), needed("poly2"), needed("polynomial", 5), needed("tps")] == [3, 6, 21, 3]
+    with pytest.raises(InputError, match=r"no fit 'afine'[^$]*did you mean 'affine'"):
+        needed("afine")
+
+
+def cosicorr(folder: Path) -> ImageControl:
+    rows = np.genfromtxt(folder / "basemap_VS_SP2_GCP_expec.csv", delimiter=",", skip_header=1)
+    count = len(rows)
+    return ImageControl(
+        tuple(map(str, range(count))), rows[:, 3:5] + 0.5, rows[:, 5:7], CRS("EPSG:32636"), np.ones(count),
+        ("control",) * count, np.ones(count, dtype=bool), tuple(Origin("gcps", i + 2) for i in range(count)),
+    )  # fmt: skip
+
+
+def test_real_control(real_data: Callable[[str], Path]) -> None:
+    """What is said of real sets, and why it is true."""
+    scene = read_control(real_data("rio-tiler-gcps") / "cog_gcps.tif").control
+    found = advise(scene, kind="poly3", size=(1280, 837))
+    # Sentinel-1, descending: range runs west, so that columns do. A program wrote it, so it is no warning.
+    assert [(advice.code, advice.severity) for advice in found] == [("mirrored-columns", "note")]
+    folder = real_data("rasterio-fixtures")
+    # 7449 x 11522 pixels were measured, the picture has 791 x 718.
+    landsat = read_control(folder / "RGB.byte.gcp.vrt").control
+    assert codes(advise(landsat, size=(791, 718))) == ["outside-image"]
+    assert advise(landsat, size=(7449, 11522)) == ()
+    # Three corners of four, for an affine fit.
+    gemini = read_control(folder / "white-gemini-iv.vrt").control
+    assert codes(advise(gemini, size=(1024, 768))) == ["no-redundancy", "empty-corner"]
+    # All points but one lie left of column 3273: none is within 3500 pixels of the upper right corner.
+    spot = cosicorr(real_data("cosicorr-spot-dimap"))
+    assert np.hypot(*(spot.colrow - [6000, 0]).T).min() > 3500
+    found = advise(spot, kind="poly2", size=(6000, 6000))
+    assert codes(found) == ["empty-corner"]
+    assert "near the upper right corner" in found[0].what
+    kite = read_control(real_data("odm-copr") / "gcp_list.txt", image="IMG_0031.jpg").control
+    # gcp00 and gcp04, 20 m apart, are marked 1.2 px apart in this photo: one mark is wrong, and with it all on a line.
+    found = advise(kite, size=(4272, 2848))
+    assert codes(found) == ["one-place-two-grounds", "collinear", "no-redundancy"]
+    assert found[0].points == ("gcp04", "gcp00")
+
+
+def test_real_ties_have_no_advice(real_data: Callable[[str], Path]) -> None:
+    folder = real_data("otb-sensor-geoms")
+    rows = np.loadtxt(folder / "QB_TOULOUSE_MUL_Extract_500_500_in_tie_points.txt")
+    count = len(rows)
+    ties = ImageControl(
+        tuple(map(str, range(count))), rows[:, :2], rows[:, 2:], CRS("EPSG:4326"), np.ones(count),
+        ("control",) * count, np.ones(count, dtype=bool), tuple(Origin("ties", i + 2) for i in range(count)),
+    )  # fmt: skip
+    assert advise(ties, kind="poly3", near=(1.42, 43.61)) == ()
+    # The header says 'row col', and the numbers are col, row: read as it says, the ground is mirrored.
+    as_headed = moved(ties, colrow=ties.colrow[:, ::-1])
+    found = advise(as_headed, kind="poly3", near=(1.42, 43.61))
+    assert codes(found) == ["latitude-longitude-swapped"]
+    assert "exchange col and row" in found[0].mend
