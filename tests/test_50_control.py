@@ -158,6 +158,11 @@ BAD_TABLES = {
     "sigma": ("x,y,col,row,sigma_px\n1,2,3,4,-1\n", UTM, "point '1' has the sigma -1"),
     "nonsense": ("1,2,3\n4,5,6\n", UTM, "no control that can be read; its first line is '1,2,3'"),
     "nothing": ("", UTM, "no control that can be read"),
+    "endless line": (
+        "x,y,col,row\n" + "9" * 200_000 + ",1,2,3\n",
+        UTM,
+        "line 2: a line of more than 100000 characters",
+    ),
     "image missing": ("x,y,image,col,row\n1,2,,3,4\n", UTM, "line 2: column 'image' is empty"),
 }
 

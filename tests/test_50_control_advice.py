@@ -98,17 +98,17 @@ def mirror_rows(control: ImageControl) -> ImageControl:
 
 
 CASES: dict[str, tuple[Callable[[], ImageControl], list[str], str, dict[str, object]]] = {
-    "too few": (lambda: good(LIKE_A_GRID[[0, 8]]), ["few-points"], "2 places for a affine fit, which needs 3", {}),
+    "too few": (lambda: good(LIKE_A_GRID[[0, 8]]), ["few-points"], "2 places, and a fit .affine. needs 3", {}),
     "too few for an order": (
         lambda: good(),
         ["few-points"],
-        "9 places for a polynomial of order 3 fit, which needs 10",
+        "9 places, and a fit .polynomial of order 3. needs 10",
         {"kind": "polynomial", "order": 3},
     ),
     "no redundancy": (
         lambda: good(LIKE_A_GRID[[0, 2, 6, 8]]),
         ["no-redundancy"],
-        "4 places determine",
+        "4 places just determine the fit",
         {"kind": "projective"},
     ),
     "on a line": (lambda: good(ROW), ["collinear"], "on a line: 0.", {}),
@@ -234,6 +234,20 @@ def test_bad_control(
     assert codes(found) == expected
     assert re.search(message, found[0].what), found[0].what
     assert all(advice.mend for advice in found)
+
+
+def page_table() -> str:
+    """What is said of every case, as the table of the docs has it."""
+    lines = ["| control | finding | said | mend |", "|---|---|---|---|"]
+    for case, (make, _, _, options) in CASES.items():
+        for advice in advise(make(), **{"size": SIZE, **options})[:1]:  # type: ignore[arg-type]
+            lines.append(f"| {case} | `{advice.code}` ({advice.severity}) | {advice.what} | {advice.mend} |")
+    return "\n".join(lines)
+
+
+def test_the_docs_show_what_is_said() -> None:
+    page = (Path(__file__).resolve().parent.parent / "docs" / "control.md").read_text(encoding="utf-8")
+    assert page_table() in page, f"docs/control.md should have this table:\n{page_table()}"
 
 
 def test_points_left_out_do_not_count() -> None:

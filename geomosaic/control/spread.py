@@ -45,10 +45,10 @@ def few_points(control: ImageControl, kind: str, order: int = 1) -> list[Advice]
     least, count = needed(kind, order), len(np.unique(control.colrow, axis=0))
     name = f"{kind} of order {order}" if kind == "polynomial" else kind
     if count < least:
-        what = f"{count} place{'s' * (count != 1)} for a {name} fit, which needs {least}"
+        what = f"{count} place{'s' * (count != 1)}, and a fit ({name}) needs {least}"
         return [Advice("few-points", "error", what, (), f"measure {least - count} more, better twice as many")]
     if count == least:
-        what = f"{count} places determine a {name} fit and leave none to check it by: residuals are 0 whatever is wrong"
+        what = f"{count} places just determine the fit ({name}) and leave none to check it by: residuals are 0 whatever is wrong"
         return [
             Advice("no-redundancy", "warning", what, (), "measure more points, or choose a fit of fewer parameters")
         ]

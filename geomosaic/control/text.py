@@ -16,6 +16,9 @@ from geomosaic.types import PathLike
 LARGEST = 64 << 20
 """Bytes; no list of control points is that long."""
 
+LONGEST = 100_000
+"""Characters of a line; Python's csv takes 131072 in a field."""
+
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 _COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)(e[+-]?\d+)?", re.IGNORECASE)
 
@@ -34,7 +37,7 @@ def read_lines(path: PathLike) -> list[tuple[Origin, str]]:
     Raises
     ------
     InputError
-        The file is missing, too large, or no text.
+        The file is missing, too large, no text, or has a line that is too long.
     """
     file = Path(path)
     try:
@@ -55,7 +58,11 @@ def read_lines(path: PathLike) -> list[tuple[Origin, str]]:
         ) from None
     except OSError as error:
         raise InputError(f"the file cannot be read: {error.strerror}", where=str(path)) from error
-    return [(Origin(str(path), i), line) for i, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    lines = [(Origin(str(path), i), line) for i, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    long = next((origin for origin, line in lines if len(line) > LONGEST), None)
+    if long is not None:
+        raise InputError(f"a line of more than {LONGEST} characters", where=str(long), mend="is it the right file?")
+    return lines
 
 
 def delimiter_of(header: str) -> str:
