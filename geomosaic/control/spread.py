@@ -48,7 +48,7 @@ def few_points(control: ImageControl, kind: str, order: int = 1) -> list[Advice]
         what = f"{count} place{'s' * (count != 1)}, and a fit ({name}) needs {least}"
         return [Advice("few-points", "error", what, (), f"measure {least - count} more, better twice as many")]
     if count == least:
-        what = f"{count} places just determine the fit ({name}) and leave none to check it by: residuals are 0 whatever is wrong"
+        what = f"{count} places just determine the fit ({name}) and leave none to check it by: residuals are 0"
         return [
             Advice("no-redundancy", "warning", what, (), "measure more points, or choose a fit of fewer parameters")
         ]
