@@ -243,11 +243,13 @@ class _Share:
         assert self.weight is not None
         per = CELL // self.factor
         rows, cols = -(-shape[0] // CELL), -(-shape[1] // CELL)
-        need = np.zeros((rows, cols), dtype=np.uint8)
-        for j in range(rows):
-            for i in range(cols):
-                top, left = self.margin - 1 + j * per, self.margin - 1 + i * per
-                need[j, i] = self.weight[top : top + per + 2, left : left + per + 2].any()
+        # Counts over windows from running sums: a window is a cell and what its pixels interpolate between.
+        sums = np.pad(np.cumsum(np.cumsum(self.weight > 0, axis=0), axis=1), ((1, 0), (1, 0)))
+        top, left = self.margin - 1 + per * np.arange(rows), self.margin - 1 + per * np.arange(cols)
+        stop = np.minimum(top + per + 2, self.weight.shape[0])
+        end = np.minimum(left + per + 2, self.weight.shape[1])
+        count = sums[stop][:, end] - sums[top][:, end] - sums[stop][:, left] + sums[top][:, left]
+        need: ByteArray = (count > 0).astype(np.uint8)
         return need
 
 

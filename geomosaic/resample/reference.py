@@ -296,7 +296,7 @@ def finish(
 ) -> None:
     """Divide by the sum of weights, round, and store; see `kernels.blend`."""
     seen = sums > 0.0
-    values = (total[seen] / sums[seen][:, None]).astype(np.float64)
+    values = (total[seen] * (np.float32(1.0) / sums[seen])[:, None]).astype(np.float64)
     if whole:
         values = np.clip(np.floor(values + 0.5), low, high)
     out[seen] = values

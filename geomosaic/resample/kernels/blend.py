@@ -41,8 +41,9 @@ def finish(total, sums, low, high, whole, out, out_valid):
     for k in range(out.shape[0]):
         for c in range(out.shape[1]):
             if sums[k, c] > np.float32(0.0):
+                share = np.float32(1.0) / sums[k, c]
                 for m in range(out.shape[2]):
-                    value = np.float64(total[k, c, m] / sums[k, c])
+                    value = np.float64(total[k, c, m] * share)
                     if whole:
                         value = np.float64(min(max(math.floor(value + 0.5), low), high))
                     out[k, c, m] = value
