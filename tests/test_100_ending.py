@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -108,3 +111,51 @@ end(lambda: 4)
 """
     done = ended(script)
     assert (done.returncode, done.stdout) == (4, "coverage\n")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no signals")
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_command_that_is_stopped_leaves_nothing_behind(sample, tmp_path, number, code):
+    photo, table, dem = (str(sample / name) for name in ("photos/strip1_02.jpg", "exterior.csv", "dem.tif"))
+    words = ["ortho", photo, "--sensor", "frame", "--camera", str(sample / "camera.toml"), "--exterior", table]
+    words += ["--crs", "EPSG:32633", "--heights", "egm96", "--dem", dem, "--res", "0.02"]
+    with subprocess.Popen(
+        [*COMMAND, *words, "-o", str(tmp_path / "o.tif"), "--json"], stdout=subprocess.PIPE, text=True
+    ) as process:
+        wait_for(lambda: any(tmp_path.iterdir()))
+        process.send_signal(number)
+        out, _ = process.communicate(timeout=60)
+    assert process.returncode == code
+    assert json.loads(out)["error"]["what"].startswith("stopped by")
+    assert list(tmp_path.iterdir()) == []
+
+
+def wait_for(what: Callable[[], bool]) -> None:
+    end = time.monotonic() + 60
+    while not what():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no signals")
+def test_a_stop_that_python_lost_is_seen_at_the_next_report():
+    script = """
+import os, signal
+from geomosaic.cli.ending import Stopped, stop_on_signals
+from geomosaic.cli.talk import progress
+class Lost:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        for _ in range(1000): pass
+stop_on_signals()
+with progress(True) as report:
+    report(0, 2, "work")
+    Lost()  # whatever a finaliser raises is dropped
+    print("on")
+    try:
+        report(1, 2, "work")
+    except Stopped as stop:
+        print("stopped by", stop.number)
+"""
+    done = ended(script)
+    assert done.stdout.splitlines() == ["on", f"stopped by {int(signal.SIGTERM)}"]

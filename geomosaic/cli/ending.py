@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import atexit
+import math
 import os
+import signal
 import sys
+import time
 from collections.abc import Callable
 from contextlib import suppress
+from types import FrameType
 from typing import Any, NoReturn
 
 
@@ -51,6 +55,47 @@ def patient_streams() -> None:
         if stream is not None:
             stream.reconfigure(errors="backslashreplace")
             setattr(sys, name, Patient(stream))
+
+
+_asked: list[int] = []  # signals that have asked this process to end
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal asks the process to end: what is unfinished is cleaned up on the way out."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+def stop_on_signals() -> None:
+    """Let Ctrl-C, SIGTERM and SIGHUP end the process in good order; one that is ignored stays so.
+
+    A second one within a second, of an impatient hand or of a terminal that closes, does not disturb the cleaning up.
+    """
+    last = -math.inf
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal last
+        before, last = last, time.monotonic()
+        _asked.append(number)
+        if last - before > 1.0:
+            raise Stopped(number)
+
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, stop)
+
+
+def check_stopped() -> None:
+    """Stop here if a signal has asked for it.
+
+    Python raises what a signal handler raises wherever the main thread is; in a callback from C or a finaliser it gets
+    lost. So the work looks again whenever it reports progress.
+    """
+    if _asked:
+        raise Stopped(_asked[0])
 
 
 def end(run: Callable[[], int]) -> NoReturn:

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import errno
 import json
+import signal
 import sys
 import traceback
 
 import click
 
+from geomosaic.cli.ending import Stopped
 from geomosaic.errors import GeomosaicError, Interrupted, OutputError, QualityError
 
-INTERRUPTED_BY_KEY = 130
 
-
-def stopped(as_json: bool) -> int:
-    """Tell that Ctrl-C stopped the command."""
-    _tell({"what": "stopped by Ctrl-C"}, as_json)
-    return INTERRUPTED_BY_KEY
+def stopped(by: BaseException, as_json: bool) -> int:
+    """Tell what stopped the command; the exit code is that of the signal, as shells have it: 130 for Ctrl-C."""
+    number = by.number if isinstance(by, Stopped) else signal.SIGINT
+    name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
+    _tell({"what": f"stopped by {name}"}, as_json)
+    return 128 + number
 
 
 def failed(error: Exception, *, as_json: bool, debug: bool) -> int:

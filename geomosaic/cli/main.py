@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import click
 
 import geomosaic
-from geomosaic.cli.ending import end, patient_streams
+from geomosaic.cli.ending import end, patient_streams, stop_on_signals
 
 # Read when NumPy is first loaded. Our matrices are small, and threads of our own keep the processor busy; more of them
 # would also make the last bits of a solution depend on the machine.
@@ -82,6 +82,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     if arguments is not None:
         sys.exit(run(arguments))
     patient_streams()
+    stop_on_signals()
     end(lambda: run(sys.argv[1:]))
 
 
@@ -93,10 +94,10 @@ def run(words: list[str]) -> int:
         return result if isinstance(result, int) else 0
     except click.exceptions.Exit as stop:
         return int(stop.exit_code)
-    except (click.Abort, KeyboardInterrupt):
+    except (click.Abort, KeyboardInterrupt) as stop:
         from geomosaic.cli.failure import stopped
 
-        return stopped(as_json)
+        return stopped(stop.__cause__ or stop, as_json)
     except Exception as error:
         from geomosaic.cli.failure import failed
 

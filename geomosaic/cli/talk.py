@@ -12,6 +12,7 @@ from typing import Any, TextIO
 
 import click
 
+from geomosaic.cli.ending import check_stopped
 from geomosaic.errors import GeomosaicWarning, OutputError
 
 Progress = Callable[[int, int, str], None]
@@ -64,10 +65,10 @@ def wants_bars(as_json: bool) -> bool:
 
 
 @contextmanager
-def progress(as_json: bool) -> Iterator[Progress | None]:
-    """Progress bars on a terminal, one per stage; None elsewhere."""
+def progress(as_json: bool) -> Iterator[Progress]:
+    """Progress bars on a terminal, one per stage; elsewhere only a look whether to stop."""
     if not wants_bars(as_json):
-        yield None
+        yield lambda done, total, stage: check_stopped()
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -82,6 +83,7 @@ def progress(as_json: bool) -> Iterator[Progress | None]:
         tasks: dict[str, Any] = {}
 
         def report(done: int, total: int, stage: str) -> None:
+            check_stopped()
             if stage not in tasks:
                 tasks[stage] = bars.add_task(stage, total=total)
             bars.update(tasks[stage], completed=done, total=total)

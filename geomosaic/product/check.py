@@ -14,6 +14,7 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
 from geomosaic.match.shift import Shifts, shifts
+from geomosaic.product.options import Progress
 from geomosaic.raster.source import Source
 from geomosaic.resample import reference
 from geomosaic.types import AnyArray, BoolArray, FloatArray
@@ -53,7 +54,9 @@ def rms(residuals: list[ControlResidual], role: str) -> float:
     return float(np.sqrt(np.mean(lengths))) if lengths else float("nan")
 
 
-def against_reference(product: Path, truth: Path, tile: int = 64, reach: int = 8) -> dict[str, Any]:
+def against_reference(
+    product: Path, truth: Path, tile: int = 64, reach: int = 8, progress: Progress | None = None
+) -> dict[str, Any]:
     """Registration and colour of a product against a reference image of the same ground.
 
     Parameters
@@ -62,6 +65,8 @@ def against_reference(product: Path, truth: Path, tile: int = 64, reach: int = 8
         Georeferenced rasters; the product is sampled (bilinear) at the pixel centres of the reference.
     tile, reach : int
         Of the matching, in pixels of the reference.
+    progress : callable, optional
+        Called with (done, total, 'check'); may raise to stop.
 
     Returns
     -------
@@ -78,7 +83,9 @@ def against_reference(product: Path, truth: Path, tile: int = 64, reach: int = 8
         many = max(1, _STRIP // (grid.width * max(ours.info.bands, theirs.info.bands) * 8 * tile))
         tiles = max(0, grid.height - 2 * margin) // tile
         starts = range(0, max(1, tiles), many)
-        for start in starts:
+        for done, start in enumerate(starts):
+            if progress is not None:
+                progress(done, len(starts), "check")
             last = start == starts[-1]
             stop = grid.height if last else (start + many) * tile + 2 * margin
             part = grid.crop(Window(0, start * tile, grid.width, stop - start * tile))

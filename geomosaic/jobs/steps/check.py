@@ -19,7 +19,7 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
     layout, quality = Layout(project), project.settings.quality
     orientation, made = read_json(layout.facts("orient")), read_json(layout.facts("mosaic"))
     path = project.file(quality.reference)
-    reference = against_reference(layout.mosaic, path) if path is not None else None
+    reference = against_reference(layout.mosaic, path, progress=context.progress) if path is not None else None
     context.progress(1, 1, "check")
     found = {
         "max_control_rms_px": ("control points, RMS", orientation["rms_control_px"], "px"),
