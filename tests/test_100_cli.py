@@ -193,6 +193,21 @@ def test_wrong_usage_is_2(tell, words, said):
     assert said in json.loads(out)["error"]["what"]
 
 
+@pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="names are text here")
+def test_names_that_are_no_text(tell, block, tmp_path):
+    odd = os.fsdecode(os.fsencode(tmp_path) + b"/b\xff.jpg")
+    shutil.copy(photos(block)[0], odd)
+    for words in (["ortho", odd, "-o", tmp_path / "o.tif"], ["ortho", photos(block)[0], "-o", odd]):
+        code, _, err = tell(*words, *flags(block))
+        assert code == 2
+        assert "not UTF-8" in err
+    project = tmp_path / "p.toml"
+    project.write_text('format = 1\n[project]\nimages = ["*.jpg"]\n[sensor]\nname = "planar"\n')
+    code, _, err = tell("run", project)
+    assert code == 1
+    assert "not UTF-8" in err
+
+
 def test_a_raster_that_no_file_can_hold_is_refused_before_any_work(tell, block, tmp_path):
     code, _, err = tell("ortho", photos(block)[0], *flags(block), "--res", "1e-6", "-o", tmp_path / "o.tif")
     assert code == 1
@@ -356,6 +371,10 @@ def spoil(block: Path, tmp_path: Path, kind: str) -> tuple[list[str], dict[str, 
         return photos(block), {"exterior": turn}, ("radians", "rad")
     if kind == "wrong CRS":
         return [image], {"crs": "EPSG:99999"}, ("EPSG:99999", "not a coordinate reference system")
+    if kind == "vertical CRS":
+        return [image], {"crs": "EPSG:5773"}, ("EPSG:5773", "nothing of x and y", "horizontal CRS")
+    if kind == "geocentric CRS with a geoid":
+        return [image], {"crs": "EPSG:4978"}, ("geocentric", "egm96")
     if kind == "unknown sensor":
         return [image], {"sensor": "farme"}, ("did you mean 'frame'",)
     if kind == "unknown input":
@@ -371,7 +390,8 @@ def spoil(block: Path, tmp_path: Path, kind: str) -> tuple[list[str], dict[str, 
 
 KINDS = (
     "missing image", "truncated image", "no vertical datum", "no vertical datum of the DEM", "DEM elsewhere",
-    "DEM of NaN", "sky", "radians", "wrong CRS", "unknown sensor", "unknown input", "no camera", "not an image",
+    "DEM of NaN", "sky", "radians", "wrong CRS", "vertical CRS", "geocentric CRS with a geoid",
+    "unknown sensor", "unknown input", "no camera", "not an image",
 )  # fmt: skip
 
 

@@ -8,12 +8,12 @@ from typing import Any, TypeVar
 
 import click
 
-from geomosaic.cli.values import band_numbers, box, map_crs, pairs, pixel, size
+from geomosaic.cli.values import FilePath, band_numbers, box, map_crs, pairs, pixel, size
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average")
-FILE = click.Path(path_type=Path)
+FILE = FilePath(path_type=Path)
 
 
 def stack(*decorators: Callable[[Any], Any]) -> Callable[[Function], Function]:

@@ -4,11 +4,25 @@ from __future__ import annotations
 
 import math
 import re
+from typing import Any
 
 import click
 
 LEAST_MEMORY = 64 << 20
 UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+
+
+class FilePath(click.Path):
+    """A path whose name can be written down: GDAL, PROJ and every file that names it take UTF-8."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Refuse names with bytes that are no text, which Python carries as lone surrogates."""
+        try:
+            str(value).encode()
+        except UnicodeEncodeError:
+            shown = str(value).encode(errors="backslashreplace").decode()
+            self.fail(f"the name '{shown}' has bytes that are not UTF-8; rename the file or folder", param, ctx)
+        return super().convert(value, param, ctx)
 
 
 def size(ctx: click.Context, param: click.Parameter, value: str | None) -> int | None:

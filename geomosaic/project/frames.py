@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import HeightDatumError
+from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import height_name, horizontal, parse_crs, with_heights
 from geomosaic.surface.undeclared import undulation
 
@@ -19,8 +19,27 @@ def declared(crs: CRS, heights: str | None, where: str | None = None) -> CRS:
 
 
 def named(crs: str, heights: str | None, where: str | None = None) -> CRS:
-    """Read a CRS and join its declared vertical datum."""
-    return declared(parse_crs(crs, where), heights, where)
+    """Read the CRS of positions and join its declared vertical datum.
+
+    Raises
+    ------
+    InputError
+        It is no CRS, or one that cannot hold positions.
+    """
+    given = parse_crs(crs, where)
+    if given.is_vertical and not given.is_compound:
+        raise InputError(
+            f"'{crs[:80]}' ({given.name}) says what heights mean, and nothing of x and y",
+            where=where,
+            mend="name a horizontal CRS, such as EPSG:32633, and this one as the vertical datum (heights)",
+        )
+    if given.is_geocentric and heights not in (None, "ellipsoidal"):
+        raise InputError(
+            f"positions in the geocentric '{given.name}' have no heights, so '{heights}' cannot be theirs",
+            where=where,
+            mend="leave out the vertical datum, or name the CRS that the heights belong to",
+        )
+    return declared(given, heights, where)
 
 
 def crs_name(crs: CRS) -> str:

@@ -149,6 +149,12 @@ def find_images(folder: Path, patterns: list[str], where: str) -> tuple[Path, ..
                 near = [entry.name for entry in matches[0].parent.glob("*")] if matches[0].parent.is_dir() else []
                 hint = did_you_mean(matches[0].name, near)
                 raise InputError(f"image '{pattern}' does not exist", where=where, mend=hint or "check the path")
+        for match in matches:
+            shown = str(match).encode(errors="backslashreplace").decode()
+            if shown != str(match):
+                raise InputError(
+                    f"the name of image '{shown}' has bytes that are not UTF-8", where=where, mend="rename it"
+                )
         found.update(dict.fromkeys(matches))
     return tuple(found)
 
