@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 
@@ -42,8 +44,21 @@ def copy_sample(target: Path) -> Path:
         return project
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError("the folder exists and is not empty", where=str(target), mend="name another folder")
+    partial = target / f".partial-{os.getpid()}"
+    made = not target.exists()
     try:
-        shutil.copytree(source, target, dirs_exist_ok=True, ignore=shutil.ignore_patterns("output", ".*"))
-    except (OSError, shutil.Error) as error:
-        raise OutputError(f"the sample cannot be copied: {error}", where=str(target)) from error
+        shutil.copytree(source, partial, ignore=shutil.ignore_patterns("output", ".*"))
+        for entry in sorted(partial.iterdir(), key=lambda entry: entry.name == PROJECT):  # last what says it is whole
+            entry.rename(target / entry.name)
+    except OSError as error:
+        # copytree goes on after a failure and lists them all as source, target, reason; they have one cause.
+        reason = error.args[0][0][2] if isinstance(error, shutil.Error) else error.strerror
+        raise OutputError(
+            f"the sample cannot be copied: {reason}", where=str(target), mend="check free space and permissions"
+        ) from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+        if made and not project.exists():
+            with suppress(OSError):
+                target.rmdir()
     return project
