@@ -130,6 +130,14 @@ def test_a_command_that_is_stopped_leaves_nothing_behind(sample, tmp_path, numbe
     assert list(tmp_path.iterdir()) == []
 
 
+def test_errors_of_the_system_are_told_as_such(tmp_path):
+    image = tmp_path / ("x" * 300)
+    words = ["mosaic", str(image), "-o", str(tmp_path / "o.tif")]
+    done = subprocess.run([*COMMAND, *words], check=False, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr == f"error: {image}: the name is too long for this disk\n  mend: give a shorter name\n"
+
+
 def wait_for(what: Callable[[], bool]) -> None:
     end = time.monotonic() + 60
     while not what():

@@ -13,6 +13,18 @@ import click
 from geomosaic.cli.ending import Stopped
 from geomosaic.errors import GeomosaicError, Interrupted, OutputError, QualityError
 
+OF_THE_SYSTEM = {
+    errno.ENOSPC: ("the disk is full", "free some space and run it again"),
+    errno.EDQUOT: ("the quota of disk space is used up", "free some space and run it again"),
+    errno.EACCES: ("permission denied", "check the permissions of the file and its folders"),
+    errno.EPERM: ("permission denied", "check the permissions of the file and its folders"),
+    errno.EROFS: ("the disk is read-only", "give a path on another disk"),
+    errno.ENAMETOOLONG: ("the name is too long for this disk", "give a shorter name"),
+    errno.EIO: ("the disk cannot be read or written", "check the disk, or copy the file elsewhere"),
+    errno.EMFILE: ("too many files are open", "raise the limit (ulimit -n), or give fewer --threads"),
+}
+"""Errors of the operating system that are no fault of ours: what, and how to mend it."""
+
 
 def stopped(by: BaseException, as_json: bool) -> int:
     """Tell what stopped the command; the exit code is that of the signal, as shells have it: 130 for Ctrl-C."""
@@ -42,10 +54,9 @@ def failed(error: Exception, *, as_json: bool, debug: bool) -> int:
         return int(error.exit_code)
     if debug:
         traceback.print_exception(error)
-    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
-        error = OutputError(
-            "the disk is full", where=str(error.filename or ""), mend="free some space and run it again"
-        )
+    if isinstance(error, OSError) and error.errno in OF_THE_SYSTEM:
+        what, mend = OF_THE_SYSTEM[error.errno]
+        error = OutputError(what, where=str(error.filename or ""), mend=mend)
     if isinstance(error, GeomosaicError):
         _tell({"what": error.what, "where": error.where, "mend": error.mend}, as_json, error)
         return error.exit_code
