@@ -125,6 +125,19 @@ def test_a_file_that_is_not_ours_is_never_written_over(job):
     with pytest.raises(OutputExistsError, match="not made"):
         run(job)
     assert (job.root / "out" / "b.txt").read_text() == "precious"
+    assert CALLS == []  # said before the work of the step before it
+    assert ran(job, only=["c"]) == ["c.txt"]
+
+
+def test_a_file_that_comes_while_other_steps_run_is_not_written_over_either(job):
+    def progress(done: int, total: int, stage: str) -> None:
+        (job.root / "out").mkdir(exist_ok=True)
+        (job.root / "out" / "b.txt").write_text("precious")
+
+    with pytest.raises(OutputExistsError, match="not made"):
+        run(job, progress=progress)
+    assert (job.root / "out" / "b.txt").read_text() == "precious"
+    assert CALLS == ["a.txt"]
 
 
 def test_a_damaged_manifest_means_run_again(job):

@@ -79,6 +79,7 @@ def run(
     with project_lock(job.state / LOCK), on_sigterm(stop):
         manifest = Manifest.load(job.state / MANIFEST)
         hashes = Hashes(manifest.hashes)
+        _refuse_foreign(job, wanted, manifest)
         states = []
         for step in wanted:
             stop.check()
@@ -106,17 +107,22 @@ def _ingredients(job: Job, step: Step, hashes: Hashes) -> dict[str, str]:
     return ingredients(step.name, step.version, step.parameters, files)
 
 
+def _refuse_foreign(job: Job, steps: Sequence[Step], manifest: Manifest) -> None:
+    """Refuse to write over files that are not ours, before any work."""
+    for step in steps:
+        for path in step.outputs:
+            if path.exists() and job.name(path) not in manifest.owned:
+                raise OutputExistsError(
+                    f"step '{step.name}' would write over a file that this project has not made",
+                    where=str(path),
+                    mend="move it away, or give the project another output folder",
+                )
+
+
 def _claim(job: Job, step: Step, manifest: Manifest) -> None:
-    """Refuse to write over files that are not ours; note down those that will be."""
-    outputs = {job.name(path): path for path in step.outputs}
-    foreign = [path for name, path in outputs.items() if path.exists() and name not in manifest.owned]
-    if foreign:
-        raise OutputExistsError(
-            f"step '{step.name}' would write over a file that this project has not made",
-            where=str(foreign[0]),
-            mend="move it away, or give the project another output folder",
-        )
-    manifest.owned.update(outputs)
+    """Note down the files that will be ours."""
+    _refuse_foreign(job, [step], manifest)  # a file may have come while other steps ran
+    manifest.owned.update(map(job.name, step.outputs))
     manifest.save()
 
 
