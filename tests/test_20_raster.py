@@ -608,6 +608,19 @@ def test_full_disk(tmp_path, driver, compress, share):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_folder_that_may_not_be_written_to(tmp_path, monkeypatch):
+    from geomosaic.errors import OutputError
+
+    def refused(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refused)
+    with pytest.raises(OutputError, match="Permission denied") as caught:
+        RasterSink(tmp_path / "o.tif", grid_of(100, 100), 3, "uint8")
+    assert "rights" in str(caught.value.mend)
+    assert "space" not in str(caught.value.mend)
+
+
 def test_full_disk_is_foreseen(tmp_path, monkeypatch):
     from geomosaic.errors import OutputError
     from geomosaic.raster import sink as sink_module

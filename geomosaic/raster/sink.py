@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -205,6 +206,9 @@ class RasterSink:
         free = shutil.disk_usage(self.path.parent).free
         cause = error.__cause__ or error
         reason = getattr(cause, "strerror", None) or str(cause)
+        if getattr(cause, "errno", None) in (errno.EACCES, errno.EPERM, errno.EROFS):
+            mend = "check the rights of the folder, or write to another one"
+            return OutputError(f"writing failed ({reason})", where=str(self.path), mend=mend)
         return OutputError(
             f"writing failed ({reason}); uncompressed the raster has {_size(self._bytes)}, {_size(free)} are free in "
             f"{self.path.parent.resolve()}",
