@@ -112,7 +112,7 @@ def test_an_address_behind_a_vrt_in_a_vrt_or_in_another_format(tmp_path, listene
     assert caught.value.where == str(tmp_path / "inner.tif")
     (tmp_path / "tiles.xml").write_text(tms(address))
     (tmp_path / "outer.tif").write_text(vrt("tiles.xml", relative=1))
-    with pytest.raises(RasterReadError, match="source of a virtual raster"):
+    with pytest.raises(RasterReadError, match="source of a virtual raster, or overview"):
         inspect(tmp_path / "outer.tif")
     (tmp_path / "scene.xml").write_text(
         f'<Dimap_Document><Data_Access><Data_File><DATA_FILE_PATH href="{address}/a.tif"/></Data_File></Data_Access>'
@@ -134,17 +134,113 @@ def test_gdal_itself_has_no_network_here(monkeypatch, listener):
     assert asked == []
 
 
-def test_an_overview_at_an_address_is_refused(tmp_path, listener):
-    address, asked = listener
-    path = write(tmp_path / "photo.tif")
-    Path(f"{path}.aux.xml").write_text(
-        f'<PAMDataset><Metadata domain="OVERVIEWS"><MDI key="OVERVIEW_FILE">/vsicurl/{address}/a.ovr</MDI></Metadata>'
-        "</PAMDataset>"
+def overview_tag(name: str) -> str:
+    return f'<Metadata domain="OVERVIEWS"><MDI key="OVERVIEW_FILE">{escape(name)}</MDI></Metadata>'
+
+
+def warped(transformer: str) -> str:
+    return (
+        '<VRTDataset rasterXSize="10" rasterYSize="10" subClass="VRTWarpedDataset"><VRTRasterBand dataType="Byte" '
+        'band="1" subClass="VRTWarpedRasterBand"/><GDALWarpOptions><SourceDataset relativeToVRT="1">in.tif'
+        f"</SourceDataset><Transformer><GenImgProjTransformer>{transformer}</GenImgProjTransformer></Transformer>"
+        "</GDALWarpOptions></VRTDataset>"
     )
-    with Source(path) as image:
-        values, _ = image.read(Window(0, 0, 10, 10))
-    assert (values == 7).all()
+
+
+def processed(name: str) -> str:
+    arguments = "".join(
+        f'<Argument name="{kind}_dataset_filename_1">{escape(name)}</Argument>'
+        f'<Argument name="{kind}_dataset_band_1">1</Argument>'
+        for kind in ("gain", "offset")
+    )
+    return (
+        '<VRTDataset subClass="VRTProcessedDataset"><Input><SourceFilename relativeToVRT="1">in.tif</SourceFilename>'
+        f"</Input><ProcessingSteps><Step><Algorithm>LocalScaleOffset</Algorithm>{arguments}</Step></ProcessingSteps>"
+        "</VRTDataset>"
+    )
+
+
+HIDDEN = {
+    "capitals": lambda name: vrt(name).replace("SourceFilename", "sourcefilename"),
+    "namespace": lambda name: vrt(name).replace("<VRTDataset", '<VRTDataset xmlns="urn:a"'),
+    "height model": lambda name: warped(f"<RPCTransformer><DEMPath>{escape(name)}</DEMPath></RPCTransformer>"),
+    "geolocation": lambda name: warped(f'<Metadata><MDI key="X_DATASET">{escape(name)}</MDI></Metadata>'),
+    "gain": processed,
+    "overview": lambda name: vrt("in.tif", relative=1).replace("<VRTRasterBand", f"{overview_tag(name)}<VRTRasterBand"),
+}
+
+
+@pytest.mark.parametrize("kind", HIDDEN)
+@pytest.mark.parametrize("source", ["curl", "text", "file"])
+def test_every_place_where_a_vrt_may_name_a_file(tmp_path, monkeypatch, listener, kind, source):
+    """Drivers of map services heed no allowed names, nor the proxy where NO_PROXY spares the host: names are seen."""
+    address, asked = listener
+    monkeypatch.setenv("NO_PROXY", "*")
+    monkeypatch.setenv("no_proxy", "*")
+    write(tmp_path / "in.tif")
+    (tmp_path / "tiles.xml").write_text(tms(address))
+    name = {"curl": f"/vsicurl/{address}/a.tif", "text": tms(address), "file": str(tmp_path / "tiles.xml")}[source]
+    path = tmp_path / "photo.tif"
+    path.write_text(HIDDEN[kind](name))
+    said = "overview or mask of another" if source == "file" else "no file of this machine"
+    with pytest.raises(RasterReadError, match=said), Source(path) as image:
+        image.read(Window(0, 0, 10, 10))
     assert asked == []
+
+
+@pytest.mark.parametrize("suffix", [".ovr", ".msk", ".msk.ovr"])
+@pytest.mark.parametrize("source", ["curl", "text"])
+def test_overviews_and_masks_beside_a_raster_that_are_at_an_address(tmp_path, monkeypatch, listener, suffix, source):
+    address, asked = listener
+    monkeypatch.setenv("NO_PROXY", "*")
+    monkeypatch.setenv("no_proxy", "*")
+    path = write(tmp_path / "photo.tif")
+    if suffix == ".msk.ovr":
+        write(tmp_path / "photo.tif.msk")
+    sidecar = Path(f"{path}{suffix}")
+    sidecar.write_text(tms(address) if source == "text" else vrt(f"/vsicurl/{address}/a.tif"))
+    for look in (inspect, lambda file: preview(file, 4)):
+        with pytest.raises(RasterReadError) as caught:
+            look(path)
+        assert caught.value.where == str(sidecar)
+    assert asked == []
+
+
+@pytest.mark.parametrize("inside", [True, False])
+@pytest.mark.parametrize("source", ["curl", "text", "file"])
+def test_an_overview_at_an_address_is_refused(tmp_path, monkeypatch, listener, inside, source):
+    address, asked = listener
+    monkeypatch.setenv("NO_PROXY", "*")
+    monkeypatch.setenv("no_proxy", "*")
+    (tmp_path / "tiles.xml").write_text(tms(address))
+    name = {"curl": f"/vsicurl/{address}/a.ovr", "text": tms(address), "file": ":::BASE:::tiles.xml"}[source]
+    path = write(tmp_path / "photo.tif")
+    if inside:
+        with rasterio.open(path, "r+") as dataset:
+            dataset.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=name)
+    else:
+        Path(f"{path}.aux.xml").write_text(f"<PAMDataset>{overview_tag(name)}</PAMDataset>")
+    with pytest.raises(RasterReadError):
+        inspect(path)
+    (tmp_path / "outer.vrt").write_text(vrt("photo.tif", relative=1))
+    with pytest.raises(RasterReadError):
+        inspect(tmp_path / "outer.vrt")
+    assert asked == []
+
+
+def test_overviews_and_masks_of_this_machine_are_read(tmp_path):
+    path = write(tmp_path / "photo.tif")
+    with rasterio.open(f"{path}.msk", "w", driver="GTiff", width=10, height=10, count=1, dtype="uint8") as mask:
+        mask.write(np.zeros((1, 10, 10), np.uint8))
+        mask.update_tags(INTERNAL_MASK_FLAGS_1="2")
+    with rasterio.Env(TIFF_USE_OVR="YES"), rasterio.open(path, "r+") as dataset:
+        dataset.build_overviews([2])
+    assert Path(f"{path}.ovr").is_file()
+    with Source(path) as image:
+        _, valid = image.read(Window(0, 0, 10, 10))
+    assert valid is not None
+    assert not valid.any()
+    assert named_files(path) == ()
 
 
 def test_virtual_rasters_of_this_machine_are_read(tmp_path):
