@@ -217,13 +217,30 @@ def test_a_raster_that_no_file_can_hold_is_refused_before_any_work(tell, block, 
 
 def test_a_limit_that_cannot_be_kept_is_noted_and_the_work_goes_on(tell, block, tmp_path):
     words = ["ortho", photos(block)[0], *flags(block), "--res", 8, "--overwrite", "-o", tmp_path / "o.tif"]
-    code, out, err = tell(*words, "--mem-limit", "64M", "--threads", 2, "--json")
+    code, out, err = tell(*words, "--mem-limit", "100M", "--threads", 2, "--json")
     assert code == 0
     assert json.loads(out)["valid_pixels"] > 0
-    assert err.startswith("note: --mem-limit 64M will be exceeded: with 2 threads")
+    assert err.startswith("note: --mem-limit 100M may be exceeded: with 2 threads")
     assert "300M" in err
     for kept in (["--mem-limit", "256M"], []):
         assert tell(*words, "--threads", 1, *kept)[2] == ""
+
+
+@pytest.mark.parametrize(("command", "below", "least"), [("ortho", 89, 90), ("mosaic", 169, 170)])
+def test_a_limit_that_not_even_the_smallest_work_keeps_is_refused(tell, block, tmp_path, command, below, least):
+    words = [command, photos(block)[0], *flags(block), "--res", 8, "--threads", 1, "-o", tmp_path / "o.tif"]
+    code, out, err = tell(*words, "--mem-limit", f"{below}M")
+    assert (code, out) == (2, "")
+    assert f"at least {least}M" in err
+    assert not (tmp_path / "o.tif").exists()
+    assert tell(*words, "--mem-limit", f"{least}M")[0] == 0
+
+
+def test_a_project_is_run_in_no_less_than_it_takes(tell):
+    for command, least in (("run", 190), ("demo", 450)):
+        code, _, err = tell(command, "nowhere", "--mem-limit", f"{least - 1}M")
+        assert code == 2
+        assert f"at least {least}M" in err
 
 
 def test_sizes_are_read():

@@ -8,7 +8,8 @@ from typing import Any, TypeVar
 
 import click
 
-from geomosaic.cli.values import FilePath, band_numbers, box, map_crs, pairs, pixel, size
+from geomosaic.cli.memory import memory_limit
+from geomosaic.cli.values import FilePath, band_numbers, box, map_crs, pairs, pixel
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -34,7 +35,7 @@ machine_options = stack(
     click.option("--threads", type=click.IntRange(1), help="Worker threads.  [default: all processors]"),
     click.option(
         "--mem-limit",
-        callback=size,
+        callback=memory_limit,
         metavar="SIZE",
         help="Memory the run may hold, such as 512M or 2G.  [default: 2G]",
     ),

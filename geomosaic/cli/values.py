@@ -8,7 +8,6 @@ from typing import Any
 
 import click
 
-LEAST_MEMORY = 64 << 20
 UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 
 
@@ -32,10 +31,7 @@ def size(ctx: click.Context, param: click.Parameter, value: str | None) -> int |
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", value, re.IGNORECASE)
     if not found:
         raise click.BadParameter(f"'{value}' is not a size; write 512M or 2G")
-    number = int(float(found[1]) * UNITS[found[2].upper()])
-    if number < LEAST_MEMORY:
-        raise click.BadParameter(f"'{value}' is too little memory to work in; give at least 64M")
-    return number
+    return int(float(found[1]) * UNITS[found[2].upper()])
 
 
 def pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
