@@ -12,6 +12,7 @@ from geomosaic.block.footprint import footprint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
+from geomosaic.geo.grid import Grid
 from geomosaic.surface.model import Surface
 from geomosaic.surface.plane import Plane
 
@@ -149,6 +150,16 @@ def test_a_dem_elsewhere() -> None:
     assert caught.value.where == "stray"
     assert "DEM" in caught.value.what
     assert caught.value.mend
+
+
+def test_a_hole_of_the_dem_under_the_camera_is_no_dem_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("geomosaic.block.footprint._nadir", lambda scene, crs: (X, Y))
+    for reach, words in ((8000.0, "hole of the DEM"), (3000.0, "outside the DEM")):
+        surface = _at((X + 5000, Y))  # heights are known there only
+        area = (X - reach, Y - reach, X + reach, Y + reach) if reach > 5000 else (X + 4000, Y - 300, X + 6000, Y + 300)
+        object.__setattr__(surface, "grid", Grid.from_bounds(MAP, area, 100.0))
+        with pytest.raises(InputError, match=words):
+            footprint(scene("stray"), surface, MAP)
 
 
 def test_an_image_of_the_sky() -> None:

@@ -11,6 +11,7 @@ from pyproj import CRS
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic, horizontal
+from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import HasRays
 from geomosaic.sensor.solve import image_to_ground
@@ -154,12 +155,26 @@ def _shows(scene: Scene, place: tuple[float, float], surface: Surface | None, cr
     return bool(0 <= colrow[0] <= scene.model.size[0] and 0 <= colrow[1] <= scene.model.size[1])
 
 
+def _within(grid: Grid, place: FloatArray) -> bool:
+    """Whether a place (2,) lies within a grid."""
+    left, bottom, right, top = grid.bounds
+    return bool(left <= place[0] <= right and bottom <= place[1] <= top)
+
+
 def _no_ground(scene: Scene, surface: Surface | None, crs: CRS) -> InputError:
     where = scene.name
     nadir = _nadir(scene, crs)
     if surface is not None and nadir is not None:
         xy = Transform(horizontal(crs), horizontal(surface.crs))(np.array([nadir]))
         if np.isnan(surface.height(xy)).any():
+            grid: Grid | None = getattr(surface, "grid", None)  # of a DEM
+            if grid is not None and _within(grid, xy[0]):
+                return InputError(
+                    f"the middle of the image sees a hole of the DEM: there is no height at x {nadir[0]:.1f}, "
+                    f"y {nadir[1]:.1f} ({horizontal(crs).name}), though the DEM reaches farther",
+                    where=where,
+                    mend="fill the hole (for example with gdal_fillnodata), or leave the image out",
+                )
             return InputError(
                 f"the image lies outside the DEM: there is no height under the camera at x {nadir[0]:.1f}, "
                 f"y {nadir[1]:.1f} ({horizontal(crs).name})",
