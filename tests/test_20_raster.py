@@ -484,7 +484,7 @@ def test_halving_adds_no_brightness():
 
 def test_label_overviews_hold_labels_only(tmp_path):
     labels = np.random.default_rng(0).integers(1, 4, (700, 900, 1)).astype(np.uint16) * 100
-    path = write_raster(tmp_path / "o.tif", labels, nodata=0, overviews="nearest")
+    path = write_raster(tmp_path / "o.tif", labels, nodata=0, classes=True)
     with rasterio.open(path, overview_level=0) as dataset:
         np.testing.assert_array_equal(dataset.read(1), labels[::2, ::2, 0])
 

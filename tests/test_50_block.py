@@ -144,6 +144,29 @@ def test_a_dem_that_ends_within_the_image() -> None:
     assert np.abs(found.ring - (X, Y)).max() > 297
 
 
+@pytest.mark.parametrize("hole", [(-40.0, -40.0, 40.0, 40.0), (-500.0, -500.0, 150.0, 500.0)], ids=["hole", "edge"])
+def test_a_dem_without_heights_in_the_middle_of_the_image(hole: tuple[float, float, float, float]) -> None:
+    surface = Hills()
+    whole = footprint(scene(), surface, MAP)
+    left, bottom, right, top = hole
+    height = surface.height
+
+    def with_hole(xy: np.ndarray) -> np.ndarray:
+        x, y = xy[:, 0] - X, xy[:, 1] - Y
+        return np.where((x > left) & (x < right) & (y > bottom) & (y < top), np.nan, height(xy))
+
+    object.__setattr__(surface, "height", with_hole)
+    found = footprint(scene(), surface, MAP)
+    assert np.isfinite(found.ring).all()
+    assert found.sampling == pytest.approx(whole.sampling, rel=0.05)  # relief
+    if hole[0] == -40.0:
+        np.testing.assert_allclose(found.ring, whole.ring, atol=1e-6)
+        assert found.complete
+    else:
+        assert not found.complete
+        assert found.ring[:, 0].min() > X + 149
+
+
 def test_a_dem_elsewhere() -> None:
     with pytest.raises(InputError) as caught:
         footprint(scene("stray"), _at((X + 5000, Y)), MAP)

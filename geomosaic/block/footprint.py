@@ -16,6 +16,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import HasRays
 from geomosaic.sensor.solve import image_to_ground
 from geomosaic.surface.model import Surface
+from geomosaic.surface.plane import Plane
 from geomosaic.types import FloatArray
 
 if TYPE_CHECKING:
@@ -73,21 +74,24 @@ def footprint(scene: Scene, surface: Surface | None, crs: CRS) -> Footprint:
     """Project an image's border onto the surface and into the output map.
 
     Where a part of the border sees no ground (sky, or beyond the DEM), the outline follows the last point inwards that
-    does.
+    does. A middle of the image that looks at a hole of the DEM, or past its edge, costs nothing but what it sees; one
+    that looks at the sky is a wrong angle.
 
     Raises
     ------
     InputError
-        The middle of the image sees no ground; says why as far as it can be told.
+        Nothing of the image sees ground; says why as far as it can be told.
     """
     model = scene.model
     width, height = model.size
     centre = np.array([[width / 2, height / 2]])
-    steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     border = _border(width, height)
-    ground = _ground(scene, np.vstack([centre + steps, border]), surface, crs)
-    if np.isnan(ground[0]).any():
-        raise _no_ground(scene, surface, crs)
+    ground = _ground(scene, np.vstack([centre + _STEPS, border]), surface, crs)
+    if np.isnan(ground[:3]).any():
+        found = _some_ground(scene, surface, crs)
+        if found is None:
+            raise _no_ground(scene, surface, crs)
+        centre, ground[:3] = found
     middle, ring = ground[0], ground[3:]
     sampling = float(np.sqrt(abs(np.linalg.det(ground[1:3] - middle))))
     missing = np.isnan(ring).any(axis=1)
@@ -98,6 +102,32 @@ def footprint(scene: Scene, surface: Surface | None, crs: CRS) -> Footprint:
     if best is None or not _shows(scene, best, surface, crs):
         best = (float(middle[0]), float(middle[1]))
     return Footprint(scene.name, ring, best, sampling, not bool(missing.any()))
+
+
+def _looks_down(scene: Scene, colrow: FloatArray, surface: Surface) -> bool:
+    """Whether a line of sight would meet the surface, had it no holes and no end."""
+    low, high = surface.range
+    if not np.isfinite(high):
+        return False
+    return bool(np.isfinite(image_to_ground(scene.model, colrow[None], Plane(surface.crs, (low + high) / 2))).all())
+
+
+_STEPS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+"""A place in the image and one pixel from it in each direction."""
+
+
+def _some_ground(scene: Scene, surface: Surface | None, crs: CRS) -> tuple[FloatArray, FloatArray] | None:
+    """The place (1, 2) nearest to the middle of the image that sees ground, and the ground (3, 2) about it."""
+    size = np.array(scene.model.size, dtype=np.float64)
+    if surface is None or not _looks_down(scene, size / 2, surface):
+        return None
+    t = (np.arange(SIDE // 2) + 0.5) / (SIDE // 2) - 0.5
+    offsets = np.stack(np.meshgrid(t, t), axis=-1).reshape(-1, 2) * size
+    offsets = offsets[np.argsort(np.hypot(*offsets.T), kind="stable")]
+    places = size / 2 + offsets
+    ground = _ground(scene, (places[:, None] + _STEPS).reshape(-1, 2), surface, crs).reshape(-1, 3, 2)
+    seen = np.flatnonzero(np.isfinite(ground).all(axis=(1, 2)))
+    return (places[seen[:1]], ground[seen[0]]) if len(seen) else None
 
 
 def _border(width: int, height: int) -> FloatArray:
@@ -170,7 +200,7 @@ def _no_ground(scene: Scene, surface: Surface | None, crs: CRS) -> InputError:
             grid: Grid | None = getattr(surface, "grid", None)  # of a DEM
             if grid is not None and _within(grid, xy[0]):
                 return InputError(
-                    f"the middle of the image sees a hole of the DEM: there is no height at x {nadir[0]:.1f}, "
+                    f"the image sees nothing but a hole of the DEM: there is no height at x {nadir[0]:.1f}, "
                     f"y {nadir[1]:.1f} ({horizontal(crs).name}), though the DEM reaches farther",
                     where=where,
                     mend="fill the hole (for example with gdal_fillnodata), or leave the image out",

@@ -186,13 +186,13 @@ class Blender:
         kind = np.float32 if values.dtype.itemsize < 4 or values.dtype == np.float32 else np.float64
         total = np.zeros((*shape, bands), dtype=kind)
         sums, best = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
+        own, seen = np.zeros((*shape, bands), dtype=kind), np.zeros(shape, dtype=np.uint8)
         for share in shares:
             assert share.weight is not None
             need = share.need(shape)
             if not need.any():
                 continue
-            own = np.zeros((*shape, bands), dtype=kind)
-            seen = np.zeros(shape, dtype=np.uint8)
+            seen.fill(0)  # and what the last image left in `own` counts no more
             self._pull(share.index, ground, own, seen, need, lattices)
             self.engine.accumulate(
                 own, seen, share.weight, share.factor, share.margin, share.index + 1, total, sums, best, label

@@ -25,6 +25,7 @@ from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output
 from geomosaic.raster.sink import RasterSink
+from geomosaic.raster.vector import prepare
 from geomosaic.resample.engine import engine_for
 from geomosaic.resample.warp import Colour
 from geomosaic.seam.voronoi import regions
@@ -109,7 +110,10 @@ def mosaic(
     feather = FEATHER_PIXELS * grid.resolution[0] if options.feather is None else options.feather
     seconds: dict[str, float] = {}
     photos = Photos(block, grid, outlines, render.memory_limit // 2)
+    beside_it = ThreadPoolExecutor(1)
     try:
+        # What costs time to import gets it where a processor would idle.
+        compiled = beside_it.submit(engine_for, 2 * samples(grid, outlines), render.resampling)
         with _Clock(seconds, "balance"):
             solved = balance(photos, render) if options.balance else solve(len(photos), photos.info.bands, [])
         with _Clock(seconds, "seams"):
@@ -117,14 +121,15 @@ def mosaic(
             shares = regions(shapes, [outline.centre for outline in outlines])
         colours = [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
         seams = Seams(shares, shapes, feather / grid.resolution[0])
-        engine = engine_for(2 * samples(grid, outlines), render.resampling)
-        blender = Blender(
-            photos, grid, Ground.under(grid, block.surface), seams, colours, engine, render.resampling, render.tolerance
-        )
+        ground, engine = Ground.under(grid, block.surface), compiled.result()
+        blender = Blender(photos, grid, ground, seams, colours, engine, render.resampling, render.tolerance)
+        if vectors is not None:
+            beside_it.submit(prepare)
         with _Clock(seconds, "mosaic"):
             seen, pixels, record = _render(blender, output, labels, options)
     finally:
         photos.close()
+        beside_it.shutdown(wait=False)
     with _Clock(seconds, "records"), ThreadPoolExecutor(1) as beside_it:
         checksum = beside_it.submit(sha256, output)
         if vectors is not None:
@@ -165,7 +170,7 @@ def _render(
         if labels is not None:
             label_sink = stack.enter_context(
                 RasterSink(
-                    labels, grid, 1, label_type(number), nodata=0, overviews="nearest", descriptions=("source image",),
+                    labels, grid, 1, label_type(number), nodata=0, classes=True, descriptions=("source image",),
                     driver=render.driver, overwrite=render.overwrite, threads=render.threads,
                 )
             )  # fmt: skip

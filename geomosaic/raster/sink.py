@@ -54,8 +54,8 @@ class RasterSink:
         Write the internal mask (left out where every pixel is valid).
     photometric : str, optional
         'RGB' or 'MINISBLACK'; by default RGB for three bands of uint8.
-    overviews : str
-        How COG overviews are resampled: 'average', or 'nearest' for labels.
+    classes : bool
+        Whether values are names and not measures, as in a label raster: no mean of them is taken.
 
     Raises
     ------
@@ -83,12 +83,13 @@ class RasterSink:
         tags: Mapping[str, str] | None = None,
         mask: bool = True,
         photometric: str | None = None,
-        overviews: str = "average",
+        classes: bool = False,
     ) -> None:
         self.path = Path(path)
         self._grid, self._bands, self._dtype = grid, bands, check_type(dtype, str(path))
         check_output(self.path, overwrite=overwrite)
         check_nodata(dtype, nodata, str(path))
+        overviews = "nearest" if classes else "average"
         made = creation_options(driver, bands, self._dtype, creation or {}, overviews, photometric, str(path))
         self._raw = made.gtiff["COMPRESS"] == "NONE"
         self._bytes = grid.width * grid.height * bands * self._dtype.itemsize
@@ -102,6 +103,7 @@ class RasterSink:
                 dtype,
                 made.gtiff,
                 overviews=made.overviews,
+                classes=classes,
                 cog=driver == "COG",
                 nodata=nodata,
                 descriptions=descriptions,

@@ -46,6 +46,8 @@ class TileFile:
         Of the raster; `options` are GTiff creation options for compression, colour and BIGTIFF.
     overviews : str or None
         'average' or 'nearest': overviews are made so; for a COG only.
+    classes : bool
+        Whether values are names and not measures, which decides how they are compressed.
     cog : bool
         A COG instead of a plain GeoTIFF.
     nodata : float or None
@@ -65,6 +67,7 @@ class TileFile:
         options: Mapping[str, str],
         *,
         overviews: str | None = None,
+        classes: bool = False,
         cog: bool = False,
         nodata: float | None = None,
         descriptions: Sequence[str | None] = (),
@@ -74,7 +77,7 @@ class TileFile:
     ) -> None:
         self._path, self._grid, self._bands, self._dtype = path, grid, bands, np.dtype(dtype)
         self._nodata, self._keep_mask, self._masked = nodata, mask and nodata is None, False
-        self._overviews, self._cog = overviews, cog
+        self._overviews, self._classes, self._cog = overviews, classes, cog
         self._profile: dict[str, Any] = codec.tile_profile(bands, dtype, options)
         raw_bytes = grid.width * grid.height * bands * self._dtype.itemsize
         self._big = _needs_big(self._profile.pop("bigtiff", "IF_SAFER"), raw_bytes * (4 / 3 if overviews else 1))
@@ -166,7 +169,7 @@ class TileFile:
         """Fill, compress and halve a tile; changes nothing of this object, so any thread may do it."""
         if not blank:
             tile = Tile(tile.level, tile.index, _filled(tile.values, tile.valid, self._nodata), tile.valid)
-        data = b"" if self._raw else codec.encode_tile(tile.values, self._profile)
+        data = b"" if self._raw else codec.encode_tile(tile.values, self._profile, classes=self._classes)
         half = None
         if tile.level + 1 < len(self._levels):
             half = halve(tile.values, tile.valid, self._overviews or "average")

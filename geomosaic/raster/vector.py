@@ -92,6 +92,11 @@ def write_layers(path: PathLike, layers: Mapping[str, Layer], *, overwrite: bool
     return final
 
 
+def prepare() -> None:
+    """Import what `write_layers` needs: half a second, better spent beside other work."""
+    import pyogrio.raw  # noqa: F401
+
+
 def _write(path: Path, name: str, layer: Layer) -> None:
     """Write one layer, without the detour over a data frame, whose libraries take a second to import."""
     import pyogrio.raw

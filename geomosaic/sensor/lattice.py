@@ -15,7 +15,7 @@ import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.sensor.ground import BlockGround
-from geomosaic.sensor.lattice_error import Cells, at_height
+from geomosaic.sensor.lattice_error import ENDS, Cells, at_height
 from geomosaic.sensor.mapper import MapToImage
 from geomosaic.types import BoolArray, FloatArray
 
@@ -106,12 +106,12 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
     step, before = _first_step(window), np.inf
     divisible = half > 0 and max(window.width, window.height) > SMALLEST
     while True:
-        surface, nodes = _nodes(mapper, grid, window, step, middle, half)
+        places, nodes, exact = _sampled(mapper, grid, window, step, middle, half)
         bounds = _bounds(nodes, half)
         if bounds is None or _misses(bounds, mapper.model.size):
             return []
         scale, close = _scale(nodes, step), step <= CLOSE_STEP
-        cells = Cells(mapper, grid, window, step, middle, half, surface, nodes, scale)
+        cells = Cells(mapper, grid, window, step, middle, half, places, nodes, exact, scale)
         miss = cells.measure(tolerance / 2, thorough=close)
         good = not miss.error > tolerance / 2
         if (good and (close or not miss.ragged)) or step == 1:
@@ -121,7 +121,7 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
             if cubic or close or miss.error > before / 2:
                 return _parts(mapper, grid, ground, window, tolerance)
         step, before = step // 2, miss.error
-    return [Lattice(window, step, nodes, surface, middle, half, miss.error, bounds, scale, miss.seen)]
+    return [Lattice(window, step, nodes, places[::2, ::2], middle, half, miss.error, bounds, scale, miss.seen)]
 
 
 def _parts(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, tolerance: float) -> list[Lattice]:
@@ -155,32 +155,35 @@ def _heights(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window
     return ground.over(mapper.surface_xy(grid.xy(np.column_stack([c.ravel(), r.ravel()]))))
 
 
-def _axis(start: int, length: int, step: int) -> FloatArray:
-    """Node positions in pixels: enough cells of `step` to cover the block."""
-    return start + step * np.arange(-(-length // step) + 1, dtype=np.float64)
-
-
-def _nodes(
+def _sampled(
     mapper: MapToImage, grid: Grid, window: Window, step: int, middle: float, half: float
-) -> tuple[FloatArray, FloatArray]:
-    cols, rows = _axis(window.col, window.width, step), _axis(window.row, window.height, step)
-    c, r = np.meshgrid(cols, rows)
-    surface = mapper.surface_xy(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
-    shape = (len(rows), len(cols))
-    nodes = np.zeros((*shape, 8))
-    if half == 0.0:
-        image = mapper.image(surface, np.full(len(surface), middle)).reshape(*shape, 2)
-        nodes[..., 0], nodes[..., 4] = image[..., 0], image[..., 1]
-    else:
-        z = np.repeat(middle + half * _CHEBYSHEV, len(surface))
-        levels = mapper.image(np.tile(surface, (4, 1)), z).reshape(4, *shape, 2)
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Surface map of nodes and places half-way between, the nodes' cubics, the exact model at both ends of the range.
+
+    Asked of the model in one go: of so few places the way there costs more than the answer.
+    """
+    rows, cols = -(-window.height // step), -(-window.width // step)  # enough cells to cover the block
+    c = window.col + step * 0.5 * np.arange(2 * cols + 1)
+    r = window.row + step * 0.5 * np.arange(2 * rows + 1)
+    xy = mapper.surface_xy(grid.xy(np.stack(np.meshgrid(c, r), axis=-1).reshape(-1, 2)))
+    places = xy.reshape(len(r), len(c), 2)
+    ends = ENDS if half else ENDS[:1]
+    at_nodes, levels = places[::2, ::2].reshape(-1, 2), _CHEBYSHEV if half else ENDS[:0]
+    z = np.concatenate([np.repeat(ends, len(xy)), np.repeat(levels, len(at_nodes))])
+    image = mapper.image(np.concatenate([xy] * len(ends) + [at_nodes] * len(levels)), middle + half * z)
+    exact = image[: len(ends) * len(xy)].reshape(len(ends), *places.shape)
+    nodes = np.zeros((rows + 1, cols + 1, 8))
+    if half:
+        values = image[len(ends) * len(xy) :].reshape(4, rows + 1, cols + 1, 2)
         for axis in (0, 1):
             for power in range(4):
-                total = _TO_CUBIC[power, 0] * levels[0, ..., axis]
+                total = _TO_CUBIC[power, 0] * values[0, ..., axis]
                 for k in (1, 2, 3):
-                    total = total + _TO_CUBIC[power, k] * levels[k, ..., axis]
+                    total = total + _TO_CUBIC[power, k] * values[k, ..., axis]
                 nodes[..., 4 * axis + power] = total
-    return surface.reshape(*shape, 2), nodes
+    else:
+        nodes[..., ::4] = exact[0, ::2, ::2]
+    return places, nodes, exact
 
 
 def _bounds(nodes: FloatArray, half: float) -> tuple[float, float, float, float] | None:

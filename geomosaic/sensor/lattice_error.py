@@ -10,6 +10,8 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.sensor.mapper import MapToImage
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
+ENDS = np.array([-1.0, 1.0])
+"""Both ends of the normalised height range."""
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 
 
@@ -45,7 +47,10 @@ class Miss:
 
 @dataclass(frozen=True)
 class Cells:
-    """The cells of a lattice under construction; its parts are those of `lattice.Lattice`.
+    """The cells of a lattice under construction; its parts are those of `lattice.Lattice`, and two more.
+
+    `places` (2 · rows + 1, 2 · cols + 1, 2) is the surface map of nodes and of what lies half-way between; `exact`
+    (levels, 2 · rows + 1, 2 · cols + 1, 2) what the model says there at the heights `ENDS`, one level where flat.
 
     Errors count in image pixels, or in output pixels where those are larger: nobody sees a hundredth of an image pixel
     in an output ten times coarser.
@@ -57,8 +62,9 @@ class Cells:
     step: int
     middle: float
     half: float
-    surface: FloatArray
+    places: FloatArray
     nodes: FloatArray
+    exact: FloatArray
     scale: float
 
     def measure(self, admissible: float, *, thorough: bool) -> Miss:
@@ -75,16 +81,10 @@ class Cells:
             Measure the cells that err more again, at every output pixel and height at which they show the image:
             outside of it the model may be rough, and nobody will see that.
         """
-        rows, cols = self._shape
-        c = self.window.col + self.step * 0.5 * np.arange(2 * cols + 1)
-        r = self.window.row + self.step * 0.5 * np.arange(2 * rows + 1)
-        xy = self.mapper.surface_xy(self.grid.xy(np.stack(np.meshgrid(c, r), axis=-1).reshape(-1, 2)))
-        levels = (-1.0, 1.0) if self.half else (0.0,)
-        exact = self._images(xy, levels).reshape(len(levels), 2 * rows + 1, 2 * cols + 1, 2)
-        ends = np.stack([at_height(self.nodes, t) for t in levels])
+        ends = np.stack([at_height(self.nodes, t) for t in ENDS[: len(self.exact)]])
         with np.errstate(invalid="ignore"):
-            miss = np.fmax.reduce(np.hypot(*np.moveaxis(_halved(ends) - exact, -1, 0))) / self._unit
-            inside = (exact > 0.0) & (exact < np.array(self.mapper.model.size))
+            miss = np.fmax.reduce(np.hypot(*np.moveaxis(_halved(ends) - self.exact, -1, 0))) / self._unit
+            inside = (self.exact > 0.0) & (self.exact < np.array(self.mapper.model.size))
         shown = np.logical_and.reduce(inside, axis=-1).any(axis=0)
         corners = np.stack([_corners(end) for end in ends])
         counts = _touch(corners.reshape(-1, *corners.shape[2:]), self.mapper.model.size, 0.5)
@@ -97,10 +97,10 @@ class Cells:
         ragged = bool((counts & (known < 4).any(axis=0)).any())
         error = float(worst[counts].max(initial=0.0))
         # The surface's own map is interpolated as well: a shift of its place, in output pixels, counts the same.
-        shift = _halved(self.surface[None])[0].reshape(-1, 2) - xy
+        shift = _halved(self.places[None, ::2, ::2])[0] - self.places
         if self.half and shift.any():
             with np.errstate(invalid="ignore"):
-                error = float(np.fmax(error, np.fmax.reduce(np.hypot(*shift.T)) / self._pixel))
+                error = float(np.fmax(error, np.fmax.reduce(np.hypot(*shift.reshape(-1, 2).T)) / self._pixel))
         cubic = float(np.fmax.reduce(miss[::2, ::2][shown[::2, ::2]], initial=0.0))
         return Miss(error, cubic, ragged, counts.reshape(self._shape))
 
@@ -111,7 +111,7 @@ class Cells:
     @property
     def _pixel(self) -> float:
         """Size of an output pixel in units of the surface's map."""
-        return float(np.hypot(*(self.surface[0, 1] - self.surface[0, 0]))) / self.step
+        return float(np.hypot(*(self.places[0, 2] - self.places[0, 0]))) / self.step
 
     @property
     def _unit(self) -> float:
@@ -126,11 +126,6 @@ class Cells:
         rows = self.window.row + self.step * (down[:, None] + r.ravel())
         return self.mapper.surface_xy(self.grid.xy(np.column_stack([cols.ravel(), rows.ravel()])))
 
-    def _images(self, surface_xy: FloatArray, levels: tuple[float, ...]) -> FloatArray:
-        """Exact image positions (levels · N, 2) of places (N, 2) at normalised heights."""
-        z = np.repeat(self.middle + self.half * np.array(levels), len(surface_xy))
-        return self.mapper.image(np.tile(surface_xy, (len(levels), 1)), z)
-
     def _in_the_image(self, cells: IntArray) -> FloatArray:
         """Largest error (N,) in image pixels over all output pixels of cells (N,) and heights that show the image."""
         inner = (np.arange(self.step) + 0.5) / self.step
@@ -138,7 +133,7 @@ class Cells:
         xy, size = self._surface_xy(inner, cells), np.array(self.mapper.model.size)
         worst = np.zeros(len(cells))
         for t in _LEVELS if self.half else (0.0,):
-            exact = self._images(xy, (t,)).reshape(len(cells), -1, 2)
+            exact = self.mapper.image(xy, np.full(len(xy), self.middle + self.half * t)).reshape(len(cells), -1, 2)
             a, b, below_a, below_b = _corners(at_height(self.nodes, t))[:, cells, None]
             near = (1 - r) * ((1 - c) * a + c * b) + r * ((1 - c) * below_a + c * below_b)
             with np.errstate(invalid="ignore"):
