@@ -62,6 +62,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             {**orientation, **place, **blend},
             (*images, *ground, *layout.models),
             (*rasters, layout.facts("mosaic")),
+            version=2,
         ),
     ]
     if every_ortho:

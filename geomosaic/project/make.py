@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from pyproj import CRS
 
 from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
-from geomosaic.errors import InputError, OutputExistsError
+from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
+from geomosaic.geo.area import area_of_use, beyond, longitude_latitude
 from geomosaic.geo.crs import parse_map
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.product.extent import footprints, output_crs, output_grid
@@ -26,6 +29,8 @@ if TYPE_CHECKING:
 
 # Rows, columns and tiles of a GeoTIFF are counted in 31 bits.
 _MOST, _TILE = 1 << 31, 512 * 512
+FAR = 6.0
+"""Degrees beyond the area of use of the output CRS, a zone's width, that are told."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,7 @@ def plan(scenes: Sequence[Scene], surface: Surface | None, area: Area) -> tuple[
     several = tuple(scenes)
     crs: CRS = parse_map(area.crs, "output CRS") if area.crs else output_crs(several, surface)
     outlines = footprints(several, surface, crs)
+    _judge(crs, outlines, area.resolution)
     grid = output_grid(crs, outlines, area.resolution, area.bounds)
     if max(grid.width, grid.height) >= _MOST or grid.width * grid.height / _TILE >= _MOST:
         raise InputError(
@@ -59,6 +65,27 @@ def plan(scenes: Sequence[Scene], surface: Surface | None, area: Area) -> tuple[
             mend=f"a coarser resolution or smaller bounds; one pixel is {grid.resolution[0]:g} map units now",
         )
     return grid, outlines
+
+
+def _judge(crs: CRS, outlines: list[Footprint], resolution: float | None) -> None:
+    """Refuse a pixel size in a wrong unit; say so where the output CRS is made for another part of the earth."""
+    ring = np.vstack([outline.ring for outline in outlines])
+    wide, tall = np.ptp(ring, axis=0)
+    if resolution is not None and resolution > max(wide, tall):
+        unit = crs.axis_info[0].unit_name
+        raise InputError(
+            f"one pixel of {resolution:g} {unit} would be larger than all the images show, {wide:.3g} x {tall:.3g}",
+            mend=f"the resolution counts in units of the output CRS, {crs.name}: {unit}",
+        )
+    used = area_of_use(crs)
+    if used is not None and (beyond(longitude_latitude(ring, crs), used) > FAR).any():
+        west, south, east, north = used
+        warnings.warn(
+            f"the images lie far outside the area that {crs.name} is made for (longitude {west:g} to {east:g}, "
+            f"latitude {south:g} to {north:g}): lengths and areas are distorted there",
+            GeomosaicWarning,
+            stacklevel=3,
+        )
 
 
 def refuse_existing(path: Path, overwrite: bool, inputs: BlockInputs | None = None) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from geomosaic.geo.crs import has_heights
 from geomosaic.project.exterior import RECONSTRUCTION_SYSTEM, RECONSTRUCTIONS, undeclared_reconstruction
 from geomosaic.project.frames import named
@@ -40,8 +42,12 @@ def needs(inputs: BlockInputs) -> list[str]:
         found.append(f"the vertical datum of the positions: [exterior] heights: {HEIGHTS}")
     if inputs.dem is None and inputs.height is None:
         found.append("the ground: [dem] file, or [dem] height in metres")
-    if inputs.dem is not None and inputs.dem_heights is None:
-        crs = inspect(inputs.dem).crs
-        if crs is None or not has_heights(crs):
-            found.append(f"the vertical datum of the DEM: [dem] heights: {HEIGHTS}")
+    if inputs.dem_heights is None and undeclared_heights(inputs.dem):
+        found.append(f"the vertical datum of the DEM: [dem] heights: {HEIGHTS}")
     return found
+
+
+def undeclared_heights(dem: Path | None) -> bool:
+    """Whether there is a DEM whose file does not say what its heights count from."""
+    crs = None if dem is None else inspect(dem).crs
+    return dem is not None and (crs is None or not has_heights(crs))
