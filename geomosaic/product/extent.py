@@ -42,7 +42,12 @@ def nice(resolution: float) -> float:
 
 
 def output_grid(
-    crs: CRS, outlines: list[Footprint], resolution: float | None = None, bounds: Bounds | None = None
+    crs: CRS,
+    outlines: list[Footprint],
+    resolution: float | None = None,
+    bounds: Bounds | None = None,
+    *,
+    snap: bool = False,
 ) -> Grid:
     """Grid over all footprints, snapped to whole pixels.
 
@@ -55,6 +60,8 @@ def output_grid(
         Map units; the median ground sampling distance of the images unless given, rounded to two digits.
     bounds : tuple of float, optional
         Left, bottom, right, top in `crs`, kept as they are given.
+    snap : bool
+        Widen the bounds to whole pixels.
     """
     each = np.array([outline.bounds for outline in outlines])
     everything = (each[:, 0].min(), each[:, 1].min(), each[:, 2].max(), each[:, 3].max())
@@ -62,7 +69,7 @@ def output_grid(
         resolution = nice(float(np.median([outline.sampling for outline in outlines])))
     if bounds is None:
         return Grid.from_bounds(crs, everything, resolution)
-    grid = Grid.from_bounds(crs, bounds, resolution, snap=False)
+    grid = Grid.from_bounds(crs, bounds, resolution, snap=snap)
     a, b = everything, grid.bounds
     if not (a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]):
         raise InputError(

@@ -15,11 +15,12 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
 from geomosaic.geo.area import area_of_use, beyond, longitude_latitude
-from geomosaic.geo.crs import parse_map
+from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.product.extent import footprints, output_crs, output_grid
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs
+from geomosaic.raster.info import inspect
 from geomosaic.surface.model import Surface
 
 if TYPE_CHECKING:
@@ -45,26 +46,43 @@ class Area:
         Pixel size in its units.
     bounds : tuple of float, optional
         Left, bottom, right, top in it.
+    snap : bool
+        Widen the bounds to whole multiples of the pixel size; without bounds that is always done.
+    like : Path, optional
+        Raster whose CRS, pixels and extent the output takes; nothing else is given then.
     """
 
     crs: str | None = None
     resolution: float | None = None
     bounds: Bounds | None = None
+    snap: bool = False
+    like: Path | None = None
 
 
 def plan(scenes: Sequence[Scene], surface: Surface | None, area: Area) -> tuple[Grid, list[Footprint]]:
     """Outlines of the images and the grid of the output."""
     several = tuple(scenes)
+    if area.like is not None:
+        grid = grid_of(area.like)
+        return grid, footprints(several, surface, grid.crs)
     crs: CRS = parse_map(area.crs, "output CRS") if area.crs else output_crs(several, surface)
     outlines = footprints(several, surface, crs)
     _judge(crs, outlines, area.resolution)
-    grid = output_grid(crs, outlines, area.resolution, area.bounds)
+    grid = output_grid(crs, outlines, area.resolution, area.bounds, snap=area.snap)
     if max(grid.width, grid.height) >= _MOST or grid.width * grid.height / _TILE >= _MOST:
         raise InputError(
             f"the output would have {grid.width:.3g} x {grid.height:.3g} pixels, more than a GeoTIFF can hold",
             mend=f"a coarser resolution or smaller bounds; one pixel is {grid.resolution[0]:g} map units now",
         )
     return grid, outlines
+
+
+def grid_of(path: Path) -> Grid:
+    """Grid of a georeferenced raster."""
+    info = inspect(path)
+    if info.crs is None or info.transform is None:
+        raise InputError("the raster is not georeferenced", where=str(path), mend="name one that is")
+    return Grid(horizontal(info.crs), info.transform, info.width, info.height)
 
 
 def _judge(crs: CRS, outlines: list[Footprint], resolution: float | None) -> None:
