@@ -21,6 +21,13 @@ mosaic_flags = stack(
         help="Width of seams in map units.  [default: 32 pixels]",
     ),
     click.option("--balance/--no-balance", default=True, show_default=True, help="Balance colours over the overlaps."),
+    click.option(
+        "--histogram",
+        type=click.Choice(["overlap", "whole"]),
+        help="Match histograms instead: over what images share, one after the other, or over all that each shows.",
+    ),
+    click.option("--master", metavar="NAME", help="Image that the others are matched to.  [default: shares most]"),
+    click.option("--reference", type=FILE, help="Georeferenced raster that all are matched to, instead of a master."),
     click.option("--labels/--no-labels", default=True, show_default=True, help="Write the raster of source images."),
 )
 

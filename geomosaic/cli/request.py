@@ -77,5 +77,15 @@ def render_options(flags: Mapping[str, Any], progress: Progress | None) -> Rende
 def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> MosaicOptions:
     """Make the options of a mosaic."""
     from geomosaic.product.options import MosaicOptions
+    from geomosaic.project.make import reference_scene
 
-    return MosaicOptions(render_options(flags, progress), flags["feather"], flags["balance"], flags["labels"])
+    reference = flags["reference"]
+    return MosaicOptions(
+        render_options(flags, progress),
+        flags["feather"],
+        flags["balance"],
+        flags["labels"],
+        histogram=flags["histogram"],
+        master=flags["master"],
+        reference=None if reference is None else reference_scene(reference, flags["bands"]),
+    )

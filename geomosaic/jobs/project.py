@@ -29,6 +29,8 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     images, said_of_images = with_companions(project, project.images, inputs.bands)
     ground, said_of_ground = with_companions(project, inputs.ground)
     reference, said_of_reference = with_companions(project, (against,) if against is not None else ())
+    like = project.file(settings.mosaic.reference)
+    master, said_of_master = with_companions(project, (like,) if like is not None else ())
     tables = inputs.tables
     orientation: dict[str, Any] = {
         "sensor": settings.sensor.model_dump(mode="json"),
@@ -42,7 +44,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         **said_of_ground,
     }
     place: dict[str, Any] = {"output": settings.output.model_dump(mode="json", exclude={"folder", "orthos"})}
-    blend: dict[str, Any] = {"mosaic": settings.mosaic.model_dump(mode="json")}
+    blend: dict[str, Any] = {"mosaic": settings.mosaic.model_dump(mode="json"), **said_of_master}
     wants_labels = (layout.labels,) if settings.mosaic.labels else ()
     rasters = (layout.mosaic, *wants_labels, layout.vectors, layout.item)
     every_ortho = layout.orthos if settings.output.orthos else ()
@@ -60,7 +62,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             "mosaic",
             partial(mosaic, project, machine),
             {**orientation, **place, **blend},
-            (*images, *ground, *layout.models),
+            (*images, *ground, *master, *layout.models),
             (*rasters, layout.facts("mosaic")),
             version=2,
         ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.photo import pull
 from geomosaic.product.photos import Photos
+from geomosaic.radiometry.curve import Curve
 from geomosaic.raster.burn import burn
 from geomosaic.resample.engine import Engine
 from geomosaic.resample.warp import CELL, Colour, value_range
@@ -87,7 +89,7 @@ class Blender:
     grid: Grid
     below: Ground
     seams: Seams
-    colours: list[Colour]
+    colours: Sequence[Colour | Curve]
     engine: Engine
     resampling: str
     tolerance: float

@@ -115,11 +115,11 @@ def mosaic(
         # What costs time to import gets it where a processor would idle.
         compiled = beside_it.submit(engine_for, 2 * samples(grid, outlines), render.resampling)
         with _Clock(seconds, "balance"):
-            solved = balance(photos, render) if options.balance else solve(len(photos), photos.info.bands, [])
+            solved = _balanced(photos, options)
         with _Clock(seconds, "seams"):
             shapes = [outline.polygon for outline in outlines]
             shares = regions(shapes, [outline.centre for outline in outlines])
-        colours = [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
+        colours = solved.curves or [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
         seams = Seams(shares, shapes, feather / grid.resolution[0])
         ground, engine = Ground.under(grid, block.surface), compiled.result()
         blender = Blender(photos, grid, ground, seams, colours, engine, render.resampling, render.tolerance)
@@ -142,6 +142,15 @@ def mosaic(
         output, labels, vectors, item, grid, seen, pixels, solved, feather, record.error, render.tolerance,
         record.scale, seconds,
     )  # fmt: skip
+
+
+def _balanced(photos: Photos, options: MosaicOptions) -> Balance:
+    """What is done to the values of each image."""
+    if options.histogram is not None:
+        from geomosaic.product.histogram import match_histograms
+
+        return match_histograms(photos, options.render, options.histogram, options.master, options.reference)
+    return balance(photos, options.render) if options.balance else solve(len(photos), photos.info.bands, [])
 
 
 def _render(

@@ -6,12 +6,14 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.resample.warp import RESAMPLING
 from geomosaic.sensor.lattice import BLOCK_WIDTH
 
 Progress = Callable[[int, int, str], None]
 GIGABYTE = 1 << 30
+HISTOGRAMS = ("overlap", "whole")
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,12 @@ class MosaicOptions:
         Write footprints and seamlines.
     stac : bool
         Write a STAC item.
+    histogram : str, optional
+        Match histograms instead: 'overlap' in sequence over what images share, 'whole' over all that they show.
+    master : str, optional
+        Name of the image that the others are matched to; unless given, the one that shares most.
+    reference : Scene, optional
+        Georeferenced raster that all images are matched to, instead of a master.
     """
 
     render: RenderOptions = field(default_factory=RenderOptions)
@@ -94,7 +102,16 @@ class MosaicOptions:
     labels: bool = True
     vectors: bool = True
     stac: bool = True
+    histogram: str | None = None
+    master: str | None = None
+    reference: Scene | None = None
 
     def __post_init__(self) -> None:
         if self.feather is not None and not self.feather >= 0:
             raise InputError(f"a feather of {self.feather} is not a width", mend="give map units, 0 or more")
+        if self.histogram not in (None, *HISTOGRAMS):
+            raise InputError(
+                f"histograms cannot be matched by '{self.histogram}'", mend=f"one of {', '.join(HISTOGRAMS)}"
+            )
+        if self.histogram is None and (self.master or self.reference):
+            raise InputError("a master is given, but histograms are not to be matched", mend="add --histogram overlap")

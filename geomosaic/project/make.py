@@ -129,6 +129,11 @@ def make_ortho(inputs: BlockInputs, area: Area, output: Path, options: RenderOpt
     return ortho(block.scenes[0], block.surface, grid, outlines[0], output, options)
 
 
+def reference_scene(path: Path, bands: Sequence[int] | None) -> Scene:
+    """Open a georeferenced raster as a scene, to match histograms to."""
+    return build_block(BlockInputs((path,), "planar", bands=None if bands is None else tuple(bands))).scenes[0]
+
+
 def make_mosaic(inputs: BlockInputs, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
     """Make a mosaic of all images of `inputs`."""
     from geomosaic.product.mosaic import beside, mosaic

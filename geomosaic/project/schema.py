@@ -103,7 +103,16 @@ class MosaicSection(Section):
 
     feather: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
     balance: bool = True
+    histogram: Literal["overlap", "whole"] | None = None
+    master: str | None = None
+    reference: FilePath | None = None
     labels: bool = True
+
+    @model_validator(mode="after")
+    def _matched(self) -> MosaicSection:
+        if self.histogram is None and (self.master or self.reference):
+            raise ValueError('a master or reference is of use with histogram = "overlap" or "whole" only')
+        return self
 
 
 class QualitySection(Section):

@@ -12,7 +12,7 @@ from geomosaic.jobs.step import Context, Machine
 from geomosaic.jobs.steps.restore import area_of, render_options, restore_block
 from geomosaic.project.frames import describe
 from geomosaic.project.load import Project
-from geomosaic.project.make import plan
+from geomosaic.project.make import plan, reference_scene
 
 
 def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
@@ -25,8 +25,15 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     with heard() as notes:
         block = restore_block(project)
         grid, outlines = plan(block.scenes, block.surface, area_of(project))
+        reference = project.file(wanted.reference)
         options = MosaicOptions(
-            render_options(project, machine, context.progress), wanted.feather, wanted.balance, wanted.labels
+            render_options(project, machine, context.progress),
+            wanted.feather,
+            wanted.balance,
+            wanted.labels,
+            histogram=wanted.histogram,
+            master=wanted.master,
+            reference=None if reference is None else reference_scene(reference, project.settings.project.bands),
         )
         result = make(block, grid, outlines, layout.mosaic, options)
     facts = {
@@ -43,7 +50,8 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         "scale": result.scale,
         "resampling": project.settings.output.resampling,
         "feather": result.feather,
-        "balanced": wanted.balance,
+        "balanced": wanted.balance or wanted.histogram is not None,
+        "histogram": wanted.histogram,
         "overlaps": result.balance.overlaps,
         "before": result.balance.before,
         "after": result.balance.after,
