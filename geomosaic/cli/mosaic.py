@@ -20,6 +20,13 @@ mosaic_flags = stack(
         metavar="UNITS",
         help="Width of seams in map units.  [default: 32 pixels]",
     ),
+    click.option(
+        "--seams",
+        type=click.Choice(["nearest", "alike"]),
+        default="nearest",
+        show_default=True,
+        help="Seams halfway between what images see best, or where neighbours look most alike.",
+    ),
     click.option("--balance/--no-balance", default=True, show_default=True, help="Balance colours over the overlaps."),
     click.option(
         "--histogram",

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +23,7 @@ from geomosaic.product.ortho import GeometryRecord, samples, tiles
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.product.records import write_item, write_vectors
+from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output
@@ -116,10 +119,10 @@ def mosaic(
         compiled = beside_it.submit(engine_for, 2 * samples(grid, outlines), render.resampling)
         with _Clock(seconds, "balance"):
             solved = _balanced(photos, options)
+        colours = solved.curves or [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
         with _Clock(seconds, "seams"):
             shapes = [outline.polygon for outline in outlines]
-            shares = regions(shapes, [outline.centre for outline in outlines])
-        colours = solved.curves or [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
+            shares = _shares(photos, shapes, colours, options)
         seams = Seams(shares, shapes, feather / grid.resolution[0])
         ground, engine = Ground.under(grid, block.surface), compiled.result()
         blender = Blender(photos, grid, ground, seams, colours, engine, render.resampling, render.tolerance)
@@ -151,6 +154,15 @@ def _balanced(photos: Photos, options: MosaicOptions) -> Balance:
 
         return match_histograms(photos, options.render, options.histogram, options.master, options.reference)
     return balance(photos, options.render) if options.balance else solve(len(photos), photos.info.bands, [])
+
+
+def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve], options: MosaicOptions) -> list[Any]:
+    """Who shows what."""
+    if options.seams == "alike":
+        from geomosaic.product.seams import alike_regions
+
+        return alike_regions(photos, shapes, colours, options.render)
+    return regions(shapes, [outline.centre for outline in photos.outlines])
 
 
 def _render(

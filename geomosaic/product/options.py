@@ -14,6 +14,7 @@ from geomosaic.sensor.lattice import BLOCK_WIDTH
 Progress = Callable[[int, int, str], None]
 GIGABYTE = 1 << 30
 HISTOGRAMS = ("overlap", "whole")
+SEAMS = ("nearest", "alike")
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,8 @@ class MosaicOptions:
         Name of the image that the others are matched to; unless given, the one that shares most.
     reference : Scene, optional
         Georeferenced raster that all images are matched to, instead of a master.
+    seams : str
+        'nearest' halfway between the places that images see best; 'alike' where neighbours look most alike.
     """
 
     render: RenderOptions = field(default_factory=RenderOptions)
@@ -105,10 +108,13 @@ class MosaicOptions:
     histogram: str | None = None
     master: str | None = None
     reference: Scene | None = None
+    seams: str = "nearest"
 
     def __post_init__(self) -> None:
         if self.feather is not None and not self.feather >= 0:
             raise InputError(f"a feather of {self.feather} is not a width", mend="give map units, 0 or more")
+        if self.seams not in SEAMS:
+            raise InputError(f"no way to lay seams is named '{self.seams}'", mend=f"use {' or '.join(SEAMS)}")
         if self.histogram not in (None, *HISTOGRAMS):
             raise InputError(
                 f"histograms cannot be matched by '{self.histogram}'", mend=f"one of {', '.join(HISTOGRAMS)}"

@@ -107,6 +107,7 @@ class MosaicSection(Section):
     master: str | None = None
     reference: FilePath | None = None
     labels: bool = True
+    seams: Literal["nearest", "alike"] = "nearest"
 
     @model_validator(mode="after")
     def _matched(self) -> MosaicSection:

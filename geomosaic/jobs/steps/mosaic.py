@@ -34,6 +34,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             histogram=wanted.histogram,
             master=wanted.master,
             reference=None if reference is None else reference_scene(reference, project.settings.project.bands),
+            seams=wanted.seams,
         )
         result = make(block, grid, outlines, layout.mosaic, options)
     facts = {
@@ -49,6 +50,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         "tolerance_px": result.tolerance,
         "scale": result.scale,
         "resampling": project.settings.output.resampling,
+        "seams": wanted.seams,
         "feather": result.feather,
         "balanced": wanted.balance or wanted.histogram is not None,
         "histogram": wanted.histogram,
