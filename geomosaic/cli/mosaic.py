@@ -27,6 +27,7 @@ mosaic_flags = stack(
         show_default=True,
         help="Seams halfway between what images see best, or where neighbours look most alike.",
     ),
+    click.option("--cutlines", type=FILE, help="Areas with an image each, drawn by hand, that win over --seams."),
     click.option("--balance/--no-balance", default=True, show_default=True, help="Balance colours over the overlaps."),
     click.option(
         "--histogram",

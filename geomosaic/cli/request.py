@@ -89,4 +89,5 @@ def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> Mosai
         master=flags["master"],
         reference=None if reference is None else reference_scene(reference, flags["bands"]),
         seams=flags["seams"],
+        cutlines=flags["cutlines"],
     )

@@ -31,6 +31,8 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     reference, said_of_reference = with_companions(project, (against,) if against is not None else ())
     like = project.file(settings.mosaic.reference)
     master, said_of_master = with_companions(project, (like,) if like is not None else ())
+    cutlines = project.file(settings.mosaic.cutlines)
+    drawn = () if cutlines is None else (cutlines,)
     tables = inputs.tables
     orientation: dict[str, Any] = {
         "sensor": settings.sensor.model_dump(mode="json"),
@@ -62,7 +64,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             "mosaic",
             partial(mosaic, project, machine),
             {**orientation, **place, **blend},
-            (*images, *ground, *master, *layout.models),
+            (*images, *ground, *master, *drawn, *layout.models),
             (*rasters, layout.facts("mosaic")),
             version=2,
         ),

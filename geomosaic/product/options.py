@@ -5,11 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.resample.warp import RESAMPLING
 from geomosaic.sensor.lattice import BLOCK_WIDTH
+
+if TYPE_CHECKING:
+    from geomosaic.product.reuse import Memory
 
 Progress = Callable[[int, int, str], None]
 GIGABYTE = 1 << 30
@@ -97,6 +102,10 @@ class MosaicOptions:
         Georeferenced raster that all images are matched to, instead of a master.
     seams : str
         'nearest' halfway between the places that images see best; 'alike' where neighbours look most alike.
+    cutlines : Path, optional
+        Vector file of shares that a person has drawn: they win.
+    memory : Memory, optional
+        Where what was computed is remembered, so that a later run takes what has not changed.
     """
 
     render: RenderOptions = field(default_factory=RenderOptions)
@@ -109,6 +118,8 @@ class MosaicOptions:
     master: str | None = None
     reference: Scene | None = None
     seams: str = "nearest"
+    cutlines: Path | None = None
+    memory: Memory | None = None
 
     def __post_init__(self) -> None:
         if self.feather is not None and not self.feather >= 0:

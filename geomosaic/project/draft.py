@@ -167,6 +167,7 @@ def _text(path: Path, inputs: BlockInputs, read: bool) -> str:
         '# histogram = "overlap"      # match histograms instead: overlap or whole',
         '# master = "photo_07.tif"    # image they are matched to; or: reference = "ortho.tif"',
         '# seams = "alike"            # seams where neighbours look most alike; "nearest" unless given',
+        '# cutlines = "mine.gpkg"     # shares drawn by hand: they win',
         "# feather = 10.0             # width of seams in map units; 32 pixels unless given",
         "",
         "[quality]                    # exit code 3 where one fails",

@@ -108,6 +108,7 @@ class MosaicSection(Section):
     reference: FilePath | None = None
     labels: bool = True
     seams: Literal["nearest", "alike"] = "nearest"
+    cutlines: FilePath | None = None
 
     @model_validator(mode="after")
     def _matched(self) -> MosaicSection:
