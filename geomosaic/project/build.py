@@ -82,7 +82,7 @@ def _model(
     if inputs.sensor == "planar":
         crs = _planar(options, photo, crs, control)
     try:
-        request = SensorRequest(photo.name, photo.info.size, options, crs, str(inputs.base))
+        request = SensorRequest(photo.name, photo.info.size, options, crs, str(inputs.base), str(photo.path))
         return _on_ground(inputs.sensor, request, surface, row.position if row else None)
     except InputError as error:
         if error.where == photo.name and inputs.exterior is not None:
