@@ -43,7 +43,10 @@ class RpcPlugin:
             "that of the format: 1 for Pleiades and SPOT 6 and 7 XML, 0 for all others",
         ),
         SensorInput(
-            "offset", "[col, row] of the image's corner in the scene the RPC was made for, for a part of it", "px", "0, 0"
+            "offset",
+            "[col, row] of the image's corner in the scene the RPC was made for, for a part of it",
+            "px",
+            "0, 0",
         ),
         SensorInput(
             "refine",
@@ -177,7 +180,9 @@ def _points(points: Any, where: str) -> tuple[list[str], FloatArray, FloatArray,
                 mend=f"{' '.join(filter(None, hints))} give each point {', '.join(POINT)}".strip(),
             )
         names.append(str(point.get("id", index)))
-        rows.append(_numbers([point[key] for key in POINT] + [point.get("sigma", 1.0)], 6, f"points, {names[-1]}", where))
+        rows.append(
+            _numbers([point[key] for key in POINT] + [point.get("sigma", 1.0)], 6, f"points, {names[-1]}", where)
+        )
         if rows[-1][5] <= 0.0:
             raise InputError(f"control point {names[-1]} has a sigma that is not greater than 0", where=where)
     table = np.array(rows)

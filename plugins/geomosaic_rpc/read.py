@@ -30,7 +30,9 @@ def read_rpc(path: Path) -> RpcFields:
             raise InputError(f"the file has more than {LARGEST >> 20} MB: this is no RPC file", where=where)
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"the RPC file cannot be read ({error.strerror})", where=where, mend="check the path") from error
+        raise InputError(
+            f"the RPC file cannot be read ({error.strerror})", where=where, mend="check the path"
+        ) from error
     return recognise(data, where)
 
 
@@ -46,11 +48,11 @@ def recognise(data: bytes, where: str) -> RpcFields:
     if start.startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
         return rpc_xml(data.lstrip(b" \t\r\n"), where)
     text = data.decode("latin-1")
-    if re.search(r"(?m)^\s*LINE_NUM_COEFF_1\s*:", text):
+    if re.search(r"(?m)^[ \t]*LINE_NUM_COEFF_1[ \t]*:", text):
         return rpc_txt(text, where)
-    if re.search(r"(?m)^\s*line_num_coeff_00\s*:", text):
+    if re.search(r"(?m)^[ \t]*line_num_coeff_00[ \t]*:", text):
         return ossim(text, where)
-    if re.search(r"(?m)^\s*lineNumCoef\s*=", text):
+    if re.search(r"(?m)^[ \t]*lineNumCoef[ \t]*=", text):
         return rpb(text, where)
     kind = re.search(r"(?m)^type:\s*(ossim\w+)", text)
     raise InputError(

@@ -27,9 +27,7 @@ def rpc_txt(text: str, where: str) -> RpcFields:
         if name in found:
             value, _, unit = found[name].partition(" ")
             if unit.strip().lower() not in _UNITS:
-                raise InputError(
-                    f"{name} is in '{unit.strip()[:20]}', not in pixels, degrees or metres", where=where
-                )
+                raise InputError(f"{name} is in '{unit.strip()[:20]}', not in pixels, degrees or metres", where=where)
             numbers[name] = number(value, name, where)
     return RpcFields("RPC.TXT", numbers, numbered(found, 1, 1, where))
 
@@ -62,8 +60,10 @@ def ossim(text: str, where: str) -> RpcFields:
 def rpb(text: str, where: str) -> RpcFields:
     """Read DigitalGlobe's RPB: 'name = value;' with polynomials in parentheses."""
     found: dict[str, str] = {}
-    for key, value in re.findall(r"(?m)^\s*(\w+)\s*=\s*(\([^()]*\)|[^;\n]*?)\s*;", text):
-        _once(found, key, value.strip().strip('"'), where)
+    for statement in text.split(";"):
+        head, equals, value = statement.rpartition("=")  # before it there may be a line without semicolon
+        if equals and head.split():
+            _once(found, head.split()[-1], value.strip().strip('"'), where)
     specification(found.get("SpecId", found.get("specId", "RPC00B")), where)
     numbers = {
         name: number(found[key], key, where)

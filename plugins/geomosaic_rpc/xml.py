@@ -9,6 +9,8 @@ from geomosaic.errors import InputError
 from geomosaic_rpc.fields import FIRST_PIXEL, POLYNOMIALS, SCALARS, RpcFields, number, numbered
 from geomosaic_rpc.text import specification
 
+_DEEPEST = 64
+
 
 def parse(data: bytes, where: str) -> Element:
     """Parse XML; a document type, and with it every entity, is refused.
@@ -28,12 +30,23 @@ def parse(data: bytes, where: str) -> Element:
             mend="remove the <!DOCTYPE ...> if you trust the file",
         )
 
+    depth = 0
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > _DEEPEST:
+            raise InputError(f"the XML is nested more than {_DEEPEST} deep: this is no RPC file", where=where)
+        builder.start(tag, attributes)
+
     def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
         builder.end(tag)
 
     parser.StartDoctypeDeclHandler = refuse
     parser.EntityDeclHandler = refuse
-    parser.StartElementHandler = lambda tag, attributes: builder.start(tag, attributes)
+    parser.StartElementHandler = start
     parser.EndElementHandler = end
     parser.CharacterDataHandler = builder.data
     try:
