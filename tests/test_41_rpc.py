@@ -214,7 +214,7 @@ def test_no_rpc_at_all(tmp_path: Path) -> None:
         build(image)
     with pytest.raises(InputError, match="the image carries no RPC"):
         build(image, rpc="image")
-    with pytest.raises(InputError, match="no RPC file 'gone.txt'"):
+    with pytest.raises(InputError, match=r"no RPC file 'gone\.txt'"):
         build(image, rpc="gone.txt")
     with pytest.raises(InputError, match="nothing says where the RPC is"):
         build(None)
@@ -254,7 +254,7 @@ def test_the_date_line() -> None:
         here.coefficients,
     )  # fmt: skip
     points = rig.ground()
-    across = points + [179.995 - 12.3, 0, 0]
+    across = points + np.array([179.995 - 12.3, 0, 0])
     across[:, 0] = np.where(across[:, 0] > 180.0, across[:, 0] - 360.0, across[:, 0])
     assert (across[:, 0] < 0).any()
     assert np.abs(turned.image(across) - moved.image(points)).max() < 1e-6

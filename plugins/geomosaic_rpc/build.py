@@ -32,8 +32,8 @@ class RpcPlugin:
     inputs = (
         SensorInput(
             "rpc",
-            "file of the RPC: _RPC.TXT, RPB, DIMAP 2 or 3 XML, DigitalGlobe XML, OSSIM keyword list; or 'image', what the "
-            "image itself carries (TIFF tags, NITF)",
+            "file of the RPC: _RPC.TXT, RPB, DIMAP 2 or 3 XML, DigitalGlobe XML, OSSIM keyword list; or 'image', what "
+            "the image itself carries (TIFF tags, NITF)",
             default="found in the image or beside it",
         ),
         SensorInput(

@@ -65,7 +65,7 @@ class Rpc:
             # A scene at the date line: 179.9 and -179.9 are 0.2 degrees apart. Elsewhere nothing is rounded.
             offset[:, 0] = np.where(np.abs(lon) > 180.0, np.mod(lon + 180.0, 360.0) - 180.0, lon)
             lph = offset / self.ground_scale
-            inside = (np.abs(lph) <= _FARTHEST).all(axis=1)
+            inside: BoolArray = np.all(np.abs(lph) <= _FARTHEST, axis=1)
         return np.where(inside[:, None], lph, 0.0), inside
 
     def image(self, lonlath: FloatArray) -> FloatArray:
@@ -95,14 +95,14 @@ class Rpc:
     def _divided(self, values: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Image (N, 2) of polynomial values (4, N), and where both denominators have the sign of the scene's middle."""
         bottom = values[1::2]
-        good = (bottom * np.sign(self.coefficients[1::2, :1]) > 0.0).all(axis=0)
+        good: BoolArray = np.all(bottom * np.sign(self.coefficients[1::2, :1]) > 0.0, axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = values[0::2] / bottom
         return np.ascontiguousarray((ratio * self.image_scale[:, None] + self.image_offset[:, None]).T), good
 
     def moved(self, cols: float, rows: float) -> Self:
         """Return the same map with the image's coordinates counted larger by so many pixels."""
-        return replace(self, image_offset=self.image_offset + (cols, rows))
+        return replace(self, image_offset=self.image_offset + np.array([cols, rows]))
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""

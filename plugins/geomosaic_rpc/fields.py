@@ -97,7 +97,7 @@ class RpcFields:
             raise InputError(
                 "nothing says how this product counts its pixels: its METADATA_PROFILE is not known",
                 where=where,
-                mend="say what its RPC calls the centre of the first pixel: first_pixel = 0 or 1 (1 for Pleiades, SPOT)",
+                mend="say what its RPC calls the centre of the first pixel: first_pixel = 0, or 1 as Pleiades",
             )
         errors = (of["ERR_BIAS"], of["ERR_RAND"]) if {"ERR_BIAS", "ERR_RAND"} <= set(of) else None
         return Rpc(

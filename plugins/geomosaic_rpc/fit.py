@@ -119,7 +119,7 @@ def _places(size: tuple[int, int], count: int, margin: float = _MARGIN) -> Float
 
 
 def _exact(model: SensorModel, places: FloatArray, levels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Ground (N, 3) of image points at several heights, and the image (N, 2); what the model does not see is left out."""
+    """Ground (N, 3) of image points at several heights, and the image (N, 2); unseen ones are left out."""
     ground = np.vstack([image_to_height(model, places, float(level), WGS84) for level in levels])
     image = np.tile(places, (len(levels), 1))
     seen = np.isfinite(ground).all(axis=1)

@@ -96,7 +96,7 @@ def refine(
     ground, measured = np.asarray(lonlath, dtype=np.float64), np.asarray(colrow, dtype=np.float64)
     start = model.freed(kind).with_values(np.zeros(len(NAMES)))
     offsets = measured - start.ground_to_image(ground)
-    seen = np.isfinite(offsets).all(axis=1)
+    seen: BoolArray = np.isfinite(offsets.sum(axis=1))
     if seen.sum() < LEAST[kind]:
         raise SolveError(
             f"{int(seen.sum())} control points do not determine '{kind}', which needs {LEAST[kind]}",
