@@ -173,7 +173,7 @@ def test_pleiades_against_its_physical_model(real_data: RealData) -> None:
 def test_pleiades_on_srtm(real_data: RealData, tmp_path: Path, half: float) -> None:
     """Shareloc's published point: (1999.5, 999.5) with pixel centres at integers is (2000, 1000) here.
 
-    Its height is that of the DEM half a cell to the north-west: nodes are taken for corners there. Read so, ours agrees.
+    Its height is that of the DEM half a cell to the north-west: nodes are taken for corners. Read so, ours agrees.
     """
     base = real_data("shareloc-phr-ventoux")
     heights = np.fromfile(base / "dtm/srtm_ventoux/srtm90_non_void_filled/N44E005.hgt", dtype=">i2").reshape(1201, 1201)
