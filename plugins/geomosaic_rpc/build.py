@@ -16,7 +16,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.plugin import SensorInput, SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import Rpc
-from geomosaic_rpc.find import OWN, Found, find_rpc, own_rpc
+from geomosaic_rpc.find import OWN, Found, files_beside, find_rpc, own_rpc
 from geomosaic_rpc.model import KINDS, WGS84, RpcModel
 from geomosaic_rpc.read import read_rpc
 from geomosaic_rpc.refine import refine
@@ -58,6 +58,10 @@ class RpcPlugin:
         ),
     )
     model = RpcModel
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """Files beside an image that its RPC may come from."""
+        return files_beside(path)
 
     def build(self, request: SensorRequest) -> RpcModel:
         """Make the model of one image.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,21 +51,32 @@ def rpc_beside(path: Path) -> list[Found]:
     InputError
         A file that must hold an RPC is damaged.
     """
-    found: list[Found] = []
+    sure, maybe = _named(path)
+    found = [Found(file.name, read_rpc(file)) for file in sure]
+    for file in maybe:
+        with suppress(InputError):
+            found.append(Found(file.name, read_rpc(file)))
+    return found
+
+
+def files_beside(path: Path) -> tuple[Path, ...]:
+    """Files beside an image that its RPC may come from, GDAL's .aux.xml among them where it holds one."""
+    sure, maybe = _named(path)
+    notes = path.with_name(f"{path.name}.aux.xml")
+    with suppress(OSError):
+        if b'"RPC"' in notes.read_bytes():
+            maybe = [*maybe, notes]
+    return (*sure, *maybe)
+
+
+def _named(path: Path) -> tuple[list[Path], list[Path]]:
+    """Files beside an image that by their names are an RPC, and that may be one."""
     files = [path.with_name(path.stem + suffix) for suffix in _BESIDE]
     dimap = re.fullmatch(r"IMG_(.+?)(?:_R1C1)?", path.stem)
     if dimap and not re.search(r"_R\d+C\d+$", dimap[1]):
         files += [path.with_name(f"RPC_{dimap[1]}{suffix}") for suffix in _MAYBE]
-    for file in _distinct(files):
-        found.append(Found(file.name, read_rpc(file)))
-    for file in _distinct([path.with_name(path.stem + suffix) for suffix in _MAYBE]):
-        if file.samefile(path):
-            continue
-        try:
-            found.append(Found(file.name, read_rpc(file)))
-        except InputError:
-            continue
-    return found
+    maybe = [path.with_name(path.stem + suffix) for suffix in _MAYBE]
+    return _distinct(files), [file for file in _distinct(maybe) if not file.samefile(path)]
 
 
 def find_rpc(path: str, where: str) -> Found:
