@@ -28,6 +28,10 @@ AERIAL = {"model": "brown", "k1": -0.008, "k2": 0.001, "p1": 1e-4, "p2": -1e-4}
 """Distortion of a mapping camera: 10 pixels in the corners."""
 
 
+STRONG = {"model": "opencv", "k1": -0.05, "k2": 0.01, "p1": 4e-4, "p2": -3e-4}
+"""62 pixels in the corners, 8 of them of fifth order."""
+
+
 def frame(distortion: dict[str, Any], omega: float = 4.0) -> SensorModel:
     options = {
         "camera": {"focal_length": 20.0, "sensor_size": [24.0, 18.0], "distortion": distortion},
@@ -60,6 +64,13 @@ def test_a_frame_photo(distortion: dict[str, Any], heights: tuple[float, float],
     assert apart < 2.0 * fitted.worst + 1e-4  # what it says of itself is true
     if distortion["model"] == "none":
         assert apart < 1e-3
+
+
+def test_a_lens_beyond_cubics_is_told() -> None:
+    model = frame(STRONG)
+    fitted = fit_rpc(model, (200.0, 900.0))
+    assert 0.02 < fitted.worst < 0.05
+    assert off(model, fitted.model, 200.0, 900.0) < 1.2 * fitted.worst
 
 
 def test_an_rpc_is_found_again() -> None:
