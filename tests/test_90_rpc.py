@@ -14,7 +14,9 @@ from geomosaic.cli.main import run
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.jobs.project import run_project, status_of
+from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.load import load_project
+from geomosaic.project.needs import needs
 from geomosaic_rpc import write_tags
 from geomosaic_rpc.model import WGS84
 
@@ -115,3 +117,11 @@ def test_a_project_refines_and_notices_changes(folder: Path) -> None:
     stale = [step for step in status_of(made) if not step.fresh]
     assert stale[0].name == "orient"
     assert "scene.geom" in str(stale[0].reason)
+
+
+def test_what_a_scene_still_needs(folder: Path) -> None:
+    """Positions are no matter of a scene that carries its RPC; the heights of its ground are."""
+    bare = BlockInputs(images=(folder / "scene.tif",), sensor="rpc", dem=folder / "dem.tif")
+    assert [need.split(":")[0] for need in needs(bare)] == ["the vertical datum of the DEM"]
+    with_control = BlockInputs(**{**vars(bare), "control": folder / "gcps.csv", "dem_heights": "ellipsoidal"})
+    assert "the CRS of the positions" in needs(with_control)[0]
