@@ -10,7 +10,7 @@ from typing import Any
 
 from geomosaic.errors import QualityError
 from geomosaic.jobs import engine
-from geomosaic.jobs.depends import plugin_versions, with_companions
+from geomosaic.jobs.depends import plugin_versions, sensor_files, with_companions
 from geomosaic.jobs.facts import read_json
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Job, Machine, Progress, State, Step
@@ -33,7 +33,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     master, said_of_master = with_companions(project, (like,) if like is not None else ())
     cutlines = project.file(settings.mosaic.cutlines)
     drawn = () if cutlines is None else (cutlines,)
-    tables = inputs.tables
+    tables = tuple(dict.fromkeys((*inputs.tables, *sensor_files(settings.sensor.name, project.images))))
     orientation: dict[str, Any] = {
         "sensor": settings.sensor.model_dump(mode="json"),
         "exterior": settings.exterior.model_dump(mode="json"),

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from geomosaic.errors import SensorError
 from geomosaic.geo.crs import has_heights
 from geomosaic.project.exterior import RECONSTRUCTION_SYSTEM, RECONSTRUCTIONS, undeclared_reconstruction
 from geomosaic.project.frames import named
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.raster.info import inspect
+from geomosaic.sensor.registry import plugin
 
 HEIGHTS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or the path of a geoid grid"
 
@@ -26,7 +28,8 @@ def needs(inputs: BlockInputs) -> list[str]:
         return found
     undeclared = undeclared_reconstruction(inputs.exterior, inputs.angles)
     reconstruction = undeclared or inputs.angles in RECONSTRUCTIONS
-    framed = undeclared or inputs.angles == "opensfm"  # it says itself what it counts from
+    # What says itself what it counts from: OpenSfM's reconstructions, and scenes that carry their own model.
+    framed = undeclared or inputs.angles == "opensfm" or not _takes_positions(inputs)
     if undeclared:
         found.append(f"the angle system of the reconstruction: [exterior] angles: {RECONSTRUCTION_SYSTEM}")
     if inputs.sensor == "frame" and inputs.camera is None and not reconstruction:
@@ -51,3 +54,14 @@ def undeclared_heights(dem: Path | None) -> bool:
     """Whether there is a DEM whose file does not say what its heights count from."""
     crs = None if dem is None else inspect(dem).crs
     return dem is not None and (crs is None or not has_heights(crs))
+
+
+def _takes_positions(inputs: BlockInputs) -> bool:
+    """Whether the CRS of positions or of control points is of any use."""
+    if inputs.exterior is not None or inputs.control is not None:
+        return True
+    try:
+        known = {entry.name for entry in plugin(inputs.sensor).inputs}
+    except SensorError:
+        return True
+    return "position" in known
