@@ -13,7 +13,7 @@ from geomosaic.types import FloatArray
 METHODS = ("bicubic", "bilinear")
 BEYOND = ("zero", "held")
 STEEPEST = 0.5
-"""Pixels per pixel: a correction that changes faster between neighbouring nodes is refused, for it may fold the image."""
+"""Pixels per pixel: a grid that changes faster between neighbouring nodes is refused, for it may fold the image."""
 _FAR = 4
 """Cells beyond the outermost node from where on nothing changes any more."""
 
