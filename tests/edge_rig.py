@@ -38,7 +38,7 @@ class TruePhoto:
 
     def inverse(self, colrow: np.ndarray) -> np.ndarray:
         """Image → ground, by iteration."""
-        xy = CORNER + (colrow + [STEP * self.index, 0.0]) * [1.0, -1.0]
+        xy = CORNER + np.add(colrow, [STEP * self.index, 0.0]) * [1.0, -1.0]
         for _ in range(100):
             left = colrow - self(xy)
             xy = xy + left * [1.0, -1.0]
@@ -72,7 +72,7 @@ class Rig:
 def start(kind: str, index: int) -> PlanarModel:
     """A model of one kind, off by ten pixels."""
     grid = np.array([[a, b] for a in (100.0, 1000.0, 1900.0) for b in (100.0, 800.0, 1500.0)])
-    xy = CORNER + (grid + [STEP * index, 0.0]) * [1.0, -1.0]
+    xy = CORNER + np.add(grid, [STEP * index, 0.0]) * [1.0, -1.0]
     fitted = fit_planar(kind, xy, grid + 10.0)
     return PlanarModel.of(kind, 1, UTM, SIZE, fitted.centre, fitted.scale, fitted.values)
 
@@ -114,7 +114,5 @@ def along_the_seam(rig: Rig, models: list[PlanarModel], index: int = 0, count: i
     from geomosaic.sensor.solve import image_to_height
 
     ground = seam(index, count)
-    places = [
-        image_to_height(models[i], rig.truths[i](ground), 0.0, models[i].crs)[:, :2] for i in (index, index + 1)
-    ]
+    places = [image_to_height(models[i], rig.truths[i](ground), 0.0, models[i].crs)[:, :2] for i in (index, index + 1)]
     return np.hypot(*(places[1] - places[0]).T)  # a pixel is a metre

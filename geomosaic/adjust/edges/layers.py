@@ -3,8 +3,8 @@
 Each scale is made of bumps φ(r) = (1 − r)⁴ (4r + 1), r = distance / radius < 1 (Wendland 1995: smooth, and exactly 0
 beyond the radius). The widest takes most of what neighbouring points have in common, with a ridge that keeps close
 points that differ from swinging far beyond; every next one, about half as wide, takes what is left; the last, as narrow
-as the points are close, is solved for the rest through the interpolation of the grid itself, so that the finished grid meets
-every point.
+as the points are close, is solved for the rest through the interpolation of the grid itself, so that the finished grid
+meets every point.
 """
 
 from __future__ import annotations
