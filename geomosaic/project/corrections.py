@@ -1,9 +1,9 @@
 """Correction grids in files: a table, or a raster of two bands.
 
 A table has the columns col, row, d_col, d_row, one line per node of a regular grid, all nodes, in any order; comments
-`# method = bicubic` and `# beyond = held` say how it goes on between and beyond the nodes. A GeoTIFF has d_col and d_row
-as its bands; its pixel centres are the nodes, and its geotransform gives their image coordinates, so both pixel sizes
-are positive; the same two words stand in its band descriptions. Where they are not said, it is bicubic and held.
+`# method = bicubic` and `# beyond = held` say how it goes on between and beyond the nodes. A GeoTIFF has d_col and
+d_row as its bands; its pixel centres are the nodes, and its geotransform gives their image coordinates, so both pixel
+sizes are positive; the same two words stand in its band descriptions. Where they are not said, it is bicubic and held.
 """
 
 from __future__ import annotations
