@@ -23,6 +23,7 @@ COMMANDS: dict[str, str] = {
     "status": "Show which steps of a project are stale, and why.",
     "ortho": "Rectify one image.",
     "mosaic": "Make one mosaic from images.",
+    "edges": "Join photos with control at their edges, and mosaic them.",
     "reproject": "Bring a georeferenced raster or vectors to another CRS.",
     "sensors": "List sensors, or show the inputs of one.",
 }

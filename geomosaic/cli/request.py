@@ -27,6 +27,7 @@ def block_inputs(images: tuple[Path, ...], flags: Mapping[str, Any], control: Pa
         sensor=flags["sensor"] or "planar",
         options={name: value(text) for name, text in flags["sensor_options"].items()},
         camera=flags["camera"],
+        corrections=flags["corrections"],
         exterior=flags["exterior"],
         crs=flags["crs"],
         heights=flags["heights"],

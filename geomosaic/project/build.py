@@ -17,11 +17,14 @@ from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.project.camera import read_camera
+from geomosaic.project.corrections import read_corrections
 from geomosaic.project.exterior import RECONSTRUCTIONS, Exterior
 from geomosaic.project.frames import DATUMS
 from geomosaic.project.ground import OF_POSITIONS, build_surface, height_below, undeclared_positions
 from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.names import corrections_file
 from geomosaic.project.photos import Photo, photos_of
+from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.model import HasRays
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build as build_model
@@ -54,13 +57,21 @@ def build_block(inputs: BlockInputs) -> Block:
             photo.name,
             str(photo.path),
             inputs.sensor,
-            _model(inputs, photo, crs, camera, control, surface),
+            _corrected(inputs, photo, _model(inputs, photo, crs, camera, control, surface)),
             inputs.nodata,
             inputs.bands,
         )
         for photo in photos
     )
     return Block(scenes, surface, control, crs)
+
+
+def _corrected(inputs: BlockInputs, photo: Photo, model: SensorModel) -> SensorModel:
+    """Put the correction grid behind a model, where one is given."""
+    if inputs.corrections is None:
+        return model
+    grid = read_corrections(corrections_file(inputs.corrections, photo.name))
+    return Corrected.of(model, grid, inputs.sensor)
 
 
 def _model(

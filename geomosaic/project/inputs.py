@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from geomosaic.project.names import corrections_file
+
 
 @dataclass(frozen=True)
 class BlockInputs:
@@ -23,6 +25,8 @@ class BlockInputs:
         Folder that relative file names in `options` start from.
     camera : Path, optional
         Camera description (TOML).
+    corrections : str, optional
+        File of a correction grid; '{image}' in it takes the name of each image, without it one serves all.
     exterior : Path, optional
         Orientation table.
     crs : str, optional
@@ -56,6 +60,7 @@ class BlockInputs:
     options: Mapping[str, Any] = field(default_factory=dict)
     base: Path = Path()
     camera: Path | None = None
+    corrections: str | None = None
     exterior: Path | None = None
     crs: str | None = None
     heights: str | None = None
@@ -74,7 +79,8 @@ class BlockInputs:
     def tables(self) -> tuple[Path, ...]:
         """Files that say how the images were taken."""
         own = (self.camera, self.exterior, self.control, _grid(self.heights))
-        return (*(path for path in own if path), *_named_in(self.options, self.base))
+        grids = [corrections_file(self.corrections, image.name) for image in self.images] if self.corrections else []
+        return (*(path for path in own if path), *dict.fromkeys(grids), *_named_in(self.options, self.base))
 
     @property
     def ground(self) -> tuple[Path, ...]:

@@ -71,6 +71,7 @@ class Project:
             options=s.sensor.options,
             base=self.folder,
             camera=self.file(s.sensor.camera),
+            corrections=str(self.folder / s.sensor.corrections) if s.sensor.corrections else None,
             exterior=self.file(s.exterior.file),
             crs=s.exterior.crs,
             heights=_datum(self.folder, s.exterior.heights),

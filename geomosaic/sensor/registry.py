@@ -78,10 +78,18 @@ def build(name: str, request: SensorRequest) -> SensorModel:
 
 
 def to_dict(name: str, model: SensorModel) -> dict[str, Any]:
-    """State of a model with the sensor's name, as JSON values."""
+    """State of a model with the sensor's name, as JSON values; corrections around the model are kept."""
+    from geomosaic.sensor.corrected import Corrected  # it builds on this module
+
+    if isinstance(model, Corrected):
+        return {"sensor": name, "corrected": model.to_dict()}
     return {"sensor": name, "state": model.to_dict()}
 
 
 def from_dict(state: dict[str, Any]) -> SensorModel:
     """Rebuild a model from `to_dict`."""
+    if "corrected" in state:
+        from geomosaic.sensor.corrected import Corrected
+
+        return Corrected.from_dict(state["corrected"])
     return plugin(state["sensor"]).model.from_dict(state["state"])
