@@ -1,13 +1,14 @@
-"""GDAL's warper on control points, as a whole process: `warped.py IMAGE GCPS.csv CRS TARGET METHOD RESOLUTION THREADS`.
+"""GDAL's warper on control points, as a whole process.
 
-METHOD is poly3 or tps. The grid is what GDAL itself suggests for the points, with the resolution given; approximation of
-the transformation within 0.125 pixels, as gdalwarp has it by default.
+warped.py IMAGE TABLE CRS TARGET METHOD RESOLUTION THREADS, with METHOD poly3 or tps. The output covers the points; the
+transformation is approximated within 0.125 pixels, as gdalwarp does by default.
 """
 
 from __future__ import annotations
 
 import csv
 import sys
+from pathlib import Path
 
 import rasterio
 import rasterio.shutil
@@ -20,7 +21,7 @@ OPTIONS = {"poly3": {"MAX_GCP_ORDER": 3}, "tps": {"SRC_METHOD": "GCP_TPS"}}
 
 def main(image: str, table: str, crs: str, target: str, method: str, resolution: str, threads: str) -> None:
     """Warp."""
-    with open(table, newline="") as file:
+    with Path(table).open(newline="") as file:
         rows = [{name: float(value) for name, value in row.items() if name != "id"} for row in csv.DictReader(file)]
     points = [GroundControlPoint(row=p["row"], col=p["col"], x=p["x"], y=p["y"]) for p in rows]
     step = float(resolution)
