@@ -1,0 +1,98 @@
+"""Polynomials, conformal and projective fits against GDAL and scikit-image."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pyproj import CRS
+
+from geomosaic_planar import PlanarModel, fit_planar
+
+UTM = CRS.from_epsg(32633)
+SIZE = (600, 400)
+
+
+def control(count: int = 40, noise: float = 0.7) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(21)
+    colrow = rng.uniform([0.0, 0.0], SIZE, (count, 2))
+    bent = colrow + 6.0 * np.sin(colrow[:, ::-1] / 150.0)
+    turn = 0.4 * np.array([[np.cos(0.2), np.sin(0.2)], [np.sin(0.2), -np.cos(0.2)]])
+    return bent @ turn.T + [512_300.0, 5_403_800.0], colrow + rng.normal(0.0, noise, colrow.shape)
+
+
+def model_of(kind: str, order: int, xy: np.ndarray, colrow: np.ndarray) -> PlanarModel:
+    return PlanarModel.of_fit(fit_planar(kind, xy, colrow, order=order), UTM, SIZE)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_polynomial_against_gdal(order: int) -> None:
+    """GDAL takes the order for warping only, so an image that holds its own columns and rows is warped by it.
+
+    Bilinear interpolation of a ramp gives the position itself.
+    """
+    from affine import Affine
+    from rasterio.control import GroundControlPoint
+    from rasterio.enums import Resampling
+    from rasterio.warp import reproject
+
+    xy, colrow = control()
+    points = [GroundControlPoint(row=r, col=c, x=x, y=y, z=0.0) for (x, y), (c, r) in zip(xy, colrow, strict=True)]
+    ramp = np.stack(np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)).astype(np.float64)
+    middle = xy.mean(axis=0)
+    grid = Affine(2.0, 0.0, middle[0] - 40.0, 0.0, -2.0, middle[1] + 30.0)
+    warped = np.full((2, 30, 40), np.nan)
+    reproject(
+        ramp,
+        warped,
+        gcps=points,
+        src_crs="EPSG:32633",
+        dst_crs="EPSG:32633",
+        dst_transform=grid,
+        resampling=Resampling.bilinear,
+        init_dest_nodata=False,
+        tolerance=0.0,
+        MAX_GCP_ORDER=order,
+    )
+    cols, rows = np.meshgrid(np.arange(40) + 0.5, np.arange(30) + 0.5)
+    x, y = grid * (cols.ravel(), rows.ravel())
+    model = model_of("polynomial", order, xy, colrow)
+    found = model.ground_to_image(np.column_stack([x, y, np.zeros(len(x))]))
+    assert np.isfinite(warped).all()
+    np.testing.assert_allclose(found, warped.reshape(2, -1).T, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("kind", "order", "name"),
+    [
+        ("conformal", 1, "SimilarityTransform"),
+        ("affine", 1, "AffineTransform"),
+        ("polynomial", 2, "PolynomialTransform"),
+        ("polynomial", 3, "PolynomialTransform"),
+        ("projective", 1, "ProjectiveTransform"),
+        ("tps", 1, "ThinPlateSplineTransform"),
+    ],
+)
+def test_against_scikit_image(kind: str, order: int, name: str) -> None:
+    """Each from the same points.
+
+    Its projective and polynomial fits minimise an algebraic error, the same as ours for points without errors only;
+    its similarity has no mirrored form, so the rows are counted upwards for it.
+    """
+    transform = pytest.importorskip("skimage.transform", reason="scikit-image is not installed")
+    xy, colrow = control(noise=0.0)
+    at = control(200)[0]
+    local = (xy - xy.mean(axis=0)) / 50.0
+    if kind == "projective":
+        w = 1.0 + local @ [0.02, -0.03]
+        colrow = np.column_stack([300.0 + local @ [120.0, 8.0], 200.0 + local @ [5.0, -110.0]]) / w[:, None]
+    if kind == "polynomial":
+        u, v = local.T
+        colrow = np.column_stack([300 + 110 * u + 4 * u * v - 3 * v**2, 200 - 115 * v + 2 * u**2 - 5 * u * v])
+        if order == 3:
+            colrow = colrow + np.column_stack([0.5 * u**3 - 0.7 * u * v**2, 0.4 * v**3])
+    upward = np.array([1.0, -1.0]) if kind == "conformal" else np.ones(2)
+    other = getattr(transform, name)()
+    options = {"order": order} if kind == "polynomial" else {}
+    assert bool(other.estimate(local, colrow * upward, **options))
+    found = model_of(kind, order, xy, colrow).ground_to_image(np.column_stack([at, np.zeros(len(at))]))
+    np.testing.assert_allclose(found, other((at - xy.mean(axis=0)) / 50.0) * upward, atol=1e-6)
