@@ -21,8 +21,10 @@ COMMANDS: dict[str, str] = {
     "new": "Write a project file from images and tables.",
     "run": "Run what is stale in a project.",
     "status": "Show which steps of a project are stale, and why.",
+    "georeference": "Place one image on the map by control points.",
     "ortho": "Rectify one image.",
     "mosaic": "Make one mosaic from images.",
+    "check": "Measure a map at check points.",
     "sensors": "List sensors, or show the inputs of one.",
 }
 """Short help by command: `geomosaic --help` imports none of them."""

@@ -14,7 +14,7 @@ from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError, OutputExistsError
 from geomosaic.geo.crs import parse_map
 from geomosaic.geo.grid import Bounds, Grid
-from geomosaic.product.extent import footprints, output_crs, output_grid
+from geomosaic.product.extent import check_size, footprints, output_crs, output_grid
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.surface.model import Surface
@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     from geomosaic.product.mosaic import MosaicResult
     from geomosaic.product.options import MosaicOptions, RenderOptions
     from geomosaic.product.ortho import OrthoResult
-
-# Rows, columns and tiles of a GeoTIFF are counted in 31 bits.
-_MOST, _TILE = 1 << 31, 512 * 512
 
 
 @dataclass(frozen=True)
@@ -53,11 +50,7 @@ def plan(scenes: Sequence[Scene], surface: Surface | None, area: Area) -> tuple[
     crs: CRS = parse_map(area.crs, "output CRS") if area.crs else output_crs(several, surface)
     outlines = footprints(several, surface, crs)
     grid = output_grid(crs, outlines, area.resolution, area.bounds)
-    if max(grid.width, grid.height) >= _MOST or grid.width * grid.height / _TILE >= _MOST:
-        raise InputError(
-            f"the output would have {grid.width:.3g} x {grid.height:.3g} pixels, more than a GeoTIFF can hold",
-            mend=f"a coarser resolution or smaller bounds; one pixel is {grid.resolution[0]:g} map units now",
-        )
+    check_size(grid)
     return grid, outlines
 
 
