@@ -18,6 +18,8 @@ from geomosaic.types import FloatArray
 
 GROSS, GROSS_PIXELS = 10.0, 5.0
 """A blunder is gross from so many standard deviations and pixels on: it would bend the picture visibly."""
+UNFIT = 0.4
+"""Share of points that stand out from which on it is the fit that is wrong."""
 STEPS = 33
 """Places along each side of the output at which a fold is looked for."""
 
@@ -57,13 +59,17 @@ def blunder_advice(search: BlunderSearch, searched: Sequence[str], fit: ControlF
         That is to be drawn.
     """
     names = tuple(name for name in fit.ids if name in set(search.blunders))
+    alone = tuple(n for n in fit.ids if n in set(search.snooping.blunders) ^ set(search.estimate.blunders))
+    typical = search.estimate.fit.rms_total
+    if len(names) + len(alone) > UNFIT * len(fit.ids):
+        what = f"{len(names) + len(alone)} of {len(fit.ids)} points stand out against the rest, which agrees within "
+        mend = "choose a fit of more parameters, or look for wrong points among them: see the control report"
+        return [Advice("misfit", "warning", f"{what}{typical:.2f} px: the fit does not suit them all", (), mend)]
     found = []
     if names:
-        typical = search.estimate.fit.rms_total
         lengths = dict(zip(searched, np.hypot(*search.estimate.residuals.T).tolist(), strict=True))
-        errors = {name: lengths[name] for name in names}
-        gross = [name for name in names if errors[name] > max(GROSS * typical, GROSS_PIXELS)]
-        told = ", ".join(f"{name} ({errors[name]:.1f} px)" for name in names[:6])
+        gross = any(lengths[name] > max(GROSS * typical, GROSS_PIXELS) for name in names)
+        told = ", ".join(f"{name} ({lengths[name]:.1f} px)" for name in names[:6])
         told += f" and {len(names) - 6} more" if len(names) > 6 else ""
         what = (
             f"{len(names)} of {len(fit.ids)} points contradict{'s' * (len(names) == 1)} the others, which agree within "
@@ -71,7 +77,6 @@ def blunder_advice(search: BlunderSearch, searched: Sequence[str], fit: ControlF
         )
         mend = f"measure again, or leave out: --without {' --without '.join(names[:6])}, or --robust for all of them"
         found.append(Advice("blunder", "error" if gross else "warning", what, names, mend))
-    alone = tuple(n for n in fit.ids if n in set(search.snooping.blunders) ^ set(search.estimate.blunders))
     if alone:
         what = f"one of two tests, but not the other, finds wrong: {listed(alone)}"
         found.append(Advice("suspect", "warning", what, alone, "look at these points again"))

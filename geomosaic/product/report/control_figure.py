@@ -17,6 +17,8 @@ MOST = 4.0
 """Times as long as that a vector of another point is drawn at most; beyond, it is cut."""
 NAMED = 80
 """Points that are still called by name in the picture."""
+CROWD = 40
+"""Points from which on vectors are drawn shorter, so that they leave each other room."""
 
 
 @dataclass(frozen=True)
@@ -69,15 +71,16 @@ def control_figure(points: Sequence[Mapping[str, Any]], size: tuple[int, int], i
     own = [lengths[point["id"]] for point in points if point["state"] == "control" and point["id"] in lengths]
     # A fit that passes through its points has residuals of 1e-10: they are drawn as nothing, not enlarged to arrows.
     longest = max([*own, 1e-3])
-    scale = SHARE * max(width, height) / longest
+    drawn = SHARE * max(width, height) * max(0.4, min(1.0, math.sqrt(CROWD / max(1, len(points)))))
+    scale = drawn / longest
     marks = []
     for point in points:
         col, row = (0.0 if value is None else value for value in point["residual_px"])
         dx, dy = col * scale, row * scale
-        limit = MOST * SHARE * max(width, height)
-        cut = math.hypot(dx, dy) > limit
+        length = math.hypot(dx, dy)
+        cut = length > MOST * drawn
         if cut:
-            dx, dy = (value * limit / math.hypot(dx, dy) for value in (dx, dy))
+            dx, dy = dx * MOST * drawn / length, dy * MOST * drawn / length
         title = f"{point['id']} ({point['state']}): {col:+.2f}, {row:+.2f} px"
         mark = Mark(point["id"], point["state"], point["col"] * shrink, point["row"] * shrink, dx, dy, cut, title)
         marks.append(mark)
