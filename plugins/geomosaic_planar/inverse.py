@@ -10,6 +10,10 @@ from geomosaic.types import FloatArray
 from geomosaic_planar.terms import evaluate
 
 ROUNDS = 60
+HALVINGS = 6
+STALLED = 0.999
+NEAR = 1e-3
+"""Pixels within which a point counts as found."""
 
 
 def projective_inverse(values: FloatArray, colrow: FloatArray) -> FloatArray:
@@ -39,23 +43,32 @@ def newton_inverse(
     Returns
     -------
     array (N, 2)
-        NaN where the method finds no ground. Steps that lead farther off the goal are halved.
+        NaN where the method finds no ground. Steps that lead farther off the goal are halved; a point that comes no
+        nearer is given up.
     """
     uv = start.copy()
     left = colrow - image(uv)
+    open_ = np.arange(len(uv))
     for _ in range(ROUNDS):
-        change = _solve2(slopes(uv), left)
-        for _ in range(8):
-            trial = uv + change
-            after = colrow - image(trial)
-            worse = ~(np.hypot(*after.T) <= np.hypot(*left.T)) & (np.abs(change) > 1e-13).any(axis=1)
+        here, goal = uv[open_], colrow[open_]
+        change = _solve2(slopes(here), left[open_])
+        off = np.hypot(*left[open_].T)
+        small = (np.abs(change) <= 1e-13 * np.maximum(1.0, np.abs(here))).all(axis=1)
+        trial, after = here + change, goal - image(here + change)
+        for _ in range(HALVINGS):
+            worse = ~(np.hypot(*after.T) <= off) & ~small
             if not worse.any():
                 break
             change[worse] *= 0.5
-        uv, left = trial, after
-        if not (np.abs(change) > 1e-13 * np.maximum(1.0, np.abs(uv))).any():
+            trial[worse] = here[worse] + change[worse]
+            after[worse] = goal[worse] - image(trial[worse])
+        now = np.hypot(*after.T)
+        better = (now <= off) | small
+        uv[open_[better]], left[open_[better]] = trial[better], after[better]
+        open_ = open_[better & ~small & ~((now > STALLED * off) & (off > NEAR))]
+        if not len(open_):
             break
-    uv[~(np.abs(left).max(axis=1) < 1e-3)] = np.nan
+    uv[~(np.abs(left).max(axis=1) < NEAR)] = np.nan
     return uv
 
 
