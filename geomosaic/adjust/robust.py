@@ -151,13 +151,13 @@ def estimate_problem(
         errors = problem.errors(model)
         settled = bool(np.abs(weights - before).max() < SETTLED)
     kept = (weights > 0.0) & start.inliers
-    probability = judge(problem, kept, scale, freedom)[1]
+    probability = judge(problem, kept, scale, freedom)
     for _ in range(10):
         better = probability >= alpha
         if (better == kept).all() or better.sum() <= start.needed:
             break
         try:
-            probability = judge(problem, better, scale, freedom)[1]
+            probability = judge(problem, better, scale, freedom)
         except SolveError:
             break
         kept = better

@@ -94,18 +94,18 @@ def snoop_problem(problem: Problem, start: RobustStart, alpha: float = ALPHA, si
     scale, freedom = (start.scale, float(start.freedom)) if sigma0 is None else (sigma0, float("inf"))
     kept, order = np.ones(len(problem), dtype=np.bool_), list[int]()
     try:
-        probability = judge(problem, kept, scale, freedom)[1]
+        probability = judge(problem, kept, scale, freedom)
     except SolveError:  # all points together contradict each other too much for any fit
         kept = start.inliers.copy()
         order = np.flatnonzero(~kept).tolist()
-        probability = judge(problem, kept, scale, freedom)[1]
+        probability = judge(problem, kept, scale, freedom)
     while kept.sum() > start.needed + 1:
         worst = int(np.argmin(np.where(kept, probability, np.inf)))
         if not probability[worst] < alpha:
             break
         try:
             fewer = kept & (np.arange(len(kept)) != worst)
-            probability = judge(problem, fewer, scale, freedom)[1]
+            probability = judge(problem, fewer, scale, freedom)
         except SolveError:
             break
         kept = fewer
@@ -129,7 +129,7 @@ def _readmit(
         more = kept.copy()
         more[best] = True
         try:
-            found = judge(problem, more, scale, freedom)[1]
+            found = judge(problem, more, scale, freedom)
         except SolveError:
             break
         if (found[more] < alpha).any():

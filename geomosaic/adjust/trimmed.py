@@ -8,21 +8,20 @@ from math import comb
 
 import numpy as np
 
+from geomosaic.adjust.judge import probabilities, statistics
 from geomosaic.adjust.problem import Problem
 from geomosaic.errors import GeomosaicError, SolveError
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
-CLEAN = 0.65
+CLEAN = 0.7
 """Share of good points that the number of samples allows for."""
-ENOUGH = 5
-FEWEST, MOST = 100, 2000
+ENOUGH = 4
+FEWEST, MOST = 80, 500
 BEST = 6
 STEPS = 20
-RAYLEIGH_MEDIAN = 1.1774
-"""Median length of normal errors of sigma 1 in both axes."""
-INSIDE = 3.035
-"""99 % of such lengths."""
+REJECTED = 0.001
+"""Probability of an error by chance below which a point is not let in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +31,7 @@ class RobustStart:
     Attributes
     ----------
     inliers : bool array (N,)
-        Points within three standard deviations of the trimmed fit.
+        Points whose errors may be chance under a fit to all of them.
     scale : float
         Standard deviation of unit weight from the inliers; not 0.
     freedom : int
@@ -116,15 +115,15 @@ def trimmed_start(problem: Problem, seed: int = 0) -> RobustStart:
     samples = _samples(count, size, seed)
     tried = []
     for sample in samples:
-        found = _concentrate(problem, sample, half, 2)
+        found = _concentrate(problem, sample, half, 1)
         if found is not None:
             tried.append(found)
     if not tried:
         raise SolveError("no sample of the control points determines the model", mend="spread the points")
     tried.sort(key=lambda each: each[0])
-    finished = [_concentrate(problem, each[1], half, STEPS) for each in tried[:BEST]]
-    best = min((each for each in finished if each is not None), key=lambda each: each[0])
-    inliers, scale, freedom = _inliers(problem, best[2], needed)
+    finished = [_concentrate(problem, each[1], half, STEPS) or each for each in tried[:BEST]]
+    best = min(finished, key=lambda each: each[0])
+    inliers, scale, freedom = _grow(problem, best[1], needed)
     bearable = 1.0 - min(1.0, 3.0 / len(samples)) ** (1.0 / size)
     return RobustStart(inliers, scale, freedom, needed, 0.5 if comb(count, size) <= len(samples) else bearable)
 
@@ -142,11 +141,9 @@ def _lengths(problem: Problem, model: SensorModel) -> FloatArray:
     return np.where(np.isfinite(lengths), lengths, np.inf)
 
 
-def _concentrate(
-    problem: Problem, chosen: IntArray, half: int, steps: int
-) -> tuple[float, IntArray, FloatArray] | None:
-    """Fit, take the better half, fit that, ...: the sum of its squares never grows. Sum, half and all lengths."""
-    best: tuple[float, IntArray, FloatArray] | None = None
+def _concentrate(problem: Problem, chosen: IntArray, half: int, steps: int) -> tuple[float, IntArray] | None:
+    """Fit, take the better half, fit that, ...: the sum of its squares never grows. The sum and the half."""
+    best: tuple[float, IntArray] | None = None
     for _ in range(steps + 1):
         model = _fit(problem, chosen)
         if model is None:
@@ -156,27 +153,33 @@ def _concentrate(
         total = float((lengths[chosen] ** 2).sum())
         if not np.isfinite(total) or (best is not None and total >= best[0] * (1.0 - 1e-9)):
             return best
-        best = total, chosen, lengths
+        best = total, chosen
     return best
 
 
-def _inliers(problem: Problem, lengths: FloatArray, needed: int) -> tuple[BoolArray, float, int]:
-    """Points near the trimmed fit, the scale of their own least squares fit and its redundancy, settled in rounds."""
+def _grow(problem: Problem, half: IntArray, needed: int) -> tuple[BoolArray, float, int]:
+    """Let in the points outside, the best first, while their errors of prediction may be chance (a forward search).
+
+    The errors of the best m of N points are smaller than those of all: for normal errors in two axes the mean square
+    of the best share p is 1 + (1 − p) ln(1 − p) / p of the true one. The scale is corrected by it while points are let
+    in, and not at the end, where those outside are taken for blunders.
+    """
     count = len(problem)
     floor = 1e-9 * max(1.0, float(np.abs(problem.colrow).max())) / float(np.median(problem.sigma))
-    scale = max(float(np.median(lengths)) / RAYLEIGH_MEDIAN * (1.0 + 5.0 / (count - needed)), floor)
-    inliers: BoolArray = lengths <= INSIDE * scale
-    freedom = 2 * (count - needed)
-    for _ in range(10):
-        model = _fit(problem, np.flatnonzero(inliers)) if inliers.sum() > needed else None
-        if model is None:
+    inliers = np.zeros(count, dtype=np.bool_)
+    inliers[half] = True
+    while True:
+        fit, statistic = statistics(problem, inliers)
+        scale = max(fit.sigma0, floor)
+        outside = np.flatnonzero(~inliers)
+        if not len(outside):
             break
-        lengths = _lengths(problem, model)
-        freedom = 2 * int(inliers.sum()) - 2 * needed
-        scale = max(float(np.sqrt((lengths[inliers] ** 2).sum() / freedom)), floor)
-        # Lengths of points that made the fit are short by √(1 − h); the others', long by √(1 + h).
-        again: BoolArray = lengths <= (INSIDE + 0.5) * scale
-        if (again == inliers).all() or again.sum() <= needed:
+        share = float(inliers.mean())
+        short = np.sqrt(1.0 + (1.0 - share) * np.log(1.0 - share) / share)
+        chance = probabilities(statistic[outside], scale / short, float(fit.redundancy))
+        order = outside[np.argsort(-chance, kind="stable")][: max(1, len(outside) // 10)]
+        chosen = order[np.sort(-chance, kind="stable")[: len(order)] <= -REJECTED]
+        if not len(chosen):
             break
-        inliers = again
-    return inliers, scale, freedom
+        inliers[chosen] = True
+    return inliers, scale, fit.redundancy

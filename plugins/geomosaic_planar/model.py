@@ -102,16 +102,14 @@ class PlanarModel:
         model = cls(
             kind, order, crs, size, centre, float(scale), values, sigmas, middle, reach, axes, nodes, coefficients
         )
-        corners = np.array([[0.5, 0.5], [0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]) * size
-        uv = model._shown(corners)
-        if not np.isfinite(uv[0]).all():
+        uv = model._shown(np.array([[0.5, 0.5]]) * size)
+        if not np.isfinite(uv).all():
             raise InputError(
                 "the transformation shows no ground at the middle of the image",
                 where=where,
                 mend="check the points or coefficients; explicit ones of high order need 'centre' and 'scale'",
             )
-        # Corners without ground (beyond a projective horizon) do not count.
-        reach = np.maximum(np.nanmax(np.abs(uv), axis=0), 1e-12)
+        reach = np.maximum(model._corners(uv), 1e-12)
         middle = middle + scale * uv[0]
         return replace(model, middle=middle, reach=reach, axes=model._handed(uv[:1]))
 
@@ -150,6 +148,16 @@ class PlanarModel:
             known = self.values.reshape(2, -1).T
             start = self.nodes[[int(np.argmin(np.hypot(*(known - place).T))) for place in colrow]]
         return newton_inverse(self._image, self._slopes, colrow, start)
+
+    def _corners(self, uv: FloatArray) -> FloatArray:
+        """Largest |u| and |v| of the image's corners, from its middle (1, 2)."""
+        shifts = np.array([[-0.5, -0.5], [0.5, -0.5], [-0.5, 0.5], [0.5, 0.5]]) * self.size
+        if self.kind == "projective":  # corners beyond the horizon do not count
+            places = projective_inverse(self.values, np.array(self.size) / 2.0 + shifts)
+        else:  # near enough for the steps of the parameters, and never lost in the bends of a high order
+            places = uv + shifts @ np.linalg.pinv(self._slopes(uv)[0]).T
+        reach: FloatArray = np.nanmax(np.abs(np.vstack([uv, places])), axis=0)
+        return reach
 
     def _handed(self, uv: FloatArray) -> str:
         """Handedness of the image's axes at a place (1, 2); that of a conformal map is part of its definition."""
