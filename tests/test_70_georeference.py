@@ -170,9 +170,7 @@ def test_the_same_picture_as_gdal(tmp_path, model, order, tps):
     with rasterio.open(tmp_path / "scan.tif") as file:
         picture = file.read()
     colrow = places(6, 5)
-    gcps = [
-        GroundControlPoint(row=r, col=c, x=x, y=y) for (c, r), (x, y) in zip(colrow, bent_map(colrow), strict=True)
-    ]
+    gcps = [GroundControlPoint(row=r, col=c, x=x, y=y) for (c, r), (x, y) in zip(colrow, bent_map(colrow), strict=True)]
     theirs = np.full_like(ours, np.nan)
     how = {"SRC_METHOD": "GCP_TPS"} if tps else {"SRC_METHOD": "GCP_POLYNOMIAL", "MAX_GCP_ORDER": str(order)}
     # rasterio lets GDAL interpolate the geometry along each line within 0.125 px: short lines, small errors.

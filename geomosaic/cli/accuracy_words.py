@@ -75,10 +75,11 @@ def georeference_words(made: Georeferenced) -> str:
 
     solution, accuracy = made.solution, made.facts["accuracy"]
     states = made.facts["control"]
-    out = [f"{states[state]} {word}" for state, word in STATES.items() if states[state]]
+    counts = [f"{accuracy['points']} control points"]
+    counts += [f"{states[state]} {word}" for state, word in STATES.items() if states[state]]
     lines = [
         f"{solution.model} ({solution.why}), made in {made.facts['fit']['crs']}",
-        f"{accuracy['points']} control points{''.join(f', {text}' for text in out)}; redundancy {accuracy['redundancy']}",
+        f"{', '.join(counts)}; redundancy {accuracy['redundancy']}",
         f"residuals: RMS {_pixels_metres(accuracy['residuals'], 'rms_total')}; "
         f"95 % within {_pixels_metres(accuracy['residuals'], 'figure95')}",
         f"leave-one-out: RMS {_pixels_metres(accuracy['leave_one_out'], 'rms_total')}",

@@ -104,7 +104,8 @@ def check_map(
     grid = _grid(info, raster_crs)
     if has_positions(points):
         found = read_positions(points, crs=crs)
-        measured, notes = grid.colrow(found.colrow), ("measured on the map: measured_x, measured_y",)
+        measured = grid.colrow(found.colrow)
+        notes: tuple[str, ...] = ("measured on the map: measured_x, measured_y",)
     else:
         reading = read_control(points, image=raster.name, crs=crs, size=info.size, sign=rows, count=pixels)
         found, notes = reading.control, reading.notes

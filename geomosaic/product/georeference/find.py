@@ -28,9 +28,7 @@ def find_control(info: SourceInfo, given: ControlInput) -> Reading:
     """
     image = Path(info.path)
     path = given.path if given.path is not None else _own(info)
-    reading = read_control(
-        path, image=image.name, crs=given.crs, size=info.size, sign=given.rows, count=given.pixels
-    )
+    reading = read_control(path, image=image.name, crs=given.crs, size=info.size, sign=given.rows, count=given.pixels)
     notes = list(reading.notes)
     if given.path is not None and info.transform is not None:
         notes.append("the georeference that the image has already is not used")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
+from geomosaic.adjust.choose import Choice
 from geomosaic.adjust.deletion import Deletion
 from geomosaic.adjust.robust import BlunderSearch
 from geomosaic.control.reading import Reading
@@ -68,7 +69,7 @@ def report_facts(
         },
         "accuracy": accuracy_facts(fit, metres),
         "check": None if solution.check is None else _check(solution),
-        "choice": None if solution.choice is None else solution.choice.facts(),
+        "choice": _choice(solution.choice),
         "deletion": _deletion(solution.deletion),
         "robust": _robust(solution.robust, solution.robust_said),
         "advice": advice_facts(solution.advice),
@@ -100,6 +101,28 @@ def _check(solution: Solution) -> dict[str, Any]:
     judges = np.array([state == "check" for state in solution.states])
     found = statistics_facts(solution.check) if solution.check is not None else {}
     return {**found, "px": error_facts(solution.residuals[judges])}
+
+
+def _choice(found: Choice | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {
+        "model": found.name,
+        "why": found.said,
+        "odd": list(found.odd),
+        "tried": [
+            {
+                "model": row.name,
+                "parameters": row.parameters,
+                "redundancy": row.redundancy,
+                "rms_px": number(row.rms),
+                "leave_one_out_px": number(row.leave_one_out),
+                "chance": number(row.gain),
+                "refused": row.refused,
+            }
+            for row in found.table
+        ],
+    }
 
 
 def _deletion(found: Deletion | None) -> dict[str, Any] | None:

@@ -8,6 +8,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.adjust.checkpoints import CheckStatistics, check_model
+from geomosaic.adjust.choose import Choice, choose_model, planar_builds
 from geomosaic.adjust.deletion import Deletion, delete_points
 from geomosaic.adjust.fit import ControlFit, fit_control
 from geomosaic.adjust.local import map_by_image
@@ -17,8 +18,7 @@ from geomosaic.control.advice import advise
 from geomosaic.control.finding import SEVERITIES, Advice
 from geomosaic.control.points import ImageControl
 from geomosaic.control.reading import Reading
-from geomosaic.errors import InputError, SolveError
-from geomosaic.product.georeference.choosing import Choice, choose_model
+from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.product.georeference.examine import blunder_advice, stop_on_errors
 from geomosaic.product.georeference.request import FitRequest, kind_order
 from geomosaic.sensor.plugin import SensorRequest
@@ -125,8 +125,8 @@ def solve(
     points = control.of_role("control")
     if not len(points):
         raise InputError("no point takes part in the fit: all are disabled or check points", where=where, mend=MEND)
-    choice = choose_model(image, size, points) if auto else None
-    name = choice.model if choice is not None else request.model
+    choice = _choose(image, size, points) if auto else None
+    name = choice.name if choice is not None else request.model
     if choice is not None:
         advice = _advised(given, name, size, near)
         stop_on_errors(advice, where, insist=request.insist)
@@ -153,7 +153,7 @@ def solve(
     check = control.of_role("check")
     return Solution(
         name,
-        choice.why if choice is not None else "as asked for",
+        choice.said if choice is not None else "as asked for",
         crs,
         control,
         _states(control, fit, suspects, deletion),
@@ -179,12 +179,17 @@ def _advised(
     return advise(control, kind=kind, order=order, size=size, near=near)
 
 
+def _choose(image: str, size: tuple[int, int], points: ImageControl) -> Choice:
+    builds = planar_builds(SensorRequest(image, size, {}, points.crs), points.xy, points.colrow, SENSOR)
+    return choose_model(builds, points.names, points.xy, points.colrow, points.sigma)
+
+
 def _search(build: Build, points: ImageControl, name: str) -> tuple[BlunderSearch | None, str]:
     if name == "tps":
         return None, "a thin plate spline passes through all points, blunders too: look at the leave-one-out errors"
     try:
         found = search_blunders(build, points.names, points.xy, points.colrow, points.sigma)
-    except SolveError as error:
+    except GeomosaicError as error:
         return None, error.what
     return found, found.said
 
@@ -193,9 +198,7 @@ def _spatial(xy: FloatArray) -> FloatArray:
     return np.column_stack([xy, np.zeros(len(xy))])
 
 
-def _states(
-    control: ImageControl, fit: ControlFit, suspects: set[str], deletion: Deletion | None
-) -> tuple[str, ...]:
+def _states(control: ImageControl, fit: ControlFit, suspects: set[str], deletion: Deletion | None) -> tuple[str, ...]:
     deleted = {row.id for row in deletion.deleted} if deletion is not None else set()
     used = set(fit.ids)
 

@@ -64,7 +64,7 @@ def write_residuals(
     starts, ends = to_crs(places), to_crs(places + factor * np.nan_to_num(steps))
     drawn = np.isfinite(steps).all(axis=1)
     layers = {"points": Layer(crs, "Point", [Point(*xy) for xy in starts], _columns(points))}
-    kept = [i for i in range(len(points)) if drawn[i]]
+    kept = np.flatnonzero(drawn).tolist()
     lines = [LineString([starts[i], ends[i]]) for i in kept]
     columns = {**_columns([points[i] for i in kept]), "enlarged": [factor] * len(kept)}
     layers["residuals"] = Layer(crs, "LineString", lines, columns)

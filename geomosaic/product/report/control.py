@@ -77,7 +77,7 @@ def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
         digits = min(decimals(where[key], 2), 6)
         return f"{number(where[key], digits)} m" if where[key] is not None and what[key] is not None else ""
 
-    found = [
+    found: list[dict[str, Any]] = [
         {
             "title": "Control points, RMS",
             "value": number(pixels["rms_total"], 2),

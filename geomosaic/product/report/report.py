@@ -36,17 +36,21 @@ def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path) -> str:
     points = sorted(orient["control"], key=_length, reverse=True)
     sizes = {(image["width"], image["height"]) for image in orient["images"]}
     plot = residual_plot(points, sizes.pop(), orient["measured"]) if points and len(sizes) == 1 else None
-    return environment().get_template("template.html.j2").render(
-        **data,
-        ground=decimals(made["grid"]["resolution"][0]),
-        grey=decimals(rms(made["before"]) or rms((data["check"]["reference"] or {}).get("colour_rms", [])), 2),
-        cards=cards(data),
-        unit="m" if unit == "metre" else unit,
-        points=points,
-        map=mosaic_map(mosaic, vectors, made["grid"]["bounds"], unit),
-        plot=plot,
-        most=MOST_ROWS,
-        total_pixels=made["grid"]["width"] * made["grid"]["height"],
+    return (
+        environment()
+        .get_template("template.html.j2")
+        .render(
+            **data,
+            ground=decimals(made["grid"]["resolution"][0]),
+            grey=decimals(rms(made["before"]) or rms((data["check"]["reference"] or {}).get("colour_rms", [])), 2),
+            cards=cards(data),
+            unit="m" if unit == "metre" else unit,
+            points=points,
+            map=mosaic_map(mosaic, vectors, made["grid"]["bounds"], unit),
+            plot=plot,
+            most=MOST_ROWS,
+            total_pixels=made["grid"]["width"] * made["grid"]["height"],
+        )
     )
 
 
