@@ -26,7 +26,7 @@ SIGNIFICANT = 0.02
 FEW = 6
 """Points below which no test can tell; the gain must then be threefold."""
 ODD = 6.0
-"""A point that misses every kind by so many times the median is left out of the comparison."""
+"""A point that kinds miss by so many times their median error is left out of the comparison."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,10 +157,14 @@ def choose_model(
 
 
 def _odd(lengths: Sequence[FloatArray]) -> BoolArray:
-    """Points (N,) that every kind misses by far more than it misses others."""
+    """Points (N,) that the better half of the kinds miss by far more than they miss others.
+
+    The worse half may miss all points: a blunder bends kinds of many parameters everywhere.
+    """
     count = len(lengths[0])
+    better = sorted(lengths, key=lambda errors: float(np.nanmedian(errors)))[: -(-len(lengths) // 2)]
     odd = np.full(count, count >= 8)
-    for errors in lengths:
+    for errors in better:
         odd &= ~(errors <= ODD * np.nanmedian(errors))
     return odd
 

@@ -10,7 +10,7 @@ import numpy as np
 from geomosaic.adjust.fit import ControlFit, fit_problem
 from geomosaic.adjust.judge import judge
 from geomosaic.adjust.problem import Build, Problem
-from geomosaic.adjust.trimmed import RobustStart, trimmed_start
+from geomosaic.adjust.trimmed import RobustStart, check_count, trimmed_start
 from geomosaic.errors import InputError, SolveError
 from geomosaic.types import AnyArray, BoolArray, FloatArray
 
@@ -82,7 +82,20 @@ def snoop(
         Too few points, or a model that passes through all of them.
     """
     problem = Problem.of(build, ids, ground, colrow, sigma)
-    return snoop_problem(problem, trimmed_start(problem, seed), alpha, sigma0)
+    if sigma0 is not None and _fits(problem):
+        everyone = np.ones(len(problem), dtype=np.bool_)
+        start = RobustStart(everyone, sigma0, 0, check_count(problem, seed), 0.0)
+    else:
+        start = trimmed_start(problem, seed)
+    return snoop_problem(problem, start, alpha, sigma0)
+
+
+def _fits(problem: Problem) -> bool:
+    try:
+        problem.model()
+    except SolveError:
+        return False
+    return True
 
 
 def snoop_problem(problem: Problem, start: RobustStart, alpha: float = ALPHA, sigma0: float | None = None) -> Snooping:

@@ -89,6 +89,22 @@ def _fit(problem: Problem, chosen: IntArray) -> SensorModel | None:
         return None
 
 
+def check_count(problem: Problem, seed: int = 0) -> int:
+    """Fewest points the model needs, refusing fewer than two more.
+
+    Raises
+    ------
+    SolveError
+    """
+    needed, count = points_needed(problem, seed), len(problem)
+    if count < needed + 2:
+        raise SolveError(
+            f"{count} points are too few to look for blunders: the kind needs {needed}, and two more to show it",
+            mend=f"give {needed + 2} points or more, better twice as many",
+        )
+    return needed
+
+
 def trimmed_start(problem: Problem, seed: int = 0) -> RobustStart:
     """Find the points that agree: small samples are fitted, concentrated on the better half, and the best is kept.
 
@@ -103,12 +119,7 @@ def trimmed_start(problem: Problem, seed: int = 0) -> RobustStart:
     SolveError
         Too few points to tell blunders from good ones, or a model that passes through all of them.
     """
-    needed, count = points_needed(problem, seed), len(problem)
-    if count < needed + 2:
-        raise SolveError(
-            f"{count} points are too few to look for blunders: the kind needs {needed}, and two more to show it",
-            mend=f"give {needed + 2} points or more, better twice as many",
-        )
+    needed, count = check_count(problem, seed), len(problem)
     half = (count + needed + 1) // 2
     # One point more than needed: a conformal fit of two cannot tell a mirrored image.
     size = min(needed + 1, half)
