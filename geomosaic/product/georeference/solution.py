@@ -143,6 +143,8 @@ def solve(
             build, points.names, points.xy, points.colrow, points.sigma, threshold=request.threshold
         )
         fit = deletion.fit
+    elif choice is not None and not suspects:
+        fit = choice.fit  # the same points
     else:
         fit = fit_control(build, points.names, points.xy, points.colrow, points.sigma)
     if robust is not None:
