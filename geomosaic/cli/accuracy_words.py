@@ -78,7 +78,8 @@ def georeference_words(made: Georeferenced) -> str:
     counts = [f"{accuracy['points']} control points"]
     counts += [f"{states[state]} {word}" for state, word in STATES.items() if states[state]]
     lines = [
-        f"{solution.model} ({solution.why}), made in {made.facts['fit']['crs']}",
+        f"{solution.model}: {solution.why}",
+        f"fitted in {made.facts['fit']['crs']}",
         f"{', '.join(counts)}; redundancy {accuracy['redundancy']}",
         f"residuals: RMS {_pixels_metres(accuracy['residuals'], 'rms_total')}; "
         f"95 % within {_pixels_metres(accuracy['residuals'], 'figure95')}",

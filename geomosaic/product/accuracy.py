@@ -16,11 +16,12 @@ from geomosaic.control.read import read_control
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid
-from geomosaic.product.georeference.metres import unit_name
+from geomosaic.product.georeference.metres import short_unit
 from geomosaic.raster.info import SourceInfo, inspect
 from geomosaic.types import FloatArray
 
-SHORT = {"metre": "m", "degree": "degrees"}
+FAR = 20.0
+"""Pixels of RMS error from which on the points are probably not measured in this raster."""
 EXAMINED = ("degrees-in-metres", "metres-in-degrees", "wrong-unit", "wrong-zone", "outside-crs-area", "outside-image")
 """Findings that concern check points; those on how control lies in the image do not."""
 
@@ -121,9 +122,12 @@ def check_map(
         raise InputError(f"{wrong.what} ({wrong.code})", where=str(points), mend=f"{wrong.mend}; or --insist")
     true = found.to_crs(grid.crs).xy
     pixel = measured - grid.colrow(true)
-    unit = unit_name(grid.crs)
-    statistics = check_errors(found.names, grid.xy(measured) - true, SHORT.get(unit, unit), survey_rms)
+    statistics = check_errors(found.names, grid.xy(measured) - true, short_unit(grid.crs), survey_rms)
     per_axis = np.sqrt((pixel**2).mean(axis=0))
+    if np.hypot(*per_axis) > FAR:
+        what = f"the points lie {np.hypot(*per_axis):.0f} pixels (RMS) from where they should"
+        mend = "are col and row measured in this raster, and not in the image it was made from?"
+        advice = (*advice, Advice("far", "warning", what, (), mend))
     return MapCheck(
         raster,
         points,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from geomosaic.adjust.deletion import Deletion
 from geomosaic.adjust.fit import ControlFit
 from geomosaic.adjust.local import image_by_map
 from geomosaic.adjust.robust import BlunderSearch
@@ -18,6 +19,8 @@ from geomosaic.types import FloatArray
 
 GROSS, GROSS_PIXELS = 10.0, 5.0
 """A blunder is gross from so many standard deviations and pixels on: it would bend the picture visibly."""
+HOPELESS = ("few-points",)
+"""Errors with which no fit is possible, whoever insists."""
 UNFIT = 0.4
 """Share of points that stand out from which on it is the fit that is wrong."""
 STEPS = 33
@@ -32,7 +35,9 @@ class BadControlError(InputError):
         what = "; ".join(f"{found.what} ({found.code})" for found in errors[:3])
         more = f"; and {len(errors) - 3} more" if len(errors) > 3 else ""
         mends = "; ".join(dict.fromkeys(found.mend for found in errors[:3]))
-        super().__init__(what + more, where=where, mend=f"{mends}; or --insist, to draw it all the same")
+        if not any(found.code in HOPELESS for found in errors):
+            mends += "; or --insist, to draw it all the same"
+        super().__init__(what + more, where=where, mend=mends)
         self.advice = tuple(advice)
 
 
@@ -81,6 +86,14 @@ def blunder_advice(search: BlunderSearch, searched: Sequence[str], fit: ControlF
         what = f"one of two tests, but not the other, finds wrong: {listed(alone)}"
         found.append(Advice("suspect", "warning", what, alone, "look at these points again"))
     return found
+
+
+def deletion_advice(deletion: Deletion | None) -> list[Advice]:
+    """Say so where the threshold was not reached."""
+    if deletion is None or deletion.reached:
+        return []
+    mend = "a larger threshold, or a fit of more parameters; look at the leave-one-out error, which deletion may worsen"
+    return [Advice("threshold-not-reached", "warning", deletion.said, (), mend)]
 
 
 def fold_advice(model: SensorModel, points: FloatArray, grid: Grid) -> list[Advice]:

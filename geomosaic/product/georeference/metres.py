@@ -30,6 +30,12 @@ def metres_per_unit(crs: CRS, place: FloatArray) -> FloatArray:
     return np.array([across * math.cos(place[1] * factors[0]), along]) * factors[0]
 
 
+def short_unit(crs: CRS) -> str:
+    """Return the unit as it stands behind numbers: 'm', 'degrees' ..."""
+    name = unit_name(crs)
+    return {"metre": "m", "degree": "degrees"}.get(name, name)
+
+
 def unit_name(crs: CRS) -> str:
     """Return the unit of x and y, such as 'metre'."""
     axes = horizontal(crs).axis_info

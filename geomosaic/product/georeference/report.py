@@ -108,7 +108,7 @@ def _choice(found: Choice | None) -> dict[str, Any] | None:
         return None
     return {
         "model": found.name,
-        "why": found.said,
+        "why": found.said.removeprefix(f"{found.name}: "),
         "odd": list(found.odd),
         "tried": [
             {

@@ -18,9 +18,9 @@ from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.product.extent import check_size, output_grid, utm_zone
 from geomosaic.product.georeference.examine import fold_advice, stop_on_errors
 from geomosaic.product.georeference.find import find_control
-from geomosaic.product.georeference.metres import unit_name
+from geomosaic.product.georeference.metres import short_unit
 from geomosaic.product.georeference.request import ControlInput, FitRequest, Place
-from geomosaic.product.georeference.solution import SENSOR, Solution, solve
+from geomosaic.product.georeference.solution import SENSOR, Solution, first_look, solve
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.ortho import OrthoResult, ortho
 from geomosaic.raster.info import inspect
@@ -94,11 +94,12 @@ def georeference(
     files = {end: output.with_name(f"{output.stem}-control{end}") for end in (".json", ".html", ".gpkg")}
     for file in (output, *(files.values() if report else ())):
         _refuse(file, (image, given.path), overwrite=options.overwrite)
+    first_look(reading.control, info.size, request, given.near)
     target = None if place.crs is None else parse_map(place.crs, "--dst-crs")
     crs = fit_crs(reading.control, request.crs, target)
     if reading.format == "world" and request.model == "auto":
         request = replace(request, model="affine")
-    solution = solve(reading, image.name, info.size, crs, request, given.near, unit_name(crs))
+    solution = solve(reading, image.name, info.size, crs, request, given.near, short_unit(crs))
     scene = Scene(image.stem, str(image), SENSOR, solution.fit.model, bands=bands)
     out_crs = target if target is not None else crs if not crs.is_geographic else _zone_of(reading.control)
     outline = footprint(scene, None, out_crs)

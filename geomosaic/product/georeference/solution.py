@@ -19,7 +19,7 @@ from geomosaic.control.finding import SEVERITIES, Advice
 from geomosaic.control.points import ImageControl
 from geomosaic.control.reading import Reading
 from geomosaic.errors import GeomosaicError, InputError
-from geomosaic.product.georeference.examine import blunder_advice, stop_on_errors
+from geomosaic.product.georeference.examine import blunder_advice, deletion_advice, stop_on_errors
 from geomosaic.product.georeference.request import FitRequest, kind_order
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
@@ -118,9 +118,7 @@ def solve(
     """
     given, where = reading.control, reading.control.origins[0].path
     auto = request.model == "auto"
-    first = "conformal" if auto else request.model
-    advice = _advised(given, first, size, near)
-    stop_on_errors(advice, where, insist=request.insist)
+    advice = first_look(given, size, request, near)
     control = replace(given, ground=given.xy).to_crs(crs)
     points = control.of_role("control")
     if not len(points):
@@ -147,6 +145,7 @@ def solve(
         fit = choice.fit  # the same points
     else:
         fit = fit_control(build, points.names, points.xy, points.colrow, points.sigma)
+    advice = (*advice, *deletion_advice(deletion))
     if robust is not None:
         advice = (*advice, *blunder_advice(robust, searched, fit))
     stop_on_errors(advice, where, insist=request.insist)
@@ -155,7 +154,7 @@ def solve(
     check = control.of_role("check")
     return Solution(
         name,
-        choice.said if choice is not None else "as asked for",
+        choice.said.removeprefix(f"{name}: ") if choice is not None else "as asked for",
         crs,
         control,
         _states(control, fit, suspects, deletion),
@@ -169,6 +168,21 @@ def solve(
         check_model(fit.model, check.names, check.xy, check.colrow, unit) if len(check) else None,
         tuple(sorted(advice, key=lambda found: SEVERITIES.index(found.severity))),
     )
+
+
+def first_look(
+    control: ImageControl, size: tuple[int, int], request: FitRequest, near: tuple[float, float] | None
+) -> tuple[Advice, ...]:
+    """Examine control before anything is computed with it; where the model is to be chosen, for the least of all.
+
+    Raises
+    ------
+    BadControlError
+        The advice has errors, and the user does not insist.
+    """
+    advice = _advised(control, "conformal" if request.model == "auto" else request.model, size, near)
+    stop_on_errors(advice, control.origins[0].path, insist=request.insist)
+    return advice
 
 
 MEND = "enable some, or give some the role 'control'"
