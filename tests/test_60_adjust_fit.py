@@ -47,10 +47,10 @@ def test_leave_one_out_is_what_refits_give(kind: str) -> None:
 
 
 def test_closed_form_is_used_where_it_is_exact() -> None:
-    """A linear kind costs one fit; a projective one a fit for each point."""
+    """A linear kind and a spline cost one fit; a projective one a fit for each point."""
     calls = []
     xy, colrow = noisy("affine", 20, 1)
-    for kind, expected in (("affine", 1), ("projective", 21), ("tps", 21)):
+    for kind, expected in (("affine", 1), ("projective", 21), ("tps", 1)):
         inner = builder(kind, xy, colrow)
 
         def build(selection: Any, sigma: Any, inner: Any = inner) -> Any:
@@ -163,9 +163,52 @@ def test_a_spline_has_leave_one_out_errors_only() -> None:
     assert np.isnan(fit.sigma0)
     assert np.isnan(fit.standardised).all()
     assert (fit.redundancy_numbers == 0.0).all()
-    others = np.delete(np.arange(40), 11)
-    error = colrow[11] - build(others, np.ones(39)).ground_to_image(ground3(xy[[11]]))[0]
-    np.testing.assert_allclose(fit.leave_one_out[11], error, rtol=0.0, atol=1e-9)
+    for index in range(40):  # the closed form against splines through the others
+        others = np.delete(np.arange(40), index)
+        error = colrow[index] - build(others, np.ones(39)).ground_to_image(ground3(xy[[index]]))[0]
+        np.testing.assert_allclose(fit.leave_one_out[index], error, rtol=0.0, atol=1e-7)
+
+
+def test_a_spline_through_points_that_need_one_of_them() -> None:
+    """Without the point beside the line the others determine no spline."""
+    xy = np.array([[0.0, 0.0], [100.0, 50.0], [200.0, 100.0], [300.0, 150.0], [0.0, 300.0]]) + CENTRE
+    fit = fit_control(builder("tps", xy, truth("affine", xy)), names(5), xy, truth("affine", xy))
+    assert np.isnan(fit.leave_one_out[4]).all()
+    assert np.abs(fit.leave_one_out[:4]).max() < 1e-6
+
+
+def test_refits_of_many_points_are_a_sample(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A model that passes through its points and has no closed form."""
+    from types import SimpleNamespace
+
+    from geomosaic.adjust import omission
+
+    monkeypatch.setattr(omission, "MOST_REFITS", 30)
+    monkeypatch.setattr(omission, "SAMPLE", 10)
+    count = 40
+    xy, colrow = noisy("wavy", count, 3)
+    inner = builder("tps", xy, colrow)
+
+    def build(selection: Any, sigma: Any) -> Any:
+        model: Any = inner(selection, sigma)
+        members = (
+            "crs",
+            "size",
+            "parameters",
+            "seed",
+            "ground_to_image",
+            "jacobian",
+            "with_values",
+            "to_dict",
+            "from_dict",
+        )
+        return SimpleNamespace(**{name: getattr(model, name) for name in members})
+
+    fit = fit_control(build, names(count), xy, colrow)
+    known = np.isfinite(fit.leave_one_out).all(axis=1)
+    assert known.sum() == 10
+    whole = fit_control(inner, names(count), xy, colrow)
+    np.testing.assert_allclose(fit.leave_one_out[known], whole.leave_one_out[known], rtol=0.0, atol=1e-6)
 
 
 def test_no_redundancy_says_nothing() -> None:

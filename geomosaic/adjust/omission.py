@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol, runtime_checkable
+
 import numpy as np
 
 from geomosaic.adjust.cofactors import Cofactors, is_linear
@@ -10,17 +12,27 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
-MOST_REFITS = 500
-SAMPLE = 200
+MOST_REFITS = 200
+SAMPLE = 100
+
+
+@runtime_checkable
+class HasOmission(Protocol):
+    """Optional power of a model that passes through its points: their leave-one-out errors in closed form."""
+
+    def omission(self) -> FloatArray | None:
+        """Measured minus computed (col, row) (N, 2) of each point under the model of all others, in the order of the
+        points it was built from, pixels; None where the model, of another kind, has no closed form.
+        """
 
 
 def leave_one_out(problem: Problem, model: SensorModel, residuals: FloatArray, found: Cofactors) -> FloatArray:
     """Errors of points under fits to all the others.
 
     In closed form, (I − H_ii)⁻¹ v_i, where the model is linear in its parameters; by refits where it is not, and where
-    a point has no residual because the fit passes through it (spline, no redundancy). Of more than 500 points that
-    would call for refits, models with redundancy keep the closed form of their linearisation, and of the others 200
-    points, evenly drawn, are refitted.
+    a point has no residual because the fit passes through it and the model has no closed form of its own. Of more than
+    200 points that would call for refits, models with redundancy keep the closed form of their linearisation, and of
+    the others 100 points, evenly drawn, are refitted.
 
     Parameters
     ----------
@@ -38,6 +50,9 @@ def leave_one_out(problem: Problem, model: SensorModel, residuals: FloatArray, f
         Measured minus computed (col, row), pixels; NaN where the other points do not determine the model, or where it
         was not computed.
     """
+    own = model.omission() if isinstance(model, HasOmission) else None
+    if own is not None:
+        return own
     inverse = found.checked
     errors: FloatArray = np.einsum("nij,nj->ni", inverse, residuals)
     closed: BoolArray = np.isfinite(errors.sum(axis=1))

@@ -206,6 +206,10 @@ class PlanarModel:
         by_ground[np.isnan(by_uv).any(axis=(1, 2))] = np.nan
         return by_values, by_ground
 
+    def omission(self) -> FloatArray | None:
+        """Of a spline: image at each node minus what a spline through all others gives there (N, 2), else None."""
+        return spline.omission(self.nodes, self.coefficients) if self.kind == "tps" else None
+
     def with_values(self, values: FloatArray) -> Self:
         """Return a model with other coefficients (P,)."""
         new = self.parameters.with_values(values).values

@@ -133,6 +133,18 @@ def slopes(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> Float
     return found
 
 
+def omission(nodes: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Image at each node minus what the spline through all other nodes gives there, (N, 2): wᵢ / (M⁻¹)ᵢᵢ (Rippa 1999).
+
+    M is the bordered matrix. NaN for a node without which the others lie on a line.
+    """
+    count = len(nodes)
+    own = np.diagonal(np.linalg.inv(bordered(nodes)))[:count]
+    held = np.abs(own) > 1.0 / WORST_CONDITION
+    errors: FloatArray = coefficients[:count] / np.where(held, own, np.nan)[:, None]
+    return errors
+
+
 def influence(nodes: FloatArray, uv: FloatArray) -> FloatArray:
     """Derivatives (M, N) of the image at (u, v) (M, 2) by the image at the nodes, the same for col and row."""
     row = np.column_stack([_radial(uv, nodes), np.ones(len(uv)), uv])
