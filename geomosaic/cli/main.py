@@ -21,10 +21,12 @@ COMMANDS: dict[str, str] = {
     "new": "Write a project file from images and tables.",
     "run": "Run what is stale in a project.",
     "status": "Show which steps of a project are stale, and why.",
+    "georeference": "Place one image on the map by control points.",
     "ortho": "Rectify one image.",
     "mosaic": "Make one mosaic from images.",
     "edges": "Join photos with control at their edges, and mosaic them.",
     "reproject": "Bring a georeferenced raster or vectors to another CRS.",
+    "check": "Measure a map at check points.",
     "sensors": "List sensors, or show the inputs of one.",
 }
 """Short help by command: `geomosaic --help` imports none of them."""

@@ -43,16 +43,18 @@ machine_options = stack(
     debug_option,
 )
 
+band_option = click.option(
+    "-b",
+    "--bidx",
+    "bands",
+    multiple=True,
+    callback=band_numbers,
+    metavar="NUMBERS",
+    help="Bands of the images to use, such as 1,2,3.  [default: all but alpha]",
+)
+
 image_options = stack(
-    click.option(
-        "-b",
-        "--bidx",
-        "bands",
-        multiple=True,
-        callback=band_numbers,
-        metavar="NUMBERS",
-        help="Bands of the images to use, such as 1,2,3.  [default: all but alpha]",
-    ),
+    band_option,
     click.option("--sensor", help="Sensor of the images; see `geomosaic sensors`."),
     click.option("--camera", type=FILE, help="Camera description (TOML)."),
     click.option(
@@ -104,7 +106,7 @@ output_options = stack(
         "--dst-crs",
         callback=map_crs,
         metavar="CRS",
-        help="CRS of the output, such as EPSG:32633.  [default: that of the DEM or the positions]",
+        help="CRS of the output, such as EPSG:32633.  [default: that of the DEM, the positions or the control]",
     ),
     click.option(
         "--res", callback=pixel, metavar="UNITS", help="Pixel size in map units.  [default: that of the images]"

@@ -13,6 +13,9 @@ from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.surface.model import Surface
 
+# Rows, columns and tiles of a GeoTIFF are counted in 31 bits.
+_MOST, _TILE = 1 << 31, 512 * 512
+
 
 def output_crs(scenes: tuple[Scene, ...], surface: Surface | None) -> CRS:
     """Map CRS of the output where none is given: the surface's or model's own, or the UTM zone it lies in."""
@@ -20,10 +23,15 @@ def output_crs(scenes: tuple[Scene, ...], surface: Surface | None) -> CRS:
     own = horizontal(model.crs if surface is None or not model.crs.is_geocentric else surface.crs)
     if own.is_projected:
         return own
+    lon, lat, _ = Transform(model.crs, geographic(model.crs))(np.array([model.seed]))[0]
+    return utm_zone(float(lon), float(lat))
+
+
+def utm_zone(lon: float, lat: float) -> CRS:
+    """WGS 84 / UTM zone of a place in degrees."""
     from pyproj.aoi import AreaOfInterest
     from pyproj.database import query_utm_crs_info
 
-    lon, lat, _ = Transform(model.crs, geographic(model.crs))(np.array([model.seed]))[0]
     zones = query_utm_crs_info(datum_name="WGS 84", area_of_interest=AreaOfInterest(lon, lat, lon, lat))
     if not zones:
         raise InputError(f"no UTM zone at longitude {lon:.3f}, latitude {lat:.3f}", mend="give --dst-crs")
@@ -77,3 +85,17 @@ def output_grid(
             mend=f"give --bounds as left bottom right top in {crs.name}",
         )
     return grid
+
+
+def check_size(grid: Grid) -> None:
+    """Refuse a grid that no GeoTIFF holds.
+
+    Raises
+    ------
+    InputError
+    """
+    if max(grid.width, grid.height) >= _MOST or grid.width * grid.height / _TILE >= _MOST:
+        raise InputError(
+            f"the output would have {grid.width:.3g} x {grid.height:.3g} pixels, more than a GeoTIFF can hold",
+            mend=f"a coarser resolution or smaller bounds; one pixel is {grid.resolution[0]:g} map units now",
+        )

@@ -17,7 +17,7 @@ from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
 from geomosaic.geo.area import area_of_use, beyond, longitude_latitude
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Bounds, Grid
-from geomosaic.product.extent import footprints, output_crs, output_grid
+from geomosaic.product.extent import check_size, footprints, output_crs, output_grid
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.raster.info import inspect
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from geomosaic.product.options import MosaicOptions, RenderOptions
     from geomosaic.product.ortho import OrthoResult
 
-# Rows, columns and tiles of a GeoTIFF are counted in 31 bits.
-_MOST, _TILE = 1 << 31, 512 * 512
 FAR = 6.0
 """Degrees beyond the area of use of the output CRS, a zone's width, that are told."""
 
@@ -69,11 +67,7 @@ def plan(scenes: Sequence[Scene], surface: Surface | None, area: Area) -> tuple[
     outlines = footprints(several, surface, crs)
     _judge(crs, outlines, area.resolution)
     grid = output_grid(crs, outlines, area.resolution, area.bounds, snap=area.snap)
-    if max(grid.width, grid.height) >= _MOST or grid.width * grid.height / _TILE >= _MOST:
-        raise InputError(
-            f"the output would have {grid.width:.3g} x {grid.height:.3g} pixels, more than a GeoTIFF can hold",
-            mend=f"a coarser resolution or smaller bounds; one pixel is {grid.resolution[0]:g} map units now",
-        )
+    check_size(grid)
     return grid, outlines
 
 

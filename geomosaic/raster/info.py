@@ -259,3 +259,9 @@ def _short(error: BaseException) -> str:
     """First line of what GDAL said."""
     cause = error.__cause__ or error
     return (str(cause).strip().splitlines() or [type(cause).__name__])[0][:200]
+
+
+def control_point_count(path: PathLike) -> int:
+    """Return how many control points (GCPs) a raster has in it."""
+    with environment(), open_raster(path) as dataset:
+        return len(dataset.gcps[0])

@@ -16,7 +16,7 @@ from geomosaic.sensor.plugin import SensorInput, SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_planar.fit import fit_planar
 from geomosaic_planar.model import PlanarModel
-from geomosaic_planar.terms import KINDS, MAX_ORDER, parameter_names
+from geomosaic_planar.terms import AXES, KINDS, MAX_ORDER, parameter_names
 
 POINT = ("x", "y", "col", "row")
 SOURCES = ("transform", "geotransform", "points", "coefficients")
@@ -26,7 +26,7 @@ class PlanarPlugin:
     """Sensor 'planar'."""
 
     name = "planar"
-    summary = "plane transformations of flat ground: conformal, affine, projective, polynomial of order 1 to 5"
+    summary = "plane transformations of flat ground: conformal, affine, projective, polynomial of order 1 to 5, spline"
     inputs = (
         SensorInput("transform", "a, b, c, d, e, f: pixel corner to map, x = a col + b row + c, y = d col + e row + f"),
         SensorInput("geotransform", "the same in GDAL's order: c, a, b, f, d, e"),
@@ -34,6 +34,11 @@ class PlanarPlugin:
         SensorInput("coefficients", "coefficients ground to image, by name or in the order of `parameters`", "px"),
         SensorInput("kind", f"{', '.join(KINDS)}; for points and coefficients", default="affine"),
         SensorInput("order", f"degree of a polynomial, 1 to {MAX_ORDER}", default="1"),
+        SensorInput(
+            "axes",
+            "left (rows downwards) or right (rows upwards, mirrored image) for kind conformal",
+            default="recognised from points, left for coefficients",
+        ),
         SensorInput("centre", "map x, y that the coefficients count from", "map units", "0, 0"),
         SensorInput("scale", "map units that the coefficients count as 1", "map units", "1"),
     )
@@ -65,18 +70,19 @@ class PlanarPlugin:
         if given[0] in ("transform", "geotransform"):
             return _georeferenced(request, crs, given[0])
         kind, order = _kind(options, where)
+        axes = _axes(options, kind, where)
         if given[0] == "points":
             xy, colrow, weights = _points(options["points"], where)
-            fitted = fit_planar(kind, xy, colrow, weights, order=order, where=where)
-            return PlanarModel.of(
-                kind, order, crs, request.size, fitted.centre, fitted.scale, fitted.values, where=where
-            )
+            fitted = fit_planar(kind, xy, colrow, weights, order=order, axes=axes, where=where)
+            return PlanarModel.of_fit(fitted, crs, request.size, where)
+        if kind == "tps":
+            raise InputError("a thin plate spline has no coefficients to give", where=where, mend="give 'points'")
         values = _coefficients(options["coefficients"], kind, order, where)
         centre = np.array(_numbers(options.get("centre", (0.0, 0.0)), 2, "centre", where))
         scale = _numbers([options.get("scale", 1.0)], 1, "scale", where)[0]
         if scale <= 0.0:
             raise InputError("input 'scale' must be greater than 0", where=where)
-        return PlanarModel.of(kind, order, crs, request.size, centre, scale, values, where=where)
+        return PlanarModel.of(kind, order, crs, request.size, centre, scale, values, where=where, axes=axes or "left")
 
 
 def _georeferenced(request: SensorRequest, crs: CRS, option: str) -> PlanarModel:
@@ -112,6 +118,21 @@ def _kind(options: Mapping[str, Any], where: str) -> tuple[str, int]:
     if kind != "polynomial" and order != 1:
         raise InputError(f"input 'order' has no meaning for kind '{kind}'", where=where, mend="use kind = polynomial")
     return kind, order
+
+
+def _axes(options: Mapping[str, Any], kind: str, where: str) -> str | None:
+    axes = options.get("axes")
+    if axes is None:
+        return None
+    if axes not in AXES:
+        raise InputError(f"input 'axes' is {axes!r}", where=where, mend=_mend(axes, "choose one of", AXES))
+    if kind != "conformal":
+        raise InputError(
+            f"input 'axes' has no meaning for kind '{kind}', which takes either handedness as it is",
+            where=where,
+            mend="leave it out",
+        )
+    return str(axes)
 
 
 def _points(points: Any, where: str) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from geomosaic.errors import SolveError
 from geomosaic.types import FloatArray
-from geomosaic_planar.terms import derivatives, evaluate, exponents, least_points, parameter_names
+from geomosaic_planar import spline
+from geomosaic_planar.projective import projective
+from geomosaic_planar.solve import conformal, linear
+from geomosaic_planar.terms import evaluate, least_points
 
-WORST_CONDITION = 1e8
-ROUNDS = 50
+NO_NODES = np.empty((0, 2))
+NO_NODES.setflags(write=False)
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,7 @@ class PlanarFit:
     scale : float
         Map units; the points reach |u|, |v| ≤ 1.
     values : array (P,)
-        Coefficients for normalised ground coordinates.
+        Coefficients for normalised ground coordinates; of a spline the image coordinates of its nodes.
     residuals : array (N, 2)
         Measured minus computed (col, row) in pixels.
     covariance : array (P, P)
@@ -34,7 +37,12 @@ class PlanarFit:
     sigma0 : float
         Standard deviation of an observation of weight 1, in pixels; NaN without redundancy.
     condition : float
-        Of the design matrix with columns of length one.
+        Of the design matrix with columns of length one; of a spline, of its matrix.
+    axes : str
+        'left' or 'right': handedness of the image's axes as a conformal fit found it; 'left' for other kinds, whose
+        coefficients carry it.
+    nodes : array (N, 2)
+        Normalised places of a spline's nodes; (0, 2) for other kinds.
     """
 
     kind: str
@@ -46,6 +54,8 @@ class PlanarFit:
     covariance: FloatArray
     sigma0: float
     condition: float
+    axes: str = "left"
+    nodes: FloatArray = field(default_factory=lambda: NO_NODES)
 
 
 def fit_planar(
@@ -55,6 +65,7 @@ def fit_planar(
     weights: FloatArray | None = None,
     *,
     order: int = 1,
+    axes: str | None = None,
     where: str | None = None,
 ) -> PlanarFit:
     """Fit a plane transformation ground → image.
@@ -62,15 +73,18 @@ def fit_planar(
     Parameters
     ----------
     kind : str
-        'conformal', 'affine', 'projective' or 'polynomial'.
+        'conformal', 'affine', 'projective', 'polynomial' or 'tps'.
     xy : array (N, 2)
         Map positions.
     colrow : array (N, 2)
         Measured image positions in pixels.
     weights : array (N,), optional
-        1 / σ² of the measurements; all 1 when left out.
+        1 / σ² of the measurements; all 1 when left out. A spline passes through all points whatever their weights.
     order : int
         Degree of a polynomial, 1 to 5.
+    axes : str, optional
+        Handedness of the image's axes for a conformal fit: 'left' (rows downwards), 'right' (rows upwards, or a
+        mirrored image); recognised when left out.
     where : str, optional
         Named in errors.
 
@@ -90,7 +104,7 @@ def fit_planar(
         raise SolveError(
             f"{count} control points do not determine a {label} transformation, which needs {needed}",
             where=where,
-            mend="add points or choose a simpler kind: conformal needs 2, affine 3, projective 4",
+            mend="add points or choose a simpler kind: conformal needs 2, affine and tps 3, projective 4",
         )
     root = np.ones(count) if weights is None else np.sqrt(np.asarray(weights, dtype=np.float64))
     if not (np.isfinite(root) & (root > 0.0)).all():
@@ -101,102 +115,29 @@ def fit_planar(
     if scale == 0.0:
         raise SolveError("all control points lie on one place", where=where, mend="spread them over the image")
     uv = (ground - centre) / scale
-    solved = (
-        _projective(uv, image, root, where)
-        if kind == "projective"
-        else _linear(kind, order, uv, image, root, label, where)
-    )
+    if kind == "tps":
+        return _spline(uv, image, centre, scale, where)
+    handed = "left"
+    if kind == "conformal":
+        solved, handed = conformal(uv, image, root, axes, where)
+    elif kind == "projective":
+        solved = projective(uv, image, root, where)
+    else:
+        solved = linear(kind, order, uv, image, root, label, where)
     values, condition, cofactors = solved
-    residuals = image - evaluate(kind, order, values, uv)
+    residuals = image - evaluate(kind, order, values, uv, handed)
     redundancy = 2 * count - len(values)
     weighted = residuals * root[:, None]
     sigma0 = float(np.sqrt((weighted**2).sum() / redundancy)) if redundancy > 0 else float("nan")
-    return PlanarFit(kind, order, centre, scale, values, residuals, cofactors * sigma0**2, sigma0, condition)
+    covariance = cofactors * sigma0**2
+    return PlanarFit(kind, order, centre, scale, values, residuals, covariance, sigma0, condition, handed)
 
 
-def _solve(
-    design: FloatArray, right: FloatArray, label: str, where: str | None
-) -> tuple[FloatArray, float, FloatArray]:
-    """Least squares by singular values; solution, condition, cofactors."""
-    length = np.linalg.norm(design, axis=0)
-    length = np.where(length > 0.0, length, 1.0)
-    left, singular, turned = np.linalg.svd(design / length, full_matrices=False)
-    if singular[-1] * WORST_CONDITION < singular[0]:
-        raise SolveError(
-            f"the control points do not determine a {label} transformation: they lie on a line or curve, or too many "
-            "of them on one place",
-            where=where,
-            mend="spread the points over the image, or choose a simpler kind",
-        )
-    root = turned.T / singular
-    solution = ((root @ (left.T @ right)).T / length).T
-    return solution, float(singular[0] / singular[-1]), (root @ root.T) / np.outer(length, length)
-
-
-def _linear(
-    kind: str, order: int, uv: FloatArray, image: FloatArray, root: FloatArray, label: str, where: str | None
-) -> tuple[FloatArray, float, FloatArray]:
-    """Kinds that are linear in their coefficients."""
-    if kind == "conformal":
-        unknowns = np.zeros(4)
-        design = derivatives(kind, order, unknowns, uv)[0] * root[:, None, None]
-        return _solve(design.reshape(-1, 4), (image * root[:, None]).ravel(), label, where)
-    # Columns and rows share one design: solve it once for both.
-    terms = derivatives(kind, order, np.zeros(len(parameter_names(kind, order))), uv)[0][:, 0, : len(exponents(order))]
-    solution, condition, cofactors = _solve(terms * root[:, None], image * root[:, None], label, where)
-    both = np.kron(np.eye(2), cofactors).astype(np.float64)
-    return solution.T.ravel(), condition, both
-
-
-def _projective(
-    uv: FloatArray, image: FloatArray, root: FloatArray, where: str | None
-) -> tuple[FloatArray, float, FloatArray]:
-    """Direct linear start, then Gauss-Newton on the true residuals in pixels."""
-    values = _direct_linear(uv, image, root, where)
-    for _ in range(ROUNDS):
-        residuals = (image - evaluate("projective", 1, values, uv)) * root[:, None]
-        design = (derivatives("projective", 1, values, uv)[0] * root[:, None, None]).reshape(-1, 8)
-        step, condition, cofactors = _solve(design, residuals.ravel(), "projective", where)
-        before = float((residuals**2).sum())
-        factor = 1.0
-        while factor > 1e-6:
-            trial = values + factor * step
-            after = float((((image - evaluate("projective", 1, trial, uv)) * root[:, None]) ** 2).sum())
-            if after <= before * (1.0 + 1e-12) or np.abs(design @ step).max() < 1e-9:
-                break
-            factor *= 0.5  # also where a point came to lie behind the horizon and `after` is NaN
-        else:
-            break
-        values = trial
-        if np.abs(design @ step).max() < 1e-11 * max(1.0, float(np.abs(image).max())):
-            break
-    return values, condition, cofactors
-
-
-def _direct_linear(uv: FloatArray, image: FloatArray, root: FloatArray, where: str | None) -> FloatArray:
-    """Projective coefficients of least algebraic error (Hartley & Zisserman, section 4.1, both sides normalised)."""
-    middle = image.mean(axis=0)
-    size = float(np.abs(image - middle).max()) or 1.0
-    q = (image - middle) / size
-    one = np.column_stack([np.ones(len(uv)), uv])
-    zero = np.zeros_like(one)
-    rows = np.vstack([np.hstack([one, zero, -q[:, :1] * one]), np.hstack([zero, one, -q[:, 1:] * one])])
-    _, singular, turned = np.linalg.svd(rows * np.tile(root, 2)[:, None])
-    if singular[7] * WORST_CONDITION < singular[0]:
-        raise SolveError(
-            "the control points do not determine a projective transformation: three of four lie on a line, or too "
-            "many on one place",
-            where=where,
-            mend="give four points or more, no three of the four on one line, or choose affine",
-        )
-    col, row, bottom = turned[-1].reshape(3, 3)
-    w = one @ bottom
-    if not ((w > 0.0).all() or (w < 0.0).all()):
-        raise SolveError(
-            "the control points lie on both sides of the horizon of the projective transformation they call for",
-            where=where,
-            mend="look for swapped or wrong points",
-        )
-    col, row = col * size + middle[0] * bottom, row * size + middle[1] * bottom
-    values: FloatArray = np.concatenate([col, row, bottom[1:]]) / bottom[0]
-    return values
+def _spline(uv: FloatArray, image: FloatArray, centre: FloatArray, scale: float, where: str | None) -> PlanarFit:
+    """Fit through all points: nothing is left to estimate an error by."""
+    spline.check_nodes(uv, where)
+    coefficients, condition = spline.solve(uv, image, where)
+    residuals = image - spline.evaluate(uv, coefficients, uv)
+    values = image.T.ravel()
+    unknown = np.full((len(values), len(values)), np.nan)
+    return PlanarFit("tps", 1, centre, scale, values, residuals, unknown, float("nan"), condition, "left", uv)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -11,17 +11,20 @@ from pyproj import CRS
 from geomosaic.errors import InputError
 from geomosaic.sensor.parameters import Parameters
 from geomosaic.types import FloatArray
+from geomosaic_planar import spline
+from geomosaic_planar.fit import NO_NODES, PlanarFit
+from geomosaic_planar.inverse import newton_inverse, projective_inverse
 from geomosaic_planar.terms import derivatives, evaluate, parameter_names
 
 
 @dataclass(frozen=True, eq=False)
 class PlanarModel:
-    """Ground → image by a conformal, affine, projective or polynomial transformation; heights play no part.
+    """Ground → image by a plane transformation; heights play no part.
 
     Attributes
     ----------
     kind : str
-        'conformal', 'affine', 'projective' or 'polynomial'.
+        'conformal', 'affine', 'projective', 'polynomial' or 'tps' (thin plate spline).
     order : int
         Degree of the polynomial; 1 for the other kinds.
     crs : CRS
@@ -33,13 +36,21 @@ class PlanarModel:
     scale : float
         Map units of u = 1 and v = 1.
     values : array (P,)
-        Coefficients, see `geomosaic_planar.terms`.
+        Coefficients, see `geomosaic_planar.terms`; of a spline the image coordinates of its nodes.
     sigmas : array (P,)
         A-priori standard deviations of the coefficients: 0 fixed, inf free.
     middle : array (2,)
         Map position of the middle of the image.
     reach : array (2,)
         Largest |u| and |v| that the image shows, from which the steps of the parameters follow.
+    axes : str
+        Handedness of (col, row) as the ground is seen in them: 'left' as usual, rows counting downwards; 'right' where
+        rows count upwards or the image is mirrored. A part of a conformal transformation; of other kinds it follows
+        from the coefficients (at the middle of the image).
+    nodes : array (N, 2)
+        Normalised places u, v of a spline's nodes; none for other kinds.
+    coefficients : array (N + 3, 2)
+        Of a spline, see `geomosaic_planar.spline`; they follow from `nodes` and `values`.
     """
 
     kind: str
@@ -52,9 +63,12 @@ class PlanarModel:
     sigmas: FloatArray
     middle: FloatArray
     reach: FloatArray
+    axes: str = "left"
+    nodes: FloatArray = field(default_factory=lambda: NO_NODES)
+    coefficients: FloatArray = field(default_factory=lambda: NO_NODES)
 
     def __post_init__(self) -> None:
-        for name in ("centre", "values", "sigmas", "middle", "reach"):
+        for name in ("centre", "values", "sigmas", "middle", "reach", "nodes", "coefficients"):
             array = np.array(getattr(self, name), dtype=np.float64)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
@@ -71,6 +85,8 @@ class PlanarModel:
         values: FloatArray,
         sigma: float = np.inf,
         where: str | None = None,
+        axes: str = "left",
+        nodes: FloatArray = NO_NODES,
     ) -> Self:
         """Make a model and find the ground it shows.
 
@@ -80,26 +96,85 @@ class PlanarModel:
             No ground near `centre` falls on the middle of the image.
         """
         values = np.asarray(values, dtype=np.float64)
-        corners = np.array([[0.5, 0.5], [0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]) * size
-        uv = _inverse(kind, order, values, corners)
-        if not np.isfinite(uv[0]).all():
+        middle, reach = np.asarray(centre, dtype=np.float64), np.ones(2)
+        sigmas = np.full(len(values), sigma)
+        coefficients = spline.solve(nodes, values.reshape(2, -1).T, where)[0] if kind == "tps" else NO_NODES
+        model = cls(
+            kind, order, crs, size, centre, float(scale), values, sigmas, middle, reach, axes, nodes, coefficients
+        )
+        uv = model._shown(np.array([[0.5, 0.5]]) * size)
+        if not np.isfinite(uv).all():
             raise InputError(
                 "the transformation shows no ground at the middle of the image",
                 where=where,
                 mend="check the points or coefficients; explicit ones of high order need 'centre' and 'scale'",
             )
-        # Corners without ground (beyond a projective horizon) do not count.
-        reach = np.maximum(np.nanmax(np.abs(uv), axis=0), 1e-12)
-        middle = np.asarray(centre, dtype=np.float64) + scale * uv[0]
-        return cls(kind, order, crs, size, centre, float(scale), values, np.full(len(values), sigma), middle, reach)
+        reach = np.maximum(model._corners(uv), 1e-12)
+        middle = middle + scale * uv[0]
+        return replace(model, middle=middle, reach=reach, axes=model._handed(uv[:1]))
+
+    @classmethod
+    def of_fit(cls, fitted: PlanarFit, crs: CRS, size: tuple[int, int], where: str | None = None) -> Self:
+        """Make the model of a fit; see `of`."""
+        return cls.of(
+            fitted.kind,
+            fitted.order,
+            crs,
+            size,
+            fitted.centre,
+            fitted.scale,
+            fitted.values,
+            where=where,
+            axes=fitted.axes,
+            nodes=fitted.nodes,
+        )
+
+    def _image(self, uv: FloatArray) -> FloatArray:
+        if self.kind == "tps":
+            return spline.evaluate(self.nodes, self.coefficients, uv)
+        return evaluate(self.kind, self.order, self.values, uv, self.axes)
+
+    def _slopes(self, uv: FloatArray) -> FloatArray:
+        if self.kind == "tps":
+            return spline.slopes(self.nodes, self.coefficients, uv)
+        return derivatives(self.kind, self.order, self.values, uv, self.axes)[1]
+
+    def _shown(self, colrow: FloatArray) -> FloatArray:
+        """Normalised ground (N, 2) of image points; NaN where there is none."""
+        if self.kind == "projective":
+            return projective_inverse(self.values, colrow)
+        start = np.zeros((len(colrow), 2))
+        if self.kind == "tps":
+            known = self.values.reshape(2, -1).T
+            start = self.nodes[[int(np.argmin(np.hypot(*(known - place).T))) for place in colrow]]
+        return newton_inverse(self._image, self._slopes, colrow, start)
+
+    def _corners(self, uv: FloatArray) -> FloatArray:
+        """Largest |u| and |v| of the image's corners, from its middle (1, 2)."""
+        shifts = np.array([[-0.5, -0.5], [0.5, -0.5], [-0.5, 0.5], [0.5, 0.5]]) * self.size
+        if self.kind == "projective":  # corners beyond the horizon do not count
+            places = projective_inverse(self.values, np.array(self.size) / 2.0 + shifts)
+        else:  # near enough for the steps of the parameters, and never lost in the bends of a high order
+            places = uv + shifts @ np.linalg.pinv(self._slopes(uv)[0]).T
+        reach: FloatArray = np.nanmax(np.abs(np.vstack([uv, places])), axis=0)
+        return reach
+
+    def _handed(self, uv: FloatArray) -> str:
+        """Handedness of the image's axes at a place (1, 2); that of a conformal map is part of its definition."""
+        determinant = float(np.linalg.det(self._slopes(uv)[0]))
+        if self.kind == "conformal" or not np.isfinite(determinant) or determinant == 0.0:
+            return self.axes
+        return "right" if determinant > 0.0 else "left"
 
     @property
     def parameters(self) -> Parameters:
         """Coefficients; a step moves some point of the image by one pixel."""
-        names = parameter_names(self.kind, self.order)
+        names = parameter_names(self.kind, self.order, len(self.nodes))
         units = tuple("" if name in ("c1", "c2") else "px" for name in names)
+        if self.kind == "tps":
+            return Parameters(names, units, self.values, self.sigmas, np.ones(len(names)))
         corners = np.array([[a, b] for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0)]) * self.reach
-        effect = np.abs(derivatives(self.kind, self.order, self.values, corners)[0])
+        effect = np.abs(derivatives(self.kind, self.order, self.values, corners, self.axes)[0])
         most = np.nanmax(effect, axis=(0, 1))
         return Parameters(names, units, self.values, self.sigmas, 1.0 / np.maximum(most, 1e-12))
 
@@ -115,19 +190,35 @@ class PlanarModel:
 
     def ground_to_image(self, xyz: FloatArray) -> FloatArray:
         """Ground (N, 3) or (N, 2) in `crs` to (col, row) (N, 2); NaN behind the horizon of a projective map."""
-        return evaluate(self.kind, self.order, self.values, self._normalised(xyz))
+        return self._image(self._normalised(xyz))
 
     def jacobian(self, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Derivatives of (col, row) by coefficients (N, 2, P) and by ground coordinates (N, 2, 3)."""
-        by_values, by_uv = derivatives(self.kind, self.order, self.values, self._normalised(xyz))
+        uv = self._normalised(xyz)
+        if self.kind == "tps":
+            shares = spline.influence(self.nodes, uv)
+            by_values, by_uv = np.zeros((len(uv), 2, len(self.values))), self._slopes(uv)
+            by_values[:, 0, : len(self.nodes)] = by_values[:, 1, len(self.nodes) :] = shares
+        else:
+            by_values, by_uv = derivatives(self.kind, self.order, self.values, uv, self.axes)
         by_ground = np.zeros((len(by_uv), 2, 3))
         by_ground[:, :, :2] = by_uv / self.scale
         by_ground[np.isnan(by_uv).any(axis=(1, 2))] = np.nan
         return by_values, by_ground
 
+    def omission(self) -> FloatArray | None:
+        """Of a spline: image at each node minus what a spline through all others gives there (N, 2), else None."""
+        return spline.omission(self.nodes, self.coefficients) if self.kind == "tps" else None
+
     def with_values(self, values: FloatArray) -> Self:
         """Return a model with other coefficients (P,)."""
-        return replace(self, values=self.parameters.with_values(values).values)
+        new = self.parameters.with_values(values).values
+        if self.kind == "tps":
+            coefficients = spline.solve(self.nodes, new.reshape(2, -1).T)[0]
+            changed = replace(self, values=new, coefficients=coefficients)
+        else:
+            changed = replace(self, values=new)
+        return replace(changed, axes=changed._handed((self.middle - self.centre)[None] / self.scale))
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values; infinite sigmas are written as null."""
@@ -142,6 +233,8 @@ class PlanarModel:
             "sigmas": [None if np.isinf(sigma) else float(sigma) for sigma in self.sigmas],
             "middle": self.middle.tolist(),
             "reach": self.reach.tolist(),
+            "axes": self.axes,
+            **({"nodes": self.nodes.tolist(), "coefficients": self.coefficients.tolist()} if len(self.nodes) else {}),
         }
 
     @classmethod
@@ -159,41 +252,7 @@ class PlanarModel:
             sigmas=np.array([np.inf if sigma is None else sigma for sigma in state["sigmas"]], dtype=np.float64),
             middle=np.array(state["middle"], dtype=np.float64),
             reach=np.array(state["reach"], dtype=np.float64),
+            axes=state.get("axes", "left"),
+            nodes=np.array(state.get("nodes", NO_NODES), dtype=np.float64),
+            coefficients=np.array(state.get("coefficients", NO_NODES), dtype=np.float64),
         )
-
-
-def _inverse(kind: str, order: int, values: FloatArray, colrow: FloatArray) -> FloatArray:
-    """Normalised ground (N, 2) of image points by Newton's method from u = v = 0; NaN where there is none."""
-    uv = np.zeros((len(colrow), 2))
-    if kind == "projective":  # linear in closed form, so the start cannot lie behind the horizon
-        a, c = values[:6].reshape(2, 3), values[6:]
-        matrix = a[None, :, 1:] - colrow[:, :, None] * c
-        right = colrow - a[:, 0]
-        return _solve2(matrix, right) * np.where(np.isfinite(_visible(values, matrix, right)), 1.0, np.nan)[:, None]
-    for _ in range(50):
-        left = colrow - evaluate(kind, order, values, uv)
-        change = _solve2(derivatives(kind, order, values, uv)[1], left)
-        uv = uv + change
-        if not (np.abs(change) > 1e-13 * np.maximum(1.0, np.abs(uv))).any():
-            break
-    left = np.abs(colrow - evaluate(kind, order, values, uv)).max(axis=1)
-    uv[~(left < 1e-3)] = np.nan
-    return uv
-
-
-def _visible(values: FloatArray, matrix: FloatArray, right: FloatArray) -> FloatArray:
-    uv = _solve2(matrix, right)
-    seen: FloatArray = evaluate("projective", 1, values, uv)[:, 0]
-    return seen
-
-
-def _solve2(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve 2 × 2 systems (N, 2, 2), (N, 2); NaN where singular."""
-    (a, b), (c, d) = matrix[:, 0].T, matrix[:, 1].T
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        determinant = a * d - b * c
-        x = (d * right[:, 0] - b * right[:, 1]) / determinant
-        y = (a * right[:, 1] - c * right[:, 0]) / determinant
-    solution = np.column_stack([x, y])
-    solution[~np.isfinite(solution).all(axis=1)] = np.nan
-    return solution

@@ -1,10 +1,11 @@
-"""The plane transformations ground → image, on normalised ground coordinates (u, v).
+"""The plane transformations ground → image, on normalised ground coordinates (u, v); for splines see `spline`.
 
 u = (x − x₀)/s and v = (y − y₀)/s bring the ground to about [−1, 1]; with one scale s for both axes a conformal map
 stays conformal. Coefficients are in pixels (those of a projective denominator have no unit).
 
-conformal    X = a·u − b·v + TX, Y = a·v + b·u + TY; col = X, row = −Y (Wolf & Dewitt, equation 9-1; the image's y axis
-             points down, so rows are turned to a right-handed system first, as the text asks)
+conformal    X = a·u − b·v + TX, Y = a·v + b·u + TY (Wolf & Dewitt, equation 9-1); col = X, and row = −Y where the
+             image's axes are left-handed (rows count downwards: they are turned to a right-handed system first, as the
+             text asks) or row = Y where they are right-handed (rows upwards, or the image mirrored)
 affine       polynomial of order 1
 projective   col = (a0 + a1·u + a2·v)/w, row = (b0 + b1·u + b2·v)/w, w = 1 + c1·u + c2·v; seen where w > 0
 polynomial   col = Σ aᵢⱼ uⁱ vʲ, row = Σ bᵢⱼ uⁱ vʲ over i + j ≤ order
@@ -16,8 +17,11 @@ import numpy as np
 
 from geomosaic.types import FloatArray
 
-KINDS = ("conformal", "affine", "projective", "polynomial")
+KINDS = ("conformal", "affine", "projective", "polynomial", "tps")
+AXES = ("left", "right")
+"""Handedness of (col, row) as the ground is seen in them."""
 MAX_ORDER = 5
+SIGN = {"left": -1.0, "right": 1.0}
 
 
 def exponents(order: int) -> list[tuple[int, int]]:
@@ -25,8 +29,10 @@ def exponents(order: int) -> list[tuple[int, int]]:
     return [(degree - j, j) for degree in range(order + 1) for j in range(degree + 1)]
 
 
-def parameter_names(kind: str, order: int) -> tuple[str, ...]:
-    """Names of the coefficients, in their order."""
+def parameter_names(kind: str, order: int, nodes: int = 0) -> tuple[str, ...]:
+    """Names of the coefficients, in their order; those of a spline are the image coordinates of its nodes."""
+    if kind == "tps":
+        return tuple(f"{axis}{i + 1}" for axis in ("col", "row") for i in range(nodes))
     if kind == "conformal":
         return ("a", "b", "tx", "ty")
     if kind == "projective":
@@ -37,6 +43,8 @@ def parameter_names(kind: str, order: int) -> tuple[str, ...]:
 
 def least_points(kind: str, order: int) -> int:
     """Fewest control points that determine a kind."""
+    if kind == "tps":
+        return 3
     return -(-len(parameter_names(kind, order)) // 2)
 
 
@@ -55,13 +63,13 @@ def basis_slopes(order: int, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
     return by_u, by_v
 
 
-def evaluate(kind: str, order: int, values: FloatArray, uv: FloatArray) -> FloatArray:
+def evaluate(kind: str, order: int, values: FloatArray, uv: FloatArray, axes: str = "left") -> FloatArray:
     """Image (N, 2) of normalised ground (N, 2); NaN for points that are not finite."""
     u, v = np.where(np.isfinite(uv[:, :1]) & np.isfinite(uv[:, 1:]), uv, np.nan).T
     uv = np.column_stack([u, v])
     if kind == "conformal":
         a, b, tx, ty = values
-        return np.column_stack([a * u - b * v + tx, -(a * v + b * u + ty)])
+        return np.column_stack([a * u - b * v + tx, SIGN[axes] * (a * v + b * u + ty)])
     if kind == "projective":
         w = 1.0 + values[6] * u + values[7] * v
         w = np.where(w > 0.0, w, np.nan)
@@ -69,17 +77,19 @@ def evaluate(kind: str, order: int, values: FloatArray, uv: FloatArray) -> Float
     return basis(order, uv) @ values.reshape(2, -1).T
 
 
-def derivatives(kind: str, order: int, values: FloatArray, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
+def derivatives(
+    kind: str, order: int, values: FloatArray, uv: FloatArray, axes: str = "left"
+) -> tuple[FloatArray, FloatArray]:
     """Derivatives of (col, row) by the coefficients (N, 2, P) and by (u, v) (N, 2, 2)."""
     count = len(uv)
     u, v = uv.T
     by_values = np.zeros((count, 2, len(values)))
     by_uv = np.empty((count, 2, 2))
     if kind == "conformal":
-        a, b = values[:2]
+        (a, b), sign = values[:2], SIGN[axes]
         by_values[:, 0, 0], by_values[:, 0, 1], by_values[:, 0, 2] = u, -v, 1.0
-        by_values[:, 1, 0], by_values[:, 1, 1], by_values[:, 1, 3] = -v, -u, -1.0
-        by_uv[:] = [[a, -b], [-b, -a]]
+        by_values[:, 1, 0], by_values[:, 1, 1], by_values[:, 1, 3] = sign * v, sign * u, sign
+        by_uv[:] = [[a, -b], [sign * b, sign * a]]
         by_uv[~np.isfinite(uv).all(axis=1)] = np.nan
         return by_values, by_uv
     if kind == "projective":

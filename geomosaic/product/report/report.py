@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.product.report.figures import mosaic_map, residual_plot
-from geomosaic.product.report.numbers import byte_size, decimals, number, rms, share, words
+from geomosaic.product.report.numbers import decimals, number, rms, share
+from geomosaic.product.report.page import environment
 
 MOST_ROWS = 100
 """Rows of a table; the JSON twin has them all."""
@@ -30,32 +31,26 @@ def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path) -> str:
     str
         HTML; text from files is escaped, and nothing is loaded from elsewhere.
     """
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(number=number, bytes=byte_size, share=share, words=words)
     orient, made = data["orient"], data["mosaic"]
     unit = made["grid"]["crs"].rpartition(", ")[2]
     points = sorted(orient["control"], key=_length, reverse=True)
     sizes = {(image["width"], image["height"]) for image in orient["images"]}
     plot = residual_plot(points, sizes.pop(), orient["measured"]) if points and len(sizes) == 1 else None
-    return environment.get_template("template.html.j2").render(
-        **data,
-        ground=decimals(made["grid"]["resolution"][0]),
-        grey=decimals(rms(made["before"]) or rms((data["check"]["reference"] or {}).get("colour_rms", [])), 2),
-        cards=cards(data),
-        unit="m" if unit == "metre" else unit,
-        points=points,
-        map=mosaic_map(mosaic, vectors, made["grid"]["bounds"], unit),
-        plot=plot,
-        most=MOST_ROWS,
-        total_pixels=made["grid"]["width"] * made["grid"]["height"],
+    return (
+        environment()
+        .get_template("template.html.j2")
+        .render(
+            **data,
+            ground=decimals(made["grid"]["resolution"][0]),
+            grey=decimals(rms(made["before"]) or rms((data["check"]["reference"] or {}).get("colour_rms", [])), 2),
+            cards=cards(data),
+            unit="m" if unit == "metre" else unit,
+            points=points,
+            map=mosaic_map(mosaic, vectors, made["grid"]["bounds"], unit),
+            plot=plot,
+            most=MOST_ROWS,
+            total_pixels=made["grid"]["width"] * made["grid"]["height"],
+        )
     )
 
 

@@ -1,0 +1,77 @@
+"""Leave-one-out errors: what a fit to all other points says of a point."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from geomosaic.adjust.cofactors import Cofactors, is_linear
+from geomosaic.adjust.problem import Problem
+from geomosaic.errors import GeomosaicError
+from geomosaic.sensor.model import SensorModel
+from geomosaic.types import BoolArray, FloatArray, IntArray
+
+MOST_REFITS = 200
+SAMPLE = 100
+
+
+@runtime_checkable
+class HasOmission(Protocol):
+    """Optional power of a model that passes through its points: their leave-one-out errors in closed form."""
+
+    def omission(self) -> FloatArray | None:
+        """Measured minus computed (col, row) (N, 2) of each point under the model of all others, in the order of the
+        points it was built from, pixels; None where the model, of another kind, has no closed form.
+        """
+
+
+def leave_one_out(problem: Problem, model: SensorModel, residuals: FloatArray, found: Cofactors) -> FloatArray:
+    """Errors of points under fits to all the others.
+
+    In closed form, (I − H_ii)⁻¹ v_i, where the model is linear in its parameters; by refits where it is not, and where
+    a point has no residual because the fit passes through it and the model has no closed form of its own. Of more than
+    200 points that would call for refits, models with redundancy keep the closed form of their linearisation, and of
+    the others 100 points, evenly drawn, are refitted.
+
+    Parameters
+    ----------
+    problem : Problem
+    model : SensorModel
+        Fitted to all points.
+    residuals : array (N, 2)
+        Pixels.
+    found : Cofactors
+        At the model.
+
+    Returns
+    -------
+    array (N, 2)
+        Measured minus computed (col, row), pixels; NaN where the other points do not determine the model, or where it
+        was not computed.
+    """
+    own = model.omission() if isinstance(model, HasOmission) else None
+    if own is not None:
+        return own
+    inverse = found.checked
+    errors: FloatArray = np.einsum("nij,nj->ni", inverse, residuals)
+    closed: BoolArray = np.isfinite(errors.sum(axis=1))
+    if not is_linear(model, problem.xyz) and len(problem) <= MOST_REFITS:
+        closed[:] = False
+    left = np.flatnonzero(~closed)
+    errors[left] = np.nan
+    if len(left) > MOST_REFITS:
+        left = left[np.linspace(0, len(left) - 1, SAMPLE).astype(np.int64)]
+    for index in left:
+        errors[index] = _without(problem, int(index))
+    return errors
+
+
+def _without(problem: Problem, index: int) -> FloatArray:
+    others: IntArray = np.delete(np.arange(len(problem)), index)
+    try:
+        model = problem.model(others)
+    except GeomosaicError:
+        return np.full(2, np.nan)
+    error: FloatArray = problem.colrow[index] - model.ground_to_image(problem.xyz[[index]])[0]
+    return error

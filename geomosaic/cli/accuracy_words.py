@@ -1,0 +1,107 @@
+"""The accuracy of a map at check points, as plain values and in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from geomosaic.cli.words import finite, grid_facts
+
+if TYPE_CHECKING:
+    from geomosaic.product.accuracy import MapCheck
+    from geomosaic.product.georeference.run import Georeferenced
+
+MOST = 40
+"""Points that are listed; --json has them all."""
+
+
+def check_facts(found: MapCheck) -> dict[str, Any]:
+    """Plain values of a check."""
+    from geomosaic.product.georeference.facts import advice_facts, statistics_facts
+
+    points = zip(found.ids, found.measured, found.true, found.pixel_errors, found.statistics.errors, strict=True)
+    return {
+        "raster": str(found.raster),
+        "points_file": str(found.points),
+        "grid": grid_facts(found.grid),
+        **statistics_facts(found.statistics),
+        "rms_px": list(found.pixel_rms),
+        "rms_total_px": found.pixel_rms_total,
+        "notes": list(found.notes),
+        "advice": advice_facts(found.advice),
+        "points": [
+            {
+                "id": name,
+                "col": float(at[0]),
+                "row": float(at[1]),
+                "x": float(xy[0]),
+                "y": float(xy[1]),
+                "error_px": [finite(v) for v in pixel],
+                "error_map": [finite(v) for v in error],
+            }
+            for name, at, xy, pixel, error in points
+        ],
+    }
+
+
+def check_words(found: MapCheck) -> str:
+    """Say how accurate the map is, and where it is worst."""
+    import numpy as np
+
+    s, unit = found.statistics, found.statistics.unit
+    order = np.argsort(-np.hypot(*s.errors.T), kind="stable")[:MOST]
+    wide = max([5, *(len(found.ids[i]) for i in order)])
+    lines = [f"{'point':<{wide}} {'x, ' + unit:>10} {'y, ' + unit:>10} {'col, px':>9} {'row, px':>9}"]
+    for i in order:
+        (x, y), (col, row) = s.errors[i], found.pixel_errors[i]
+        lines.append(f"{found.ids[i]:<{wide}} {x:>+10.4g} {y:>+10.4g} {col:>+9.3f} {row:>+9.3f}")
+    if len(found.ids) > MOST:
+        lines.append(f"... the {MOST} largest of {len(found.ids)}; --json has them all")
+    (x, y), (col, row) = s.rms, found.pixel_rms
+    count = f"{len(s)} check point{'s' * (len(s) != 1)}"
+    lines += [
+        f"{count}: RMS x {x:.4g}, y {y:.4g}, total {s.rms_total:.4g} {unit}",
+        f"in pixels: RMS col {col:.3f}, row {row:.3f}, total {found.pixel_rms_total:.3f}",
+        f"about 95 % of points lie within {s.figure95:.4g} {unit} (2.5 x RMS of one axis)",
+        s.shift_statement,
+        s.nssda_statement,
+        s.asprs_statement,
+    ]
+    return "\n".join(lines)
+
+
+def georeference_words(made: Georeferenced) -> str:
+    """Say what was fitted, how well, and what was drawn."""
+    from geomosaic.cli.words import ortho_words
+
+    solution, accuracy = made.solution, made.facts["accuracy"]
+    states = made.facts["control"]
+    counts = [f"{accuracy['points']} control points"]
+    counts += [f"{states[state]} {word}" for state, word in STATES.items() if states[state]]
+    lines = [
+        f"{solution.model}: {solution.why}",
+        f"fitted in {made.facts['fit']['crs']}",
+        f"{', '.join(counts)}; redundancy {accuracy['redundancy']}",
+        f"residuals: RMS {_pixels_metres(accuracy['residuals'], 'rms_total')}; "
+        f"95 % within {_pixels_metres(accuracy['residuals'], 'figure95')}",
+        f"leave-one-out: RMS {_pixels_metres(accuracy['leave_one_out'], 'rms_total')}",
+    ]
+    if solution.deletion is not None:
+        lines.append(solution.deletion.said)
+    if solution.check is not None:
+        check = made.facts["check"]
+        lines.append(
+            f"{check['check_points']} check points: RMS {check['px']['rms_total']:.3f} px, {check['rms_total']:.3g} "
+            f"{check['unit']}; {check['shift_statement']}"
+        )
+    lines.append(ortho_words(made.product))
+    beside = [str(path) for path in (made.page, made.report, made.vectors) if path]
+    return "\n".join(lines + ([f"control report: {', '.join(beside)}"] if beside else []))
+
+
+STATES = {"check": "check points", "deleted": "deleted", "suspect": "left out as blunders", "disabled": "not enabled"}
+
+
+def _pixels_metres(part: dict[str, Any], key: str) -> str:
+    if part["px"][key] is None:
+        return "not known (nothing checks the points)"
+    return f"{part['px'][key]:.3f} px, {part['m'][key]:.3g} m"

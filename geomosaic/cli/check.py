@@ -1,0 +1,83 @@
+"""`geomosaic check`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from geomosaic.cli.options import FILE, debug_option, json_option, stack
+from geomosaic.cli.points import control_options
+from geomosaic.cli.talk import answer, notes, say
+
+check_options = stack(
+    click.option("--points", "--gcps", "points", type=FILE, required=True, help="Check points: see docs/control."),
+    control_options,
+    click.option("--raster-crs", metavar="CRS", help="CRS of the raster, where it names none."),
+    click.option(
+        "--survey-rms",
+        type=click.FloatRange(0),
+        default=0.0,
+        metavar="UNITS",
+        help="RMS error of the true places themselves, in map units.",
+    ),
+    click.option(
+        "--max-rms",
+        type=click.FloatRange(0, min_open=True),
+        metavar="PIXELS",
+        help="Exit with 3 where the total RMS is larger, in pixels of the raster.",
+    ),
+    click.option(
+        "--max-rms-map",
+        type=click.FloatRange(0, min_open=True),
+        metavar="UNITS",
+        help="The same in map units.",
+    ),
+    json_option,
+    debug_option,
+)
+
+
+@click.command()
+@click.argument("raster", type=FILE)
+@check_options
+def command(raster: Path, points: Path, as_json: bool, **flags: Any) -> int:
+    """Measure the accuracy of a georeferenced raster at points whose places are known.
+
+    The points have true x, y and where they are seen: col, row in the raster, or measured_x, measured_y in its CRS.
+    Points of role 'check' judge; where none has that role, all do.
+
+    \b
+    Example:
+      geomosaic check map.tif --points check.csv --crs EPSG:32633 --max-rms 1.0
+    """  # noqa: D301
+    from geomosaic.cli.accuracy_words import check_facts, check_words
+    from geomosaic.errors import QualityError
+    from geomosaic.product.accuracy import check_map
+
+    with notes():
+        found = check_map(
+            raster,
+            points,
+            crs=flags["crs"],
+            raster_crs=flags["raster_crs"],
+            pixels=flags["pixels"],
+            rows=flags["rows"],
+            survey_rms=flags["survey_rms"],
+            insist=flags["insist"],
+        )
+    for finding in found.advice:
+        say(str(finding))
+    limits = (
+        ("px", found.pixel_rms_total, flags["max_rms"]),
+        (found.statistics.unit, found.statistics.rms_total, flags["max_rms_map"]),
+    )
+    failed = [(value, limit, unit) for unit, value, limit in limits if limit is not None and not value <= limit]
+    answer({**check_facts(found), "passed": not failed}, check_words(found), as_json)
+    if not failed:
+        return 0
+    if not as_json:
+        what = "; ".join(f"total RMS {value:.4g} {unit}, limit {limit:g} {unit}" for value, limit, unit in failed)
+        raise QualityError(what, where=str(raster), mend="look at the largest errors and the systematic shift")
+    return QualityError.exit_code

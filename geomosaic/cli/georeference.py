@@ -1,0 +1,96 @@
+"""`geomosaic georeference`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from geomosaic.cli.memory import note_memory
+from geomosaic.cli.options import FILE, band_option, machine_options, output_options, stack
+from geomosaic.cli.points import control_options, near_option
+from geomosaic.cli.request import render_options
+from geomosaic.cli.talk import answer, notes, progress, say
+
+if TYPE_CHECKING:
+    from geomosaic.control.finding import Advice
+
+MODELS = ("auto", "conformal", "affine", "projective", "poly1", "poly2", "poly3", "poly4", "poly5", "tps")
+
+georeference_options = stack(
+    click.option(
+        "--gcps",
+        type=FILE,
+        help="Control points; see docs/control.  [default: those in the image, or a world file beside it]",
+    ),
+    click.option(
+        "--model",
+        type=click.Choice(MODELS),
+        default="auto",
+        show_default=True,
+        help="Fit: auto takes the one of the smallest errors at points left out.",
+    ),
+    control_options,
+    near_option,
+    click.option(
+        "--fit-crs",
+        metavar="CRS",
+        help="CRS in which the fit is made.  [default: that of the points, where projected; else of the output]",
+    ),
+    click.option("--without", multiple=True, metavar="POINT", help="Leave a point out; any number of times."),
+    click.option(
+        "--threshold",
+        type=click.FloatRange(0, min_open=True),
+        metavar="PIXELS",
+        help="Delete the worst point and fit again, until the total RMS is below.",
+    ),
+    click.option("--robust", is_flag=True, help="Leave out the points that data snooping and M-estimator reject."),
+    click.option("--report/--no-report", default=True, show_default=True, help="Write the control report beside it."),
+    band_option,
+)
+
+
+@click.command()
+@click.argument("image", type=FILE)
+@stack(georeference_options, output_options, machine_options)
+def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
+    """Place an image on the map by control points, and draw it there.
+
+    Beside the output stands the control report: NAME-control.html for people, .json for programs, .gpkg with the
+    residual vectors for a GIS.
+
+    \b
+    Examples:
+      geomosaic georeference scan.tif --gcps scan.points --crs EPSG:32633 -o map.tif
+      geomosaic georeference photo.jpg --gcps gcps.csv --model projective --dst-crs EPSG:2180 -o map.tif
+    """  # noqa: D301
+    from geomosaic.cli.accuracy_words import georeference_words
+    from geomosaic.cli.words import ortho_facts
+    from geomosaic.product.georeference.examine import BadControlError
+    from geomosaic.product.georeference.request import ControlInput, FitRequest, Place
+    from geomosaic.product.georeference.run import georeference
+
+    note_memory(flags["mem_limit"], flags["threads"])
+    given = ControlInput(
+        flags["gcps"], flags["crs"], flags["rows"], flags["pixels"], tuple(flags["without"]), flags["near"]
+    )
+    request = FitRequest(flags["model"], flags["fit_crs"], flags["threshold"], flags["robust"], flags["insist"])
+    place = Place(flags["dst_crs"], flags["res"], flags["bounds"])
+    try:
+        with notes(), progress(as_json) as bars:
+            options = render_options(flags, bars)
+            made = georeference(
+                image, output, given, request, place, options, bands=flags["bands"], report=flags["report"]
+            )
+    except BadControlError as error:
+        tell(tuple(found for found in error.advice if found.severity != "error"))
+        raise
+    tell(made.solution.advice)
+    answer({**ortho_facts(made.product), **made.facts}, georeference_words(made), as_json)
+
+
+def tell(advice: tuple[Advice, ...]) -> None:
+    """Print findings where people look."""
+    for found in advice:
+        say(str(found))

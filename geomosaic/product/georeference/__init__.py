@@ -1,0 +1,1 @@
+"""Georeferencing one image by its control: read, examined, fitted, judged, drawn and told."""

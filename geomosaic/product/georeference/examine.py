@@ -1,0 +1,124 @@
+"""Advice on control and on a fit to it: what stops the work, and what is only told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from geomosaic.adjust.deletion import Deletion
+from geomosaic.adjust.fit import ControlFit
+from geomosaic.adjust.local import image_by_map
+from geomosaic.adjust.robust import BlunderSearch
+from geomosaic.control.finding import Advice, listed
+from geomosaic.errors import InputError
+from geomosaic.geo.grid import Grid
+from geomosaic.geo.transform import Transform
+from geomosaic.sensor.model import SensorModel
+from geomosaic.types import FloatArray
+
+GROSS, GROSS_PIXELS = 10.0, 5.0
+"""A blunder is gross from so many standard deviations and pixels on: it would bend the picture visibly."""
+HOPELESS = ("few-points",)
+"""Errors with which no fit is possible, whoever insists."""
+UNFIT = 0.4
+"""Share of points that stand out from which on it is the fit that is wrong."""
+STEPS = 33
+"""Places along each side of the output at which a fold is looked for."""
+
+
+class BadControlError(InputError):
+    """Control that would draw a wrong picture; `advice` has all that was found."""
+
+    def __init__(self, advice: Sequence[Advice], where: str) -> None:
+        errors = [found for found in advice if found.severity == "error"]
+        what = "; ".join(f"{found.what} ({found.code})" for found in errors[:3])
+        more = f"; and {len(errors) - 3} more" if len(errors) > 3 else ""
+        mends = "; ".join(dict.fromkeys(found.mend for found in errors[:3]))
+        if not any(found.code in HOPELESS for found in errors):
+            mends += "; or --insist, to draw it all the same"
+        super().__init__(what + more, where=where, mend=mends)
+        self.advice = tuple(advice)
+
+
+def stop_on_errors(advice: Sequence[Advice], where: str, *, insist: bool) -> None:
+    """Stop where a finding is an error, unless the user insists.
+
+    Raises
+    ------
+    BadControlError
+    """
+    if not insist and any(found.severity == "error" for found in advice):
+        raise BadControlError(advice, where)
+
+
+def blunder_advice(search: BlunderSearch, searched: Sequence[str], fit: ControlFit) -> list[Advice]:
+    """Name points that are wrong and take part all the same.
+
+    Parameters
+    ----------
+    search : BlunderSearch
+    searched : sequence of str
+        Names of the points it was made over.
+    fit : ControlFit
+        That is to be drawn.
+    """
+    names = tuple(name for name in fit.ids if name in set(search.blunders))
+    alone = tuple(n for n in fit.ids if n in set(search.snooping.blunders) ^ set(search.estimate.blunders))
+    typical = search.estimate.fit.rms_total
+    if len(names) + len(alone) > UNFIT * len(fit.ids):
+        what = f"{len(names) + len(alone)} of {len(fit.ids)} points stand out against the rest, which agrees within "
+        mend = "choose a fit of more parameters, or look for wrong points among them: see the control report"
+        return [Advice("misfit", "warning", f"{what}{typical:.2f} px: the fit does not suit them all", (), mend)]
+    found = []
+    if names:
+        lengths = dict(zip(searched, np.hypot(*search.estimate.residuals.T).tolist(), strict=True))
+        gross = any(lengths[name] > max(GROSS * typical, GROSS_PIXELS) for name in names)
+        told = ", ".join(f"{name} ({lengths[name]:.1f} px)" for name in names[:6])
+        told += f" and {len(names) - 6} more" if len(names) > 6 else ""
+        what = (
+            f"{len(names)} of {len(fit.ids)} points contradict{'s' * (len(names) == 1)} the others, which agree within "
+            f"{typical:.2f} px: {told}"
+        )
+        mend = f"measure again, or leave out: --without {' --without '.join(names[:6])}, or --robust for all of them"
+        found.append(Advice("blunder", "error" if gross else "warning", what, names, mend))
+    if alone:
+        what = f"one of two tests, but not the other, finds wrong: {listed(alone)}"
+        found.append(Advice("suspect", "warning", what, alone, "look at these points again"))
+    return found
+
+
+def deletion_advice(deletion: Deletion | None) -> list[Advice]:
+    """Say so where the threshold was not reached."""
+    if deletion is None or deletion.reached:
+        return []
+    mend = "a larger threshold, or a fit of more parameters; look at the leave-one-out error, which deletion may worsen"
+    return [Advice("threshold-not-reached", "warning", deletion.said, (), mend)]
+
+
+def fold_advice(model: SensorModel, points: FloatArray, grid: Grid) -> list[Advice]:
+    """Find places where the fit turns the image over: it would be drawn twice, or mirrored in a part.
+
+    Parameters
+    ----------
+    model : SensorModel
+    points : array (N, 3)
+        Of the control, in `model.crs`: there the fit is right.
+    grid : Grid
+        Of the output.
+    """
+    c, r = np.meshgrid(np.linspace(0, grid.width, STEPS), np.linspace(0, grid.height, STEPS))
+    xy = Transform(grid.crs, model.crs)(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
+    places = np.column_stack([xy, np.zeros(len(xy))])
+    colrow = model.ground_to_image(places)
+    inside = np.isfinite(colrow).all(axis=1) & (colrow >= 0).all(axis=1) & (colrow <= model.size).all(axis=1)
+    if not inside.any():
+        return []
+    here = np.linalg.det(image_by_map(model, places[inside]))
+    side = float(np.nanmedian(np.sign(np.linalg.det(image_by_map(model, points)))))
+    share = float(np.mean(here * side <= 0.0))
+    if share == 0.0:
+        return []
+    what = f"the fit folds the image over: in {share:.0%} of the output it runs backwards"
+    mend = "measure points there, or choose a fit of fewer parameters"
+    return [Advice("folded", "error", what, (), mend)]

@@ -1,0 +1,230 @@
+"""A fit to control, with all that was tried and found on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.adjust.checkpoints import CheckStatistics, check_model
+from geomosaic.adjust.choose import Choice, choose_model, planar_builds
+from geomosaic.adjust.deletion import Deletion, delete_points
+from geomosaic.adjust.fit import ControlFit, fit_control
+from geomosaic.adjust.local import map_by_image
+from geomosaic.adjust.problem import Build, registry_build
+from geomosaic.adjust.robust import BlunderSearch, search_blunders
+from geomosaic.control.advice import advise
+from geomosaic.control.finding import SEVERITIES, Advice
+from geomosaic.control.points import ImageControl
+from geomosaic.control.reading import Reading
+from geomosaic.errors import GeomosaicError, InputError
+from geomosaic.product.georeference.examine import blunder_advice, deletion_advice, stop_on_errors
+from geomosaic.product.georeference.request import FitRequest, kind_order
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.types import FloatArray
+
+SENSOR = "planar"
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The fit of an image to its control.
+
+    Attributes
+    ----------
+    model : str
+        Name of the fit, see `request.MODELS`.
+    why : str
+        Why this one.
+    crs : CRS
+        In which the fit is made.
+    control : ImageControl
+        All points of the image, x and y in `crs`.
+    states : tuple of str
+        Of each: 'control' takes part in the fit, 'check' judges it; 'deleted' by the threshold, 'suspect' left out as a
+        blunder, 'disabled' in the file or by the user.
+    fit : ControlFit
+    residuals, map_residuals : array (N, 2)
+        Of all points under the fit, pixels and map units; measured minus computed, NaN where there is no place.
+    choice : Choice, optional
+        Where the model was to be chosen.
+    deletion : Deletion, optional
+        Where a threshold was given.
+    robust : BlunderSearch, optional
+        Where points were enough for it.
+    robust_said : str
+        What it found, or why there is none.
+    check : CheckStatistics, optional
+        Of the check points, map units.
+    advice : tuple of Advice
+    """
+
+    model: str
+    why: str
+    crs: CRS
+    control: ImageControl
+    states: tuple[str, ...]
+    fit: ControlFit
+    residuals: FloatArray
+    map_residuals: FloatArray
+    choice: Choice | None
+    deletion: Deletion | None
+    robust: BlunderSearch | None
+    robust_said: str
+    check: CheckStatistics | None
+    advice: tuple[Advice, ...]
+
+
+def builder(name: str, image: str, size: tuple[int, int], points: ImageControl) -> Build:
+    """Return the function that fits a model, by its name, to chosen points."""
+    kind, order = kind_order(name)
+    request = SensorRequest(image, size, {"kind": kind, "order": order}, points.crs)
+    return registry_build(SENSOR, request, points.xy, points.colrow)
+
+
+def solve(
+    reading: Reading,
+    image: str,
+    size: tuple[int, int],
+    crs: CRS,
+    request: FitRequest,
+    near: tuple[float, float] | None,
+    unit: str,
+) -> Solution:
+    """Examine control, choose and make the fit, and judge it.
+
+    Parameters
+    ----------
+    reading : Reading
+    image : str
+        Its name.
+    size : tuple of int
+        Width and height, pixels.
+    crs : CRS
+        In which the fit is made.
+    request : FitRequest
+    near : tuple of float, optional
+        Longitude and latitude near the image, degrees.
+    unit : str
+        Of `crs`, for sentences.
+
+    Raises
+    ------
+    BadControlError
+        The advice has errors, and the user does not insist.
+    SolveError
+        The points do not determine the fit: it is refused whether or not the user insists.
+    """
+    given, where = reading.control, reading.control.origins[0].path
+    auto = request.model == "auto"
+    advice = first_look(given, size, request, near)
+    control = replace(given, ground=given.xy).to_crs(crs)
+    points = control.of_role("control")
+    if not len(points):
+        raise InputError("no point takes part in the fit: all are disabled or check points", where=where, mend=MEND)
+    choice = _choose(image, size, points) if auto else None
+    name = choice.name if choice is not None else request.model
+    if choice is not None:
+        advice = _advised(given, name, size, near)
+        stop_on_errors(advice, where, insist=request.insist)
+    build = builder(name, image, size, points)
+    searched = points.names
+    robust, robust_said = _search(build, points, name)
+    suspects = set(robust.blunders) if robust is not None and request.robust else set[str]()
+    if suspects:
+        points = points.select([n not in suspects for n in points.names])
+        build = builder(name, image, size, points)
+    deletion = None
+    if request.threshold is not None:
+        deletion = delete_points(
+            build, points.names, points.xy, points.colrow, points.sigma, threshold=request.threshold
+        )
+        fit = deletion.fit
+    elif choice is not None and not suspects:
+        fit = choice.fit  # the same points
+    else:
+        fit = fit_control(build, points.names, points.xy, points.colrow, points.sigma)
+    advice = (*advice, *deletion_advice(deletion))
+    if robust is not None:
+        advice = (*advice, *blunder_advice(robust, searched, fit))
+    stop_on_errors(advice, where, insist=request.insist)
+    residuals = control.colrow - fit.model.ground_to_image(_spatial(control.xy))
+    moved = np.einsum("nij,nj->ni", map_by_image(fit.model, _spatial(control.xy)), residuals)
+    check = control.of_role("check")
+    return Solution(
+        name,
+        choice.said.removeprefix(f"{name}: ") if choice is not None else "as asked for",
+        crs,
+        control,
+        _states(control, fit, suspects, deletion),
+        fit,
+        residuals,
+        moved,
+        choice,
+        deletion,
+        robust,
+        robust_said,
+        check_model(fit.model, check.names, check.xy, check.colrow, unit) if len(check) else None,
+        tuple(sorted(advice, key=lambda found: SEVERITIES.index(found.severity))),
+    )
+
+
+def first_look(
+    control: ImageControl, size: tuple[int, int], request: FitRequest, near: tuple[float, float] | None
+) -> tuple[Advice, ...]:
+    """Examine control before anything is computed with it; where the model is to be chosen, for the least of all.
+
+    Raises
+    ------
+    BadControlError
+        The advice has errors, and the user does not insist.
+    """
+    advice = _advised(control, "conformal" if request.model == "auto" else request.model, size, near)
+    stop_on_errors(advice, control.origins[0].path, insist=request.insist)
+    return advice
+
+
+MEND = "enable some, or give some the role 'control'"
+
+
+def _advised(
+    control: ImageControl, name: str, size: tuple[int, int], near: tuple[float, float] | None
+) -> tuple[Advice, ...]:
+    kind, order = kind_order(name)
+    return advise(control, kind=kind, order=order, size=size, near=near)
+
+
+def _choose(image: str, size: tuple[int, int], points: ImageControl) -> Choice:
+    builds = planar_builds(SensorRequest(image, size, {}, points.crs), points.xy, points.colrow, SENSOR)
+    return choose_model(builds, points.names, points.xy, points.colrow, points.sigma)
+
+
+def _search(build: Build, points: ImageControl, name: str) -> tuple[BlunderSearch | None, str]:
+    if name == "tps":
+        return None, "a thin plate spline passes through all points, blunders too: look at the leave-one-out errors"
+    try:
+        found = search_blunders(build, points.names, points.xy, points.colrow, points.sigma)
+    except GeomosaicError as error:
+        return None, error.what
+    return found, found.said
+
+
+def _spatial(xy: FloatArray) -> FloatArray:
+    return np.column_stack([xy, np.zeros(len(xy))])
+
+
+def _states(control: ImageControl, fit: ControlFit, suspects: set[str], deletion: Deletion | None) -> tuple[str, ...]:
+    deleted = {row.id for row in deletion.deleted} if deletion is not None else set()
+    used = set(fit.ids)
+
+    def state(name: str, role: str, enabled: bool) -> str:
+        if not enabled:
+            return "disabled"
+        if role == "check":
+            return "check"
+        if name in used:
+            return "control"
+        return "deleted" if name in deleted else "suspect" if name in suspects else "disabled"
+
+    return tuple(state(*each) for each in zip(control.names, control.roles, control.enabled.tolist(), strict=True))

@@ -1,0 +1,164 @@
+"""The thin plate spline ground → image: the least bent surface through all points (Duchon 1977; Bookstein 1989).
+
+col = a0 + a1·u + a2·v + Σ wᵢ·φ(rᵢ), likewise row; φ(r) = r²·log r, rᵢ = distance of (u, v) from node i. The weights
+satisfy Σ wᵢ = Σ wᵢ·uᵢ = Σ wᵢ·vᵢ = 0, so far away the spline grows no faster than its affine part. The parameters are
+the image coordinates at the nodes, on which the weights depend linearly; sigmas of points have no meaning, because
+the spline passes through all of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geomosaic.errors import SolveError
+from geomosaic.types import FloatArray
+
+CLOSEST = 1e-7
+"""Nodes nearer to each other, as a share of the extent, are one place."""
+WORST_LINE = 1e8
+WORST_CONDITION = 1e14
+BLOCK = 1 << 19
+"""Distances that are held at a time."""
+
+
+def bordered(nodes: FloatArray) -> FloatArray:
+    """Matrix (N + 3, N + 3) of the conditions at the nodes (N, 2) and on the weights."""
+    count = len(nodes)
+    matrix = np.zeros((count + 3, count + 3))
+    matrix[:count, :count] = _radial(nodes, nodes)
+    matrix[:count, count] = matrix[count, :count] = 1.0
+    matrix[:count, count + 1 :] = nodes
+    matrix[count + 1 :, :count] = nodes.T
+    return matrix
+
+
+def check_nodes(nodes: FloatArray, where: str | None = None) -> None:
+    """Refuse nodes (N, 2) that determine no spline: two on one place, or all on a line.
+
+    Raises
+    ------
+    SolveError
+    """
+    for start in range(len(nodes)):
+        apart = np.abs(nodes[start + 1 :] - nodes[start]).max(axis=1)
+        if len(apart) and apart.min() < CLOSEST:
+            other = start + 1 + int(np.argmin(apart))
+            raise SolveError(
+                f"control points {start + 1} and {other + 1} lie on one place of the ground, and a thin plate spline "
+                "passes through every point once",
+                where=where,
+                mend="leave one of them out, or their mean in; or choose a kind that averages, such as polynomial",
+            )
+    singular = np.linalg.svd(np.column_stack([np.ones(len(nodes)), nodes]), compute_uv=False)
+    if singular[-1] * WORST_LINE < singular[0]:
+        raise SolveError(
+            "the control points lie on a line, and a thin plate spline is not determined beside it",
+            where=where,
+            mend="measure points on both sides of the line, or choose a conformal fit",
+        )
+
+
+def solve(nodes: FloatArray, image: FloatArray, where: str | None = None) -> tuple[FloatArray, float]:
+    """Coefficients of the spline through image positions.
+
+    Parameters
+    ----------
+    nodes : array (N, 2)
+        Normalised ground, |u|, |v| ≤ 1 or so, as `check_nodes` accepts it.
+    image : array (N, 2)
+        col, row at the nodes, pixels.
+    where : str, optional
+        Named in errors.
+
+    Returns
+    -------
+    coefficients : array (N + 3, 2)
+        Weights of the nodes, then a0, a1, a2; columns for col and row.
+    condition : float
+        Of the matrix, in the norm of columns' sums.
+
+    Raises
+    ------
+    SolveError
+        The matrix is singular to rounding.
+    """
+    matrix = bordered(nodes)
+    right = np.vstack([image, np.zeros((3, 2))])
+    try:
+        inverse: FloatArray = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(matrix, np.inf)
+    condition = float(np.abs(matrix).sum(axis=0).max() * np.abs(inverse).sum(axis=0).max())
+    if not condition < WORST_CONDITION:
+        raise SolveError(
+            f"the control points do not determine a thin plate spline (condition {condition:.0e}): some lie almost on "
+            "one place",
+            where=where,
+            mend="leave out points that repeat others, or choose a polynomial",
+        )
+    coefficients: FloatArray = inverse @ right
+    for _ in range(2):  # refinement: the spline meets its nodes to rounding
+        coefficients += inverse @ (right - matrix @ coefficients)
+    return coefficients, condition
+
+
+def evaluate(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> FloatArray:
+    """Image (M, 2) of normalised ground (M, 2); NaN for points that are not finite."""
+    count = len(nodes)
+    image = np.empty((len(uv), 2))
+    weights, affine = coefficients[:count], coefficients[count:]
+    for part in _blocks(len(uv), count):
+        here = uv[part]
+        radial = _radial(here, nodes)
+        for axis in (0, 1):
+            # A sum per point, not a matrix product: the same bytes whatever other points come with it.
+            bend = np.einsum("mn,n->m", radial, weights[:, axis])
+            image[part, axis] = bend + affine[0, axis] + here[:, 0] * affine[1, axis] + here[:, 1] * affine[2, axis]
+    image[~np.isfinite(uv).all(axis=1)] = np.nan
+    return image
+
+
+def slopes(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> FloatArray:
+    """Derivatives (M, 2, 2) of (col, row) by (u, v): those of r²·log r are (2·log r + 1)·(u − uᵢ, v − vᵢ)."""
+    count = len(nodes)
+    found = np.empty((len(uv), 2, 2))
+    weights, affine = coefficients[:count], coefficients[count:]
+    for part in _blocks(len(uv), count):
+        apart = uv[part][:, None, :] - nodes
+        squared = (apart**2).sum(axis=2)
+        factor = np.log(np.where(squared > 0.0, squared, 1.0)) + 1.0
+        for axis in (0, 1):
+            found[part, :, axis] = np.einsum("mn,nk->mk", factor * apart[:, :, axis], weights) + affine[1 + axis]
+    found[~np.isfinite(uv).all(axis=1)] = np.nan
+    return found
+
+
+def omission(nodes: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Image at each node minus what the spline through all other nodes gives there, (N, 2): wᵢ / (M⁻¹)ᵢᵢ (Rippa 1999).
+
+    M is the bordered matrix. NaN for a node without which the others lie on a line.
+    """
+    count = len(nodes)
+    own = np.diagonal(np.linalg.inv(bordered(nodes)))[:count]
+    held = np.abs(own) > 1.0 / WORST_CONDITION
+    errors: FloatArray = coefficients[:count] / np.where(held, own, np.nan)[:, None]
+    return errors
+
+
+def influence(nodes: FloatArray, uv: FloatArray) -> FloatArray:
+    """Derivatives (M, N) of the image at (u, v) (M, 2) by the image at the nodes, the same for col and row."""
+    row = np.column_stack([_radial(uv, nodes), np.ones(len(uv)), uv])
+    shares = np.linalg.solve(bordered(nodes), row.T)[: len(nodes)].T
+    return np.asarray(shares, dtype=np.float64)
+
+
+def _radial(uv: FloatArray, nodes: FloatArray) -> FloatArray:
+    """r²·log r (M, N) between points and nodes; 0 at a node."""
+    squared = (uv[:, :1] - nodes[:, 0]) ** 2 + (uv[:, 1:] - nodes[:, 1]) ** 2
+    radial: FloatArray = 0.5 * squared * np.log(np.where(squared > 0.0, squared, 1.0))
+    return radial
+
+
+def _blocks(points: int, nodes: int) -> list[slice]:
+    step = max(1, BLOCK // max(nodes, 1))
+    return [slice(start, start + step) for start in range(0, points, step)]

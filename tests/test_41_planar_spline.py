@@ -1,0 +1,131 @@
+"""Thin plate spline: through every point, against scipy and GDAL, exact on what it must reproduce, refusals."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from pyproj import CRS
+
+from geomosaic.errors import InputError, SolveError
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic_planar import PlanarModel, fit_planar, plugin
+
+UTM = CRS.from_epsg(32633)
+SIZE = (6000, 4000)
+
+
+def warped(count: int, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    """Ground and image of a scan that is bent by some tens of pixels."""
+    rng = np.random.default_rng(seed)
+    colrow = rng.uniform([0.0, 0.0], SIZE, (count, 2))
+    flat = colrow + 30.0 * np.sin(colrow[:, ::-1] / 900.0) + rng.normal(0.0, 1.0, colrow.shape)
+    return flat * [0.4, -0.4] + [512_300.0, 5_403_800.0], colrow
+
+
+def spline_of(xy: np.ndarray, colrow: np.ndarray) -> PlanarModel:
+    return PlanarModel.of_fit(fit_planar("tps", xy, colrow), UTM, SIZE)
+
+
+def ground3(xy: np.ndarray) -> np.ndarray:
+    return np.column_stack([xy, np.zeros(len(xy))])
+
+
+@pytest.mark.parametrize("count", [3, 4, 12, 200])
+def test_it_passes_through_every_point(count: int) -> None:
+    xy, colrow = warped(count)
+    fitted = fit_planar("tps", xy, colrow)
+    assert np.abs(fitted.residuals).max() < 1e-8
+    assert np.isnan(fitted.sigma0)
+    model = spline_of(xy, colrow)
+    np.testing.assert_allclose(model.ground_to_image(ground3(xy)), colrow, rtol=0.0, atol=1e-8)
+    assert model.axes == "left"
+
+
+def test_against_scipy() -> None:
+    from scipy.interpolate import RBFInterpolator
+
+    xy, colrow = warped(80)
+    at = warped(500, seed=9)[0]
+    scaled = (xy - xy.mean(axis=0)) / 1000.0
+    other = RBFInterpolator(scaled, colrow, kernel="thin_plate_spline", degree=1)
+    np.testing.assert_allclose(
+        spline_of(xy, colrow).ground_to_image(ground3(at)), other((at - xy.mean(axis=0)) / 1000.0), rtol=0.0, atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("count", [5, 30, 200])
+def test_against_gdal(count: int) -> None:
+    from rasterio.control import GroundControlPoint
+    from rasterio.transform import GCPTransformer
+
+    xy, colrow = warped(count)
+    at = warped(300, seed=11)[0]
+    points = [GroundControlPoint(row=r, col=c, x=x, y=y, z=0.0) for (x, y), (c, r) in zip(xy, colrow, strict=True)]
+    with GCPTransformer(points, tps=True) as transformer:
+        rows, cols = transformer.rowcol(at[:, 0], at[:, 1], op=lambda value: value)
+    found = spline_of(xy, colrow).ground_to_image(ground3(at))
+    np.testing.assert_allclose(found, np.column_stack([cols, rows]), rtol=0.0, atol=1e-6)
+
+
+def test_an_affine_image_stays_affine_everywhere() -> None:
+    """Bending energy is 0 for an affine map, so the spline is that map, far outside its nodes too."""
+    xy, _ = warped(30)
+    matrix, shift = np.array([[2.1, 0.4], [0.3, -1.9]]), np.array([-1000.0, 2500.0])
+    middle = xy.mean(axis=0)
+    far = middle + (xy - middle) * 20.0
+    model = spline_of(xy, (xy - middle) @ matrix.T + shift)
+    np.testing.assert_allclose(
+        model.ground_to_image(ground3(far)), (far - middle) @ matrix.T + shift, rtol=0.0, atol=1e-6
+    )
+
+
+def test_state_and_new_values() -> None:
+    xy, colrow = warped(25)
+    model = spline_of(xy, colrow)
+    state = json.loads(json.dumps(model.to_dict()))
+    assert len(state["nodes"]) == 25
+    assert state["axes"] == "left"
+    at = ground3(warped(100, seed=5)[0])
+    np.testing.assert_array_equal(PlanarModel.from_dict(state).ground_to_image(at), model.ground_to_image(at))
+    moved = model.with_values(model.values + np.repeat([3.0, -2.0], 25))  # the whole image shifts
+    np.testing.assert_allclose(
+        moved.ground_to_image(at), model.ground_to_image(at) + np.array([3.0, -2.0]), rtol=0.0, atol=1e-7
+    )
+
+
+def test_a_point_does_not_depend_on_its_company() -> None:
+    xy, colrow = warped(150)
+    model, at = spline_of(xy, colrow), ground3(warped(9000, seed=6)[0])
+    whole = model.ground_to_image(at)
+    parts = np.vstack([model.ground_to_image(part) for part in np.array_split(at, 7)])
+    assert whole.tobytes() == parts.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("xy", "says"),
+    [
+        ([[0, 0], [9, 0], [0, 9], [9, 9], [9, 0]], "points 2 and 5 lie on one place"),
+        ([[0, 0], [9, 0], [0, 9], [9, 9], [9, 1e-9]], "points 2 and 5 lie on one place"),
+        ([[5e5 + k, 5e6 + 2 * k] for k in range(6)], "on a line"),
+        ([[0, 0], [1, 1]], "2 control points do not determine"),
+    ],
+)
+def test_what_determines_no_spline_is_refused(xy: list[list[float]], says: str) -> None:
+    ground = np.array(xy, dtype=float)
+    with pytest.raises(SolveError, match=says) as caught:
+        fit_planar("tps", ground, ground * 3.0 + 1.0, where="scan 7")
+    assert caught.value.where == "scan 7"
+    assert caught.value.mend
+
+
+def test_at_the_door() -> None:
+    xy, colrow = warped(10)
+    points = [{"x": x, "y": y, "col": c, "row": r} for (x, y), (c, r) in zip(xy, colrow, strict=True)]
+    options: dict[str, Any] = {"kind": "tps", "points": points}
+    model = plugin.build(SensorRequest("scan", SIZE, options, UTM))
+    np.testing.assert_allclose(model.ground_to_image(ground3(xy)), colrow, rtol=0.0, atol=1e-8)
+    with pytest.raises(InputError, match="no coefficients"):
+        plugin.build(SensorRequest("scan", SIZE, {"kind": "tps", "coefficients": [1, 2]}, UTM))

@@ -1,0 +1,187 @@
+"""Point deletion, check points and the choice of the kind of fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from adjust_rig import CENTRE, SIZE, UTM, builder, names, noisy, places, spoil, truth
+
+from geomosaic.adjust.checkpoints import check_errors, check_model
+from geomosaic.adjust.choose import choose_model, planar_builds
+from geomosaic.adjust.deletion import delete_points
+from geomosaic.adjust.fit import fit_control
+from geomosaic.errors import InputError, SolveError
+from geomosaic.sensor.plugin import SensorRequest
+
+
+def test_deletion_takes_the_worst_until_the_threshold() -> None:
+    xy, colrow = noisy("affine", 20, 1)
+    bad = spoil(colrow, 0.2, 1)
+    build = builder("affine", xy, colrow)
+    whole = fit_control(build, names(20), xy, colrow)
+    done = delete_points(build, names(20), xy, colrow, threshold=1.0)
+    assert done.reached
+    assert {row.id for row in done.deleted} >= bad
+    assert done.deleted[0].id == whole.ids[int(np.argmax(whole.lengths))]
+    assert done.deleted[0].rms_before == pytest.approx(whole.rms_total)
+    assert [row.order for row in done.deleted] == list(range(1, len(done.deleted) + 1))
+    for one, two in zip(done.deleted, done.deleted[1:], strict=False):
+        assert one.rms_after == two.rms_before > 1.0
+        assert one.left == two.left + 1
+    last = done.deleted[-1]
+    assert last.rms_after == pytest.approx(done.fit.rms_total)
+    assert done.fit.rms_total < 1.0
+    # The table by a fit of one's own to the points left.
+    kept = [i for i in range(20) if f"P{i}" in done.kept]
+    design = np.column_stack([np.ones(len(kept)), xy[kept] - CENTRE])
+    left = colrow[kept] - design @ np.linalg.lstsq(design, colrow[kept], rcond=None)[0]
+    assert last.rms_after == pytest.approx(np.sqrt((left**2).sum(axis=1).mean()), rel=1e-6)
+    assert np.isfinite(done.fit.leave_one_out).all()
+    assert "below 1 px" in done.said
+
+
+@pytest.mark.parametrize(("kind", "least"), [("conformal", 2), ("affine", 3), ("projective", 4), ("poly2", 6)])
+def test_deletion_leaves_one_point_more_than_needed(kind: str, least: int) -> None:
+    """With noise of half a pixel no five points or so come below 1e-6."""
+    xy, colrow = noisy(kind, 12, 2)
+    done = delete_points(builder(kind, xy, colrow), names(12), xy, colrow, threshold=1e-6)
+    assert not done.reached
+    assert len(done.kept) == least + 1
+    assert "no more can be spared" in done.said
+
+
+def test_deletion_of_good_control_deletes_nothing() -> None:
+    xy, colrow = noisy("affine", 12, 2)
+    done = delete_points(builder("affine", xy, colrow), names(12), xy, colrow, threshold=2.0)
+    assert done.deleted == ()
+    assert done.kept == tuple(names(12))
+
+
+def test_deletion_needs_residuals_and_a_threshold() -> None:
+    xy, colrow = noisy("affine", 12, 2)
+    with pytest.raises(SolveError, match="passes through all"):
+        delete_points(builder("tps", xy, colrow), names(12), xy, colrow, threshold=1.0)
+    with pytest.raises(InputError, match="threshold"):
+        delete_points(builder("affine", xy, colrow), names(12), xy, colrow, threshold=0.0)
+
+
+def test_statistics_of_known_errors() -> None:
+    errors = np.array([[3.0, 4.0], [-3.0, 4.0], [3.0, -4.0], [-3.0, -4.0]])
+    found = check_errors(names(4), errors, "m", survey_rms=12.0)
+    assert found.rms == (3.0, 4.0)
+    assert found.rms_total == 5.0
+    assert found.mean == (0.0, 0.0)
+    assert found.nssda == pytest.approx(8.654)
+    assert found.figure95 == pytest.approx(2.5 * 5 / np.sqrt(2))
+    assert found.rms_with_survey == pytest.approx(13.0)
+    assert found.shift_probability == pytest.approx(1.0)
+    assert not found.shifted
+
+
+def test_the_nssda_radius_holds_95_percent() -> None:
+    errors = np.random.default_rng(2).normal(0.0, 0.7, (100_000, 2))
+    found = check_errors(names(100_000), errors, "m")
+    assert (np.hypot(*errors.T) < found.nssda).mean() == pytest.approx(0.95, abs=0.002)
+
+
+@pytest.mark.parametrize(
+    ("count", "nssda", "asprs"), [(19, False, False), (20, True, False), (29, True, False), (30, True, True)]
+)
+def test_words_only_where_there_are_points_enough(count: int, nssda: bool, asprs: bool) -> None:
+    found = check_errors(names(count), np.random.default_rng(count).normal(0.0, 1.0, (count, 2)), "m")
+    assert found.nssda_statement.startswith("Tested") == nssda
+    assert found.asprs_statement.startswith("Tested") == asprs
+    for said, statement in ((nssda, found.nssda_statement), (asprs, found.asprs_statement)):
+        assert said or f"there are {count}" in statement
+
+
+def test_unequal_axes_are_told() -> None:
+    errors = np.random.default_rng(3).normal(0.0, [1.0, 0.2], (40, 2))
+    assert "differ too much" in check_errors(names(40), errors, "m").nssda_statement
+
+
+def test_a_shift_is_told_from_chance() -> None:
+    random = np.random.default_rng(5)
+    alarms = [check_errors(names(10), random.normal(0.0, 1.0, (10, 2)), "m").shifted for _ in range(1000)]
+    assert 0.002 < np.mean(alarms) < 0.02  # alpha is 1 %
+    moved = check_errors(names(10), random.normal([2.0, -1.5], 1.0, (10, 2)), "m")
+    assert moved.shifted
+    assert "the map is shifted by" in moved.shift_statement
+    assert moved.mean == pytest.approx((2.0, -1.5), abs=1.0)
+    assert "too few" in check_errors(names(3), random.normal(0.0, 1.0, (3, 2)), "m").shift_statement
+
+
+def test_shift_probability_against_scipy() -> None:
+    """In one axis Hotelling's test is Student's: with a second axis that says nothing, nearly so."""
+    from scipy.stats import f
+
+    errors = np.random.default_rng(8).normal([0.4, 0.0], 1.0, (15, 2))
+    mean, covariance = errors.mean(axis=0), np.cov(errors.T)
+    squared = 15 * mean @ np.linalg.inv(covariance) @ mean
+    expected = f.sf(squared * 13 / (2 * 14), 2, 13)
+    assert check_errors(names(15), errors, "m").shift_probability == pytest.approx(expected, rel=1e-9)
+
+
+def test_check_points_of_a_model() -> None:
+    """Control shifted by 2 m east: the fit hides it, check points show it, with its sign."""
+    xy, colrow = noisy("affine", 20, 3)
+    wrong = xy + np.array([2.0, 0.0])
+    fit = fit_control(builder("affine", wrong, colrow), names(20), wrong, colrow)
+    assert fit.rms_total < 1.0
+    at, seen = noisy("affine", 25, 9)
+    found = check_model(fit.model, names(25), at, seen, "m")
+    assert found.shifted
+    assert found.mean == pytest.approx((2.0, 0.0), abs=0.2)
+    with pytest.raises(InputError, match="no check points"):
+        check_model(fit.model, [], at[:0], seen[:0], "m")
+
+
+CASES = [("conformal", "conformal"), ("affine", "affine"), ("projective", "projective"), ("poly2", "poly2")]
+
+
+@pytest.mark.parametrize(("kind", "expected"), [*CASES, ("poly3", "poly3"), ("wavy", "tps")])
+def test_the_kind_the_photo_has_is_chosen(kind: str, expected: str) -> None:
+    for seed in (1, 2):
+        xy, colrow = noisy(kind, 40, seed)
+        request = SensorRequest("scan", SIZE, {}, UTM)
+        choice = choose_model(planar_builds(request, xy, colrow), names(40), xy, colrow)
+        assert choice.name == expected
+        assert choice.said.startswith(expected)
+        assert choice.odd == ()
+        rows = {row.name: row for row in choice.table}
+        assert list(rows) == ["conformal", "affine", "projective", "poly2", "poly3", "poly4", "poly5", "tps"]
+        alone = fit_control(builder(expected, xy, colrow), names(40), xy, colrow)
+        assert rows[expected].leave_one_out == pytest.approx(alone.leave_one_out_rms, rel=1e-9)
+        assert rows[expected].fit is choice.fit
+
+
+def test_richer_kinds_do_not_win_by_chance() -> None:
+    """Conformal photos with noise: leave-one-out alone would often prefer a richer kind."""
+    plain, chosen = 0, 0
+    for seed in range(12):
+        xy, colrow = noisy("conformal", 12, seed)
+        choice = choose_model(planar_builds(SensorRequest("scan", SIZE, {}, UTM), xy, colrow), names(12), xy, colrow)
+        errors = [row.leave_one_out for row in choice.table if not row.refused]
+        plain += int(np.argmin(errors)) == 0
+        chosen += choice.name == "conformal"
+    assert chosen >= 11
+    assert plain < chosen
+
+
+def test_few_points_and_none_to_choose_by() -> None:
+    xy, colrow = noisy("affine", 5, 2)
+    choice = choose_model(planar_builds(SensorRequest("scan", SIZE, {}, UTM), xy, colrow), names(5), xy, colrow)
+    assert choice.name in ("conformal", "affine")
+    refused = {row.name: row.refused for row in choice.table}
+    assert "needs 6" in refused["poly2"]
+    xy, colrow = places(2), truth("affine", places(2))
+    with pytest.raises(SolveError, match="leave none to choose"):
+        choose_model(planar_builds(SensorRequest("scan", SIZE, {}, UTM), xy, colrow), names(2), xy, colrow)
+
+
+def test_a_blunder_does_not_decide_the_kind_and_is_named() -> None:
+    xy, colrow = noisy("affine", 24, 7)
+    colrow[5] += [300.0, -200.0]
+    choice = choose_model(planar_builds(SensorRequest("scan", SIZE, {}, UTM), xy, colrow), names(24), xy, colrow)
+    assert choice.odd == ("P5",)
+    assert "no kind predicts P5" in choice.said
