@@ -1,0 +1,1 @@
+"""Least squares over measured points: single images and whole blocks."""

@@ -1,0 +1,152 @@
+"""Whether a block determines its photos, said before and after the adjustment."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geomosaic.adjust.planar.kinds import LEAST
+from geomosaic.adjust.planar.transform import PlanarTransform, photo_coordinates
+from geomosaic.adjust.planar.values import PlanarBlock
+from geomosaic.errors import GeomosaicWarning, SolveError
+from geomosaic.types import FloatArray
+
+if TYPE_CHECKING:
+    from geomosaic.adjust.planar.solution import PlanarSolution
+
+STEEPEST = 0.5
+"""Largest |a3·x + b3·y| inside a photo that a near-vertical one can have: a tilt of 30° at a half angle of view of 40°."""
+BAD_FIT = 3.0
+"""Standard deviation of unit weight from which relief, blunders or too small sigmas are told."""
+
+
+def check_determined(
+    block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform], where: str | None
+) -> None:
+    """Refuse what counting can refuse: photos with too few points, pieces with too little control.
+
+    Raises
+    ------
+    SolveError
+    """
+    if kind not in LEAST:
+        raise SolveError(f"no transformation named '{kind}'", where=where, mend=f"choose one of {', '.join(LEAST)}")
+    photos: dict[str, set[str]] = {photo.name: set() for photo in block.photos}
+    points: dict[str, set[str]] = {}
+    for measured in (*block.ties, *block.control):
+        points.setdefault(measured.id, set()).add(measured.photo)
+    known = {point.id for point in block.control}
+    for name, seen in points.items():
+        for photo in seen:
+            if len(seen) > 1 or name in known:
+                photos[photo].add(name)
+    for photo, own in photos.items():
+        if len(own) < LEAST[kind] and photo not in fixed:
+            raise SolveError(
+                f"photo '{photo}' shares {len(own)} points with other photos or the ground; "
+                f"{_article(kind)} transformation needs {LEAST[kind]}",
+                where=where,
+                mend="measure more tie or control points in it, choose a simpler model, or leave the photo out",
+            )
+    for piece in pieces(block):
+        if piece & set(fixed):
+            continue
+        own = {point.id for point in block.control if point.photo in piece}
+        if len(own) < LEAST[kind]:
+            rest = f": {_some(sorted(piece))}" if len(piece) < len(block.photos) else ""
+            raise SolveError(
+                f"{len(own)} control points hold {len(piece)} connected photos{rest}; "
+                f"{_article(kind)} transformation needs {LEAST[kind]}",
+                where=where,
+                mend="add control points, tie these photos to the others, or make an uncontrolled mosaic",
+            )
+
+
+def pieces(block: PlanarBlock) -> list[set[str]]:
+    """Photos that hang together by common points, in the order of the block."""
+    points: dict[str, list[str]] = {}
+    for measured in (*block.ties, *block.control):
+        points.setdefault(measured.id, []).append(measured.photo)
+    root = {photo.name: photo.name for photo in block.photos}
+
+    def top(name: str) -> str:
+        while root[name] != name:
+            root[name] = root[root[name]]
+            name = root[name]
+        return name
+
+    for seen in points.values():
+        for other in seen[1:]:
+            root[top(other)] = top(seen[0])
+    found: dict[str, set[str]] = {}
+    for photo in block.photos:
+        found.setdefault(top(photo.name), set()).add(photo.name)
+    return list(found.values())
+
+
+def elongation(size: tuple[int, int], colrow: FloatArray) -> float:
+    """Condition number of the places (N, 2) of points in a photo: their longest extent over the one across it.
+
+    Ratio of the singular values of the centred coordinates: 1 for points spread evenly, infinite on a line.
+    """
+    xy = photo_coordinates(size, colrow)
+    singular = np.linalg.svd(xy - xy.mean(axis=0), compute_uv=False)
+    return float(singular[0] / singular[1]) if len(singular) > 1 and singular[1] > 1e-15 * singular[0] else np.inf
+
+
+def ill_conditioned(block: PlanarBlock, kind: str, condition: float, photo: str, where: str | None) -> SolveError:
+    """Make the error of an adjustment whose equations do not hold its unknowns."""
+    number = "infinite" if not np.isfinite(condition) else f"{condition:.1e}"
+    several = len(block.photos) > 1
+    advice = {
+        "conformal": "look for points of one name that are not the same place, and for photos that hang on one place",
+        "affine": "the tie or control points lie nearly on a line somewhere: spread them, or choose conformal",
+        "projective": "relief at the tie points does this: rectify each photo singly (controlled, 4 or more control "
+        "points in each), or choose affine",
+    }
+    mend = advice[kind]
+    if kind == "projective" and not several:
+        mend = "spread the points over the photo, no three of four on one line; where the relief is strong take affine"
+    return SolveError(
+        f"the {kind} adjustment is ill-conditioned: condition number {number}, worst in photo '{photo}'",
+        where=where,
+        mend=mend,
+    )
+
+
+def check_plausible(solution: PlanarSolution, where: str | None) -> None:
+    """Refuse a projective solution that no photo can have, and tell of residuals far beyond their sigmas.
+
+    Raises
+    ------
+    SolveError
+        A perspective term makes the scale differ more within a photo than any near-vertical photo shows.
+    """
+    if solution.kind == "projective":
+        for photo, values in zip(solution.block.photos, solution.values, strict=True):
+            worst = float(np.abs(values[6:]) @ (np.array(photo.size) / max(photo.size)))
+            if worst > STEEPEST:
+                error = ill_conditioned(solution.block, "projective", solution.condition, photo.name, where)
+                error.what += f", whose scale would change by {worst:.0%} from its middle to a corner"
+                raise error
+    if solution.sigma0 > BAD_FIT:
+        several = len(solution.block.photos) > 1
+        cause = "relief at the points, a wrong measurement, or too small sigmas"
+        mend = "; rectify the photos singly if it is relief" if several and solution.kind == "projective" else ""
+        warnings.warn(
+            f"residuals are {solution.sigma0:.1f} times as large as the standard deviations say "
+            f"({solution.rms:.2f} px RMS): {cause}{mend}",
+            GeomosaicWarning,
+            stacklevel=2,
+        )
+
+
+def _article(kind: str) -> str:
+    return f"an {kind}" if kind == "affine" else f"a {kind}"
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
