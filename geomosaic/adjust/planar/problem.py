@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.adjust.planar.equations import GROUND, Views
-from geomosaic.adjust.planar.kinds import NAMES, by_parameters, by_photo, forward, from_matrix, matrix
+from geomosaic.adjust.planar.kinds import NAMES, by_parameters, by_photo, forward, from_matrix, matrix, reverse
 from geomosaic.adjust.planar.transform import Frame, PlanarTransform, half
 from geomosaic.adjust.planar.values import PlanarBlock
 from geomosaic.types import BoolArray, FloatArray, IntArray
@@ -39,47 +39,59 @@ class Problem:
         own: FloatArray = values[self.views.photo[self.in_photo]]
         return own
 
-    def positions(self, values: FloatArray) -> FloatArray:
-        """Normalised ground (N, 2) of all views."""
-        place = self.ground.copy()
-        place[self.in_photo] = forward(self.kind, self.of_views(values), self.views.xy[self.in_photo])
+    def positions(self, values: FloatArray, at: FloatArray) -> FloatArray:
+        """Normalised ground (N, 2) of all views, linearised in the image about `at` (N, 2)."""
+        inside, place = self.in_photo, self.ground.copy()
+        own, there = self.of_views(values), at[inside]
+        place[inside] = forward(self.kind, own, there)
+        if self.kind == "projective":  # the others are linear in x and y
+            left = self.views.xy[inside] - there
+            place[inside] += np.einsum("nij,nj->ni", by_photo(self.kind, own, there), left)
+        else:
+            place[inside] = forward(self.kind, own, self.views.xy[inside])
         return place
 
-    def sigma_ground(self, values: FloatArray | None) -> FloatArray:
+    def adjusted(self, values: FloatArray, points: FloatArray) -> FloatArray:
+        """Normalised photo coordinates (N, 2) of the adjusted points (M, 2): the measurements less their residuals."""
+        there = self.views.xy.copy()
+        for i in range(len(self.block.photos)):
+            own = np.flatnonzero(self.views.photo == i)
+            there[own] = reverse(self.kind, values[i], points[self.views.point[own]])
+        return there
+
+    def sigma_ground(self, values: FloatArray | None, at: FloatArray) -> FloatArray:
         """Standard deviations (N,) of the positions, normalised; relative ones before the scales are known."""
-        sigma = self.views.sigma.copy()
+        sigma, inside = self.views.sigma.copy(), self.in_photo
         if values is None:
-            sigma[~self.in_photo] = np.where(sigma[~self.in_photo] > 0.0, 1.0, 0.0)
+            sigma[~inside] = np.where(sigma[~inside] > 0.0, 1.0, 0.0)
             return sigma
-        slope = by_photo(self.kind, self.of_views(values), self.views.xy[self.in_photo])
-        scale = np.sqrt(np.abs(np.linalg.det(slope))) / self.half[self.views.photo[self.in_photo]]
-        sigma[self.in_photo] *= np.maximum(scale, 1e-300)
-        sigma[~self.in_photo] /= self.frame.scale
+        slope = by_photo(self.kind, self.of_views(values), at[inside])
+        sigma[inside] *= np.sqrt(np.abs(np.linalg.det(slope))) / self.half[self.views.photo[inside]]
+        sigma[~inside] /= self.frame.scale
         return sigma
 
-    def design(self, values: FloatArray, weights: FloatArray) -> Any:
-        """Weighted design (2M, U), sparse."""
+    def design(self, values: FloatArray, at: FloatArray, weights: FloatArray) -> Any:
+        """Weighted design (2M, U), sparse, at the places (N, 2) in the photos."""
         from scipy.sparse import coo_array
 
         slopes = np.zeros((len(self.views.photo), 2, self.count))
-        slopes[self.in_photo] = by_parameters(self.kind, self.of_views(values), self.views.xy[self.in_photo])
+        slopes[self.in_photo] = by_parameters(self.kind, self.of_views(values), at[self.in_photo])
         root, rows, cols, data = np.sqrt(weights), [], [], []
         for side, sign in ((0, 1.0), (1, -1.0)):
             view = self.views.pairs[:, side]
             photo = self.views.photo[view]
             pair = np.flatnonzero((photo != GROUND) & (self.first[photo] >= 0))
             block = sign * root[pair, None, None] * slopes[view[pair]]
-            shape = block.shape
-            rows.append(np.broadcast_to((2 * pair[:, None] + [0, 1])[:, :, None], shape).ravel())
+            rows.append(np.broadcast_to((2 * pair[:, None] + [0, 1])[:, :, None], block.shape).ravel())
             first = self.first[photo[pair]]
-            cols.append(np.broadcast_to((first[:, None] + np.arange(self.count))[:, None, :], shape).ravel())
+            cols.append(np.broadcast_to((first[:, None] + np.arange(self.count))[:, None, :], block.shape).ravel())
             data.append(block.ravel())
         entries = (np.concatenate(data), (np.concatenate(rows), np.concatenate(cols)))
         return coo_array(entries, shape=(2 * len(self.views.pairs), self.unknowns)).tocsr()
 
-    def misclosure(self, values: FloatArray) -> FloatArray:
+    def misclosure(self, values: FloatArray, at: FloatArray) -> FloatArray:
         """Differences (M, 2) of the positions of each pair, normalised."""
-        place = self.positions(values)
+        place = self.positions(values, at)
         gap: FloatArray = place[self.views.pairs[:, 0]] - place[self.views.pairs[:, 1]]
         return gap
 

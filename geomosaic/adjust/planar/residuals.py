@@ -51,6 +51,7 @@ def image_residuals(problem: Problem, values: FloatArray, points: FloatArray) ->
 def standardised(
     problem: Problem,
     values: FloatArray,
+    at: FloatArray,
     sigma: FloatArray,
     cofactors: Mapping[tuple[int, int], FloatArray],
     residuals: FloatArray,
@@ -64,9 +65,9 @@ def standardised(
     out = np.full_like(residuals, np.nan)
     slopes, across = np.zeros((len(views.photo), 2, problem.count)), np.zeros((len(views.photo), 2, 2))
     own = problem.of_views(values)
-    slopes[problem.in_photo] = by_parameters(problem.kind, own, views.xy[problem.in_photo])
+    slopes[problem.in_photo] = by_parameters(problem.kind, own, at[problem.in_photo])
     turn = np.array([1.0, -1.0]) / problem.half[views.photo[problem.in_photo], None]
-    across[problem.in_photo] = by_photo(problem.kind, own, views.xy[problem.in_photo]) * turn[:, None, :]
+    across[problem.in_photo] = by_photo(problem.kind, own, at[problem.in_photo]) * turn[:, None, :]
     starts = np.searchsorted(views.point, np.arange(len(views.ids) + 1))
     for first, last in zip(starts[:-1], starts[1:], strict=True):
         if last - first < 2:

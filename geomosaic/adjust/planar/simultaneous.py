@@ -1,8 +1,10 @@
 """All photos of a block in one least squares adjustment; Wolf & Dewitt, sections 9-8 and 9-9.
 
 The equations (9-3) and (9-4) are linear for conformal and affine transformations. Projective ones are linearised by
-Taylor's series, started from the affine solution. The weights hang on the scale of the photos, which the solution
-gives, so a linear adjustment too is repeated until they settle.
+Taylor's series, started from the affine solution. What is measured, and errs, are image coordinates, which stand in the
+coefficients of the equations: these are taken at the adjusted places, the measurements less their residuals (adjustment
+of observations and parameters combined, Mikhail 1976), and the weights at the scale that the photos come to have. So a
+linear adjustment too takes some rounds. At their end the sum of squared residuals in the images is least.
 """
 
 from __future__ import annotations
@@ -54,73 +56,75 @@ def adjust(
         Too few points or control, a block in pieces, points on a line; or, with projective transformations, an
         ill-conditioned or divergent solution, as strong relief causes it.
     """
-    fixed = {name: transform for name, transform in (fixed or {}).items() if name in block.index}
+    held = {name: transform for name, transform in (fixed or {}).items() if name in block.index}
+    solution = _solve(block, kind, held, where)
+    check_plausible(solution, where)
+    return solution
+
+
+def _solve(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform], where: str | None) -> PlanarSolution:
     views = views_of(block)
     check_determined(block, kind, fixed, where)
     problem = Problem(block, kind, views, frame_of(block, fixed), fixed)
-    values = problem.start.copy()
-    if kind == "projective" and problem.unknowns:
+    values, at = problem.start.copy(), views.xy
+    if kind == "projective":
         free = ~problem.held
-        values[free, :6] = adjust(block, "affine", fixed, where).values[free]
-    weights = weights_of_pairs(views, problem.sigma_ground(values if kind == "projective" else None))
+        values[free, :6] = _solve(block, "affine", fixed, where).values[free]
+    sigma = problem.sigma_ground(values if kind == "projective" else None, at)
     moved = np.inf
     for done in range(1, ROUNDS + 1):
-        design, gap = problem.design(values, weights), problem.misclosure(values)
+        weights = weights_of_pairs(views, sigma)
+        design, gap = problem.design(values, at, weights), problem.misclosure(values, at)
         normals = Normals.of(design)
         condition, worst = normals.condition()
         if not condition < WORST_CONDITION:
             raise ill_conditioned(block, kind, condition, problem.photo_of(worst), where)
         step = normals.solve(-(design.T @ (gap * np.sqrt(weights)[:, None]).ravel()))
-        trial = problem.moved(values, step)
-        if kind == "projective":
-            trial = _damped(problem, values, step, weights, gap)
-        change = problem.positions(trial) - problem.positions(values)
-        values, sigma = trial, problem.sigma_ground(trial)
-        weights = weights_of_pairs(views, sigma)
-        if not np.isfinite(change).all():
+        trial = _damped(problem, values, at, step, weights, gap) if kind == "projective" else problem.moved(values, step)
+        place = problem.positions(trial, at)
+        sigma = problem.sigma_ground(trial, at)
+        pixel = sigma[problem.in_photo] / views.sigma[problem.in_photo]
+        change = np.abs(place - problem.positions(values, at))[problem.in_photo] / pixel[:, None]
+        values, at = trial, problem.adjusted(trial, mean_positions(views, place, sigma))
+        if not (np.isfinite(at).all() and np.isfinite(change).all()):
             raise ill_conditioned(block, kind, condition, problem.photo_of(worst), where)
-        inside = problem.in_photo
-        pixel = sigma[inside] / views.sigma[inside]
-        before, moved = moved, float((np.abs(change[inside]) / pixel[:, None]).max())
+        before, moved = moved, float(change.max())
         if done > 1 and (moved < SETTLED or (moved < 1e3 * SETTLED and moved >= before)):
             break
     else:
         raise ill_conditioned(block, kind, condition, problem.photo_of(worst), where)
-    return _finish(problem, values, weights, sigma, condition, done, where)
+    return _finish(problem, values, at, condition, done)
 
 
-def _damped(problem: Problem, values: FloatArray, step: FloatArray, weights: FloatArray, gap: FloatArray) -> FloatArray:
-    """Parameters after as much of a step as brings the misclosures down."""
+def _damped(
+    problem: Problem, values: FloatArray, at: FloatArray, step: FloatArray, weights: FloatArray, gap: FloatArray
+) -> FloatArray:
+    """Parameters after a step, or as much of it as does not bring the misclosures up.
+
+    Near the solution their sum may rise by a hair: the places at which it is taken are not yet those of the step.
+    """
     before, factor = float((weights[:, None] * gap**2).sum()), 1.0
     while factor > 1e-3:
         trial = problem.moved(values, factor * step)
-        after = float((weights[:, None] * problem.misclosure(trial) ** 2).sum())
-        if after <= before * (1.0 + 1e-9) + 1e-18:
+        after = float((weights[:, None] * problem.misclosure(trial, at) ** 2).sum())
+        if after <= 1.1 * before + 1e-18:
             return trial
         factor *= 0.5  # also where a point came to lie beyond the horizon and `after` is NaN
     return problem.moved(values, step)
 
 
-def _finish(
-    problem: Problem,
-    values: FloatArray,
-    weights: FloatArray,
-    sigma: FloatArray,
-    condition: float,
-    rounds: int,
-    where: str | None,
-) -> PlanarSolution:
+def _finish(problem: Problem, values: FloatArray, at: FloatArray, condition: float, rounds: int) -> PlanarSolution:
     """Cofactors and residuals at the solution."""
-    block, views = problem.block, problem.views
-    normals = Normals.of(problem.design(values, weights))
-    cofactors = cofactor_blocks(problem, normals)
-    place, gap = problem.positions(values), problem.misclosure(values)
-    points = mean_positions(views, place, sigma)
+    views = problem.views
+    sigma = problem.sigma_ground(values, at)
+    weights = weights_of_pairs(views, sigma)
+    cofactors = cofactor_blocks(problem, Normals.of(problem.design(values, at, weights)))
+    points = mean_positions(views, problem.positions(values, at), sigma)
     residuals = image_residuals(problem, values, points)
     redundancy = views.redundancy_of_points - problem.unknowns
-    squares = float((weights[:, None] * gap**2).sum())
-    solution = PlanarSolution(
-        block=block,
+    squares = float((weights[:, None] * problem.misclosure(values, at) ** 2).sum())
+    return PlanarSolution(
+        block=problem.block,
         kind=problem.kind,
         frame=problem.frame,
         values=values,
@@ -128,12 +132,10 @@ def _finish(
         views=views,
         points=problem.frame.map(points),
         residuals=residuals,
-        standardised=standardised(problem, values, sigma, cofactors, residuals),
+        standardised=standardised(problem, values, at, sigma, cofactors, residuals),
         sigma0=float(np.sqrt(squares / redundancy)) if redundancy > 0 else float("nan"),
         redundancy=redundancy,
         equations=2 * len(views.pairs),
         condition=condition,
         rounds=rounds,
     )
-    check_plausible(solution, where)
-    return solution
