@@ -117,13 +117,16 @@ def ill_conditioned(block: PlanarBlock, kind: str, condition: float, photo: str,
     )
 
 
-def check_plausible(solution: PlanarSolution, where: str | None) -> None:
-    """Refuse a projective solution that no photo can have, and tell of residuals far beyond their sigmas.
+def check_plausible(solution: PlanarSolution, start: PlanarSolution | None, where: str | None) -> None:
+    """Refuse a projective solution that relief has spoilt, and tell of residuals far beyond their sigmas.
+
+    Points above and below a plane make residuals, and the perspective terms follow them. In a block they are held by
+    little, so errors grow from the points to the corners of the photos. Where they come to more than those of the
+    affine adjustment that it started from, or to perspective terms that no near-vertical photo has, it is refused.
 
     Raises
     ------
     SolveError
-        A perspective term makes the scale differ more within a photo than any near-vertical photo shows.
     """
     if solution.kind == "projective":
         for photo, values in zip(solution.block.photos, solution.values, strict=True):
@@ -132,16 +135,32 @@ def check_plausible(solution: PlanarSolution, where: str | None) -> None:
                 error = ill_conditioned(solution.block, "projective", solution.condition, photo.name, where)
                 error.what += f", whose scale would change by {worst:.0%} from its middle to a corner"
                 raise error
-    if solution.sigma0 > BAD_FIT:
-        several = len(solution.block.photos) > 1
-        cause = "relief at the points, a wrong measurement, or too small sigmas"
-        mend = "; rectify the photos singly if it is relief" if several and solution.kind == "projective" else ""
-        warnings.warn(
-            f"residuals are {solution.sigma0:.1f} times as large as the standard deviations say "
-            f"({solution.rms:.2f} px RMS): {cause}{mend}",
-            GeomosaicWarning,
-            stacklevel=2,
-        )
+    if not solution.sigma0 > BAD_FIT:
+        return
+    if start is not None and len(solution.block.photos) > 1:
+        (mine, photo), (simpler, _) = expected_error(solution), expected_error(start)
+        if not mine < simpler:
+            error = ill_conditioned(solution.block, "projective", solution.condition, photo, where)
+            error.what += (
+                f"; with residuals of {solution.rms:.1f} px RMS, {solution.sigma0:.1f} times what the standard deviations "
+                f"say, it puts the corners of the photos wrong by {mine:.3g} map units RMS, the affine one by {simpler:.3g}"
+            )
+            raise error
+    warnings.warn(
+        f"residuals are {solution.sigma0:.1f} times as large as the standard deviations say "
+        f"({solution.rms:.2f} px RMS): relief at the points, a wrong measurement, or too small sigmas",
+        GeomosaicWarning,
+        stacklevel=3,
+    )
+
+
+def expected_error(solution: PlanarSolution) -> tuple[float, str]:
+    """RMS standard deviation of the photos' corners in map units, after the residuals, and the worst photo."""
+    each = {
+        name: solution.position_sigmas(name, transform.corners()) for name, transform in solution.transforms.items()
+    }
+    worst = max(each, key=lambda name: float(each[name].max()))
+    return solution.sigma0 * float(np.sqrt(np.mean(np.square(list(each.values()))))), worst
 
 
 def _article(kind: str) -> str:

@@ -57,20 +57,30 @@ def adjust(
         ill-conditioned or divergent solution, as strong relief causes it.
     """
     held = {name: transform for name, transform in (fixed or {}).items() if name in block.index}
-    solution = _solve(block, kind, held, where)
-    check_plausible(solution, where)
+    if kind != "projective":
+        solution, start = _solve(block, kind, held, None, where), None
+    else:
+        check_determined(block, kind, held, where)
+        start = _solve(block, "affine", held, None, where)
+        solution = _solve(block, kind, held, start, where)
+    check_plausible(solution, start, where)
     return solution
 
 
-def _solve(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform], where: str | None) -> PlanarSolution:
+def _solve(
+    block: PlanarBlock,
+    kind: str,
+    fixed: Mapping[str, PlanarTransform],
+    start: PlanarSolution | None,
+    where: str | None,
+) -> PlanarSolution:
     views = views_of(block)
     check_determined(block, kind, fixed, where)
     problem = Problem(block, kind, views, frame_of(block, fixed), fixed)
     values, at = problem.start.copy(), views.xy
-    if kind == "projective":
-        free = ~problem.held
-        values[free, :6] = _solve(block, "affine", fixed, where).values[free]
-    sigma = problem.sigma_ground(values if kind == "projective" else None, at)
+    if start is not None:
+        values[~problem.held, :6] = start.values[~problem.held]
+    sigma = problem.sigma_ground(values if start is not None else None, at)
     moved = np.inf
     for done in range(1, ROUNDS + 1):
         weights = weights_of_pairs(views, sigma)
