@@ -47,8 +47,15 @@ class Placed:
     facts: dict[str, Any]
 
 
-def build_planar(inputs: BlockInputs) -> tuple[Block, dict[str, Any]]:
+def build_planar(inputs: BlockInputs, wanted: PlanarInputs) -> tuple[Block, dict[str, Any]]:
     """Place the photos and make the block.
+
+    Parameters
+    ----------
+    inputs : BlockInputs
+        Images, control and its CRS.
+    wanted : PlanarInputs
+        Its `planar`.
 
     Returns
     -------
@@ -64,8 +71,6 @@ def build_planar(inputs: BlockInputs) -> tuple[Block, dict[str, Any]]:
     SolveError
         The points do not determine the photos.
     """
-    wanted = inputs.planar
-    assert wanted is not None  # the caller looks at it
     crs = _map(inputs, wanted)
     photos, _ = photos_of(inputs)
     block, points = read_block(photos, wanted.ties, inputs.control)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from geomosaic.adjust.planar.joins import joins
+from geomosaic.product.check import ControlResidual, rms
 
 if TYPE_CHECKING:
     from geomosaic.adjust.planar.compare import Accumulated
@@ -93,6 +94,13 @@ def measurements(solution: PlanarSolution) -> list[dict[str, Any]]:
         }
         for i in np.flatnonzero(~views.is_ground)
     ]
+
+
+def control_facts(residuals: Sequence[ControlResidual]) -> dict[str, Any]:
+    """RMS of control and check points against the placed photos, pixels; None without any."""
+    return {
+        f"rms_{role}_px": finite(rms(list(residuals), role)) for role in ("control", "check")
+    } | {"checks": [asdict(one) for one in residuals if one.role == "check"]}
 
 
 def gap_rms(found: Any) -> float:

@@ -18,7 +18,6 @@ from geomosaic.project.exterior import SYSTEM_NAMES
 from geomosaic.project.frames import describe
 from geomosaic.project.load import Project
 from geomosaic.project.needs import needs
-from geomosaic.project.planar import build_planar
 from geomosaic.sensor.registry import to_dict
 
 
@@ -75,9 +74,12 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
 def _block(project: Project) -> tuple[Block, dict[str, Any] | None]:
     """Build the block, and say how plane transformations placed it; where that fails for want of something, say all that is wanting, not only the first."""
     try:
-        if project.inputs.planar is not None:
-            return build_planar(project.inputs)
-        return build_block(project.inputs), None
+        inputs = project.inputs
+        if inputs.planar is not None:
+            from geomosaic.project.planar import build_planar
+
+            return build_planar(inputs, inputs.planar)
+        return build_block(inputs), None
     except InputError as error:
         lacking = needs(project.inputs)
         if not lacking:
