@@ -22,7 +22,7 @@ TABLE = """
 """
 WORDS = TABLE.split()
 CONNECTIONS = [(point, *pair.split("-")) for point, pair in zip(WORDS[::2], WORDS[1::2], strict=True)]
-PHOTOS = "I II III IV V VI VII VIII IX X XI XII".split()
+PHOTOS = ["I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX", "X", "XI", "XII"]
 CONTROL = {"A": "I", "B": "IV", "C": "VI", "D": "VII", "E": "IX", "F": "XI", "G": "XII"}
 """Control points and the one photo that shows each; the text says this of C, and that no photo has two."""
 
@@ -87,7 +87,7 @@ def textbook_block(
 
     def measured(photo: str, place: np.ndarray) -> np.ndarray:
         colrow = to_pixels(truth[photo], place - centre(photo))
-        assert (colrow > 0).all() and (colrow < SIZE).all()
+        assert ((colrow > 0) & (colrow < SIZE)).all()
         return colrow + noise * errors.normal(size=2)
 
     ties = tuple(Tie(point, photo, *measured(photo, places[point]), sigma) for point, photo in shown)

@@ -14,12 +14,14 @@ def placement_words(facts: Mapping[str, Any]) -> str:
         found = facts["accumulated"]
         farthest = max(found["by_step_px"], key=int)
         lines.append(
-            f"uncontrolled, {model}: {count} photos joined outwards from {facts['start']}, gaps {facts['gaps_px']:.2f} px RMS"
+            f"uncontrolled, {model}: {count} photos joined outwards from {facts['start']}, "
+            f"gaps {facts['gaps_px']:.2f} px RMS"
         )
         what = "control" if found["against"] == "control" else "ties alone"
         lines.append(
             f"accumulated error against all photos adjusted together on {what}: "
-            f"{found['by_step_px'][farthest]:.2f} px RMS {farthest} joins out, {found['best_fit_px']:.2f} px after the best fit"
+            f"{found['by_step_px'][farthest]:.2f} px RMS {farthest} joins out, {found['best_fit_px']:.2f} px after "
+            "the best fit"
         )
     elif kind == "grown":
         lines.append(
@@ -27,7 +29,9 @@ def placement_words(facts: Mapping[str, Any]) -> str:
             f"{len(facts['failed_joins'])} failed, gaps {facts['gaps_px']:.2f} px RMS"
         )
     elif facts["rectified"] == "singly":
-        lines.append(f"controlled, {model}: {count} photos rectified singly, gaps at ties {facts['gaps_px']:.2f} px RMS")
+        lines.append(
+            f"controlled, {model}: {count} photos rectified singly, gaps at ties {facts['gaps_px']:.2f} px RMS"
+        )
     else:
         weight = f", {facts['sigma0']:.2f} times their sigmas" if facts["sigma0"] is not None else ""
         lines.append(

@@ -1,4 +1,4 @@
-"""Photos of flat ground to a block: placed together by plane transformations, each then a model of the sensor 'planar'."""
+"""Photos of flat ground to a block: placed together, each by a plane transformation of the sensor 'planar'."""
 
 from __future__ import annotations
 
@@ -129,8 +129,9 @@ def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs) -> Place
                 GeomosaicWarning,
                 stacklevel=2,
             )
-    adjusted, against = reference(block, made, "conformal")
-    return Placed(made.transforms, chain_facts(block, made, model, compare(block, made, adjusted, against)))
+    adjusted, against = reference(block, made, model)
+    error = compare(block, made, adjusted.transforms, against, adjusted.kind)
+    return Placed(made.transforms, chain_facts(block, made, model, error))
 
 
 def _singly(block: PlanarBlock, wanted: PlanarInputs) -> bool:
@@ -177,7 +178,7 @@ def _scene(inputs: BlockInputs, photo: Photo, transform: PlanarTransform, crs: C
 def _unused(block: PlanarBlock, photos: Sequence[Photo]) -> list[str]:
     """Tie points that are measured in one photo only, and say nothing."""
     seen: dict[str, int] = {}
-    for measured in (*block.ties, *block.control):
+    for measured in block.measurements:
         seen[measured.id] = seen.get(measured.id, 0) + 1
     known = {point.id for point in block.control}
     return sorted(name for name, count in seen.items() if count == 1 and name not in known)

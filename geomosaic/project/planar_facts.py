@@ -57,6 +57,7 @@ def chain_facts(block: PlanarBlock, made: Chain, model: str, error: Accumulated)
         ],
         "accumulated": {
             "against": error.against,
+            "model": error.model,
             "by_photo_px": error.by_photo,
             "by_step_px": {str(step): value for step, value in error.by_step.items()},
             "best_fit_px": error.best,
@@ -98,9 +99,9 @@ def measurements(solution: PlanarSolution) -> list[dict[str, Any]]:
 
 def control_facts(residuals: Sequence[ControlResidual]) -> dict[str, Any]:
     """RMS of control and check points against the placed photos, pixels; None without any."""
-    return {
-        f"rms_{role}_px": finite(rms(list(residuals), role)) for role in ("control", "check")
-    } | {"checks": [asdict(one) for one in residuals if one.role == "check"]}
+    return {f"rms_{role}_px": finite(rms(list(residuals), role)) for role in ("control", "check")} | {
+        "checks": [asdict(one) for one in residuals if one.role == "check"]
+    }
 
 
 def gap_rms(found: Any) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,11 +17,13 @@ from geomosaic.errors import SolveError
 from geomosaic.types import FloatArray
 
 LONGEST = {"conformal": np.inf, "affine": 8.0, "projective": 5.0}
-"""Largest elongation of the tie points that each kind is fitted to.
+"""Largest elongation of the points that a photo is joined by, for each kind.
 
-Across the ties an affine fit carries errors on by their elongation times as much as along them: at 8, points that err by
-0.5 px put the far side of a photo wrong by several pixels, and each photo joined there carries that on.
+Across the points an affine fit carries errors on by their elongation times as much as along them: at 8, points that err
+by 0.5 px put the far side of a photo wrong by several pixels, and each photo joined there carries that on.
 """
+LONGEST_OF_CONTROL = {"conformal": np.inf, "affine": 20.0, "projective": 12.0}
+"""The same where all points are control: nothing is carried on, and the standard deviations of the corners are told."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,9 @@ class Attachment:
     rms: float
 
 
-def fit_single(photo: PlanarPhoto, points: Sequence[Control], kind: str, where: str | None = None) -> PlanarSolution:
+def fit_single(
+    photo: PlanarPhoto, points: Sequence[Control], kind: str, longest: Mapping[str, float] = LONGEST
+) -> PlanarSolution:
     """Fit one photo to points with known places.
 
     Raises
@@ -64,19 +68,16 @@ def fit_single(photo: PlanarPhoto, points: Sequence[Control], kind: str, where: 
         Too few points, or points nearly on a line for an affine or projective transformation; names their condition
         number.
     """
-    if len(points) >= LEAST.get(kind, 0) and len(points) > 1:
+    if len(points) >= max(2, LEAST.get(kind, 0)):
         ratio = elongation(photo.size, np.array([[point.col, point.row] for point in points]))
-        if ratio > LONGEST.get(kind, np.inf):
+        if ratio > longest.get(kind, np.inf):
             raise SolveError(
-                f"the points lie nearly on a line (condition number {ratio:.3g}, at most {LONGEST[kind]:g} for this "
-                f"model): they do not hold an {kind} transformation"
-                if kind == "affine"
-                else f"the points lie nearly on a line (condition number {ratio:.3g}, at most {LONGEST[kind]:g} for this "
-                f"model): they do not hold a {kind} transformation",
-                where=where or photo.name,
+                f"the {len(points)} points lie nearly on a line: their condition number is {ratio:.3g}, and "
+                f"{longest[kind]:g} is the most that the {kind} transformation takes",
+                where=photo.name,
                 mend="choose conformal, or measure points away from the line",
             )
-    return adjust(PlanarBlock((photo,), (), tuple(points)), kind, where=where or photo.name)
+    return adjust(PlanarBlock((photo,), (), tuple(points)), kind, where=photo.name)
 
 
 def fit_best(photo: PlanarPhoto, points: Sequence[Control], kind: str) -> tuple[PlanarSolution, str]:
@@ -104,16 +105,16 @@ def known_points(
     to : tuple of str
         The photos they come from.
     """
-    sigma = {(measured.id, measured.photo): measured.sigma for measured in (*block.ties, *block.control)}
+    sigma = {(measured.id, measured.photo): measured.sigma for measured in block.measurements}
     made = [name for name in transforms if name != photo]
     found, to = [], []
-    for measured in (*block.ties, *block.control):
+    for measured in block.measurements:
         if measured.photo != photo:
             continue
         seen = [name for name in made if measured.id in places[name]]
         if not seen:
             continue
-        spread = [sigma[measured.id, name] * _pixel(transforms[name]) for name in seen]
+        spread = [sigma[measured.id, name] * transforms[name].pixel() for name in seen]
         weight = 1.0 / np.square(spread)
         x, y = np.average([places[name][measured.id] for name in seen], axis=0, weights=weight)
         found.append(
@@ -129,10 +130,4 @@ def known_points(
 def merged(ties: Sequence[Control], control: Sequence[Control]) -> list[Control]:
     """Points from the part made before, and from the map; of a point that comes from both, the map's place."""
     from_map = {point.id for point in control}
-    return [replace(point) for point in ties if point.id not in from_map] + list(control)
-
-
-def _pixel(transform: PlanarTransform) -> float:
-    """Map units per pixel in the middle of a photo."""
-    middle = np.array([transform.photo.size]) / 2.0
-    return float(np.sqrt(abs(np.linalg.det(transform.slope(middle)[0]))))
+    return [*(point for point in ties if point.id not in from_map), *control]

@@ -18,14 +18,12 @@ if TYPE_CHECKING:
     from geomosaic.adjust.planar.solution import PlanarSolution
 
 STEEPEST = 0.5
-"""Largest |a3·x + b3·y| inside a photo that a near-vertical one can have: a tilt of 30° at a half angle of view of 40°."""
+"""Largest |a3·x + b3·y| inside a photo that a near-vertical one can have: a tilt of 30° at a half angle of 40°."""
 BAD_FIT = 3.0
 """Standard deviation of unit weight from which relief, blunders or too small sigmas are told."""
 
 
-def check_determined(
-    block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform], where: str | None
-) -> None:
+def check_determined(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform], where: str | None) -> None:
     """Refuse what counting can refuse: photos with too few points, pieces with too little control.
 
     Raises
@@ -36,7 +34,7 @@ def check_determined(
         raise SolveError(f"no transformation named '{kind}'", where=where, mend=f"choose one of {', '.join(LEAST)}")
     photos: dict[str, set[str]] = {photo.name: set() for photo in block.photos}
     points: dict[str, set[str]] = {}
-    for measured in (*block.ties, *block.control):
+    for measured in block.measurements:
         points.setdefault(measured.id, set()).add(measured.photo)
     known = {point.id for point in block.control}
     for name, seen in points.items():
@@ -68,7 +66,7 @@ def check_determined(
 def pieces(block: PlanarBlock) -> list[set[str]]:
     """Photos that hang together by common points, in the order of the block."""
     points: dict[str, list[str]] = {}
-    for measured in (*block.ties, *block.control):
+    for measured in block.measurements:
         points.setdefault(measured.id, []).append(measured.photo)
     root = {photo.name: photo.name for photo in block.photos}
 
@@ -82,8 +80,8 @@ def pieces(block: PlanarBlock) -> list[set[str]]:
         for other in seen[1:]:
             root[top(other)] = top(seen[0])
     found: dict[str, set[str]] = {}
-    for photo in block.photos:
-        found.setdefault(top(photo.name), set()).add(photo.name)
+    for one in block.photos:
+        found.setdefault(top(one.name), set()).add(one.name)
     return list(found.values())
 
 
@@ -138,12 +136,12 @@ def check_plausible(solution: PlanarSolution, start: PlanarSolution | None, wher
     if not solution.sigma0 > BAD_FIT:
         return
     if start is not None and len(solution.block.photos) > 1:
-        (mine, photo), (simpler, _) = expected_error(solution), expected_error(start)
+        (mine, worst_photo), (simpler, _) = expected_error(solution), expected_error(start)
         if not mine < simpler:
-            error = ill_conditioned(solution.block, "projective", solution.condition, photo, where)
+            error = ill_conditioned(solution.block, "projective", solution.condition, worst_photo, where)
             error.what += (
-                f"; with residuals of {solution.rms:.1f} px RMS, {solution.sigma0:.1f} times what the standard deviations "
-                f"say, it puts the corners of the photos wrong by {mine:.3g} map units RMS, the affine one by {simpler:.3g}"
+                f"; with residuals of {solution.rms:.1f} px RMS, {solution.sigma0:.1f} times what the sigmas say, it "
+                f"puts the corners of the photos wrong by {mine:.3g} map units RMS, the affine one by {simpler:.3g}"
             )
             raise error
     warnings.warn(

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from geomosaic.adjust.planar.joins import joins
 from geomosaic.adjust.planar.simultaneous import adjust
+from geomosaic.adjust.planar.solution import PlanarSolution
 from geomosaic.adjust.planar.transform import PlanarTransform
 from geomosaic.adjust.planar.uncontrolled import Chain
 from geomosaic.adjust.planar.values import PlanarBlock, Tie
-from geomosaic.errors import SolveError
+from geomosaic.errors import GeomosaicWarning, SolveError
 from geomosaic.types import FloatArray
 
 
@@ -24,6 +27,8 @@ class Accumulated:
     ----------
     against : str
         'control', or 'ties' where the simultaneous adjustment holds the start photo instead of control points.
+    model : str
+        Kind of the simultaneous adjustment.
     by_photo : dict of str to float
         RMS difference of a photo's corners and middle, in its own pixels, after a conformal transformation that lays
         the start photo of the one onto that of the other.
@@ -36,6 +41,7 @@ class Accumulated:
     """
 
     against: str
+    model: str
     by_photo: dict[str, float]
     by_step: dict[int, float]
     best: float
@@ -48,17 +54,30 @@ class Accumulated:
         return max(self.by_photo.values())
 
 
-def reference(block: PlanarBlock, made: Chain, kind: str) -> tuple[dict[str, PlanarTransform], str]:
-    """Adjust all photos together: on control where it suffices, else about the start photo of the chain."""
-    try:
-        return adjust(block, kind).transforms, "control"
-    except SolveError:
-        held = {made.start: made.transforms[made.start]}
-        return adjust(PlanarBlock(block.photos, as_ties(block)), kind, held).transforms, "ties"
+def reference(block: PlanarBlock, made: Chain, kind: str) -> tuple[PlanarSolution, str]:
+    """Adjust all photos together: on control where it suffices, else about the start photo of the chain.
+
+    A kind that the whole block does not hold gives way to the conformal one.
+
+    Returns
+    -------
+    solution : PlanarSolution
+    against : str
+        'control' or 'ties'.
+    """
+    free = PlanarBlock(block.photos, as_ties(block))
+    held = {made.start: made.transforms[made.start]}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GeomosaicWarning)  # what it compares is told as numbers
+        for model in dict.fromkeys((kind, "conformal")):
+            for against, measured, fixed in (("control", block, None), ("ties", free, held)):
+                with suppress(SolveError):
+                    return adjust(measured, model, fixed), against
+    raise SolveError("the photos cannot be adjusted together", mend="look for tie points of one name at two places")
 
 
 def compare(
-    block: PlanarBlock, made: Chain, adjusted: Mapping[str, PlanarTransform], against: str = "control"
+    block: PlanarBlock, made: Chain, adjusted: Mapping[str, PlanarTransform], against: str, model: str
 ) -> Accumulated:
     """Hold a chain against the simultaneous solution of the same photos."""
     at = {photo.name: _places(photo.size) for photo in block.photos}
@@ -76,7 +95,7 @@ def compare(
     steps = sorted(set(made.steps.values()))
     by_step = {n: _rms(np.array([by_photo[name] for name in by_photo if made.steps[name] == n])) for n in steps}
     best = _rms(np.concatenate([difference(name, every) for name in at]))
-    return Accumulated(against, by_photo, by_step, best, _gaps(block, made.transforms), _gaps(block, adjusted))
+    return Accumulated(against, model, by_photo, by_step, best, _gaps(block, made.transforms), _gaps(block, adjusted))
 
 
 def as_ties(block: PlanarBlock) -> tuple[Tie, ...]:

@@ -24,7 +24,7 @@ import numpy as np
 
 from geomosaic.adjust.planar.transform import photo_coordinates
 from geomosaic.adjust.planar.values import PlanarBlock
-from geomosaic.types import FloatArray, IntArray
+from geomosaic.types import BoolArray, FloatArray, IntArray
 
 GROUND = -1
 """In place of a photo's number: the view is the ground coordinates themselves."""
@@ -61,9 +61,10 @@ class Views:
     pairs: IntArray
 
     @property
-    def is_ground(self) -> np.ndarray:
+    def is_ground(self) -> BoolArray:
         """Which views are ground coordinates (N,)."""
-        return self.photo == GROUND
+        known: BoolArray = self.photo == GROUND
+        return known
 
     @property
     def redundancy_of_points(self) -> int:
@@ -77,7 +78,7 @@ def views_of(block: PlanarBlock) -> Views:
     index = block.index
     found: dict[str, list[tuple[int, FloatArray, FloatArray, float]]] = {}
     ground: dict[str, tuple[FloatArray, float]] = {}
-    for measured in (*block.ties, *block.control):
+    for measured in block.measurements:
         number = index[measured.photo]
         colrow = np.array([[measured.col, measured.row]])
         xy = photo_coordinates(block.photos[number].size, colrow)[0]
@@ -94,14 +95,13 @@ def views_of(block: PlanarBlock) -> Views:
         fixed = name in ground and ground[name][1] == 0.0
         last = len(rows)
         pairs += [(i, j) for i in range(first, last) for j in range(i + 1, last) if not fixed or j == last - 1]
-    point, photo, xy, colrow, sigma = zip(*rows, strict=True) if rows else ((), (), (), (), ())
     return Views(
         tuple(found),
-        np.array(point, dtype=np.int64),
-        np.array(photo, dtype=np.int64),
-        np.array(xy, dtype=np.float64).reshape(-1, 2),
-        np.array(colrow, dtype=np.float64).reshape(-1, 2),
-        np.array(sigma, dtype=np.float64),
+        np.array([row[0] for row in rows], dtype=np.int64),
+        np.array([row[1] for row in rows], dtype=np.int64),
+        np.array([row[2] for row in rows], dtype=np.float64).reshape(-1, 2),
+        np.array([row[3] for row in rows], dtype=np.float64).reshape(-1, 2),
+        np.array([row[4] for row in rows], dtype=np.float64),
         np.array(pairs, dtype=np.int64).reshape(-1, 2),
     )
 

@@ -50,9 +50,7 @@ class Growth:
         return {name: solution.transforms[name] for name, solution in self.solutions.items()}
 
 
-def grow(
-    block: PlanarBlock, kind: str = "affine", *, start: str | None = None, accepted: float = ACCEPTED
-) -> Growth:
+def grow(block: PlanarBlock, kind: str = "affine", *, start: str | None = None, accepted: float = ACCEPTED) -> Growth:
     """Place photo after photo.
 
     Parameters
@@ -105,7 +103,7 @@ def grow(
                 f"the {kind} transformation needs {LEAST[kind]}",
                 mend="measure more control or tie points in it",
             )
-        photo, (seen, to) = block.photo(name), found[name]
+        photo, to = block.photo(name), found[name][1]
         solution = fit_single(photo, points[name], kind)
         solutions[name], made[name] = solution, solution.transforms[name]
         ratio = elongation(photo.size, np.array([[point.col, point.row] for point in points[name]]))

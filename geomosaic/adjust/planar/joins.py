@@ -49,7 +49,7 @@ def positions(block: PlanarBlock, transforms: Mapping[str, PlanarTransform]) -> 
     """Map position (2,) of each measured point by each placed photo that shows it: photo → point → position."""
     found: dict[str, dict[str, FloatArray]] = {name: {} for name in transforms}
     pixels: dict[str, dict[str, tuple[float, float]]] = {name: {} for name in transforms}
-    for measured in (*block.ties, *block.control):
+    for measured in block.measurements:
         if measured.photo in transforms:
             pixels[measured.photo][measured.id] = (measured.col, measured.row)
     for name, own in pixels.items():
@@ -71,8 +71,7 @@ def join(
         return None
     gaps = np.array([places[second][point] - places[first][point] for point in shared])
     transform = transforms[second]
-    middle = np.array([transform.photo.size]) / 2.0
-    gaps = gaps / np.sqrt(abs(np.linalg.det(transform.slope(middle)[0])))
+    gaps = gaps / transform.pixel()
     across = transform.centre() - transforms[first].centre()
     across = across / max(float(np.hypot(*across)), 1e-300)
     seam = np.array([-across[1], across[0]])

@@ -69,6 +69,13 @@ def by_photo(kind: str, values: FloatArray, xy: FloatArray) -> FloatArray:
     return slope
 
 
+def pixel_sizes(slope: FloatArray) -> FloatArray:
+    """Mean scale (N,) of derivatives (N, 2, 2): the root of how much larger areas become; NaN where they are."""
+    (a, b), (c, d) = slope[:, 0].T, slope[:, 1].T
+    scale: FloatArray = np.sqrt(np.abs(a * d - b * c))
+    return scale
+
+
 def reverse(kind: str, values: FloatArray, ground: FloatArray) -> FloatArray:
     """Photo coordinates (N, 2) of ground (N, 2), by equations (9-6) and (9-8).
 
@@ -79,7 +86,8 @@ def reverse(kind: str, values: FloatArray, ground: FloatArray) -> FloatArray:
     if kind == "conformal":
         a, b, tx, ty = values
         scale2 = a * a + b * b
-        return np.column_stack([a * (X - tx) + b * (Y - ty), a * (Y - ty) - b * (X - tx)]) / scale2
+        turned: FloatArray = np.column_stack([a * (X - tx) + b * (Y - ty), a * (Y - ty) - b * (X - tx)]) / scale2
+        return turned
     a1, b1, c1, a2, b2, c2 = values[:6]
     a3, b3 = values[6:] if kind == "projective" else (0.0, 0.0)
     bottom = (a2 * b3 - a3 * b2) * X + (a3 * b1 - a1 * b3) * Y + a1 * b2 - a2 * b1
@@ -88,7 +96,8 @@ def reverse(kind: str, values: FloatArray, ground: FloatArray) -> FloatArray:
     if kind == "projective":
         # bottom · w = determinant of the transformation: where w > 0, both have one sign.
         bottom = np.where(bottom * np.linalg.det(matrix(kind, values)) > 0.0, bottom, np.nan)
-    return np.column_stack([x, y]) / bottom[:, None]
+    photo: FloatArray = np.column_stack([x, y]) / bottom[:, None]
+    return photo
 
 
 def matrix(kind: str, values: FloatArray) -> FloatArray:

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from geomosaic.adjust.planar import kinds
 from geomosaic.adjust.planar.equations import GROUND, Views
-from geomosaic.adjust.planar.kinds import NAMES, by_parameters, by_photo, forward, from_matrix, matrix, reverse
+from geomosaic.adjust.planar.kinds import NAMES, by_parameters, by_photo, forward, pixel_sizes, reverse
 from geomosaic.adjust.planar.transform import Frame, PlanarTransform, half
 from geomosaic.adjust.planar.values import PlanarBlock
 from geomosaic.types import BoolArray, FloatArray, IntArray
@@ -66,7 +67,7 @@ class Problem:
             sigma[~inside] = np.where(sigma[~inside] > 0.0, 1.0, 0.0)
             return sigma
         slope = by_photo(self.kind, self.of_views(values), at[inside])
-        sigma[inside] *= np.sqrt(np.abs(np.linalg.det(slope))) / self.half[self.views.photo[inside]]
+        sigma[inside] *= pixel_sizes(slope) / self.half[self.views.photo[inside]]
         sigma[~inside] /= self.frame.scale
         return sigma
 
@@ -123,4 +124,4 @@ def as_kind(transform: PlanarTransform, kind: str, frame: Frame) -> FloatArray:
     scale = own.scale / frame.scale
     shift = np.array([own.x0 - frame.x0, own.y0 - frame.y0]) / frame.scale
     change = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]], [0.0, 0.0, 1.0]])
-    return from_matrix(kind, change @ matrix(transform.kind, transform.values))
+    return kinds.from_matrix(kind, change @ kinds.matrix(transform.kind, transform.values))

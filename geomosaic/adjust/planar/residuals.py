@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,7 +28,8 @@ def cofactor_blocks(problem: Problem, normals: Normals) -> dict[tuple[int, int],
             near[int(b)].add(int(a))
 
     def columns(i: int) -> IntArray:
-        return problem.first[i] + np.arange(count)
+        own: IntArray = problem.first[i] + np.arange(count)
+        return own
 
     free = [i for i in near if not problem.held[i]]
     found = normals.cofactors(
@@ -45,7 +47,8 @@ def image_residuals(problem: Problem, values: FloatArray, points: FloatArray) ->
     for i, photo in enumerate(problem.block.photos):
         own = np.flatnonzero(views.photo == i)
         computed[own] = PlanarTransform(photo, problem.kind, problem.frame, values[i]).to_image(place[own])
-    return views.colrow - computed
+    left: FloatArray = views.colrow - computed
+    return left
 
 
 def standardised(
@@ -69,7 +72,7 @@ def standardised(
     turn = np.array([1.0, -1.0]) / problem.half[views.photo[problem.in_photo], None]
     across[problem.in_photo] = by_photo(problem.kind, own, at[problem.in_photo]) * turn[:, None, :]
     starts = np.searchsorted(views.point, np.arange(len(views.ids) + 1))
-    for first, last in zip(starts[:-1], starts[1:], strict=True):
+    for first, last in pairwise(starts):
         if last - first < 2:
             continue
         seen = np.arange(first, last)

@@ -90,7 +90,9 @@ def _solve(
         if not condition < WORST_CONDITION:
             raise ill_conditioned(block, kind, condition, problem.photo_of(worst), where)
         step = normals.solve(-(design.T @ (gap * np.sqrt(weights)[:, None]).ravel()))
-        trial = _damped(problem, values, at, step, weights, gap) if kind == "projective" else problem.moved(values, step)
+        trial = (
+            _damped(problem, values, at, step, weights, gap) if kind == "projective" else problem.moved(values, step)
+        )
         place = problem.positions(trial, at)
         sigma = problem.sigma_ground(trial, at)
         pixel = sigma[problem.in_photo] / views.sigma[problem.in_photo]

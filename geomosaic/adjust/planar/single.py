@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from geomosaic.adjust.planar.attach import fit_single
+from geomosaic.adjust.planar.attach import LONGEST_OF_CONTROL, fit_single
 from geomosaic.adjust.planar.kinds import LEAST
 from geomosaic.adjust.planar.solution import PlanarSolution
 from geomosaic.adjust.planar.values import PlanarBlock
@@ -32,4 +32,4 @@ def rectify_singly(block: PlanarBlock, kind: str = "projective") -> dict[str, Pl
             + (f" and {len(short) - 6} more" if len(short) > 6 else ""),
             mend="add control points, or adjust all photos together with tie points",
         )
-    return {photo.name: fit_single(photo, own[photo.name], kind) for photo in block.photos}
+    return {photo.name: fit_single(photo, own[photo.name], kind, LONGEST_OF_CONTROL) for photo in block.photos}

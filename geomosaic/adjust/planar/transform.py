@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.adjust.planar.kinds import NAMES, by_photo, forward, from_matrix, matrix, reverse
+from geomosaic.adjust.planar.kinds import NAMES, by_photo, forward, from_matrix, matrix, pixel_sizes, reverse
 from geomosaic.adjust.planar.values import PlanarPhoto
 from geomosaic.types import FloatArray
 
@@ -76,7 +76,8 @@ class PlanarTransform:
         """Derivatives (N, 2, 2) of the map by col and row, map units per pixel."""
         size = self.photo.size
         by_xy = by_photo(self.kind, self.values, photo_coordinates(size, colrow))
-        return by_xy * np.array([1.0, -1.0]) * (self.frame.scale / half(size))
+        slope: FloatArray = by_xy * np.array([1.0, -1.0]) * (self.frame.scale / half(size))
+        return slope
 
     @property
     def matrix(self) -> FloatArray:
@@ -109,6 +110,10 @@ class PlanarTransform:
         middle: FloatArray = self.to_ground(np.array([self.photo.size]) / 2.0)[0]
         return middle
 
+    def pixel(self) -> float:
+        """Map units per pixel in the middle of the photo."""
+        return float(pixel_sizes(self.slope(np.array([self.photo.size]) / 2.0))[0])
+
     def options(self) -> dict[str, object]:
         """Inputs of the sensor 'planar' that make the same transformation, ground → image.
 
@@ -117,7 +122,7 @@ class PlanarTransform:
         """
         middle = np.zeros((1, 2))
         place = forward(self.kind, self.values, middle)
-        step = float(np.sqrt(abs(np.linalg.det(by_photo(self.kind, self.values, middle)[0]))))
+        step = float(pixel_sizes(by_photo(self.kind, self.values, middle))[0])
         x0, y0 = self.frame.map(place)[0]
         local = np.array([[1.0, 0.0, -place[0, 0]], [0.0, 1.0, -place[0, 1]], [0.0, 0.0, step]]) @ self._from_pixels
         inverse = np.linalg.inv(local)
@@ -125,11 +130,9 @@ class PlanarTransform:
         if self.kind == "conformal":
             coefficients = {"a": h[0, 0], "b": -h[0, 1], "tx": h[0, 2], "ty": -h[1, 2]}
         elif self.kind == "affine":
-            names = ("a10", "a01", "a00", "b10", "b01", "b00")
-            coefficients = dict(zip(names, h[:2].ravel(), strict=True))
+            coefficients = dict(zip(("a10", "a01", "a00", "b10", "b01", "b00"), h[:2].ravel(), strict=True))
         else:
-            names = ("a1", "a2", "a0", "b1", "b2", "b0", "c1", "c2")
-            coefficients = dict(zip(names, h.ravel()[:8], strict=True))
+            coefficients = dict(zip(("a1", "a2", "a0", "b1", "b2", "b0", "c1", "c2"), h.ravel()[:8], strict=True))
         return {
             "kind": self.kind,
             "centre": [float(x0), float(y0)],

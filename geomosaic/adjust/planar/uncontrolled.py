@@ -129,7 +129,7 @@ def middle(block: PlanarBlock) -> str:
 def neighbours(block: PlanarBlock) -> dict[str, list[str]]:
     """Photos that share two points or more with each photo."""
     points: dict[str, list[str]] = {}
-    for measured in (*block.ties, *block.control):
+    for measured in block.measurements:
         points.setdefault(measured.id, []).append(measured.photo)
     shared: dict[tuple[str, str], int] = {}
     for seen in points.values():

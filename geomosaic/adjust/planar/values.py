@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -84,12 +85,13 @@ class PlanarBlock:
 
     def __post_init__(self) -> None:
         names = [photo.name for photo in self.photos]
-        doubled = next((name for name in names if names.count(name) > 1), None) if len(set(names)) < len(names) else None
-        if not names or doubled is not None:
-            what = f"two photos share the name '{doubled}'" if doubled else "a block needs at least one photo"
-            raise InputError(what, mend="name each photo once")
+        if not names:
+            raise InputError("a block needs at least one photo")
+        doubled = next((name for name, count in Counter(names).items() if count > 1), None)
+        if doubled is not None:
+            raise InputError(f"two photos share the name '{doubled}'", mend="name each photo once")
         known, measured, ground = set(names), set[tuple[str, str]](), dict[str, tuple[float, float, float]]()
-        for point in (*self.ties, *self.control):
+        for point in self.measurements:
             where = f"point '{point.id}' in '{point.photo}'"
             if point.photo not in known:
                 raise InputError("the photo is not in the block", where=where, mend=did_you_mean(point.photo, known))
@@ -105,6 +107,11 @@ class PlanarBlock:
                         where=where,
                         mend="one point has one place; rename one of them",
                     )
+
+    @property
+    def measurements(self) -> tuple[Tie | Control, ...]:
+        """All points as measured in the photos: ties, then control."""
+        return (*self.ties, *self.control)
 
     @property
     def index(self) -> dict[str, int]:

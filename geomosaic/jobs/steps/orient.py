@@ -72,7 +72,10 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
 
 
 def _block(project: Project) -> tuple[Block, dict[str, Any] | None]:
-    """Build the block, and say how plane transformations placed it; where that fails for want of something, say all that is wanting, not only the first."""
+    """Build the block, and say how plane transformations placed its photos where they did.
+
+    Where that fails for want of something, say all that is wanting, not only the first.
+    """
     try:
         inputs = project.inputs
         if inputs.planar is not None:
