@@ -112,7 +112,7 @@ def chain(
 def middle(block: PlanarBlock) -> str:
     """The photo from which the farthest is the fewest joins away; of several, the one nearest to all."""
     near = neighbours(block)
-    best: tuple[int, int, int] | None = None
+    best: tuple[int, int, int, int] | None = None
     found = block.photos[0].name
     for number, photo in enumerate(block.photos):
         away = {photo.name: 0}
@@ -120,7 +120,7 @@ def middle(block: PlanarBlock) -> str:
         while ring:
             ring = list(dict.fromkeys(b for a in ring for b in near[a] if b not in away))
             away.update(dict.fromkeys(ring, max(away.values()) + 1))
-        mark = (max(away.values()), sum(away.values()), number)
+        mark = (len(near) - len(away), max(away.values()), sum(away.values()), number)
         if best is None or mark < best:
             best, found = mark, photo.name
     return found
