@@ -234,7 +234,9 @@ def test_a_mosaic_grows_from_the_photo_with_the_most_control() -> None:
         assert set(one.to) <= set(order[: order.index(one.photo)])
     true = adjust(block, "affine").transforms
     for name, transform in grown.transforms.items():
-        assert np.allclose(transform.to_ground(transform.corners()), true[name].to_ground(transform.corners()), atol=1e-6)
+        assert np.allclose(
+            transform.to_ground(transform.corners()), true[name].to_ground(transform.corners()), atol=1e-6
+        )
     assert not grown.failed
     checked = {(one.first, one.second) for one in grown.joins}
     assert len(checked) == len(grown.joins) == 29  # every pair of photos with a common point is a join, checked once

@@ -12,7 +12,6 @@ from geomosaic.cli.options import FILE, image_options, machine_options, output_o
 from geomosaic.cli.request import area, block_inputs, mosaic_options, planar_inputs
 from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.words import mosaic_facts, mosaic_words
-from geomosaic.cli.words_planar import placement_words
 
 mosaic_flags = stack(
     click.option(
@@ -76,7 +75,9 @@ def command(images: tuple[Path, ...], output: Path, as_json: bool, **flags: Any)
         if planar is not None:
             inputs = block_inputs(images, flags, flags["gcps"], planar)
             made, facts, path = make_planar_mosaic(inputs, planar, area(flags), output, mosaic_options(flags, report))
-            words = "\n".join([placement_words(facts), mosaic_words(made), f"placement: {path}"])
+            known = [(role, facts[f"rms_{role}_px"]) for role in ("control", "check")]
+            told = [f"{role} points: {value:.2f} px RMS" for role, value in known if value is not None]
+            words = "\n".join([*facts["summary"], *told, mosaic_words(made), f"placement: {path}"])
             answer({**mosaic_facts(made), "placement": facts}, words, as_json)
             return
         result = make_mosaic(block_inputs(images, flags), area(flags), output, mosaic_options(flags, report))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +16,7 @@ from geomosaic.project.inputs import BlockInputs, PlanarInputs
 from geomosaic.project.photos import Photo, photos_of
 from geomosaic.project.planar_facts import chain_facts, growth_facts, joint_facts, single_facts
 from geomosaic.project.planar_tables import read_block
+from geomosaic.project.planar_words import placement_words
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build
 
@@ -77,7 +77,7 @@ def build_planar(inputs: BlockInputs, wanted: PlanarInputs) -> tuple[Block, dict
     placed = place(block, wanted)
     scenes = tuple(_scene(inputs, photo, placed.transforms[photo.name], crs) for photo in photos)
     known: tuple[ControlPoint, ...] = () if wanted.kind == "uncontrolled" else points
-    facts = {**placed.facts, "unused": _unused(block, photos)}
+    facts = {"summary": placement_words(placed.facts), **placed.facts, "unused": _unused(block)}
     return Block(scenes, None, known, crs if known else None), facts
 
 
@@ -175,7 +175,7 @@ def _scene(inputs: BlockInputs, photo: Photo, transform: PlanarTransform, crs: C
     return Scene(photo.name, str(photo.path), "planar", model, inputs.nodata, inputs.bands)
 
 
-def _unused(block: PlanarBlock, photos: Sequence[Photo]) -> list[str]:
+def _unused(block: PlanarBlock) -> list[str]:
     """Tie points that are measured in one photo only, and say nothing."""
     seen: dict[str, int] = {}
     for measured in block.measurements:

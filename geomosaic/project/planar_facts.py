@@ -147,4 +147,5 @@ def _joined(block: PlanarBlock, transforms: Mapping[str, PlanarTransform]) -> di
 
 
 def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: finite(value) if isinstance(value, float) else value for key, value in values.items()}
+    plain = {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
+    return {key: finite(value) if isinstance(value, float) else value for key, value in plain.items()}

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 
-def placement_words(facts: Mapping[str, Any]) -> str:
-    """Say how the photos were placed and how well, in a few lines."""
+def placement_words(facts: Mapping[str, Any]) -> list[str]:
+    """Say how the photos were placed and how well, in a line or two."""
     kind, model, count = facts["kind"], facts["model"], len(facts["photos"])
     lines = []
     if kind == "uncontrolled":
@@ -38,7 +38,4 @@ def placement_words(facts: Mapping[str, Any]) -> str:
             f"{kind}, {model}: {count} photos adjusted together, {facts['equations']} equations, redundancy "
             f"{facts['redundancy']}, residuals {facts['rms_px']:.2f} px RMS{weight}"
         )
-    for role in ("control", "check"):
-        if facts.get(f"rms_{role}_px") is not None:
-            lines.append(f"{role} points: {facts[f'rms_{role}_px']:.2f} px RMS")
-    return "\n".join(lines)
+    return lines
