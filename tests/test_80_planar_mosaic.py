@@ -68,10 +68,12 @@ def inputs(folder: Path, wanted: PlanarInputs, control: bool = True) -> BlockInp
     )
 
 
-def made(folder: Path, output: Path, kind: str, control: bool = True, **more: Any) -> tuple[np.ndarray, dict[str, Any]]:
+def made(
+    folder: Path, output: Path, kind: str, control: bool = True, feather: float | None = None, **more: Any
+) -> tuple[np.ndarray, dict[str, Any]]:
     """Distances in pixels (rows, cols) between where pixels of the mosaic lie and what they show; and the facts."""
     wanted = PlanarInputs(kind, ties=folder / "ties.csv", **more)
-    options = MosaicOptions(RenderOptions(overwrite=True), balance=False)
+    options = MosaicOptions(RenderOptions(overwrite=True), feather, balance=False)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GeomosaicWarning)  # what tilt leaves in a conformal fit
         result, facts, path = make_planar_mosaic(inputs(folder, wanted, control), wanted, Area(), output, options)
@@ -136,7 +138,7 @@ def test_the_overlap_is_halved(folder: Path, tmp_path: Path) -> None:
     taken = flight(1, 2, tilt=0.0)
     write_photos(pair, taken)
     write_tables(pair, taken)
-    made(pair, tmp_path / "m.tif", "semicontrolled")
+    made(pair, tmp_path / "m.tif", "semicontrolled", feather=0.0)
     first, second = build_block(inputs(pair, PlanarInputs("semicontrolled", ties=pair / "ties.csv"))).scenes
     with rasterio.open(tmp_path / "m-labels.tif") as file:
         labels = file.read(1)
@@ -145,12 +147,10 @@ def test_the_overlap_is_halved(folder: Path, tmp_path: Path) -> None:
     ground = np.column_stack([x, y, np.zeros(len(rows))])
     places = [scene.model.ground_to_image(ground) for scene in (first, second)]
     both = np.all([((p > 1) & (p < np.array([299, 239]))).all(axis=1) for p in places], axis=0)
-    # At their own edges photos give way to the other, over the 32 pixels of the transition.
-    inner = np.all([((p > 33) & (p < np.array([267, 207]))).all(axis=1) for p in places], axis=0)
-    # Distance to the middle of each photo, in its own pixels.
-    from_middle = [np.hypot(*(p - [150, 120]).T) for p in places]
+    middles = [np.array(scene.model.seed[:2]) for scene in (first, second)]
+    from_middle = [np.hypot(*(ground[:, :2] - middle).T) for middle in middles]
     nearer = 1 + (from_middle[1] < from_middle[0])
-    clear = inner & (np.abs(from_middle[0] - from_middle[1]) > 2.0)
+    clear = both & (np.abs(from_middle[0] - from_middle[1]) > 2.0)
     assert (labels[rows, cols][clear] == nearer[clear]).all()
     share = (labels[rows, cols][both] == 1).mean()
     assert share == pytest.approx(0.5, abs=0.03)
