@@ -144,9 +144,10 @@ def check_plausible(solution: PlanarSolution, start: PlanarSolution | None, wher
                 f"puts the corners of the photos wrong by {mine:.3g} map units RMS, the affine one by {simpler:.3g}"
             )
             raise error
+    mirrored = ", a mirrored image (affine takes it)" if solution.kind == "conformal" else ""
     warnings.warn(
-        f"residuals are {solution.sigma0:.1f} times as large as the standard deviations say "
-        f"({solution.rms:.2f} px RMS): relief at the points, a wrong measurement, or too small sigmas",
+        f"{f'{where}: ' if where else ''}residuals are {solution.sigma0:.1f} times as large as the standard deviations say "
+        f"({solution.rms:.2f} px RMS): relief or tilt, a wrong measurement{mirrored}, or too small sigmas",
         GeomosaicWarning,
         stacklevel=3,
     )
