@@ -37,6 +37,7 @@ def accuracy_words(facts: Mapping[str, Any]) -> list[str]:
     lines = []
     orient, made, check = (facts.get(name) for name in ("orient", "mosaic", "check"))
     if orient:
+        lines += (orient.get("planar") or {}).get("summary", [])
         for role in ("control", "check"):
             value = orient[f"rms_{role}_px"]
             if value is not None:

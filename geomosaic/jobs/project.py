@@ -39,6 +39,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         "exterior": settings.exterior.model_dump(mode="json"),
         "dem": settings.dem.model_dump(mode="json") if settings.dem else None,
         "images": [path.name for path in project.images],
+        "planar": settings.planar.model_dump(mode="json") if settings.planar else None,
         "nodata": settings.project.nodata,
         "bands": settings.project.bands,
         **plugin_versions(settings.sensor.name),
@@ -48,7 +49,8 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     place: dict[str, Any] = {"output": settings.output.model_dump(mode="json", exclude={"folder", "orthos"})}
     blend: dict[str, Any] = {"mosaic": settings.mosaic.model_dump(mode="json"), **said_of_master}
     wants_labels = (layout.labels,) if settings.mosaic.labels else ()
-    rasters = (layout.mosaic, *wants_labels, layout.vectors, layout.item)
+    nowhere = settings.planar is not None and settings.planar.kind == "uncontrolled"
+    rasters = (layout.mosaic, *wants_labels, layout.vectors, *(() if nowhere else (layout.item,)))
     every_ortho = layout.orthos if settings.output.orthos else ()
     oriented = (*layout.models, layout.facts("orient"))
 

@@ -21,7 +21,7 @@ def output_crs(scenes: tuple[Scene, ...], surface: Surface | None) -> CRS:
     """Map CRS of the output where none is given: the surface's or model's own, or the UTM zone it lies in."""
     model = scenes[0].model
     own = horizontal(model.crs if surface is None or not model.crs.is_geocentric else surface.crs)
-    if own.is_projected:
+    if own.is_projected or own.is_engineering:  # a map of its own, such as that of an uncontrolled mosaic
         return own
     lon, lat, _ = Transform(model.crs, geographic(model.crs))(np.array([model.seed]))[0]
     return utm_zone(float(lon), float(lat))

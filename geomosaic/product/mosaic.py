@@ -111,7 +111,8 @@ def mosaic(
     render = options.render
     labels = beside(output, "-labels", ".tif") if options.labels else None
     vectors = beside(output, "", ".gpkg") if options.vectors else None
-    item = beside(output, "", ".stac.json") if options.stac else None
+    # A map of its own lies nowhere on the Earth, which a STAC item would have to say.
+    item = beside(output, "", ".stac.json") if options.stac and not grid.crs.is_engineering else None
     for path in (output, labels, vectors, item):
         if path is not None:  # before an hour's work, not behind it
             check_output(path, overwrite=render.overwrite)

@@ -46,6 +46,10 @@ def build_block(inputs: BlockInputs) -> Block:
     InputError
         Something is missing or wrong; names the file, line or option.
     """
+    if inputs.planar is not None:
+        from geomosaic.project.planar import build_planar
+
+        return build_planar(inputs, inputs.planar)[0]
     photos, crs = photos_of(inputs)
     if crs is not None and not has_heights(crs) and any(photo.exterior for photo in photos):
         raise undeclared_positions(inputs, crs, photos)

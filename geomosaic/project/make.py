@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pyproj import CRS
@@ -19,7 +20,7 @@ from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.product.extent import check_size, footprints, output_crs, output_grid
 from geomosaic.project.build import build_block
-from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.inputs import BlockInputs, PlanarInputs
 from geomosaic.raster.info import inspect
 from geomosaic.surface.model import Surface
 
@@ -138,3 +139,35 @@ def make_mosaic(inputs: BlockInputs, area: Area, output: Path, options: MosaicOp
     block = build_block(inputs)
     grid, outlines = plan(block.scenes, block.surface, area)
     return mosaic(block, grid, outlines, output, options)
+
+
+def make_planar_mosaic(
+    inputs: BlockInputs, wanted: PlanarInputs, area: Area, output: Path, options: MosaicOptions
+) -> tuple[MosaicResult, dict[str, Any], Path]:
+    """Place photos of flat ground together and make their mosaic.
+
+    Returns
+    -------
+    result : MosaicResult
+    facts : dict
+        How the photos were placed, see `planar_facts`.
+    path : Path
+        Where the facts were written, beside the mosaic.
+    """
+    from geomosaic.product.check import check_control
+    from geomosaic.product.mosaic import beside, mosaic
+    from geomosaic.project.atomic import write_atomic
+    from geomosaic.project.planar import build_planar
+    from geomosaic.project.planar_facts import control_facts
+
+    facts_path = beside(output, "-placement", ".json")
+    named = (("-labels", ".tif", options.labels), ("", ".gpkg", options.vectors), ("", ".stac.json", options.stac))
+    companions = (beside(output, mark, suffix) for mark, suffix, wanted_too in named if wanted_too)
+    for file in (output, facts_path, *companions):
+        refuse_existing(file, options.render.overwrite, inputs)
+    block, placed = build_planar(inputs, wanted)
+    facts = {**placed, **control_facts(check_control(block))}
+    grid, outlines = plan(block.scenes, block.surface, area)
+    result = mosaic(block, grid, outlines, output, options)
+    write_atomic(facts_path, json.dumps(facts, indent=1) + "\n")
+    return result, facts, facts_path

@@ -17,7 +17,16 @@ HEIGHTS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or the path of a 
 
 def needs(inputs: BlockInputs) -> list[str]:
     """Say what a block still lacks, each with the key that takes it."""
-    found = []
+    found: list[str] = []
+    if inputs.planar is not None:
+        if inputs.planar.kind != "uncontrolled":
+            if inputs.control is None:
+                found.append("control points: [control] file, a table with id, x, y, image, col, row")
+            if inputs.crs is None:
+                found.append("the CRS of the control points: [exterior] crs, such as EPSG:32633")
+        if inputs.planar.ties is None and inputs.planar.kind != "controlled":
+            found.append("tie points: [planar] ties, a table with id, image, col, row")
+        return found
     if inputs.sensor == "planar":
         for path in inputs.images:
             if inspect(path).transform is None and inputs.control is None and not inputs.options:

@@ -84,6 +84,17 @@ class ControlSection(Section):
     file: FilePath
 
 
+class PlanarSection(Section):
+    """[planar]: photos of flat ground placed together by plane transformations."""
+
+    kind: Literal["uncontrolled", "semicontrolled", "controlled", "grown"]
+    model: Literal["conformal", "affine", "projective"] | None = None
+    ties: FilePath | None = None
+    scale: Positive = 1.0
+    azimuth: Finite = 0.0
+    rectify: Literal["singly", "together"] | None = None
+
+
 class OutputSection(Section):
     """[output]."""
 
@@ -143,6 +154,7 @@ class ProjectFile(Section):
     exterior: ExteriorSection = Field(default_factory=ExteriorSection)
     dem: DemSection | None = None
     control: ControlSection | None = None
+    planar: PlanarSection | None = None
     output: OutputSection = Field(default_factory=OutputSection)
     mosaic: MosaicSection = Field(default_factory=MosaicSection)
     quality: QualitySection = Field(default_factory=QualitySection)
