@@ -31,7 +31,7 @@ STEEPEST = float(np.tan(np.radians(80.0)) ** 2)
 
 
 def refraction_constant(height: float, ground: float) -> float:
-    """K of the standard atmosphere, in radians: the angle by which a ray 45° from the nadir is bent, seen at the camera.
+    """K of the standard atmosphere in radians: the angle by which a ray 45° from the nadir is seen too far out.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class Bending:
         return self.refraction == 0.0 and self.curvature == 0.0
 
     def _factor(self, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """q and dq/dt at t = tan²α; beyond 80° both stay."""
+        """Return q and dq/dt at t = tan²α; beyond 80° both stay."""
         capped = np.minimum(t, STEEPEST)
         top, bottom = 1.0 + self.refraction * (1.0 + capped), 1.0 + self.curvature * capped
         slope = (self.refraction * bottom - self.curvature * top) / bottom**2

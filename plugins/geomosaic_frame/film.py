@@ -36,12 +36,14 @@ class FilmCamera:
     autocollimation: tuple[float, float]
     to_film: FloatArray
     _to_scan: FloatArray = field(init=False, repr=False, compare=False)
+    _from_scan: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         # (u, v) of the lens, in focal lengths and y down, to mm to pixels.
         c, (x, y) = self.lens.constant, self.autocollimation
         matrix = np.linalg.inv(self.to_film) @ np.array([[c, 0.0, x], [0.0, -c, y], [0.0, 0.0, 1.0]])
         object.__setattr__(self, "_to_scan", matrix / matrix[2, 2])
+        object.__setattr__(self, "_from_scan", np.linalg.inv(matrix))
 
     @property
     def focal(self) -> tuple[float, float]:
@@ -66,7 +68,7 @@ class FilmCamera:
 
     def directions(self, colrow: FloatArray) -> FloatArray:
         """Pixels (N, 2) to unit directions in camera axes (N, 3)."""
-        u, v = apply(np.linalg.inv(self._to_scan), colrow).T
+        u, v = apply(self._from_scan, colrow).T
         direction = np.column_stack(self.lens.unproject(u.copy(), v.copy()))
         direction /= np.linalg.norm(direction, axis=1)[:, None]
         return direction

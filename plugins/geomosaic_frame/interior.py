@@ -105,7 +105,7 @@ def apply(matrix: FloatArray, xy: FloatArray) -> FloatArray:
 
 
 def _conformal(p: FloatArray, film: FloatArray, mirrored: bool) -> FloatArray:
-    """x = a·m·p₁ + b·p₂ + e,  y = b·m·p₁ − a·p₂ + f, with m = 1, or −1 where mirrored."""
+    """Fit x = a·m·p₁ + b·p₂ + e,  y = b·m·p₁ − a·p₂ + f, with m = 1, or −1 where mirrored."""
     m = -1.0 if mirrored else 1.0
     one, zero = np.ones(len(p)), np.zeros(len(p))
     design = np.vstack(

@@ -123,8 +123,8 @@ def _words(result: InteriorOrientation, names: list[str]) -> str:
     worst = int(np.argmax(np.hypot(*result.residuals.T)))
     return (
         f"interior orientation: {result.kind}, {len(names)} fiducials, residuals {result.rms:.1f} µm RMS, "
-        f"{np.hypot(*result.residuals[worst]):.1f} µm at {names[worst]}; pixels of {across:.3f} x {down:.3f} µm, turned "
-        f"by {result.turn:.2f}°{', mirrored' if result.mirrored else ''}"
+        f"{np.hypot(*result.residuals[worst]):.1f} µm at {names[worst]}; pixels of {across:.3f} x {down:.3f} µm, "
+        f"turned by {result.turn:.2f}°{', mirrored' if result.mirrored else ''}"
     )
 
 
@@ -141,14 +141,16 @@ def _misfit(
             mend="the marks are numbered in the other direction, or the scan shows the film from its back: "
             f"renumber them, or set mirrored = {str(not mirrored).lower()}",
         )
-    best = min(
-        ((fit_interior(image, film[list(order)], "conformal", mirrored).rms, order) for order in _orders(len(names))),
-        default=(np.inf, ()),
+    tried = (
+        (fit_interior(image, film[list(order)], "conformal", mirrored).rms, order) for order in _orders(len(names))
     )
-    if best[0] <= GROSS:
-        wrong = [f"{names[i]} is {names[j]}" for i, j in enumerate(best[1]) if i != j]
+    # A frame that is nearly symmetric fits in several positions: the one with the fewest numbers changed is told.
+    fitting = [(sum(i != j for i, j in enumerate(order)), rms, order) for rms, order in tried if rms <= GROSS]
+    if fitting:
+        _, left, order = min(fitting)
+        wrong = [f"{names[i]} is {names[j]}" for i, j in enumerate(order) if i != j]
         return InputError(
-            f"{what}; with other numbers they do, to {best[0]:.0f} µm: what is called {', '.join(wrong)}",
+            f"{what}; with other numbers they do, to {left:.0f} µm: what is called {', '.join(wrong)}",
             where=where,
             mend="renumber these marks",
         )
@@ -208,9 +210,9 @@ def _say_turned(
         if max(CLEARLY * other.rms, 5.0) < result.rms:
             first = around[0]
             warnings.warn(
-                f"{where}: the fiducials fit to {result.rms:.0f} µm, but to {other.rms:.0f} µm if the numbers are moved "
-                f"on by {step} of {len(names)} (what is called {names[first]} is {names[moved[first]]}): probably the "
-                "scan is turned, and the marks were numbered as if it were not.",
+                f"{where}: the fiducials fit to {result.rms:.0f} µm, but to {other.rms:.0f} µm if the numbers are "
+                f"moved on by {step} of {len(names)}, so that {names[first]} is {names[moved[first]]}: probably the scan "
+                "is turned, and the marks were numbered as if it were not.",
                 GeomosaicWarning,
                 stacklevel=3,
             )

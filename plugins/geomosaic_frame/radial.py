@@ -26,7 +26,7 @@ class Radial(Protocol):
         """Radius in mm from which on the correction goes on linearly; inf without end."""
 
     def correction(self, r: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """g in mm and dg/dr at radii (N,) in mm."""
+        """Return g in mm and dg/dr at radii (N,) in mm."""
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
@@ -70,7 +70,7 @@ class RadialTable:
         return self.radii[-1]
 
     def correction(self, r: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """g in mm and dg/dr at radii (N,) in mm."""
+        """Return g in mm and dg/dr at radii (N,) in mm."""
         x, y, bend = self._x, self._y, self._bend
         inside = np.minimum(r, self.end)
         i = np.clip(np.searchsorted(x, np.nan_to_num(inside)) - 1, 0, len(x) - 2)
@@ -117,7 +117,7 @@ class RadialPolynomial:
         return self._end
 
     def correction(self, r: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """g in mm and dg/dr at radii (N,) in mm."""
+        """Return g in mm and dg/dr at radii (N,) in mm."""
         inside = np.minimum(r, self._end)
         g, slope = self._polynomial(inside)
         return (g + slope * (r - inside) if np.isfinite(self._end) else g), slope
