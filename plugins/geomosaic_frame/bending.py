@@ -6,10 +6,13 @@ are one map of directions: horizontal components are multiplied by q, with t = t
     q = (1 + K·(1 + t)) / (1 + a·t)
 
 Refraction: the camera sees a point farther from the nadir than it is, by K·tan α; in a vertical photo by
-Δr = K·(r + r³/c²). K is that of the standard atmosphere (ARDC 1959; Bertram 1966, Photogrammetric Engineering 32(1);
-Manual of Photogrammetry), H and h being the heights of camera and ground in km:
+Δr = K·(r + r³/c²). Snell's law in level layers of air gives K as the mean refractive index between ground and camera
+less that at the camera. With n − 1 proportional to the density ρ, and the weight of the air being its pressure p,
 
-    K = 1e-6 · (2410·H / (H² − 6·H + 250) − 2410·h / (h² − 6·h + 250) · h/H)
+    K = 2.26e-4 m³/kg · ((p(h) − p(H)) / (g·(H − h)) − ρ(H))
+
+with H and h the heights of camera and ground, p and ρ of the ICAO standard atmosphere. To 9 km that is Saastamoinen's
+K = 13e-6·(H − h)·(1 − 0.02·(2·H + h)), in km (Photogrammetric Engineering 38 (1972), p. 799; Manual of Photogrammetry).
 
 Curvature: at the distance D a point lies D²/2R lower than the map has it, so it is seen nearer to the nadir; in a
 vertical photo by Δr = (H − h)·r³ / (2·R·c²), a = (H − h)/(2·R).
@@ -26,6 +29,9 @@ from geomosaic.types import FloatArray
 
 Columns = tuple[FloatArray, FloatArray, FloatArray]
 
+GLADSTONE_DALE = 2.26e-4
+"""(n − 1)/ρ of air in the middle of the visible light, m³/kg."""
+GRAVITY = 9.80665
 STEEPEST = float(np.tan(np.radians(80.0)) ** 2)
 """tan² of the nadir angle beyond which the correction is that at 80°: neither formula holds near the horizon."""
 
@@ -36,15 +42,18 @@ def refraction_constant(height: float, ground: float) -> float:
     Parameters
     ----------
     height, ground : float
-        Of camera and ground above sea level in metres, up to 20 km; that of the geoid is meant, but the ellipsoid's
-        differs too little to matter.
+        Of camera and ground above sea level in metres, up to 20 km. Heights above the ellipsoid do as well: 50 m are
+        0.5 µrad at most.
     """
-    top, bottom = height / 1000.0, ground / 1000.0
+    (above, density), (below, _) = _atmosphere(height), _atmosphere(ground)
+    return GLADSTONE_DALE * ((below - above) / (GRAVITY * (height - ground)) - density)
 
-    def part(km: float) -> float:
-        return 2410.0 * km / (km * km - 6.0 * km + 250.0)
 
-    return 1e-6 * (part(top) - part(bottom) * bottom / top)
+def _atmosphere(height: float) -> tuple[float, float]:
+    """Pressure in Pa and density in kg/m³ of the ICAO standard atmosphere, from the sea to 20 km."""
+    base = 1.0 - 2.25577e-5 * min(height, 11000.0)
+    thin = float(np.exp(-max(height - 11000.0, 0.0) / 6341.62))
+    return 101325.0 * base**5.25588 * thin, 1.225 * base**4.25588 * thin
 
 
 def refraction_shift(radius: FloatArray, constant: float, height: float, ground: float) -> FloatArray:
@@ -156,7 +165,7 @@ class Bending:
 
 
 def _tangent_squared(east: FloatArray, north: FloatArray, up: FloatArray) -> FloatArray:
-    """tan² of the angle from the vertical; infinite at the horizon, NaN of NaN."""
+    """tan² of the angle from the vertical, cut where it exceeds anything that matters; NaN of NaN."""
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         t = (east**2 + north**2) / up**2
-    return np.where(up == 0.0, np.inf, t)
+    return np.minimum(np.where(up == 0.0, np.inf, t), 1e6 * STEEPEST)

@@ -211,7 +211,7 @@ def _say_turned(
             first = around[0]
             warnings.warn(
                 f"{where}: the fiducials fit to {result.rms:.0f} µm, but to {other.rms:.0f} µm if the numbers are "
-                f"moved on by {step} of {len(names)}, so that {names[first]} is {names[moved[first]]}: probably the scan "
+                f"moved by {step} of {len(names)}, so that {names[first]} is {names[moved[first]]}: probably the scan "
                 "is turned, and the marks were numbered as if it were not.",
                 GeomosaicWarning,
                 stacklevel=3,
