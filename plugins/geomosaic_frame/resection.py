@@ -204,7 +204,7 @@ def _words(one: Resection[FrameModel], crs: CRS) -> list[str]:
     )
     rho = correlations(one.covariance)
     i, j = np.unravel_index(int(np.argmax(np.abs(np.triu(rho, 1)))), rho.shape)
-    unit = one.model.parameters.units[0]
+    unit = "m" if (name := one.model.parameters.units[0]) == "metre" else name
     place = ", ".join(f"{value:.2f}" for value in Transform(one.model.crs, crs)(one.model.centre[None])[0])
     length, angle = (", ".join(f"{s:.2g}" for s in part) for part in (one.sigmas[:3], one.sigmas[3:]))
     return [
