@@ -95,18 +95,36 @@ def test_two_wrong_points_of_nine_do_not_decide() -> None:
         assert np.linalg.norm(poses(bearings, points)[0].centre - centre) < 1e-3
 
 
-def test_cylinder() -> None:
-    turn = np.radians([10.0, 130.0, 200.0, 280.0])
-    circle = [*np.column_stack([300.0 * np.cos(turn), 300.0 * np.sin(turn), np.zeros(4)]), 1000.0, 2000.0, 50.0]
-    on = dangerous_cylinder(np.array([1300.0, 2000.0, 900.0]), circle)
-    assert on.gap < 1e-12
-    assert on.off_circle < 1e-12
-    assert on.near
-    middle = dangerous_cylinder(np.array([1000.0, 2000.0, 900.0]), circle[:3])
-    assert middle.gap == pytest.approx(1.0)
-    assert not middle.near
-    inside = np.vstack([circle, [[1000.0, 2000.0, 50.0]]])
-    assert not dangerous_cylinder(np.array([1300.0, 2000.0, 900.0]), inside).near
+def circle(count: int = 3) -> FloatArray:
+    turn = np.radians([10.0, 130.0, 200.0, 280.0])[:count]
+    flat = np.column_stack([300.0 * np.cos(turn), 300.0 * np.sin(turn), np.zeros(count)])
+    return flat + np.array([1000.0, 2000.0, 50.0])
+
+
+def test_cylinder_by_hand() -> None:
+    for centre, gap in (([1300.0, 2000.0, 900.0], 0.0), ([1000.0, 2000.0, 900.0], 1.0), ([1000.0, 2450.0, 7.0], 0.5)):
+        assert dangerous_cylinder(np.array(centre), circle()) == pytest.approx(gap, abs=1e-12)
+    assert dangerous_cylinder(np.zeros(3), np.outer([0.0, 1.0, 2.0], [1.0, 2.0, 3.0])) == np.inf
+
+
+def conditions(gap: float, count: int) -> float:
+    """Condition of the pose from `count` points on a circle, by differences of bearings."""
+    points, centre = circle(count), np.array([1000.0 + 300.0 * (1.0 + gap), 2000.0, 900.0])
+
+    def bearings(change: FloatArray) -> FloatArray:
+        rays = (points - centre - 500.0 * change[:3]) @ Rotation.from_rotvec(change[3:]).as_matrix()
+        return unit(rays).ravel()
+
+    steps = 1e-5 * np.eye(6)
+    slopes = np.column_stack([(bearings(step) - bearings(-step)) / 2e-5 for step in steps])
+    singular = np.linalg.svd(slopes, compute_uv=False)
+    return float(singular[0] / singular[-1])
+
+
+def test_three_points_fail_on_the_cylinder_and_four_do_not() -> None:
+    assert conditions(0.0, 3) > 1e7
+    assert conditions(0.01, 3) > 5.0 * conditions(0.1, 3)
+    assert conditions(0.0, 4) < 2.0 * conditions(0.3, 4) < 200.0
 
 
 def test_correlations_by_hand() -> None:

@@ -114,6 +114,10 @@ def test_three_points_give_the_photo_or_all_the_places_it_may_have() -> None:
             assert any("no check: three points" in note for note in found.notes)
             continue
         several += 1
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", GeomosaicWarning)
+            found = build(points=points_of(ground, pixels), position=[512_010.0, 5_299_995.0, 1790.0])
+        assert off(found, truth)[0] < 1e-4
         assert "three points fit" in error
         assert "give a fourth point" in error
         place = Transform(truth.crs, CRS)(truth.centre[None])[0]
@@ -175,24 +179,40 @@ def on_the_cylinder(distance: float, count: int) -> list[dict[str, float]]:
     return points_of(ground, photo.ground_to_image(ground))
 
 
-def test_the_dangerous_cylinder_is_told() -> None:
-    with pytest.warns(GeomosaicWarning, match="near the dangerous cylinder"):
-        build(points=on_the_cylinder(0.02, 5), treatment="planar")
+def resected(distance: float, count: int) -> tuple[str, ...]:
+    radius = 500.0 * (1.0 + distance)
+    near = {"position": [512_000.0 + radius, 5_300_000.0, 1600.0]} if count == 3 else {}
+    return build(points=on_the_cylinder(distance, count), treatment="planar", **near).notes
+
+
+def worst_sigma(notes: tuple[str, ...]) -> float:
+    said = next(note for note in notes if note.startswith("sigmas"))
+    return max(float(v) for v in said.split(":")[1].split(" m;")[0].split(","))
+
+
+def test_the_dangerous_cylinder_is_told_of_three_points() -> None:
+    """Three points near it fit two places close together, each uncertain; four points of the circle are sound."""
+    with pytest.raises(InputError, match="three points fit 4 places"):
+        build(points=on_the_cylinder(0.02, 3), treatment="planar")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        build(points=on_the_cylinder(-0.9, 5), treatment="planar")
+        far = resected(-0.6, 3)
+        resected(0.02, 4)
+        resected(0.02, 5)
+    with pytest.warns(GeomosaicWarning, match=r"near the dangerous cylinder through them \(2 % of its radius away\)"):
+        near = resected(0.02, 3)
+    assert worst_sigma(near) > 10.0 * worst_sigma(far)
 
 
-def test_near_the_cylinder_the_sigmas_say_so() -> None:
-    far = build(points=on_the_cylinder(-0.9, 4), treatment="planar").notes
-    with pytest.warns(GeomosaicWarning, match="pixels on the ground"):
-        near = build(points=on_the_cylinder(0.02, 4), treatment="planar").notes
-
-    def worst(notes: tuple[str, ...]) -> float:
-        said = next(note for note in notes if note.startswith("sigmas"))
-        return max(float(v.strip()) for v in said.split(":")[1].split("m;")[0].split(","))
-
-    assert worst(near) > 5.0 * worst(far)
+def test_points_close_together_are_told() -> None:
+    """Four points in a twentieth of the photo: the centre is uncertain by hundreds of pixels."""
+    truth, _, _ = case(2, 4, "planar", flat=True)
+    pixels = np.array([[2000.0, 1500.0], [2150.0, 1510.0], [2010.0, 1640.0], [2140.0, 1650.0]])
+    origins, directions = truth.rays(pixels)
+    ground = origins + directions * ((400.0 - origins[:, 2]) / directions[:, 2])[:, None]
+    with pytest.warns(GeomosaicWarning, match="hardly determine the photo: they are too few, or too close together"):
+        found = build(points=points_of(ground, pixels), treatment="planar")
+    assert worst_sigma(found.notes) > 20.0
 
 
 @pytest.mark.parametrize(
@@ -202,7 +222,8 @@ def test_near_the_cylinder_the_sigmas_say_so() -> None:
         ({"points": "gcps.csv"}, ["not a list of tables"]),
         ({"points": [{"x": 1, "y": 2, "z": 3, "col": 4}] * 3}, ["points[0]", "'row' is missing"]),
         ({"points": [{"x": 1, "y": 2, "z": 3, "col": 4, "row": 5, "sgima": 1}] * 3}, ["did you mean 'sigma'"]),
-        ({"position": [1, 2, 3]}, ["both 'points' and 'position'"]),
+        ({"position": [1, 2, 3]}, ["leave position out"]),
+        ({"orientation": {"system": "opk"}}, ["both 'points' and 'orientation'"]),
         ({"scale_correction": True}, ["leave it out"]),
     ],
 )

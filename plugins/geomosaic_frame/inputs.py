@@ -36,7 +36,8 @@ INPUTS = (
     SensorInput(
         "points",
         "three or more control points {x, y, z, col, row, sigma}, in place of position and orientation: the photo is "
-        "resected from them, with no initial values; sigma is that of the measurement, default 1",
+        "resected from them, with no initial values; sigma is that of the measurement, default 1. Three points may "
+        "allow several places: position, roughly, chooses the nearest",
         "CRS, px",
     ),
     SensorInput("angle_unit", "unit of the angles: deg, gon or rad", default="deg"),

@@ -23,12 +23,14 @@ from geomosaic_frame.inside import Inside
 from geomosaic_frame.model import NAMES, FrameModel
 from geomosaic_frame.orientation import FLIP, Attitude
 from geomosaic_frame.place import local_frame, need_heights, planar, rigorous
-from geomosaic_frame.read import flag, known_keys, need, number, positive, table_of
+from geomosaic_frame.read import flag, known_keys, need, number, numbers, positive, table_of
 from geomosaic_frame.start import model_at
 
 COLUMNS = ("x", "y", "z", "col", "row")
-WEAK = 100.0
+WEAK = 50.0
 """Pixels on the ground per pixel of measurement: a centre less certain than that is told as badly determined."""
+NEAR = 0.1
+"""Share of the dangerous cylinder's radius within which a centre is told to be near it."""
 
 
 def read_points(given: Any, where: str) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -81,14 +83,22 @@ def resect_photo(
     InputError
         Points are missing or no numbers, or they do not place the photo; says why.
     """
-    for key in ("position", "orientation"):
-        if options.get(key) is not None:
-            raise InputError(f"both 'points' and '{key}' are given", where=where, mend="give one of them")
+    if options.get("orientation") is not None:
+        raise InputError("both 'points' and 'orientation' are given", where=where, mend="give one of them")
     if flag(options, "scale_correction", where):
         raise InputError(
             "scale_correction is about given positions, not about points", where=where, mend="leave it out"
         )
     known, image, sigmas = read_points(options["points"], where)
+    near = options.get("position")
+    if near is not None:
+        if len(known) > 3:
+            raise InputError(
+                "position chooses among the places that three points allow, and more points allow one",
+                where=where,
+                mend="leave position out",
+            )
+        near = np.array(numbers(near, 3, "position", where))
     need_heights(crs, known[0], float(np.hypot(*camera.size)) / 2, where)
     ground = float(known[:, 2].mean()) if ground is None else ground
     xyz = known if treatment == "planar" else Transform(crs, geocentric(crs))(known)
@@ -117,7 +127,7 @@ def resect_photo(
             where=where,
             mend="check that the points are the ones measured, (col, row) in pixels, and their CRS",
         )
-    best = _choose(solved, crs, where)
+    best = _choose(solved, xyz, crs, near, where)
     _warn_of_weakness(best, xyz, sigmas, where)
     model = best.model
     position = Transform(model.crs, crs)(model.centre[None])[0]
@@ -153,38 +163,43 @@ def _pose_of(model: FrameModel) -> Pose:
     return Pose(model.centre, FLIP @ model.rotation @ model.frame.axes)
 
 
-def _choose(solved: list[Resection[FrameModel]], crs: CRS, where: str) -> Resection[FrameModel]:
+def _choose(
+    solved: list[Resection[FrameModel]], xyz: FloatArray, crs: CRS, near: FloatArray | None, where: str
+) -> Resection[FrameModel]:
     """The best of the solutions; with three points all fit, and several are an error that lists them."""
-    if len(solved[0].residuals) > 3:
+    if len(xyz) > 3:
         return min(solved, key=lambda one: float(np.nansum(one.residuals**2)))
     distinct = [solved[0]]
     for one in solved[1:]:
         apart = min(float(np.linalg.norm(one.model.centre - other.model.centre)) for other in distinct)
         if apart > 0.01 * one.model.parameters.steps[0]:
             distinct.append(one)
+    to_map = Transform(distinct[0].model.crs, crs)
+    if near is not None:
+        wanted = Transform(crs, distinct[0].model.crs)(near[None])[0]
+        return min(distinct, key=lambda one: float(np.linalg.norm(one.model.centre - wanted)))
     if len(distinct) > 1:
-        centres = [Transform(one.model.crs, crs)(one.model.centre[None])[0] for one in distinct]
+        centres = [to_map(one.model.centre[None])[0] for one in distinct]
         listed = "; ".join(f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in centres)
         raise InputError(
             f"three points fit {len(distinct)} places of the camera: {listed}",
             where=where,
-            mend="give a fourth point, or the position and orientation that is meant",
+            mend="give a fourth point, or position, roughly, to choose the nearest of them",
         )
-    return solved[0]
+    return distinct[0]
 
 
 def _warn_of_weakness(one: Resection[FrameModel], xyz: FloatArray, sigmas: FloatArray, where: str) -> None:
     """Warn where the centre is on the dangerous cylinder, or as badly determined as if it were."""
-    centre = one.model.centre
-    cylinder = dangerous_cylinder(centre, xyz)
+    gap = dangerous_cylinder(one.model.centre, xyz) if len(xyz) == 3 else float("inf")
     worst = float(one.sigmas[:3].max())
     pixels = worst / float(one.model.parameters.steps[0] * np.median(sigmas))
-    if not cylinder.near and not pixels > WEAK:
+    if not gap < NEAR and not pixels > WEAK:
         return
     cause = (
-        f"the camera is near the dangerous cylinder through them ({100.0 * cylinder.gap:.0f} % of its radius away)"
-        if cylinder.near
-        else "they are too few, too close together or on one circle"
+        f"the camera is near the dangerous cylinder through them ({100.0 * gap:.0f} % of its radius away)"
+        if gap < NEAR
+        else "they are too few, or too close together"
     )
     warnings.warn(
         f"{where}: the control points hardly determine the photo: {cause}; the projection centre is uncertain by "

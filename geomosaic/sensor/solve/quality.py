@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from geomosaic.types import FloatArray
@@ -17,43 +15,34 @@ def correlations(covariance: FloatArray) -> FloatArray:
     return out
 
 
-@dataclass(frozen=True)
-class Cylinder:
-    """How near a projection centre is to the dangerous cylinder of its control points.
+def dangerous_cylinder(centre: FloatArray, points: FloatArray) -> float:
+    """Distance of a projection centre from the dangerous cylinder of three points, as a share of its radius.
 
-    From a centre on the right circular cylinder through three points the pose is not determined: the solution is
-    double there (Finsterwalder 1903). The same holds for more points where they lie on one circle.
+    The cylinder stands on the circle through the points, across their plane. From a centre on it three points do not
+    determine a pose: two of Grunert's solutions are one there, and sigmas are infinite (Finsterwalder 1903). Four
+    points in one plane, no three of them in line, have no such place, on one circle or not: they determine the
+    projective map between plane and image, and with it the pose.
 
-    Attributes
+    Parameters
     ----------
-    gap : float
-        Distance of the centre from the cylinder over its radius.
-    off_circle : float
-        Largest distance of the points from that circle over its radius; 0 with three points.
+    centre : array (3,)
+    points : array (3, 3)
+        Three points, one per row.
+
+    Returns
+    -------
+    float
+        0 on the cylinder, 1 on its axis; infinite for points in line.
     """
-
-    gap: float
-    off_circle: float
-
-    @property
-    def near(self) -> bool:
-        """Whether the cylinder spoils the resection: the points are on it, and the centre almost."""
-        return self.off_circle < 0.1 and self.gap < 0.1
-
-
-def dangerous_cylinder(centre: FloatArray, points: FloatArray) -> Cylinder:
-    """Compare a projection centre (3,) with the circle through points (N, 3) in their plane; N is three at least."""
     known = np.asarray(points, dtype=np.float64)
-    middle = known.mean(axis=0)
-    axes = np.linalg.svd(known - middle, full_matrices=True)[2]
-    local = (known - middle) @ axes.T
-    # Circle x² + y² = 2·p·x + 2·q·y + s of the points in their plane.
-    design = np.column_stack([2.0 * local[:, :2], np.ones(len(local))])
-    p, q, s = np.linalg.lstsq(design, (local[:, :2] ** 2).sum(axis=1), rcond=None)[0]
-    radius = float(np.sqrt(max(s + p * p + q * q, 0.0)))
-    if not radius > 0.0:
-        return Cylinder(np.inf, np.inf)
-    away = np.hypot(local[:, 0] - p, local[:, 1] - q) - radius
-    off = float(np.max(np.hypot(away, local[:, 2])))
-    here = (np.asarray(centre, dtype=np.float64) - middle) @ axes.T
-    return Cylinder(abs(float(np.hypot(here[0] - p, here[1] - q)) - radius) / radius, off / radius)
+    first, second = known[1] - known[0], known[2] - known[0]
+    normal = np.cross(first, second)
+    twice = float(normal @ normal)
+    if not twice > 1e-24 * float(first @ first) * float(second @ second):
+        return float("inf")
+    # Middle of the circle from the corner (first, second): the classical formula of the circumcentre.
+    middle = np.cross((first @ first) * second - (second @ second) * first, normal) / (2.0 * twice)
+    axis = normal / np.sqrt(twice)
+    here = np.asarray(centre, dtype=np.float64) - known[0] - middle
+    radius = float(np.linalg.norm(middle))
+    return abs(float(np.linalg.norm(here - (here @ axis) * axis)) - radius) / radius
