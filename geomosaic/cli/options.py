@@ -54,7 +54,8 @@ image_options = stack(
         help="Bands of the images to use, such as 1,2,3.  [default: all but alpha]",
     ),
     click.option("--sensor", help="Sensor of the images; see `geomosaic sensors`."),
-    click.option("--camera", type=FILE, help="Camera description (TOML)."),
+    click.option("--camera", type=FILE, help="Camera description, or calibration certificate (TOML)."),
+    click.option("--fiducials", type=FILE, help="Fiducials measured in scans of film: image, id, col, row."),
     click.option("--exterior", type=FILE, help="Orientation table: image, x, y, z and angles."),
     click.option("--exterior-crs", "--crs", "crs", metavar="CRS", help="CRS of the positions, such as EPSG:32633."),
     click.option(

@@ -20,13 +20,14 @@ def block_inputs(images: tuple[Path, ...], flags: Mapping[str, Any], control: Pa
     from geomosaic.errors import InputError
     from geomosaic.project.inputs import BlockInputs
 
-    if flags["sensor"] is None and (flags["exterior"] or flags["camera"]):
-        raise InputError("--exterior or --camera is given without a sensor", mend="add --sensor frame")
+    if flags["sensor"] is None and (flags["exterior"] or flags["camera"] or flags["fiducials"]):
+        raise InputError("--exterior, --camera or --fiducials is given without a sensor", mend="add --sensor frame")
     return BlockInputs(
         images=images,
         sensor=flags["sensor"] or "planar",
         options={name: value(text) for name, text in flags["sensor_options"].items()},
         camera=flags["camera"],
+        fiducials=flags["fiducials"],
         exterior=flags["exterior"],
         crs=flags["crs"],
         heights=flags["heights"],

@@ -18,6 +18,7 @@ from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.project.camera import read_camera
 from geomosaic.project.exterior import RECONSTRUCTIONS, Exterior
+from geomosaic.project.fiducials import read_fiducials
 from geomosaic.project.frames import DATUMS
 from geomosaic.project.ground import OF_POSITIONS, build_surface, height_below, undeclared_positions
 from geomosaic.project.inputs import BlockInputs
@@ -31,6 +32,8 @@ from geomosaic.surface.model import Surface
 if TYPE_CHECKING:
     from geomosaic.sensor.model import SensorModel
 
+POINTS = "points"
+"""Input of a sensor that can be placed by control points alone."""
 GROUND = "ground_height"
 """Input of a sensor that is told how high the ground lies, where the user does not say it."""
 
@@ -49,12 +52,13 @@ def build_block(inputs: BlockInputs) -> Block:
     surface = build_surface(inputs, crs, photos)
     control = _control(inputs, photos, crs)
     camera = read_camera(inputs.camera) if inputs.camera else None
+    marks = read_fiducials(inputs.fiducials, [photo.name for photo in photos]) if inputs.fiducials else {}
     scenes = tuple(
         Scene(
             photo.name,
             str(photo.path),
             inputs.sensor,
-            _model(inputs, photo, crs, camera, control, surface),
+            _model(inputs, photo, crs, camera, marks.get(photo.name), control, surface),
             inputs.nodata,
             inputs.bands,
         )
@@ -68,12 +72,15 @@ def _model(
     photo: Photo,
     crs: CRS | None,
     camera: Mapping[str, Any] | None,
+    marks: Mapping[str, Any] | None,
     control: Sequence[ControlPoint],
     surface: Surface | None,
 ) -> SensorModel:
     options = dict(inputs.options)
     if camera is not None:
         options["camera"] = dict(camera)
+    if marks is not None:
+        options["fiducials"] = dict(marks)
     row = photo.exterior
     if inputs.angles in RECONSTRUCTIONS and inputs.exterior is not None:
         options["orientation"] = {"system": inputs.angles, "reconstruction": str(inputs.exterior.resolve())}
@@ -81,6 +88,8 @@ def _model(
         options.update(_of_table(inputs, row))
     if inputs.sensor == "planar":
         crs = _planar(options, photo, crs, control)
+    elif row is None and "orientation" not in options:
+        options.update(_from_control(inputs, photo, control, options))
     try:
         request = SensorRequest(photo.name, photo.info.size, options, crs, str(inputs.base))
         return _on_ground(inputs.sensor, request, surface, row.position if row else None)
@@ -142,11 +151,9 @@ def _planar(options: dict[str, Any], photo: Photo, crs: CRS | None, control: Seq
     """Complete the inputs of a planar model: from control points in the image, else from its own georeference."""
     if {"transform", "geotransform", "points", "coefficients"} & set(options):
         return crs or photo.info.crs
-    points = [point for point in control if point.image == photo.name and point.role == "control"]
+    points = points_in(photo, control)
     if points:
-        options["points"] = [
-            {"x": p.xyz[0], "y": p.xyz[1], "col": p.colrow[0], "row": p.colrow[1], "sigma": p.sigma_px} for p in points
-        ]
+        options["points"] = [{key: value for key, value in point.items() if key != "z"} for point in points]
         return crs
     own = photo.info.transform
     if own is None:
@@ -159,6 +166,22 @@ def _planar(options: dict[str, Any], photo: Photo, crs: CRS | None, control: Seq
         raise InputError("the image has a geotransform but no CRS", where=str(photo.path), mend="give --exterior-crs")
     options["transform"] = [own.a, own.b, own.c, own.d, own.e, own.f]
     return photo.info.crs or crs
+
+
+def points_in(photo: Photo, control: Sequence[ControlPoint]) -> list[dict[str, float]]:
+    """Control points measured in an image, as inputs of a sensor; check points are none of them."""
+    found = [point for point in control if point.image == photo.name and point.role == "control"]
+    names = ("x", "y", "z", "col", "row", "sigma")
+    return [dict(zip(names, (*p.xyz, *p.colrow, p.sigma_px), strict=True)) for p in found]
+
+
+def _from_control(
+    inputs: BlockInputs, photo: Photo, control: Sequence[ControlPoint], options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Control points in place of an orientation, for a sensor that can be placed by them."""
+    takes = any(entry.name == POINTS for entry in plugin(inputs.sensor).inputs)
+    points = points_in(photo, control)
+    return {POINTS: points} if takes and points and POINTS not in options else {}
 
 
 def _control(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS | None) -> tuple[ControlPoint, ...]:

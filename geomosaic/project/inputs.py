@@ -23,6 +23,8 @@ class BlockInputs:
         Folder that relative file names in `options` start from.
     camera : Path, optional
         Camera description (TOML).
+    fiducials : Path, optional
+        Fiducial marks measured in the scans of films.
     exterior : Path, optional
         Orientation table.
     crs : str, optional
@@ -56,6 +58,7 @@ class BlockInputs:
     options: Mapping[str, Any] = field(default_factory=dict)
     base: Path = Path()
     camera: Path | None = None
+    fiducials: Path | None = None
     exterior: Path | None = None
     crs: str | None = None
     heights: str | None = None
@@ -73,7 +76,7 @@ class BlockInputs:
     @property
     def tables(self) -> tuple[Path, ...]:
         """Files that say how the images were taken."""
-        own = (self.camera, self.exterior, self.control, _grid(self.heights))
+        own = (self.camera, self.fiducials, self.exterior, self.control, _grid(self.heights))
         return (*(path for path in own if path), *_named_in(self.options, self.base))
 
     @property

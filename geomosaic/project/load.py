@@ -71,6 +71,7 @@ class Project:
             options=s.sensor.options,
             base=self.folder,
             camera=self.file(s.sensor.camera),
+            fiducials=self.file(s.sensor.fiducials),
             exterior=self.file(s.exterior.file),
             crs=s.exterior.crs,
             heights=_datum(self.folder, s.exterior.heights),

@@ -38,12 +38,13 @@ class ProjectSection(Section):
 
 
 class SensorSection(BaseModel):
-    """[sensor]: name and camera file; every other key is an input of the plugin, which checks it."""
+    """[sensor]: name, camera file, table of fiducials; every other key is an input of the plugin, which checks it."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
     name: str
     camera: FilePath | None = None
+    fiducials: FilePath | None = None
 
     @property
     def options(self) -> dict[str, Any]:
