@@ -23,6 +23,7 @@ COMMANDS: dict[str, str] = {
     "status": "Show which steps of a project are stale, and why.",
     "ortho": "Rectify one image.",
     "mosaic": "Make one mosaic from images.",
+    "fiducials": "Find the fiducial marks of scanned films.",
     "sensors": "List sensors, or show the inputs of one.",
 }
 """Short help by command: `geomosaic --help` imports none of them."""
