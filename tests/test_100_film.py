@@ -130,6 +130,25 @@ def test_marks_are_found_to_a_tenth_of_a_pixel(film: Path, capsys: pytest.Captur
         assert np.hypot(*(np.array([float(col), float(row)]) - rig.marks(**SCAN)[name])) < 0.1
 
 
+@pytest.mark.parametrize(("right", "down", "fine"), [(3, -4, True), (18, 2, False), (60, 60, False)])
+def test_a_template_off_its_mark_is_moved_onto_it_or_refused(
+    film: Path, capsys: pytest.CaptureFixture[str], right: int, down: int, fine: bool
+) -> None:
+    """Half a mark must not pass for a mark: all centres would be off alike, and no residual would show it."""
+    col, row = rig.marks(**SCAN)["3"]
+    code, out, err = call(
+        capsys, "fiducials", film / "scan.tif", "--camera", film / "certificate.toml", "--template", film / "scan.tif",
+        "--at", round(col) + right, round(row) + down, "--side", 9.6, "--pixel-size", PIXEL, "-o", film / "off.csv",
+        "--overwrite", "--json",
+    )  # fmt: skip
+    assert (code == 0) == fine, err
+    if fine:
+        for name, place in json.loads(out)["fiducials"]["scan.tif"].items():
+            assert np.hypot(*(np.array([place["col"], place["row"]]) - rig.marks(**SCAN)[name])) < 0.1
+    else:
+        assert "looks the same upside down" in out + err
+
+
 def test_marks_that_are_not_there_are_told(film: Path, capsys: pytest.CaptureFixture[str]) -> None:
     certificate = film / "more.toml"
     certificate.write_text(CERTIFICATE.replace("4 = [106", "5 = [-112.006, 0.004]\n4 = [106"))
@@ -198,7 +217,7 @@ resolution = 4
     assert "interior orientation" in notes
     assert facts["orient"]["rms_control_px"] < 0.1
     state = json.loads(next((film / "output" / "models").glob("*.json")).read_text())
-    model = registry.from_dict(state["sensor"], state["state"] if "state" in state else state["model"])
+    model = registry.from_dict(state)
     assert isinstance(model, FrameModel)
     assert np.abs(model.centre - CENTRE).max() < 1.5  # what marks off by up to 0.05 px of 2 m do to it
 

@@ -16,6 +16,8 @@ from geomosaic.types import AnyArray, FloatArray
 
 ROUNDS = 25
 CONVERGED = 5e-4
+SYMMETRIC = 0.8
+"""Correlation of a template with itself turned by 180°."""
 LOOSE = 0.02
 """A-priori standard deviation of scale and turn (radians)."""
 FARTHEST = 4.0
@@ -45,16 +47,18 @@ class MarkTemplate:
 
     @classmethod
     def symmetric(cls, values: AnyArray) -> MarkTemplate:
-        """Take a mark that looks the same upside down, as dots, crosses and rings do: its centre is found by that."""
+        """Take a mark that looks the same upside down, as dots, crosses and rings do: its centre is found by that.
+
+        The mark lies about in the middle, whole; the centre is NaN where the picture is not symmetric about any place.
+        """
         grey = np.asarray(values, dtype=np.float64)
         rows, cols = grey.shape
-        turned = grey[::-1, ::-1]
-        reach = min(rows, cols) // 4
+        reach = min(rows, cols) // 6
         inner = slice(reach, rows - reach), slice(reach, cols - reach)
-        found = locate_mark(grey, cls(turned[inner], ((cols - 2 * reach) / 2, (rows - 2 * reach) / 2)), least=0.3)
+        turned = cls(grey[::-1, ::-1][inner], ((cols - 2 * reach) / 2, (rows - 2 * reach) / 2))
+        found = locate_mark(grey, turned, SYMMETRIC)
         # The turned picture has its mark where the middle mirrors it: the centre is off by half of the shift.
-        shift = (found.col - cols / 2, found.row - rows / 2)
-        return cls(grey, (cols / 2 + shift[0] / 2, rows / 2 + shift[1] / 2))
+        return cls(grey, ((found.col + cols / 2) / 2, (found.row + rows / 2) / 2))
 
 
 @dataclass(frozen=True)

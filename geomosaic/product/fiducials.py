@@ -13,7 +13,8 @@ from geomosaic.raster.source import Source
 from geomosaic.types import FloatArray, PathLike
 
 SMALLEST = 9
-"""Pixels; a smaller template says nothing."""
+LARGEST = 1024
+"""Pixels of a template's side: less says nothing, more is no mark."""
 
 
 def expected_places(
@@ -54,29 +55,41 @@ def read_template(path: PathLike, at: tuple[float, float] | None = None, side: i
     The mark looks the same upside down, and its centre is found by that.
     """
     with Source(path) as source:
-        window = Window(0, 0, source.info.width, source.info.height)
-        if at is not None and side is not None:
-            square = Window(round(at[0] - side / 2), round(at[1] - side / 2), side, side)
-            if square.intersection(window) != square:
+        image = Window(0, 0, source.info.width, source.info.height)
+        if at is None or side is None:
+            return _template(_grey(source, _checked(image, path)), path)
+        for _ in range(3):  # about the centre found, until it is in the middle
+            window = Window(round(at[0] - side / 2), round(at[1] - side / 2), side, side)
+            if window.intersection(image) != window:
                 raise InputError(
                     f"a square of {side} pixels about col {at[0]:g}, row {at[1]:g} is not inside the image",
                     where=str(path),
                     mend="give the place of a mark as (col, row), and a size that leaves it inside",
                 )
-            window = square
-        grey = _grey(source, window)
-    if min(grey.shape) < SMALLEST or max(grey.shape) > 2048:
+            template = _template(_grey(source, _checked(window, path)), path)
+            at = window.col + template.centre[0], window.row + template.centre[1]
+    return template
+
+
+def _checked(window: Window, path: PathLike) -> Window:
+    """Refuse what is too small or too large for a mark before it is read."""
+    if min(window.width, window.height) < SMALLEST or max(window.width, window.height) > LARGEST:
         raise InputError(
-            f"a picture of {grey.shape[1]} x {grey.shape[0]} pixels is no template of a mark",
+            f"a picture of {window.width} x {window.height} pixels is no template of a mark",
             where=str(path),
-            mend=f"cut out one mark with some ground around it, {SMALLEST} to 2048 pixels",
+            mend=f"cut out one mark with some ground around it, {SMALLEST} to {LARGEST} pixels; in a scan say where "
+            "one is with --at, and how large with --side",
         )
+    return window
+
+
+def _template(grey: FloatArray, path: PathLike) -> MarkTemplate:
     template = MarkTemplate.symmetric(grey)
     if not np.isfinite(template.centre).all():
         raise InputError(
-            "the picture has no mark that looks the same upside down, as dots, crosses and rings do",
+            "the template has no mark that looks the same upside down, as dots, crosses and rings do",
             where=str(path),
-            mend="cut out one clean mark, about in the middle",
+            mend="cut out one clean mark, whole and about in the middle",
         )
     return template
 
