@@ -27,6 +27,7 @@ COMMANDS: dict[str, str] = {
     "edges": "Join photos with control at their edges, and mosaic them.",
     "reproject": "Bring a georeferenced raster or vectors to another CRS.",
     "check": "Measure a map at check points.",
+    "fiducials": "Find the fiducial marks of scanned films.",
     "sensors": "List sensors, or show the inputs of one.",
 }
 """Short help by command: `geomosaic --help` imports none of them."""

@@ -56,7 +56,8 @@ band_option = click.option(
 image_options = stack(
     band_option,
     click.option("--sensor", help="Sensor of the images; see `geomosaic sensors`."),
-    click.option("--camera", type=FILE, help="Camera description (TOML)."),
+    click.option("--camera", type=FILE, help="Camera description, or calibration certificate (TOML)."),
+    click.option("--fiducials", type=FILE, help="Fiducials measured in scans of film: image, id, col, row."),
     click.option(
         "--corrections",
         metavar="FILE",

@@ -25,14 +25,15 @@ def block_inputs(
     from geomosaic.errors import InputError
     from geomosaic.project.inputs import BlockInputs
 
-    if flags["sensor"] is None and (flags["exterior"] or flags["camera"]):
-        raise InputError("--exterior or --camera is given without a sensor", mend="add --sensor frame")
+    if flags["sensor"] is None and (flags["exterior"] or flags["camera"] or flags["fiducials"]):
+        raise InputError("--exterior, --camera or --fiducials is given without a sensor", mend="add --sensor frame")
     return BlockInputs(
         images=images,
         sensor=flags["sensor"] or "planar",
         options={name: value(text) for name, text in flags["sensor_options"].items()},
         camera=flags["camera"],
         corrections=flags["corrections"],
+        fiducials=flags["fiducials"],
         exterior=flags["exterior"],
         crs=flags["crs"],
         heights=flags["heights"],

@@ -19,6 +19,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.project.camera import read_camera
 from geomosaic.project.corrections import read_corrections
 from geomosaic.project.exterior import RECONSTRUCTIONS, Exterior
+from geomosaic.project.fiducials import read_fiducials
 from geomosaic.project.frames import DATUMS
 from geomosaic.project.ground import OF_POSITIONS, build_surface, height_below, undeclared_positions
 from geomosaic.project.inputs import BlockInputs
@@ -34,6 +35,8 @@ from geomosaic.surface.model import Surface
 if TYPE_CHECKING:
     from geomosaic.sensor.model import SensorModel
 
+POINTS = "points"
+"""Input of a sensor that can be placed by control points alone."""
 GROUND = "ground_height"
 """Input of a sensor that is told how high the ground lies, where the user does not say it."""
 
@@ -56,12 +59,13 @@ def build_block(inputs: BlockInputs) -> Block:
     surface = build_surface(inputs, crs, photos)
     control = _control(inputs, photos, crs)
     camera = read_camera(inputs.camera) if inputs.camera else None
+    marks = read_fiducials(inputs.fiducials, [photo.name for photo in photos]) if inputs.fiducials else {}
     scenes = tuple(
         Scene(
             photo.name,
             str(photo.path),
             inputs.sensor,
-            _corrected(inputs, photo, _model(inputs, photo, crs, camera, control, surface)),
+            _corrected(inputs, photo, _model(inputs, photo, crs, camera, marks.get(photo.name), control, surface)),
             inputs.nodata,
             inputs.bands,
         )
@@ -83,12 +87,15 @@ def _model(
     photo: Photo,
     crs: CRS | None,
     camera: Mapping[str, Any] | None,
+    marks: Mapping[str, Any] | None,
     control: Sequence[ControlPoint],
     surface: Surface | None,
 ) -> SensorModel:
     options = dict(inputs.options)
     if camera is not None:
         options["camera"] = dict(camera)
+    if marks is not None:
+        options["fiducials"] = dict(marks)
     row = photo.exterior
     if inputs.angles in RECONSTRUCTIONS and inputs.exterior is not None:
         options["orientation"] = {"system": inputs.angles, "reconstruction": str(inputs.exterior.resolve())}
@@ -99,6 +106,8 @@ def _model(
     elif _refines(inputs):
         points = _points(photo, control)
         options.update({"points": points} if points else {})
+    elif row is None and "orientation" not in options:
+        options.update(_from_control(inputs, photo, control, options))
     try:
         request = SensorRequest(photo.name, photo.info.size, options, crs, str(inputs.base), str(photo.path))
         return _on_ground(inputs.sensor, request, surface, row.position if row else None)
@@ -195,6 +204,17 @@ def _points(photo: Photo, control: Sequence[ControlPoint]) -> list[dict[str, Any
         for point in control
         if point.image == photo.name and point.role == "control"
     ]  # fmt: skip
+
+
+def _from_control(
+    inputs: BlockInputs, photo: Photo, control: Sequence[ControlPoint], options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Control points in place of an orientation, for a sensor that can be placed by them."""
+    known = {entry.name for entry in plugin(inputs.sensor).inputs}
+    if POINTS not in known or "refine" in known or POINTS in options:
+        return {}
+    points = [{key: value for key, value in point.items() if key != "id"} for point in _points(photo, control)]
+    return {POINTS: points} if points else {}
 
 
 def _control(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS | None) -> tuple[ControlPoint, ...]:

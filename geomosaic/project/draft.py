@@ -121,6 +121,8 @@ def _text(path: Path, inputs: BlockInputs, read: bool) -> str:
         lines.append('# camera = "camera.toml"    # NEEDED')
     if inputs.corrections is not None:
         lines.append(f"corrections = {near(Path(inputs.corrections))}")
+    if inputs.fiducials is not None:
+        lines.append(f"fiducials = {near(inputs.fiducials)}")
     lines += [f"{key} = {_value(value)}" for key, value in inputs.options.items()]
     lines += ["", "[exterior]"]
     if inputs.exterior is not None:

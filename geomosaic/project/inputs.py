@@ -55,6 +55,8 @@ class BlockInputs:
         Camera description (TOML).
     corrections : str, optional
         File of a correction grid; '{image}' in it takes the name of each image, without it one serves all.
+    fiducials : Path, optional
+        Fiducial marks measured in the scans of films.
     exterior : Path, optional
         Orientation table.
     crs : str, optional
@@ -91,6 +93,7 @@ class BlockInputs:
     base: Path = Path()
     camera: Path | None = None
     corrections: str | None = None
+    fiducials: Path | None = None
     exterior: Path | None = None
     crs: str | None = None
     heights: str | None = None
@@ -113,6 +116,8 @@ class BlockInputs:
         own = (self.camera, self.exterior, self.control, ties, _grid(self.heights))
         grids = [corrections_file(self.corrections, image.name) for image in self.images] if self.corrections else []
         return (*(path for path in own if path), *dict.fromkeys(grids), *_named_in(self.options, self.base))
+        own = (self.camera, self.fiducials, self.exterior, self.control, _grid(self.heights))
+        return (*(path for path in own if path), *_named_in(self.options, self.base))
 
     @property
     def ground(self) -> tuple[Path, ...]:

@@ -72,6 +72,7 @@ class Project:
             base=self.folder,
             camera=self.file(s.sensor.camera),
             corrections=str(self.folder / s.sensor.corrections) if s.sensor.corrections else None,
+            fiducials=self.file(s.sensor.fiducials),
             exterior=self.file(s.exterior.file),
             crs=s.exterior.crs,
             heights=_datum(self.folder, s.exterior.heights),

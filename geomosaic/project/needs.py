@@ -43,7 +43,7 @@ def needs(inputs: BlockInputs) -> list[str]:
         found.append(f"the angle system of the reconstruction: [exterior] angles: {RECONSTRUCTION_SYSTEM}")
     if inputs.sensor == "frame" and inputs.camera is None and not reconstruction:
         found.append("the camera: [sensor] camera, a TOML file (see `geomosaic sensors frame`)")
-    if inputs.sensor == "frame" and inputs.exterior is None:
+    if inputs.sensor == "frame" and inputs.exterior is None and inputs.control is None:
         found.append(
             "positions and angles of the photos: [exterior] file, a table with image, x, y, z, omega, phi, kappa"
         )

@@ -38,13 +38,14 @@ class ProjectSection(Section):
 
 
 class SensorSection(BaseModel):
-    """[sensor]: name, camera and corrections; every other key is an input of the plugin, which checks it."""
+    """[sensor]: name, camera, corrections and fiducials; every other key is an input of the plugin, which checks it."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
     name: str
     camera: FilePath | None = None
     corrections: FilePath | None = None
+    fiducials: FilePath | None = None
 
     @property
     def options(self) -> dict[str, Any]:

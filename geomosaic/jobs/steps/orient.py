@@ -57,6 +57,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
                 "width": scene.model.size[0],
                 "height": scene.model.size[1],
                 "crs": scene.model.crs.name,
+                "notes": list(getattr(scene.model, "notes", ())),
             }
             for scene in block.scenes
         ],
