@@ -1,4 +1,4 @@
-"""The picture of docs/planar-mosaics.md: photos of flat ground, joined by ties alone, and adjusted together on control."""
+"""The picture of docs/planar-mosaics.md: photos of flat ground, joined by ties alone, and adjusted on control."""
 
 from __future__ import annotations
 
