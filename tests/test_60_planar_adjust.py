@@ -196,7 +196,7 @@ def test_uncertain_control_yields() -> None:
     number = gave.views.ids.index("C")
     assert abs(gave.points[number, 0] - moved[2].x) > 1.5
     held = [Control(c.id, c.x, c.y, c.photo, c.col, c.row, c.sigma) for c in moved]
-    with pytest.warns(GeomosaicWarning, match="times what the standard deviations say"):
+    with pytest.warns(GeomosaicWarning, match="times as large as the standard deviations say"):
         stiff = adjust(PlanarBlock(block.photos, block.ties, tuple(held)), "affine")
     assert stiff.points[number, 0] == pytest.approx(moved[2].x, abs=1e-9)
     worst = int(np.nanargmax(np.abs(stiff.standardised).max(axis=1)))

@@ -145,8 +145,9 @@ def check_plausible(solution: PlanarSolution, start: PlanarSolution | None, wher
             )
             raise error
     mirrored = ", a mirrored image (affine takes it)" if solution.kind == "conformal" else ""
+    place = f"{where}: " if where else ""
     warnings.warn(
-        f"{f'{where}: ' if where else ''}residuals are {solution.sigma0:.1f} times what the standard deviations say "
+        f"{place}residuals are {solution.sigma0:.1f} times as large as the standard deviations say "
         f"({solution.rms:.2f} px RMS): relief or tilt, a wrong measurement{mirrored}, or too small sigmas",
         GeomosaicWarning,
         stacklevel=3,
