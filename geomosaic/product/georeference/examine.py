@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from geomosaic.adjust.choose import Choice
 from geomosaic.adjust.deletion import Deletion
 from geomosaic.adjust.fit import ControlFit
 from geomosaic.adjust.local import image_by_map
@@ -19,6 +20,9 @@ from geomosaic.types import FloatArray
 
 GROSS, GROSS_PIXELS = 10.0, 5.0
 """A blunder is gross from so many standard deviations and pixels on: it would bend the picture visibly."""
+BETTER = 0.67
+"""Share of the leave-one-out error of the model asked for, below which another one is named."""
+SAME = {"poly1": "affine"}
 HOPELESS = ("few-points",)
 """Errors with which no fit is possible, whoever insists."""
 UNFIT = 0.4
@@ -94,6 +98,23 @@ def deletion_advice(deletion: Deletion | None) -> list[Advice]:
         return []
     mend = "a larger threshold, or a fit of more parameters; look at the leave-one-out error, which deletion may worsen"
     return [Advice("threshold-not-reached", "warning", deletion.said, (), mend)]
+
+
+def comparison_advice(choice: Choice | None, model: str) -> list[Advice]:
+    """Say so where another model than the one asked for predicts points left out much better."""
+    rows = {} if choice is None else {row.name: row.leave_one_out for row in choice.table}
+    if choice is None or choice.name == model or not rows[choice.name] < BETTER * rows.get(SAME.get(model, model), 0.0):
+        return []
+    own = rows[SAME.get(model, model)]
+    what = (
+        f"{choice.name} predicts points left out of the fit within {rows[choice.name]:.2f} px, {model} within {own:.2f}"
+    )
+    free = {row.name: row.parameters for row in choice.table}
+    if free[choice.name] < free[SAME.get(model, model)]:
+        mend = f"--model {choice.name}: {model} follows the errors of the points, and strays between them"
+    else:
+        mend = f"--model {choice.name}, if the image is bent so; or look for points that {model} does not suit"
+    return [Advice("poor-fit", "warning", what, (), mend)]
 
 
 def fold_advice(model: SensorModel, points: FloatArray, grid: Grid) -> list[Advice]:

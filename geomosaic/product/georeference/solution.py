@@ -19,12 +19,19 @@ from geomosaic.control.finding import SEVERITIES, Advice
 from geomosaic.control.points import ImageControl
 from geomosaic.control.reading import Reading
 from geomosaic.errors import GeomosaicError, InputError
-from geomosaic.product.georeference.examine import blunder_advice, deletion_advice, stop_on_errors
+from geomosaic.product.georeference.examine import (
+    blunder_advice,
+    comparison_advice,
+    deletion_advice,
+    stop_on_errors,
+)
 from geomosaic.product.georeference.request import FitRequest, kind_order
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 
 SENSOR = "planar"
+COMPARED = 300
+"""Points up to which a model that was asked for is compared with the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +55,7 @@ class Solution:
     residuals, map_residuals : array (N, 2)
         Of all points under the fit, pixels and map units; measured minus computed, NaN where there is no place.
     choice : Choice, optional
-        Where the model was to be chosen.
+        All models by their leave-one-out errors, where points were enough to compare them.
     deletion : Deletion, optional
         Where a threshold was given.
     robust : BlunderSearch, optional
@@ -123,9 +130,9 @@ def solve(
     points = control.of_role("control")
     if not len(points):
         raise InputError("no point takes part in the fit: all are disabled or check points", where=where, mend=MEND)
-    choice = _choose(image, size, points) if auto else None
-    name = choice.name if choice is not None else request.model
-    if choice is not None:
+    choice = _choose(image, size, points, needed=auto)
+    name = choice.name if choice is not None and auto else request.model
+    if auto:
         advice = _advised(given, name, size, near)
         stop_on_errors(advice, where, insist=request.insist)
     build = builder(name, image, size, points)
@@ -141,11 +148,11 @@ def solve(
             build, points.names, points.xy, points.colrow, points.sigma, threshold=request.threshold
         )
         fit = deletion.fit
-    elif choice is not None and not suspects:
+    elif choice is not None and not suspects and choice.name == name:
         fit = choice.fit  # the same points
     else:
         fit = fit_control(build, points.names, points.xy, points.colrow, points.sigma)
-    advice = (*advice, *deletion_advice(deletion))
+    advice = (*advice, *deletion_advice(deletion), *comparison_advice(choice, name))
     if robust is not None:
         advice = (*advice, *blunder_advice(robust, searched, fit))
     stop_on_errors(advice, where, insist=request.insist)
@@ -154,7 +161,7 @@ def solve(
     check = control.of_role("check")
     return Solution(
         name,
-        choice.said.removeprefix(f"{name}: ") if choice is not None else "as asked for",
+        choice.said.removeprefix(f"{name}: ") if choice is not None and auto else "as asked for",
         crs,
         control,
         _states(control, fit, suspects, deletion),
@@ -195,9 +202,17 @@ def _advised(
     return advise(control, kind=kind, order=order, size=size, near=near)
 
 
-def _choose(image: str, size: tuple[int, int], points: ImageControl) -> Choice:
+def _choose(image: str, size: tuple[int, int], points: ImageControl, *, needed: bool) -> Choice | None:
+    """Compare all models; where the choice is not needed, as far as that takes no long time."""
+    if not needed and len(points) > COMPARED:
+        return None
     builds = planar_builds(SensorRequest(image, size, {}, points.crs), points.xy, points.colrow, SENSOR)
-    return choose_model(builds, points.names, points.xy, points.colrow, points.sigma)
+    try:
+        return choose_model(builds, points.names, points.xy, points.colrow, points.sigma)
+    except GeomosaicError:
+        if needed:
+            raise
+        return None
 
 
 def _search(build: Build, points: ImageControl, name: str) -> tuple[BlunderSearch | None, str]:

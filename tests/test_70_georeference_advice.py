@@ -1,0 +1,129 @@
+"""What a fit says of control that looked well beforehand: every case run, and the table of the docs made of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geomosaic.block.footprint import footprint
+from geomosaic.block.scene import Scene
+from geomosaic.control.finding import Advice
+from geomosaic.control.points import ImageControl, Origin
+from geomosaic.control.reading import Reading
+from geomosaic.errors import GeomosaicError
+from geomosaic.geo.crs import parse_crs
+from geomosaic.product.extent import output_grid
+from geomosaic.product.georeference.examine import fold_advice
+from geomosaic.product.georeference.request import FitRequest
+from geomosaic.product.georeference.solution import solve
+from geomosaic.types import FloatArray
+
+SIZE = (4000, 3000)
+CRS = parse_crs("EPSG:32633")
+
+
+def ground(colrow: FloatArray, bend: float = 0.0) -> FloatArray:
+    """Map of a photo with pixels of 0.5 m, turned by 20°; `bend` pixels of paper distortion."""
+    c, r = ((colrow - np.array(SIZE) / 2) * 0.5).T
+    u, v = (colrow / SIZE - 0.5).T
+    angle = np.radians(20.0)
+    x, y = c * np.cos(angle) + r * np.sin(angle), c * np.sin(angle) - r * np.cos(angle)
+    wave = 0.5 * bend * np.column_stack([np.sin(5 * u) * v, np.cos(4 * v + u)])
+    return np.column_stack([612_000 + x, 5_412_000 + y]) + wave
+
+
+def control(across: int, down: int, part: float = 0.95, bend: float = 0.0, noise: float = 0.3) -> ImageControl:
+    """Points in rows over a part of the image, shaken, measured within `noise` pixels."""
+    random = np.random.default_rng(5)
+    t, u = np.linspace(-0.5, 0.5, across) * part, np.linspace(-0.5, 0.5, down) * part
+    c, r = np.meshgrid(t, u)
+    colrow = (np.column_stack([c.ravel(), r.ravel()]) + 0.5) * SIZE
+    colrow += random.uniform(-60, 60, colrow.shape) * part
+    count = len(colrow)
+    return ImageControl(
+        tuple(f"P{i}" for i in range(count)),
+        colrow + random.normal(0.0, noise, colrow.shape),
+        ground(colrow, bend),
+        CRS,
+        np.ones(count),
+        ("control",) * count,
+        np.ones(count, dtype=bool),
+        tuple(Origin("points.csv", i + 2) for i in range(count)),
+    )
+
+
+def moved(points: ImageControl, which: list[int], by: float = 150.0) -> ImageControl:
+    """Points that were measured elsewhere."""
+    colrow = points.colrow.copy()
+    colrow[which] += np.random.default_rng(2).uniform(0.3, 1.0, (len(which), 2)) * by
+    return replace(points, colrow=np.clip(colrow, 0, SIZE))
+
+
+def on_a_line() -> ImageControl:
+    points = control(6, 1)
+    colrow = np.column_stack([np.linspace(200, 3800, 6), np.linspace(300, 2700, 6)])
+    return replace(points, colrow=colrow, ground=ground(colrow))
+
+
+def on_a_slope(points: ImageControl) -> ImageControl:
+    """Those in the right half stand on a slope that displaces them."""
+    share = np.maximum(points.colrow[:, 0] / SIZE[0] - 0.52, 0.0)
+    return replace(points, colrow=points.colrow + np.column_stack([-60.0 * share, 25.0 * share]))
+
+
+CASES: dict[str, tuple[str, ImageControl, str, dict[str, float]]] = {
+    "one blunder of 12": ("`blunder` (error)", moved(control(4, 3), [7]), "affine", {}),
+    "30 % of 20": ("`blunder` (error)", moved(control(5, 4), [1, 4, 8, 10, 15, 19]), "affine", {}),
+    "a small one": ("`blunder` (warning)", moved(control(5, 4), [8], by=5.0), "affine", {}),
+    "too poor a fit": ("`poor-fit` (warning)", control(6, 5, bend=30.0), "affine", {}),
+    "too rich a fit": ("`poor-fit` (warning)", control(6, 5), "poly5", {}),
+    "half of them on a slope": ("`misfit` (warning)", on_a_slope(control(6, 5)), "affine", {}),
+    "turned over where no points are": ("`folded` (error)", control(6, 5, part=0.3, noise=1.5), "poly5", {}),
+    "a threshold out of reach": ("`threshold-not-reached` (warning)", control(4, 3), "affine", {"threshold": 0.02}),
+    "on a line, insisted": ("refused", on_a_line(), "affine", {}),
+}
+"""What it is called, the finding looked for, points, model and what else is asked."""
+
+
+def found(points: ImageControl, model: str, more: dict[str, float]) -> list[Advice]:
+    """Findings of a fit and its picture."""
+    request = FitRequest(model, insist=True, **more)  # type: ignore[arg-type]
+    solved = solve(Reading(points, "csv"), "photo.tif", SIZE, CRS, request, None, "m")
+    outline = footprint(Scene("photo", "photo.tif", "planar", solved.fit.model), None, CRS)
+    return [*solved.advice, *fold_advice(solved.fit.model, solved.fit.xyz, output_grid(CRS, [outline], 5.0))]
+
+
+def row(name: str) -> str:
+    """Line of the table of the docs."""
+    wanted, points, model, more = CASES[name]
+    try:
+        advice = found(points, model, more)
+    except GeomosaicError as error:
+        cells = ("refused", error.what, error.mend or "")
+    else:
+        seen = {f"`{a.code}` ({a.severity})": a for a in advice}
+        assert wanted in seen, (name, list(seen))
+        cells = (wanted, seen[wanted].what, seen[wanted].mend)
+    assert cells[0] == wanted, name
+    return " | ".join(["| " + name, *cells]) + " |"
+
+
+def test_every_case_is_found_and_the_docs_show_what_is_said():
+    table = "\n".join(["| control | finding | said | mend |", "|---|---|---|---|", *map(row, CASES)])
+    page = (Path(__file__).resolve().parent.parent / "docs" / "georeferencing.md").read_text(encoding="utf-8")
+    assert table in page, f"docs/georeferencing.md should have this table:\n{table}"
+
+
+def test_the_blunders_named_are_those_made():
+    for name, wrong in (("one blunder of 12", [7]), ("30 % of 20", [1, 4, 8, 10, 15, 19]), ("a small one", [8])):
+        _, points, model, more = CASES[name]
+        named = next(a.points for a in found(points, model, more) if a.code == "blunder")
+        assert named == tuple(f"P{i}" for i in wrong), name
+
+
+@pytest.mark.parametrize("model", ["conformal", "affine", "projective", "poly2"])
+def test_of_good_control_nothing_is_said(model):
+    assert found(control(6, 5), model, {}) == []
