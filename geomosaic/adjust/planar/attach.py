@@ -105,16 +105,12 @@ def known_points(
     to : tuple of str
         The photos they come from.
     """
-    sigma = {(measured.id, measured.photo): measured.sigma for measured in block.measurements}
-    made = [name for name in transforms if name != photo]
-    found, to = [], []
-    for measured in block.measurements:
-        if measured.photo != photo:
-            continue
-        seen = [name for name in made if measured.id in places[name]]
+    found, to = [], set[str]()
+    for measured in block.by_photo[photo].values():
+        seen = [name for name in block.sharing[measured.id] if name in transforms and name != photo]
         if not seen:
             continue
-        spread = [sigma[measured.id, name] * transforms[name].pixel() for name in seen]
+        spread = [block.by_photo[name][measured.id].sigma * transforms[name].pixel() for name in seen]
         weight = 1.0 / np.square(spread)
         x, y = np.average([places[name][measured.id] for name in seen], axis=0, weights=weight)
         found.append(
@@ -123,8 +119,8 @@ def known_points(
                 float(1.0 / np.sqrt(weight.sum())),
             )
         )  # fmt: skip
-        to += [name for name in seen if name not in to]
-    return found, tuple(name for name in made if name in to)
+        to.update(seen)
+    return found, tuple(name for name in transforms if name in to)
 
 
 def merged(ties: Sequence[Control], control: Sequence[Control]) -> list[Control]:

@@ -12,12 +12,13 @@ import numpy as np
 
 from geomosaic.adjust.planar.attach import Attachment, fit_single, known_points, merged
 from geomosaic.adjust.planar.check import elongation
-from geomosaic.adjust.planar.joins import Join, join, positions
+from geomosaic.adjust.planar.joins import Join, join, positions_by
 from geomosaic.adjust.planar.kinds import LEAST
 from geomosaic.adjust.planar.solution import PlanarSolution
 from geomosaic.adjust.planar.transform import PlanarTransform
 from geomosaic.adjust.planar.values import Control, PlanarBlock
 from geomosaic.errors import SolveError
+from geomosaic.types import FloatArray
 
 ACCEPTED = 2.0
 """Pixels: residuals and shifts at joins below it passed in Tonga, with control from maps at 1:25 000."""
@@ -89,10 +90,10 @@ def grow(block: PlanarBlock, kind: str = "affine", *, start: str | None = None, 
     made: dict[str, PlanarTransform] = {}
     records: list[Attachment] = []
     checked: list[Join] = []
+    places: dict[str, dict[str, FloatArray]] = {}
     waiting = [photo.name for photo in block.photos]
+    found: dict[str, tuple[list[Control], tuple[str, ...]]] = {first: ([], ())}
     while waiting:
-        places = positions(block, made)
-        found = {name: known_points(block, name, places, made) for name in (waiting if made else [first])}
         points = {name: merged(seen, control[name]) for name, (seen, _) in found.items()}
         # Next to what is made comes what hangs best on it and on the map.
         near = [name for name, (seen, _) in found.items() if seen] or list(found)
@@ -109,8 +110,12 @@ def grow(block: PlanarBlock, kind: str = "affine", *, start: str | None = None, 
         ratio = elongation(photo.size, np.array([[point.col, point.row] for point in points[name]]))
         own = len(control[name])
         records.append(Attachment(name, to, kind, len(points[name]) - own, own, ratio, "", solution.rms))
-        places = positions(block, made)
+        places[name] = positions_by(block, made[name])
         checked += [one for other in to if (one := join(other, name, made, places)) is not None]
         waiting.remove(name)
+        sharing = {other for point in places[name] for other in block.sharing[point]}
+        changed = [other for other in waiting if other in sharing or other not in found]
+        del found[name]
+        found.update({other: known_points(block, other, places, made) for other in changed})
     failed = tuple(one for one in checked if max(abs(one.along), abs(one.across), one.largest) > accepted)
     return Growth(solutions, tuple(records), tuple(checked), failed)

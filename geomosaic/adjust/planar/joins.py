@@ -47,16 +47,16 @@ def joins(block: PlanarBlock, transforms: Mapping[str, PlanarTransform]) -> list
 
 def positions(block: PlanarBlock, transforms: Mapping[str, PlanarTransform]) -> dict[str, dict[str, FloatArray]]:
     """Map position (2,) of each measured point by each placed photo that shows it: photo → point → position."""
-    found: dict[str, dict[str, FloatArray]] = {name: {} for name in transforms}
-    pixels: dict[str, dict[str, tuple[float, float]]] = {name: {} for name in transforms}
-    for measured in block.measurements:
-        if measured.photo in transforms:
-            pixels[measured.photo][measured.id] = (measured.col, measured.row)
-    for name, own in pixels.items():
-        if own:
-            ground = transforms[name].to_ground(np.array(list(own.values())))
-            found[name] = dict(zip(own, ground, strict=True))
-    return found
+    return {name: positions_by(block, transform) for name, transform in transforms.items()}
+
+
+def positions_by(block: PlanarBlock, transform: PlanarTransform) -> dict[str, FloatArray]:
+    """Map position (2,) of each point that one placed photo shows."""
+    own = block.by_photo[transform.photo.name]
+    if not own:
+        return {}
+    ground = transform.to_ground(np.array([[measured.col, measured.row] for measured in own.values()]))
+    return dict(zip(own, ground, strict=True))
 
 
 def join(

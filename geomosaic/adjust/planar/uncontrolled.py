@@ -11,7 +11,7 @@ import numpy as np
 
 from geomosaic.adjust.planar.attach import Attachment, fit_best, known_points
 from geomosaic.adjust.planar.check import elongation, pieces
-from geomosaic.adjust.planar.joins import positions
+from geomosaic.adjust.planar.joins import positions_by
 from geomosaic.adjust.planar.kinds import LEAST
 from geomosaic.adjust.planar.transform import Frame, PlanarTransform, half
 from geomosaic.adjust.planar.values import PlanarBlock
@@ -87,9 +87,9 @@ def chain(
     records = [Attachment(first, (), "conformal", 0, 0, float("nan"), "", float("nan"))]
     steps = {first: 0}
     waiting = [other.name for other in block.photos if other.name != first]
+    places = {first: positions_by(block, made[first])}
+    known = {name: known_points(block, name, places, made) for name in waiting}
     while waiting:
-        places = positions(block, made)
-        known = {name: known_points(block, name, places, made) for name in waiting}
         # Outwards ring by ring; in a ring, what hangs best comes first.
         ready = [name for name in waiting if len(known[name][0]) >= 2]
         if not ready:
@@ -98,7 +98,7 @@ def chain(
                 f"photo '{most}' shares {len(known[most][0])} points with the photos that are joined; it takes 2",
                 mend="measure more tie points between them, or leave it out",
             )
-        ring = {name: 1 + min(steps[near] for near in known[name][1]) for name in ready}
+        ring = {name: 1 + min(steps[before] for before in known[name][1]) for name in ready}
         name = min(ready, key=lambda one: (ring[one], -len(known[one][0]), waiting.index(one)))
         points, to = known[name]
         solution, refused = fit_best(block.photo(name), points, kind)
@@ -106,6 +106,9 @@ def chain(
         ratio = elongation(block.photo(name).size, np.array([[point.col, point.row] for point in points]))
         records.append(Attachment(name, to, solution.kind, len(points), 0, ratio, refused, solution.rms))
         waiting.remove(name)
+        places[name] = positions_by(block, made[name])
+        near = {other for point in places[name] for other in block.sharing[point]}
+        known.update({other: known_points(block, other, places, made) for other in waiting if other in near})
     return Chain(first, made, tuple(records), steps)
 
 

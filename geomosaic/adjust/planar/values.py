@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 from geomosaic.errors import InputError, did_you_mean
 
@@ -113,7 +114,24 @@ class PlanarBlock:
         """All points as measured in the photos: ties, then control."""
         return (*self.ties, *self.control)
 
-    @property
+    @cached_property
+    def by_photo(self) -> dict[str, dict[str, Tie | Control]]:
+        """Measurements by photo, then by point."""
+        found: dict[str, dict[str, Tie | Control]] = {photo.name: {} for photo in self.photos}
+        for measured in self.measurements:
+            found[measured.photo][measured.id] = measured
+        return found
+
+    @cached_property
+    def sharing(self) -> dict[str, list[str]]:
+        """Photos that show each point, in the order of the block."""
+        found: dict[str, list[str]] = {}
+        for photo, own in self.by_photo.items():
+            for point in own:
+                found.setdefault(point, []).append(photo)
+        return found
+
+    @cached_property
     def index(self) -> dict[str, int]:
         """Number of each photo."""
         return {photo.name: i for i, photo in enumerate(self.photos)}
