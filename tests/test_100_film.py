@@ -15,6 +15,7 @@ from test_60_marks import blurred, mark
 from geomosaic.cli.main import run
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.sensor import registry
+from geomosaic.sensor import state as state_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic_frame.model import FrameModel
 
@@ -217,7 +218,7 @@ resolution = 4
     assert "interior orientation" in notes
     assert facts["orient"]["rms_control_px"] < 0.1
     state = json.loads(next((film / "output" / "models").glob("*.json")).read_text())
-    model = registry.from_dict(state)
+    model = state_of.from_dict(state)
     assert isinstance(model, FrameModel)
     assert np.abs(model.centre - CENTRE).max() < 1.5  # what marks off by up to 0.05 px of 2 m do to it
 

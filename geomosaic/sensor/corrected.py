@@ -20,7 +20,7 @@ from pyproj import CRS
 from geomosaic.sensor.correction_grid import CorrectionGrid
 from geomosaic.sensor.model import HasRays, SensorModel
 from geomosaic.sensor.parameters import Parameters
-from geomosaic.sensor.registry import from_dict, to_dict
+from geomosaic.sensor.registry import plugin
 from geomosaic.sensor.solve.jacobian import jacobian
 from geomosaic.types import FloatArray
 
@@ -88,14 +88,18 @@ class Corrected:
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values, with the sensor's name."""
-        return {"model": to_dict(self.sensor, self.model), "grid": self.grid.to_dict()}
+        kind = "corrected" if isinstance(self.model, Corrected) else "state"
+        return {"sensor": self.sensor, kind: self.model.to_dict(), "grid": self.grid.to_dict()}
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
         """Rebuild a model from `to_dict`; the sensor's plugin must be installed."""
-        inner = from_dict(state["model"])
-        grid = CorrectionGrid.from_dict(state["grid"])
-        return cast(Self, Corrected.of(inner, grid, state["model"]["sensor"]))
+        inner = (
+            Corrected.from_dict(state["corrected"])
+            if "corrected" in state
+            else plugin(state["sensor"]).model.from_dict(state["state"])
+        )
+        return cast(Self, Corrected.of(inner, CorrectionGrid.from_dict(state["grid"]), state["sensor"]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from geomosaic.project.exterior import SYSTEM_NAMES
 from geomosaic.project.frames import describe
 from geomosaic.project.load import Project
 from geomosaic.project.needs import needs
-from geomosaic.sensor.registry import to_dict
+from geomosaic.sensor.state import to_dict
 
 
 def orient(project: Project, context: Context) -> Mapping[str, Any]:

@@ -25,7 +25,7 @@ from geomosaic.product.georeference.metres import metres_per_unit, unit_name
 from geomosaic.product.georeference.request import FitRequest, kind_order
 from geomosaic.product.georeference.solution import SENSOR, Solution
 from geomosaic.product.ortho import OrthoResult
-from geomosaic.sensor.registry import to_dict
+from geomosaic.sensor.state import to_dict
 
 
 def report_facts(
