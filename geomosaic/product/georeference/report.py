@@ -23,7 +23,8 @@ from geomosaic.product.georeference.facts import (
 )
 from geomosaic.product.georeference.metres import metres_per_unit, unit_name
 from geomosaic.product.georeference.request import FitRequest, kind_order
-from geomosaic.product.georeference.solution import SENSOR, Solution
+from geomosaic.product.georeference.solution import Solution
+from geomosaic.product.georeference.trial import SENSOR
 from geomosaic.product.ortho import OrthoResult
 from geomosaic.sensor.state import to_dict
 

@@ -20,7 +20,8 @@ from geomosaic.product.georeference.examine import fold_advice, stop_on_errors
 from geomosaic.product.georeference.find import find_control
 from geomosaic.product.georeference.metres import short_unit
 from geomosaic.product.georeference.request import ControlInput, FitRequest, Place
-from geomosaic.product.georeference.solution import SENSOR, Solution, first_look, solve
+from geomosaic.product.georeference.solution import Solution, first_look, solve
+from geomosaic.product.georeference.trial import SENSOR
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.ortho import OrthoResult, ortho
 from geomosaic.raster.info import inspect

@@ -8,17 +8,16 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.adjust.checkpoints import CheckStatistics, check_model
-from geomosaic.adjust.choose import Choice, choose_model, planar_builds
+from geomosaic.adjust.choose import Choice
 from geomosaic.adjust.deletion import Deletion, delete_points
 from geomosaic.adjust.fit import ControlFit, fit_control
 from geomosaic.adjust.local import map_by_image
-from geomosaic.adjust.problem import Build, registry_build
-from geomosaic.adjust.robust import BlunderSearch, search_blunders
+from geomosaic.adjust.robust import BlunderSearch
 from geomosaic.control.advice import advise
 from geomosaic.control.finding import SEVERITIES, Advice
 from geomosaic.control.points import ImageControl
 from geomosaic.control.reading import Reading
-from geomosaic.errors import GeomosaicError, InputError
+from geomosaic.errors import InputError
 from geomosaic.product.georeference.examine import (
     blunder_advice,
     comparison_advice,
@@ -26,12 +25,8 @@ from geomosaic.product.georeference.examine import (
     stop_on_errors,
 )
 from geomosaic.product.georeference.request import FitRequest, kind_order
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.product.georeference.trial import builder, try_models
 from geomosaic.types import FloatArray
-
-SENSOR = "planar"
-COMPARED = 300
-"""Points up to which a model that was asked for is compared with the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +78,6 @@ class Solution:
     advice: tuple[Advice, ...]
 
 
-def builder(name: str, image: str, size: tuple[int, int], points: ImageControl) -> Build:
-    """Return the function that fits a model, by its name, to chosen points."""
-    kind, order = kind_order(name)
-    request = SensorRequest(image, size, {"kind": kind, "order": order}, points.crs)
-    return registry_build(SENSOR, request, points.xy, points.colrow)
-
-
 def solve(
     reading: Reading,
     image: str,
@@ -130,31 +118,26 @@ def solve(
     points = control.of_role("control")
     if not len(points):
         raise InputError("no point takes part in the fit: all are disabled or check points", where=where, mend=MEND)
-    choice = _choose(image, size, points, needed=auto)
-    name = choice.name if choice is not None and auto else request.model
+    searched = points.names
+    trial = try_models(image, size, points, request)
+    name, points, choice = trial.model, trial.points, trial.choice
     if auto:
         advice = _advised(given, name, size, near)
         stop_on_errors(advice, where, insist=request.insist)
     build = builder(name, image, size, points)
-    searched = points.names
-    robust, robust_said = _search(build, points, name)
-    suspects = set(robust.blunders) if robust is not None and request.robust else set[str]()
-    if suspects:
-        points = points.select([n not in suspects for n in points.names])
-        build = builder(name, image, size, points)
     deletion = None
     if request.threshold is not None:
         deletion = delete_points(
             build, points.names, points.xy, points.colrow, points.sigma, threshold=request.threshold
         )
         fit = deletion.fit
-    elif choice is not None and not suspects and choice.name == name:
+    elif choice is not None and choice.name == name:
         fit = choice.fit  # the same points
     else:
         fit = fit_control(build, points.names, points.xy, points.colrow, points.sigma)
     advice = (*advice, *deletion_advice(deletion), *comparison_advice(choice, name))
-    if robust is not None:
-        advice = (*advice, *blunder_advice(robust, searched, fit))
+    if trial.search is not None:
+        advice = (*advice, *blunder_advice(trial.search, searched, fit))
     stop_on_errors(advice, where, insist=request.insist)
     residuals = control.colrow - fit.model.ground_to_image(_spatial(control.xy))
     moved = np.einsum("nij,nj->ni", map_by_image(fit.model, _spatial(control.xy)), residuals)
@@ -164,14 +147,14 @@ def solve(
         choice.said.removeprefix(f"{name}: ") if choice is not None and auto else "as asked for",
         crs,
         control,
-        _states(control, fit, suspects, deletion),
+        _states(control, fit, set(trial.suspects), deletion),
         fit,
         residuals,
         moved,
         choice,
         deletion,
-        robust,
-        robust_said,
+        trial.search,
+        trial.said,
         check_model(fit.model, check.names, check.xy, check.colrow, unit) if len(check) else None,
         tuple(sorted(advice, key=lambda found: SEVERITIES.index(found.severity))),
     )
@@ -200,29 +183,6 @@ def _advised(
 ) -> tuple[Advice, ...]:
     kind, order = kind_order(name)
     return advise(control, kind=kind, order=order, size=size, near=near)
-
-
-def _choose(image: str, size: tuple[int, int], points: ImageControl, *, needed: bool) -> Choice | None:
-    """Compare all models; where the choice is not needed, as far as that takes no long time."""
-    if not needed and len(points) > COMPARED:
-        return None
-    builds = planar_builds(SensorRequest(image, size, {}, points.crs), points.xy, points.colrow, SENSOR)
-    try:
-        return choose_model(builds, points.names, points.xy, points.colrow, points.sigma)
-    except GeomosaicError:
-        if needed:
-            raise
-        return None
-
-
-def _search(build: Build, points: ImageControl, name: str) -> tuple[BlunderSearch | None, str]:
-    if name == "tps":
-        return None, "a thin plate spline passes through all points, blunders too: look at the leave-one-out errors"
-    try:
-        found = search_blunders(build, points.names, points.xy, points.colrow, points.sigma)
-    except GeomosaicError as error:
-        return None, error.what
-    return found, found.said
 
 
 def _spatial(xy: FloatArray) -> FloatArray:

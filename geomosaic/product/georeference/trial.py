@@ -1,0 +1,116 @@
+"""Which model, and which points: the choice and the search for blunders, each on what the other left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from geomosaic.adjust.choose import Choice, choose_model, planar_builds
+from geomosaic.adjust.problem import Build, registry_build
+from geomosaic.adjust.robust import BlunderSearch, search_blunders
+from geomosaic.control.points import ImageControl
+from geomosaic.errors import GeomosaicError
+from geomosaic.product.georeference.request import FitRequest, kind_order
+from geomosaic.sensor.plugin import SensorRequest
+
+SENSOR = "planar"
+COMPARED = 300
+"""Points up to which a model that was asked for is compared with the others."""
+ROUNDS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What was tried.
+
+    Attributes
+    ----------
+    model : str
+        Asked for or chosen.
+    points : ImageControl
+        Those that take part in the fit.
+    suspects : tuple of str
+        Those left out as blunders; none unless that was asked for.
+    choice : Choice, optional
+        All models compared on `points`, where points were enough for it.
+    search : BlunderSearch, optional
+        With `model`, over `points` and suspects.
+    said : str
+        What the search found, or why there is none.
+    """
+
+    model: str
+    points: ImageControl
+    suspects: tuple[str, ...]
+    choice: Choice | None
+    search: BlunderSearch | None
+    said: str
+
+
+def try_models(image: str, size: tuple[int, int], points: ImageControl, request: FitRequest) -> Trial:
+    """Choose the model where it is to be chosen, and look for blunders.
+
+    A blunder spoils the choice, and the wrong model hides blunders: where blunders are to be left out and the model is
+    to be chosen, both are done in turn until the model stays.
+
+    Parameters
+    ----------
+    image, size : str, (int, int)
+        Of the image.
+    points : ImageControl
+        Enabled control in the CRS of the fit.
+    request : FitRequest
+
+    Raises
+    ------
+    SolveError
+        No model can be chosen.
+    """
+    auto = request.model == "auto"
+    choice = _choose(image, size, points, needed=auto)
+    model = choice.name if auto and choice is not None else request.model
+    clean, suspects = points, tuple[str, ...]()
+    for _ in range(ROUNDS):
+        search, said = _search(builder(model, image, size, points), points, model)
+        found = search.blunders if search is not None and request.robust else tuple[str, ...]()
+        if found == suspects:
+            break
+        suspects = found
+        clean = points.select([name not in suspects for name in points.names])
+        choice = _choose(image, size, clean, needed=auto)
+        if not auto or choice is None or choice.name == model:
+            break
+        if choice.name == "tps":  # it passes through blunders: the search keeps the model that found them
+            model = choice.name
+            break
+        model = choice.name
+    return Trial(model, clean, suspects, choice, search, said)
+
+
+def builder(model: str, image: str, size: tuple[int, int], points: ImageControl) -> Build:
+    """Return the function that fits a model, by its name, to chosen points."""
+    kind, order = kind_order(model)
+    request = SensorRequest(image, size, {"kind": kind, "order": order}, points.crs)
+    return registry_build(SENSOR, request, points.xy, points.colrow)
+
+
+def _choose(image: str, size: tuple[int, int], points: ImageControl, *, needed: bool) -> Choice | None:
+    """Compare all models; where the choice is not needed, as far as that takes no long time."""
+    if not needed and len(points) > COMPARED:
+        return None
+    builds = planar_builds(SensorRequest(image, size, {}, points.crs), points.xy, points.colrow, SENSOR)
+    try:
+        return choose_model(builds, points.names, points.xy, points.colrow, points.sigma)
+    except GeomosaicError:
+        if needed:
+            raise
+        return None
+
+
+def _search(build: Build, points: ImageControl, model: str) -> tuple[BlunderSearch | None, str]:
+    if model == "tps":
+        return None, "a thin plate spline passes through all points, blunders too: look at the leave-one-out errors"
+    try:
+        found = search_blunders(build, points.names, points.xy, points.colrow, points.sigma)
+    except GeomosaicError as error:
+        return None, error.what
+    return found, found.said
