@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -67,7 +68,9 @@ class Overlay:
 
 
 def to_map(geometries: AnyArray, crs: CRS, map_crs: CRS, bounds: Bounds, straight: float) -> AnyArray:
-    """Reproject geometries and cut them at the neatline; None or empty where nothing is left.
+    """Reproject geometries and cut them a little outside the neatline; None or empty where nothing is left.
+
+    The edge of an area that goes on beyond the sheet is so not drawn along the neatline.
 
     Parameters
     ----------
@@ -93,7 +96,10 @@ def to_map(geometries: AnyArray, crs: CRS, map_crs: CRS, bounds: Bounds, straigh
 
         shapes = shapely.transform(shapes, move)
     shapes = np.where(shapely.is_valid(shapes), shapes, shapely.make_valid(shapes))
-    return np.asarray(shapely.intersection(shapes, shapely.box(*bounds)))
+    reach = 0.02 * (bounds[2] - bounds[0])
+    outer = shapely.box(bounds[0] - reach, bounds[1] - reach, bounds[2] + reach, bounds[3] + reach)
+    cut = np.asarray(shapely.intersection(shapes, outer))
+    return np.where(shapely.intersects(cut, shapely.box(*bounds)), cut, None)
 
 
 def _in_units_of(crs: CRS, length: float, map_crs: CRS, bounds: Bounds) -> float:
@@ -209,7 +215,7 @@ def ramp_rules(ramp: Ramp, values: FloatArray, base: Symbol) -> tuple[Rule, ...]
     limits = [None, *quantile_breaks(values, ramp.count, ramp.method), None]
     steps = max(1, len(limits) - 2)
     rules = []
-    for k, (least, below) in enumerate(zip(limits[:-1], limits[1:], strict=True)):
+    for k, (least, below) in enumerate(itertools.pairwise(limits)):
         shade = blend(ramp.start, ramp.end, k / steps)
         line = Line(shade, 0.5) if base.line is None else _recolored(base.line, shade, base.fill is None)
         fill = Fill(shade, 0.7) if base.fill is None else _recolored(base.fill, shade, True)

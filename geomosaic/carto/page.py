@@ -19,6 +19,8 @@ HEAD = 15.0
 """Height in mm of the title's strip."""
 PANEL_RIGHT, PANEL_BOTTOM = 64.0, 62.0
 """Width of a panel at the right and height of one at the bottom, in mm."""
+FOOT = 16.0
+"""Height in mm of the strip for the scale below a map that has no panel there."""
 GAP = 3.0
 SMALLEST = 30.0
 """Shortest side of a map in mm that is worth a sheet."""
@@ -39,8 +41,10 @@ class Page:
         The map's edge, and the line around its coordinates.
     head : Box
         Title strip above the border.
+    foot : Box or None
+        Scale strip below the border, where the panel is not there.
     panel : Box or None
-        Legend, notes and scale.
+        Legend, notes, and the scale where there is no foot.
     side : str
         Where the panel is: 'right', 'bottom' or 'none'.
     crs : CRS
@@ -56,6 +60,7 @@ class Page:
     neatline: Box
     border: Box
     head: Box
+    foot: Box | None
     panel: Box | None
     side: str
     crs: CRS
@@ -177,7 +182,7 @@ def _on_paper(
         side = "right" if width > height else "bottom"
     head = HEAD if any((layout.sheet.title, layout.sheet.subtitle, layout.sheet.number, layout.sheet.name)) else 0.0
     right = PANEL_RIGHT + GAP if side == "right" else 0.0
-    bottom = PANEL_BOTTOM + GAP if side == "bottom" else 0.0
+    bottom = PANEL_BOTTOM + GAP if side == "bottom" else FOOT
     room = (width - 2 * margin - 2 * BAND - right, height - 2 * margin - 2 * BAND - bottom - head)
     if min(room) < SMALLEST:
         return None
@@ -192,15 +197,14 @@ def _on_paper(
     low = margin + bottom + BAND + (room[1] - size[1]) / 2
     neatline = (left, low, left + size[0], low + size[1])
     border = (neatline[0] - BAND, neatline[1] - BAND, neatline[2] + BAND, neatline[3] + BAND)
+    foot: Box | None = (border[0], border[1] - FOOT, border[2], border[1])
     panel: Box | None = None
     if side == "right":
         panel = (border[2] + GAP, border[1], border[2] + GAP + PANEL_RIGHT, border[3])
     elif side == "bottom":
-        panel = (border[0], border[1] - GAP - PANEL_BOTTOM, border[2], border[1] - GAP)
-    return Page(
-        width, height, neatline, border, (border[0], border[3], border[2], border[3] + head), panel, side, crs, bounds,
-        scale,
-    )  # fmt: skip
+        foot, panel = None, (border[0], border[1] - GAP - PANEL_BOTTOM, border[2], border[1] - GAP)
+    top = (border[0], border[3], panel[2] if side == "right" and panel else border[2], border[3] + head)
+    return Page(width, height, neatline, border, top, foot, panel, side, crs, bounds, scale)
 
 
 def _covers(page: Page, wanted: Bounds) -> bool:

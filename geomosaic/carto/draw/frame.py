@@ -1,0 +1,94 @@
+"""Neatline, grid, graticule and the coordinates around them."""
+
+from __future__ import annotations
+
+from geomosaic.carto.draw.canvas import Canvas, text_size
+from geomosaic.carto.layout import GridPart
+from geomosaic.carto.lines import GridLine, MapGrid
+from geomosaic.carto.page import BAND, Page
+from geomosaic.carto.place import spread
+
+CROSS = 3.0
+"""Arm to arm of a grid cross, mm."""
+TICK = 2.0
+"""Length of a tick outside the neatline, mm; inside it is longer where there are no lines."""
+NEATLINE, BORDER = 0.3, 0.6
+
+
+def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None:
+    """Lines or crosses inside the neatline."""
+    if part.style == "lines":
+        paths = [page.to_page(piece) for line in grid.lines for piece in line.pieces]
+        canvas.lines(paths, "#ffffff", 2.2 * part.width, opacity=0.45)
+        canvas.lines(paths, part.color, part.width)
+    if part.style == "crosses":
+        at = page.to_page(grid.crossings)
+        arms = []
+        for axis in (0, 1):
+            step = [0.0, 0.0]
+            step[axis] = CROSS / 2
+            arms += [at_ + [[-step[0], -step[1]], [step[0], step[1]]] for at_ in at[:, None, :]]
+        canvas.lines(arms, "#ffffff", 3.0 * part.width, opacity=0.6)
+        canvas.lines(arms, part.color, 1.5 * part.width)
+    if part.style == "ticks":
+        inner = [_tick(page, side, x, y, -CROSS) for side, x, y in _ends(grid)]
+        canvas.lines(inner, "#ffffff", 3.0 * part.width, opacity=0.6)
+        canvas.lines(inner, part.color, 1.5 * part.width)
+
+
+def draw_edge(canvas: Canvas, page: Page) -> None:
+    """Neatline and border."""
+    canvas.rectangle(page.neatline, edge="#000000", width=NEATLINE)
+    canvas.rectangle(page.border, edge="#000000", width=BORDER)
+
+
+def draw_labels(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart, row: int) -> None:
+    """Ticks outside the neatline and coordinates on all sides, in row 0 (beside the neatline) or 1."""
+    reach = TICK if row == 0 else BAND / 2 + TICK - 0.4
+    canvas.lines([_tick(page, side, x, y, reach) for side, x, y in _ends(grid)], part.color, max(part.width, 0.12))
+    if not part.labels:
+        return
+    for side in ("left", "bottom", "right", "top"):
+        axis = 0 if side in ("bottom", "top") else 1
+        marks = [(line, *page.to_page([(x, y)])[0]) for line, s, x, y in _marks(grid) if s == side and line.axis == axis]  # type: ignore[arg-type]
+        texts = [grid.label(line) for line, _, _ in marks]
+        along = [float(px if axis == 0 else py) for _, px, py in marks]
+        widths = [text_size(text, part.size)[0] for text in texts]
+        low, high = page.border[axis] + 1.0, page.border[axis + 2] - 1.0
+        for i in spread(along, widths, 2.0):
+            if along[i] - widths[i] / 2 < low or along[i] + widths[i] / 2 > high:
+                continue
+            aside = TICK + 0.9 + (0.0 if row == 0 else BAND / 2 - 0.4)
+            x, y = _outside(page, side, along[i], aside)
+            canvas.centred(x, y, texts[i], part.size, angle=90.0 if axis else 0.0, color=part.color)
+
+
+def _marks(grid: MapGrid) -> list[tuple[GridLine, str, float, float]]:
+    return [(line, *end) for line in grid.lines for end in line.ends]
+
+
+def _ends(grid: MapGrid) -> list[tuple[str, float, float]]:
+    """Ends on the sides that their lines cross: x at bottom and top, y at left and right."""
+    return [
+        (side, x, y) for line, side, x, y in _marks(grid) if (side in ("bottom", "top")) == (line.axis == 0)
+    ]  # fmt: skip
+
+
+def _tick(page: Page, side: str, x: float, y: float, reach: float) -> list[tuple[float, float]]:
+    """From the neatline outwards by `reach` mm, inwards where negative."""
+    import numpy as np
+
+    px, py = page.to_page(np.array([[x, y]]))[0]
+    dx = {"left": -reach, "right": reach}.get(side, 0.0)
+    dy = {"bottom": -reach, "top": reach}.get(side, 0.0)
+    return [(float(px), float(py)), (float(px) + dx, float(py) + dy)]
+
+
+def _outside(page: Page, side: str, along: float, aside: float) -> tuple[float, float]:
+    left, bottom, right, top = page.neatline
+    return {
+        "left": (left - aside, along),
+        "right": (right + aside, along),
+        "bottom": (along, bottom - aside),
+        "top": (along, top + aside),
+    }[side]
