@@ -122,7 +122,7 @@ def place_heights(page: Page, contours: Sequence[Contour], part: ContoursPart, p
     found: list[Placed] = []
     for contour in sorted(wanted, key=lambda c: -len(c.xy)):
         text = f"{contour.height:.{digits}f}".replace("-", "−")
-        width, height = text_size(text, size)
+        width, height = text_size(text, size, True)
         path = page.to_page(contour.xy)
         length = float(np.hypot(*np.diff(path, axis=0).T).sum())
         for piece in _pieces(path, max(1, int(length / 120.0))):
