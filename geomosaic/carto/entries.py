@@ -1,4 +1,4 @@
-"""Tables of a TOML file to frozen dataclasses: every key and value is checked, and what is wrong is said with its place."""
+"""Tables of a TOML file to frozen dataclasses: each key and value is checked, an error says where it is wrong."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ COLORS = {
 _WORDS: dict[Any, str] = {str: "text in quotes", float: "a number", int: "a whole number", bool: "true or false"}
 
 
-def number(
+def a_number(
     default: Any = MISSING, *, above: float = -math.inf, least: float = -math.inf, most: float = math.inf
 ) -> Any:
     """Make a field that holds a number within limits."""
     return field(default=default, metadata={"above": above, "least": least, "most": most})
 
 
-def choice(default: Any, *values: str) -> Any:
+def a_choice(default: Any, *values: str) -> Any:
     """Make a field that holds one of some words."""
     return field(default=default, metadata={"choices": values})
 
 
-def color(default: Any) -> Any:
+def a_color(default: Any) -> Any:
     """Make a field that holds a colour."""
     return field(default=default, metadata={"color": True})
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
-from geomosaic.carto.entries import choice, color, number
+from geomosaic.carto.entries import a_choice, a_color, a_number
 from geomosaic.errors import InputError, did_you_mean
 
 PAPERS = {"A0": (841.0, 1189.0), "A1": (594.0, 841.0), "A2": (420.0, 594.0), "A3": (297.0, 420.0), "A4": (210.0, 297.0)}
@@ -24,41 +24,41 @@ class SheetPart:
     number: str = ""
     name: str = ""
     paper: str = ""
-    orientation: str = choice("auto", "auto", "portrait", "landscape")
-    margin: float = number(10.0, least=0.0, most=200.0)
-    panel: str = choice("auto", "auto", "right", "bottom", "none")
-    dpi: int = number(300, least=72, most=2400)
+    orientation: str = a_choice("auto", "auto", "portrait", "landscape")
+    margin: float = a_number(10.0, least=0.0, most=200.0)
+    panel: str = a_choice("auto", "auto", "right", "bottom", "none")
+    dpi: int = a_number(300, least=72, most=2400)
 
 
 @dataclass(frozen=True)
 class MapPart:
     """`[map]`: scale and area."""
 
-    scale: float | None = number(None, above=0.0)
+    scale: float | None = a_number(None, above=0.0)
     bounds: tuple[float, float, float, float] | None = None
     centre: tuple[float, float] | None = None
-    background: str = color("#ffffff")
+    background: str = a_color("#ffffff")
 
 
 @dataclass(frozen=True)
 class GridPart:
     """`[grid]`: the map grid, by default that of the map's own CRS."""
 
-    style: str = choice("lines", *GRID_STYLES)
+    style: str = a_choice("lines", *GRID_STYLES)
     crs: str = ""
-    interval: float | None = number(None, above=0.0)
-    color: str = color("#000000")
-    width: float = number(0.1, above=0.0, most=5.0)
+    interval: float | None = a_number(None, above=0.0)
+    color: str = a_color("#000000")
+    width: float = a_number(0.1, above=0.0, most=5.0)
     labels: bool = True
-    size: float = number(6.0, above=0.0, most=72.0)
+    size: float = a_number(6.0, above=0.0, most=72.0)
 
 
 @dataclass(frozen=True)
 class GraticulePart(GridPart):
     """`[graticule]`: a second grid, by default longitude and latitude."""
 
-    style: str = choice("ticks", *GRID_STYLES)
-    color: str = color("#1f5fae")
+    style: str = a_choice("ticks", *GRID_STYLES)
+    color: str = a_color("#1f5fae")
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class ScaleBarPart:
     """`[scalebar]`."""
 
     show: bool = True
-    length: float | None = number(None, above=0.0)  # metres on the ground
+    length: float | None = a_number(None, above=0.0)  # metres on the ground
     feet: bool = False
 
 
@@ -75,9 +75,9 @@ class NorthPart:
     """`[north]`: the arrows; magnetic north only where it is declared."""
 
     show: bool = True
-    magnetic: float | None = number(None, least=-180.0, most=180.0)  # declination in degrees, east positive
+    magnetic: float | None = a_number(None, least=-180.0, most=180.0)  # declination in degrees, east positive
     magnetic_date: str = ""
-    annual_change: float | None = number(None, least=-10.0, most=10.0)  # degrees, east positive
+    annual_change: float | None = a_number(None, least=-10.0, most=10.0)  # degrees, east positive
 
 
 @dataclass(frozen=True)
@@ -105,14 +105,15 @@ class ContoursPart:
     """`[contours]`."""
 
     dem: str = ""
-    interval: float | None = number(None, above=0.0)
-    index: int = number(5, least=1, most=100)
-    tolerance: float | None = number(None, least=0.0)
-    color: str = color("#9a5b22")
-    width: float = number(0.12, above=0.0, most=5.0)
-    index_width: float = number(0.25, above=0.0, most=5.0)
+    heights: str = ""  # vertical datum of the DEM, where the file does not say it
+    interval: float | None = a_number(None, above=0.0)
+    index: int = a_number(5, least=1, most=100)
+    tolerance: float | None = a_number(None, least=0.0)
+    color: str = a_color("#9a5b22")
+    width: float = a_number(0.12, above=0.0, most=5.0)
+    index_width: float = a_number(0.25, above=0.0, most=5.0)
     labels: bool = True
-    size: float = number(5.5, above=0.0, most=72.0)
+    size: float = a_number(5.5, above=0.0, most=72.0)
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,7 @@ def paper_size(text: str, where: str | None = None) -> tuple[float, float]:
             f"'{text}' is no paper", where=where, mend=hint or f"one of {', '.join(PAPERS)}, or 300x200 in mm"
         )
     width, height = float(found[1]), float(found[2])
-    if not (80.0 <= min(width, height) and max(width, height) <= 5000.0):
+    if not (min(width, height) >= 80.0 and max(width, height) <= 5000.0):
         raise InputError(
             f"a sheet of {width:g} x {height:g} mm cannot be laid out",
             where=where,

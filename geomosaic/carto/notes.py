@@ -95,7 +95,9 @@ def accuracy_words(report: Mapping[str, Any], scale: float) -> str:
     return f"{text[0].upper()}{text[1:]}. {PLOTTABLE_MM:g} mm on the sheet are {PLOTTABLE_MM * scale / 1000:g} m."
 
 
-def blocks(layout: Layout, page: Page, place: MapPlace, heights: str | None, accuracy: str) -> list[tuple[str, list[str]]]:
+def blocks(
+    layout: Layout, page: Page, place: MapPlace, heights: str | None, accuracy: str
+) -> list[tuple[str, list[str]]]:
     """Headed blocks of text for the margin, in their order; empty ones are left out."""
     notes = layout.notes
     found = [
@@ -106,5 +108,3 @@ def blocks(layout: Layout, page: Page, place: MapPlace, heights: str | None, acc
     ]
     kept = [(head, [line for text in lines for line in text.splitlines() if line.strip()]) for head, lines in found]
     return [(head, lines) for head, lines in kept if lines]
-
-

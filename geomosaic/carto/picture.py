@@ -139,5 +139,3 @@ def _resized(values: AnyArray, valid: AnyArray, box: Any, size: tuple[int, int])
         out[..., band] = grey
     out[..., 3] = np.where(seen, 255, 0)
     return out
-
-

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from geomosaic.carto.entries import build, choice, color, number
+from geomosaic.carto.entries import a_choice, a_color, a_number, build
 from geomosaic.errors import InputError, did_you_mean
 
 MARKERS = ("circle", "square", "triangle", "diamond", "cross", "plus", "star")
@@ -16,12 +16,12 @@ MARKERS = ("circle", "square", "triangle", "diamond", "cross", "plus", "star")
 class Line:
     """A line: widths in mm, dashes as lengths of stroke and gap in mm, the casing as its full width."""
 
-    color: str = color("#000000")
-    width: float = number(0.3, above=0.0, most=20.0)
+    color: str = a_color("#000000")
+    width: float = a_number(0.3, above=0.0, most=20.0)
     dash: tuple[float, ...] = ()
-    casing: str | None = color(None)
-    casing_width: float | None = number(None, above=0.0, most=30.0)
-    opacity: float = number(1.0, least=0.0, most=1.0)
+    casing: str | None = a_color(None)
+    casing_width: float | None = a_number(None, above=0.0, most=30.0)
+    opacity: float = a_number(1.0, least=0.0, most=1.0)
 
     @property
     def full_width(self) -> float:
@@ -33,19 +33,19 @@ class Line:
 class Fill:
     """An area's colour; its edge is the symbol's line."""
 
-    color: str = color("#cccccc")
-    opacity: float = number(0.5, least=0.0, most=1.0)
+    color: str = a_color("#cccccc")
+    opacity: float = a_number(0.5, least=0.0, most=1.0)
 
 
 @dataclass(frozen=True)
 class Marker:
     """A point's symbol; size and outline in mm."""
 
-    shape: str = choice("circle", *MARKERS)
-    size: float = number(1.8, above=0.0, most=50.0)
-    color: str = color("#d7191c")
-    outline: str = color("#ffffff")
-    outline_width: float = number(0.15, least=0.0, most=5.0)
+    shape: str = a_choice("circle", *MARKERS)
+    size: float = a_number(1.8, above=0.0, most=50.0)
+    color: str = a_color("#d7191c")
+    outline: str = a_color("#ffffff")
+    outline_width: float = a_number(0.15, least=0.0, most=5.0)
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,13 @@ class Label:
     """Names: the column they stand in, text size in points, halo in mm."""
 
     column: str
-    size: float = number(7.0, above=0.0, most=100.0)
-    color: str = color("#000000")
-    halo: str | None = color("#ffffff")
-    halo_width: float = number(0.5, least=0.0, most=5.0)
+    size: float = a_number(7.0, above=0.0, most=100.0)
+    color: str = a_color("#000000")
+    halo: str | None = a_color("#ffffff")
+    halo_width: float = a_number(0.5, least=0.0, most=5.0)
     bold: bool = False
     italic: bool = False
-    decimals: int | None = number(None, least=0, most=9)
+    decimals: int | None = a_number(None, least=0, most=9)
 
 
 @dataclass(frozen=True)
@@ -101,10 +101,10 @@ class Ramp:
     """`[graduated]`: classes of a column's numbers made from the data, colours from one to another."""
 
     column: str
-    count: int = number(5, least=2, most=20)
-    method: str = choice("quantile", "quantile", "equal")
-    start: str = color("#ffffcc")
-    end: str = color("#8b0025")
+    count: int = a_number(5, least=2, most=20)
+    method: str = a_choice("quantile", "quantile", "equal")
+    start: str = a_color("#ffffcc")
+    end: str = a_color("#8b0025")
 
 
 @dataclass(frozen=True)

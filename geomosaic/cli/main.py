@@ -23,6 +23,8 @@ COMMANDS: dict[str, str] = {
     "status": "Show which steps of a project are stale, and why.",
     "ortho": "Rectify one image.",
     "mosaic": "Make one mosaic from images.",
+    "contours": "Draw contours of a DEM.",
+    "sheet": "Make a map sheet: frame, grid, legend, vectors.",
     "sensors": "List sensors, or show the inputs of one.",
 }
 """Short help by command: `geomosaic --help` imports none of them."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from geomosaic.carto.draw.canvas import Canvas, text_size
 from geomosaic.carto.layout import GridPart
 from geomosaic.carto.lines import GridLine, MapGrid
@@ -27,7 +29,7 @@ def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None
         for axis in (0, 1):
             step = [0.0, 0.0]
             step[axis] = CROSS / 2
-            arms += [at_ + [[-step[0], -step[1]], [step[0], step[1]]] for at_ in at[:, None, :]]
+            arms += list(at[:, None, :] + np.array([[-step[0], -step[1]], [step[0], step[1]]]))
         canvas.lines(arms, "#ffffff", 3.0 * part.width, opacity=0.6)
         canvas.lines(arms, part.color, 1.5 * part.width)
     if part.style == "ticks":
@@ -50,9 +52,11 @@ def draw_labels(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart, row: 
         return
     for side in ("left", "bottom", "right", "top"):
         axis = 0 if side in ("bottom", "top") else 1
-        marks = [(line, *page.to_page([(x, y)])[0]) for line, s, x, y in _marks(grid) if s == side and line.axis == axis]  # type: ignore[arg-type]
-        texts = [grid.label(line) for line, _, _ in marks]
-        along = [float(px if axis == 0 else py) for _, px, py in marks]
+        found = [(line, x, y) for line, s, x, y in _marks(grid) if s == side and line.axis == axis]
+        if not found:
+            continue
+        texts = [grid.label(line) for line, _, _ in found]
+        along = [float(v) for v in page.to_page(np.array([place for _, *place in found]))[:, axis]]
         widths = [text_size(text, part.size)[0] for text in texts]
         low, high = page.border[axis] + 1.0, page.border[axis + 2] - 1.0
         for i in spread(along, widths, 2.0):
@@ -76,8 +80,6 @@ def _ends(grid: MapGrid) -> list[tuple[str, float, float]]:
 
 def _tick(page: Page, side: str, x: float, y: float, reach: float) -> list[tuple[float, float]]:
     """From the neatline outwards by `reach` mm, inwards where negative."""
-    import numpy as np
-
     px, py = page.to_page(np.array([[x, y]]))[0]
     dx = {"left": -reach, "right": reach}.get(side, 0.0)
     dy = {"bottom": -reach, "top": reach}.get(side, 0.0)

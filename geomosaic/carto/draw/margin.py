@@ -57,13 +57,14 @@ def draw_head(canvas: Canvas, page: Page, layout: Layout) -> None:
     if top <= bottom:
         return
     number = f"Sheet {sheet.number}" if sheet.number else ""
-    aside = max(text_size(number, 12.0, True)[0], text_size(" · ".join(filter(None, (sheet.series, sheet.name))), 8.5)[0])
+    name = " · ".join(filter(None, (sheet.series, sheet.name)))
+    aside = max(text_size(number, 12.0, True)[0], text_size(name, 8.5)[0])
     room = right - left - (aside + 6.0 if aside else 0.0)
     upper, lower = bottom + 8.0, bottom + 3.2
     canvas.text(left, upper, sheet.title, shortened(sheet.title, 18.0, room, True), bold=True)
     canvas.text(left, lower, sheet.subtitle, shortened(sheet.subtitle, 9.0, room), color="#333333")
     canvas.text(right, upper, number, 12.0, align="right", bold=True)
-    canvas.text(right, lower, " · ".join(filter(None, (sheet.series, sheet.name))), 8.5, align="right", color="#333333")
+    canvas.text(right, lower, name, 8.5, align="right", color="#333333")
 
 
 def draw_legend(canvas: Canvas, entries: Sequence[Entry], title: str, box: Box) -> tuple[float, int]:
@@ -181,7 +182,8 @@ def _rule(canvas: Canvas, left: float, right: float, y: float) -> float:
 def _north(canvas: Canvas, left: float, right: float, top: float, convergence: float, layout: Layout) -> float:
     """Arrows at the left, what they mean at the right; returns the lower end."""
     end = draw_north(canvas, left + 12.0, top, convergence, layout.north)
-    words = [line for text in north_words(convergence, layout.north) for line in wrapped(text, 6.2, right - left - 26.0)]
+    said = north_words(convergence, layout.north)
+    words = [line for text in said for line in wrapped(text, 6.2, right - left - 26.0)]
     y = top - 6.0
     for line in words:
         canvas.text(left + 26.0, y, line, 6.2)

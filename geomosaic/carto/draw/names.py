@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -97,7 +98,8 @@ def _spots(page: Page, name: Name, kind: str, label: Label, radius: float) -> li
     if largest.is_empty:
         return []
     middles = [largest.centroid, largest.representative_point()]
-    x, y = page.to_page(np.array([(m.x, m.y) for m in middles if largest.contains(m)] or [(middles[1].x, middles[1].y)]))[0]
+    middle = next((m for m in middles if largest.contains(m)), middles[-1])
+    x, y = page.to_page(np.array([(middle.x, middle.y)]))[0]
     step = 1.2 * height
     return [Spot(float(x), float(y) + k * step) for k in (0, 1, -1, 2, -2)]
 
@@ -140,7 +142,7 @@ def _digits(heights: Sequence[float]) -> int:
 
 def _pieces(path: FloatArray, count: int) -> list[FloatArray]:
     cuts = np.linspace(0, len(path) - 1, count + 1).astype(int)
-    return [path[a : b + 1] for a, b in zip(cuts[:-1], cuts[1:], strict=True) if b - a >= 1]
+    return [path[a : b + 1] for a, b in itertools.pairwise(cuts) if b - a >= 1]
 
 
 def uphill(spot: Spot, path: FloatArray) -> Spot:

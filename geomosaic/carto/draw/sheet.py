@@ -73,9 +73,7 @@ def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> li
         placer = Placer((left + 0.8, bottom + 0.8, right - 0.8, top - 0.8))
         names, lost = place_names(page, parts.layers, placer)
         if parts.contours and layout.contours.labels:
-            draw_heights(
-                canvas, place_heights(page, parts.contours, layout.contours, placer), layout.contours
-            )
+            draw_heights(canvas, place_heights(page, parts.contours, layout.contours, placer), layout.contours)
         draw_names(canvas, names)
     if lost:
         told.append(f"{lost} of {lost + len(names)} names have no room without touching others")
