@@ -84,8 +84,11 @@ def bilinear_at(values: AnyArray, col: FloatArray, row: FloatArray) -> FloatArra
     # A node without weight does not count, known or not.
     corners = [((1 - u) * (1 - v), z[j, i]), (u * (1 - v), z[j, i + 1]), ((1 - u) * v, z[j + 1, i])]
     corners.append((u * v, z[j + 1, i + 1]))
-    total = sum(np.where(w > 1e-9, w * h, 0.0) for w, h in corners)
-    return np.where(inside, total, np.nan)
+    total = np.zeros(col.shape)
+    for w, h in corners:
+        total += np.where(w > 1e-9, w * h, 0.0)
+    found: FloatArray = np.where(inside, total, np.nan)
+    return found
 
 
 def nice_interval(low: float, high: float, count: int = 20) -> float:

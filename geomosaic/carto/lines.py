@@ -12,7 +12,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.transform import Transform
-from geomosaic.types import FloatArray
+from geomosaic.types import BoolArray, FloatArray
 
 SAMPLES = 65
 """Points along each side of the neatline and each line: a graticule bends by less than 1e-3 of its sagitta between."""
@@ -121,10 +121,10 @@ def _outline(bounds: Bounds) -> FloatArray:
     return np.concatenate([np.column_stack(side) for side in sides])
 
 
-def _within(points: FloatArray, bounds: Bounds) -> FloatArray:
+def _within(points: FloatArray, bounds: Bounds) -> BoolArray:
     left, bottom, right, top = bounds
     x, y = points[:, 0], points[:, 1]
-    inside: FloatArray = (x > left) & (x < right) & (y > bottom) & (y < top)
+    inside: BoolArray = (x > left) & (x < right) & (y > bottom) & (y < top)
     return inside
 
 

@@ -84,10 +84,12 @@ def accuracy_words(report: Mapping[str, Any], scale: float) -> str:
     if value is not None and points:
         parts.append(f"check points {value:.2f} px RMS in the images ({len(points)} measurements)")
     reference = check.get("reference")
-    resolution = (report.get("mosaic") or {}).get("grid", {}).get("resolution")
+    grid = (report.get("mosaic") or {}).get("grid") or {}
+    resolution = grid.get("resolution")
     if reference and reference.get("registration_rms_px") is not None:
         off = float(reference["registration_rms_px"])
-        ground = f" = {off * resolution[0]:.2g} map units" if resolution else ""
+        metres = str(grid.get("crs", "")).endswith("metre")
+        ground = f" = {off * resolution[0]:.2g} m" if resolution and metres else ""
         parts.append(f"registration on the reference {off:.2g} px{ground} RMS ({reference.get('matched')} places)")
     if not parts:
         return ""

@@ -98,8 +98,9 @@ def to_map(geometries: AnyArray, crs: CRS, map_crs: CRS, bounds: Bounds, straigh
     shapes = np.where(shapely.is_valid(shapes), shapes, shapely.make_valid(shapes))
     reach = 0.02 * (bounds[2] - bounds[0])
     outer = shapely.box(bounds[0] - reach, bounds[1] - reach, bounds[2] + reach, bounds[3] + reach)
-    cut = np.asarray(shapely.intersection(shapes, outer))
-    return np.where(shapely.intersects(cut, shapely.box(*bounds)), cut, None)
+    cut: AnyArray = np.array(shapely.intersection(shapes, outer), dtype=object)
+    cut[~shapely.intersects(cut, shapely.box(*bounds))] = None
+    return cut
 
 
 def _in_units_of(crs: CRS, length: float, map_crs: CRS, bounds: Bounds) -> float:
@@ -163,9 +164,9 @@ def overlay(
         cells = _column(columns, column, where)
         lost = 0
         for i in here:
-            rule = next((n for n, r in enumerate(rules) if holds(r, cells[i])), -1)
-            lost += rule < 0
-            members.setdefault(rule, []).append(cut[i])
+            number = next((n for n, rule in enumerate(rules) if holds(rule, cells[i])), -1)
+            lost += number < 0
+            members.setdefault(number, []).append(cut[i])
         if lost:
             what = "drawn as [line], [fill] and [marker] have it" if style.symbol != Symbol() else "not drawn"
             notes.append(f"{lost} of {len(here)} objects have a value of '{column}' that no rule names: {what}")

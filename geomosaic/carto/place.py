@@ -105,12 +105,12 @@ class Placer:
 def around_point(x: float, y: float, width: float, height: float, radius: float) -> list[Spot]:
     """Eight places around a symbol of a radius, best first."""
     across, up = width / 2 + radius, height / 2 + radius
-    near = 0.7 * radius
+    aside = 0.4 * radius + height / 4
     return [
-        Spot(x + width / 2 + near, y + height / 2 + near),
-        Spot(x + width / 2 + near, y - height / 2 - near),
-        Spot(x - width / 2 - near, y + height / 2 + near),
-        Spot(x - width / 2 - near, y - height / 2 - near),
+        Spot(x + across, y + aside),
+        Spot(x + across, y - aside),
+        Spot(x - across, y + aside),
+        Spot(x - across, y - aside),
         Spot(x + across, y),
         Spot(x, y + up),
         Spot(x - across, y),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pyproj import CRS
@@ -108,7 +110,7 @@ def make_contours(
     import shapely
 
     lines = [shapely.LineString(c.xy) for c in found]
-    columns = {
+    columns: dict[str, Sequence[Any]] = {
         "height": [c.height for c in found],
         "main": [c.index for c in found],
         "deviation": [round(c.deviation, 4) for c in found],

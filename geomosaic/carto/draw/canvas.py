@@ -108,7 +108,7 @@ class Canvas:
 
     def lines(
         self,
-        paths: Sequence[FloatArray],
+        paths: Sequence[Any],
         color: str,
         width: float,
         *,
@@ -231,7 +231,7 @@ class Canvas:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
         self.figure.set_dpi(dpi)
-        agg = FigureCanvasAgg(self.figure)
+        agg: Any = FigureCanvasAgg(self.figure)
         agg.draw()
         return np.ascontiguousarray(np.asarray(agg.buffer_rgba())[..., :3])
 
@@ -239,6 +239,7 @@ class Canvas:
         """Write a PDF without dates."""
         from matplotlib.backends.backend_pdf import FigureCanvasPdf
 
-        FigureCanvasPdf(self.figure).print_pdf(
+        pdf: Any = FigureCanvasPdf(self.figure)
+        pdf.print_pdf(
             str(path), metadata={"Title": title, "Creator": "geomosaic", "CreationDate": None, "ModDate": None}
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from geomosaic.carto.draw.canvas import Canvas, text_size
@@ -44,27 +46,49 @@ def draw_edge(canvas: Canvas, page: Page) -> None:
     canvas.rectangle(page.border, edge="#000000", width=BORDER)
 
 
-def draw_labels(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart, row: int) -> None:
-    """Ticks outside the neatline and coordinates on all sides, in row 0 (beside the neatline) or 1."""
-    reach = TICK if row == 0 else BAND / 2 + TICK - 0.4
-    canvas.lines([_tick(page, side, x, y, reach) for side, x, y in _ends(grid)], part.color, max(part.width, 0.12))
-    if not part.labels:
-        return
+def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None, GridPart]]) -> None:
+    """Ticks outside the neatline and coordinates on all sides; each grid has a row of its own, the first the inner one.
+
+    A tick of the outer row reaches to its label where no label of the inner row is in its way.
+    """
     for side in ("left", "bottom", "right", "top"):
         axis = 0 if side in ("bottom", "top") else 1
-        found = [(line, x, y) for line, s, x, y in _marks(grid) if s == side and line.axis == axis]
-        if not found:
-            continue
-        texts = [grid.label(line) for line, _, _ in found]
-        along = [float(v) for v in page.to_page(np.array([place for _, *place in found]))[:, axis]]
-        widths = [text_size(text, part.size)[0] for text in texts]
-        low, high = page.border[axis] + 1.0, page.border[axis + 2] - 1.0
-        for i in spread(along, widths, 2.0):
-            if along[i] - widths[i] / 2 < low or along[i] + widths[i] / 2 > high:
+        taken: list[tuple[float, float]] = []
+        for row, (grid, part) in enumerate(grids):
+            if grid is None:
                 continue
-            aside = TICK + 0.9 + (0.0 if row == 0 else BAND / 2 - 0.4)
+            marks = [(line, x, y) for line, s, x, y in _marks(grid) if s == side and line.axis == axis]
+            if not marks:
+                continue
+            along = [float(v) for v in page.to_page(np.array([place for _, *place in marks]))[:, axis]]
+            kept = _draw_row(canvas, page, side, [grid.label(line) for line, _, _ in marks], along, part, row)
+            blocked = [any(low - 0.5 < at < high + 0.5 for low, high in taken) for at in along]
+            long = BAND / 2 + TICK - 0.6 if row else TICK
+            ticks = [
+                _tick(page, side, x, y, TICK if stop else long) for (_, x, y), stop in zip(marks, blocked, strict=True)
+            ]
+            canvas.lines(ticks, part.color, max(part.width, 0.12))
+            taken += kept
+
+
+def _draw_row(
+    canvas: Canvas, page: Page, side: str, texts: Sequence[str], along: Sequence[float], part: GridPart, row: int
+) -> list[tuple[float, float]]:
+    """Write the labels of one side that fit beside each other; returns from where to where each reaches."""
+    if not part.labels:
+        return []
+    axis = 0 if side in ("bottom", "top") else 1
+    widths = [text_size(text, part.size)[0] for text in texts]
+    low, high = page.border[axis] + 1.0, page.border[axis + 2] - 1.0
+    aside = TICK + 0.9 + (BAND / 2 - 0.4 if row else 0.0)
+    kept = []
+    for i in spread(along, widths, 2.0):
+        first, last = along[i] - widths[i] / 2, along[i] + widths[i] / 2
+        if first >= low and last <= high:
             x, y = _outside(page, side, along[i], aside)
             canvas.centred(x, y, texts[i], part.size, angle=90.0 if axis else 0.0, color=part.color)
+            kept.append((first, last))
+    return kept
 
 
 def _marks(grid: MapGrid) -> list[tuple[GridLine, str, float, float]]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from geomosaic.carto.draw.canvas import CAP, POINT, Canvas, text_size
-from geomosaic.carto.draw.north import draw_north, north_words
+from geomosaic.carto.draw.north import BLOCK, draw_north, north_words
 from geomosaic.carto.draw.scale import draw_scale
 from geomosaic.carto.draw.symbols import draw_swatch
 from geomosaic.carto.layout import Layout
@@ -18,6 +18,8 @@ SWATCH = 9.0
 LEADING = 1.42
 """Distance of lines in parts of the text size."""
 SMALLEST_TEXT = 4.5
+TIGHTEST = 0.7
+"""How far the lines of a legend may move together, where it has more than its room."""
 
 
 @dataclass(frozen=True)
@@ -81,21 +83,28 @@ def draw_legend(canvas: Canvas, entries: Sequence[Entry], title: str, box: Box) 
     if not entries:
         return top, 0
     canvas.text(left, top - 8.5 * CAP * POINT, title, 8.5, bold=True)
-    y = top - 7.6
-    for k, entry in enumerate(entries):
-        heading = entry.symbol is None
-        size, indent = (6.8, 0.0) if heading else (6.8, SWATCH + 2.0)
-        lines = wrapped(entry.text, size, right - left - indent, heading) or [""]
-        need = max(4.6, len(lines) * size * POINT * 1.3 + 0.8)
-        if y - need + 2.3 < bottom:
+    size, line_height = 6.8, 6.8 * POINT * 1.3
+    rows = []
+    for entry in entries:
+        indent = SWATCH + 2.0 if entry.symbol is not None else 0.0
+        lines = wrapped(entry.text, size, right - left - indent, entry.symbol is None) or [""]
+        rows.append((entry, indent, lines, max(4.6, len(lines) * line_height + 0.8)))
+    room, need = top - 5.2 - bottom, sum(row[3] for row in rows)
+    squeeze = max(TIGHTEST, min(1.0, room / need))
+    y = top - 5.2
+    for k, (entry, indent, lines, height) in enumerate(rows):
+        height = max(height * squeeze, len(lines) * line_height)
+        if y - height < bottom - 0.3:
             return y, len(entries) - k
+        middle = y - height / 2
         if entry.symbol is not None:
-            draw_swatch(canvas, entry.symbol, set(entry.kinds), (left, y - 1.5, left + SWATCH, y + 1.5))
+            draw_swatch(canvas, entry.symbol, set(entry.kinds), (left, middle - 1.3, left + SWATCH, middle + 1.3))
         for n, line in enumerate(lines):
-            down = (n - (len(lines) - 1) / 2) * size * POINT * 1.3
-            canvas.text(left + indent, y - down - size * CAP * POINT / 2, line, size, bold=heading)
-        y -= need
-    return y + 1.5, 0
+            down = (n - (len(lines) - 1) / 2) * line_height
+            base = middle - down - size * CAP * POINT / 2
+            canvas.text(left + indent, base, line, size, bold=entry.symbol is None)
+        y -= height
+    return y - 0.5, 0
 
 
 def draw_blocks(canvas: Canvas, blocks: Sequence[tuple[str, list[str]]], box: Box, size: float = 6.2) -> bool:
@@ -130,7 +139,7 @@ def draw_panel(
     convergence: float,
 ) -> list[str]:
     """Everything in the panel and the foot; returns what had no room, in words."""
-    told = []
+    told: list[str] = []
     if page.foot is not None:
         left, bottom, right, top = page.foot
         draw_scale(canvas, page, layout, (left + right) / 2, top - 3.5, right - left)
@@ -142,18 +151,17 @@ def draw_panel(
     if page.side == "right":
         room = right - left - 2 * pad
         need = _height(blocks, room)
-        north = 40.0 if layout.north.show else 0.0
-        floor = min(bottom + pad + need + north + 4.0, top - 40.0)
+        north = BLOCK if layout.north.show else 0.0
+        floor = min(bottom + pad + need + north + 2.0, top - 40.0)
         end, lost = draw_legend(canvas, entries, layout.legend.title, (left + pad, floor, right - pad, top - pad))
-        y = min(end, floor) if end < floor + 12.0 else end
         y = _rule(canvas, left, right, end - 1.0) if entries else top
         if layout.north.show:
             y = _rule(canvas, left, right, _north(canvas, left + pad, right - pad, y - 3.0, convergence, layout))
         fits = draw_blocks(canvas, blocks, (left + pad, bottom + pad, right - pad, y - pad))
     else:
-        wide = (right - left) / 3
-        cuts = (left, left + wide, right - wide, right)
-        canvas.lines([[(x, bottom), (x, top)] for x in cuts[1:3]], "#000000", 0.15)  # type: ignore[list-item]
+        wide = 0.38 * (right - left)
+        cuts = (left, left + 0.32 * (right - left), left + 0.70 * (right - left), right)
+        canvas.lines([[(x, bottom), (x, top)] for x in cuts[1:3]], "#000000", 0.15)
         _, lost = draw_legend(
             canvas, entries, layout.legend.title, (left + pad, bottom + pad, cuts[1] - pad, top - pad)
         )
@@ -175,7 +183,7 @@ def _height(blocks: Sequence[tuple[str, list[str]]], room: float, size: float = 
 
 
 def _rule(canvas: Canvas, left: float, right: float, y: float) -> float:
-    canvas.lines([[(left, y), (right, y)]], "#000000", 0.15)  # type: ignore[list-item]
+    canvas.lines([[(left, y), (right, y)]], "#000000", 0.15)
     return y
 
 

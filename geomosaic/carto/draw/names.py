@@ -35,7 +35,8 @@ def place_names(page: Page, layers: Sequence[Overlay], placer: Placer) -> tuple[
         for group in layer.groups:
             if group.symbol.marker is not None:
                 for point in parts_of(group.geometries, "point"):
-                    placer.block(*page.to_page(np.array([(point.x, point.y)]))[0], group.symbol.marker.size)
+                    x, y = page.to_page(np.array([(point.x, point.y)]))[0]
+                    placer.block(float(x), float(y), group.symbol.marker.size)
     found: list[tuple[Placed, Label]] = []
     left_out = 0
     for kind in ("point", "line", "polygon"):
@@ -43,7 +44,9 @@ def place_names(page: Page, layers: Sequence[Overlay], placer: Placer) -> tuple[
             label = layer.style.label
             if label is None:
                 continue
-            radius = max((g.symbol.marker.size / 2 for g in layer.groups if g.symbol.marker), default=0.0) + 0.4
+            radius = (
+                max((g.symbol.marker.size / 2 for g in layer.groups if g.symbol.marker), default=0.0) + placer.gap + 0.2
+            )
             for name in _merged(layer.names) if kind == "line" else layer.names:
                 spots = _spots(page, name, kind, label, radius)
                 if spots is None or (kind == "line" and _said(found, name.text, label, spots)):

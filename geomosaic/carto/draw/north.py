@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,8 +13,10 @@ from geomosaic.carto.nice import angle_text
 from geomosaic.types import FloatArray
 
 LENGTH = 17.0
-LEAST = 7.0
-"""Degrees: smaller angles between the arrows are drawn as this, and said to be."""
+LEAST = 13.0
+"""Degrees: smaller angles between arrows are drawn as this, and said not to be to scale."""
+BLOCK = 31.0
+"""Height in mm of arrows and words."""
 
 
 def true_north(convergence: float) -> float:
@@ -26,38 +29,48 @@ def magnetic_north(declination: float, convergence: float) -> float:
     return declination - convergence
 
 
-def shown(angle: float) -> float:
-    """Angle at which an arrow is drawn so that it stands clear of grid north."""
-    return 0.0 if abs(angle) < 1e-4 else math.copysign(max(abs(angle), LEAST), angle)
+def shown(angles: Sequence[float]) -> list[float]:
+    """Angles at which arrows are drawn so that all stand clear of grid north (0) and of each other.
+
+    Their order is kept; the one nearest to grid north on each side comes first, and the others make room.
+    """
+    drawn = [0.0] * len(angles)
+    for side in (1.0, -1.0):
+        last = 0.0
+        for i in sorted(range(len(angles)), key=lambda k: abs(angles[k])):
+            if angles[i] * side > 1e-4:
+                drawn[i] = side * max(abs(angles[i]), last + LEAST)
+                last = abs(drawn[i])
+    return drawn
 
 
 def north_words(convergence: float, part: NorthPart) -> list[str]:
     """Lines below the arrows."""
-    turned = f"{angle_text(abs(convergence))} {'east' if convergence > 0 else 'west'} of true north"
-    near = abs(convergence) < 0.5 / 3600
-    lines = ["Meridian convergence", "at the centre of the sheet:", "0°00′00″" if near else f"grid north {turned}"]
+    if abs(convergence) < 0.5 / 3600:
+        lines = ["At the centre of the sheet grid north is true north (meridian convergence 0)."]
+    else:
+        amount, side = angle_text(abs(convergence)), "east" if convergence > 0 else "west"
+        lines = [f"At the centre of the sheet grid north is {amount} {side} of true north (meridian convergence)."]
     if part.magnetic is not None:
         side = "east" if part.magnetic >= 0 else "west"
-        when = f" ({part.magnetic_date})" if part.magnetic_date else ""
-        lines.append(f"Declination {angle_text(abs(part.magnetic), 1 / 60)} {side}{when}")
+        text = f"Magnetic declination {angle_text(abs(part.magnetic), 1 / 60)} {side}"
+        text += f" ({part.magnetic_date})" if part.magnetic_date else ""
         if part.annual_change is not None:
             side = "east" if part.annual_change >= 0 else "west"
-            lines.append(f"annual change {abs(part.annual_change) * 60:.1f}′ {side}")
+            text += f", annual change {abs(part.annual_change) * 60:.1f}′ {side}"
+        lines.append(f"{text}.")
     return lines
 
 
 def draw_north(canvas: Canvas, x: float, top: float, convergence: float, part: NorthPart) -> float:
     """Draw the arrows about x, below `top`; returns the lower end. Lengths in mm."""
     foot = np.array([x, top - 4.0 - LENGTH])
-    true = shown(true_north(convergence))
-    magnetic = None if part.magnetic is None else shown(magnetic_north(part.magnetic, convergence))
-    if magnetic is not None and true and abs(magnetic - true) < LEAST:
-        magnetic = true + math.copysign(LEAST, magnetic - true) if abs(magnetic) > abs(true) else magnetic
+    angles = _angles(convergence, part)
+    drawn = shown(angles)
     arms = [("GN", 0.0, LENGTH)]
-    if true:
-        arms.append(("TN", true, LENGTH - 1.5))
-    if magnetic is not None:
-        arms.append(("MN", magnetic, LENGTH - (4.0 if magnetic * true > 0 else 1.5)))
+    arms += [
+        (name, angle, LENGTH - 1.5) for name, angle in zip(("TN", "MN"), drawn, strict=False) if angle or name == "MN"
+    ]
     for name, angle, length in arms:
         up = direction(angle)
         tip = foot + length * up
@@ -72,7 +85,7 @@ def draw_north(canvas: Canvas, x: float, top: float, convergence: float, part: N
         label = "N" if name == "GN" and len(arms) == 1 else name
         canvas.centred(float(at[0]), float(at[1]), label, 6.5, bold=name == "GN")
     y = float(foot[1])
-    if any(shown(a) != a and abs(a) > 1e-4 for a in _angles(convergence, part)):
+    if any(abs(a - b) > 1e-9 for a, b in zip(angles, drawn, strict=True) if b):
         y -= 2.4
         canvas.centred(x, y, "(angles not to scale)", 5.0, italic=True)
     return y - 1.5

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from geomosaic.carto.draw.canvas import CAP, POINT, Canvas, text_size
 from geomosaic.carto.layout import Layout
-from geomosaic.carto.nice import DECIMAL, grouped
+from geomosaic.carto.nice import grouped
 from geomosaic.carto.page import Page
 from geomosaic.errors import InputError
 
 FOOT_M = 0.3048
+STEPS = (1.0, 2.0, 3.0, 4.0, 5.0, 10.0)
+"""Times a power of ten: lengths of bars."""
 ROW = 1.1
 """Height in mm of one row of the bar."""
 
 
 def bar_divisions(length: float) -> int:
-    """Number of parts of a bar: 5 for 5 and 10, 4 for 2 and 4, 3 otherwise; of lengths 1, 2, 5 x 10^n always whole."""
+    """Number of parts of a bar: 5 for 5 and 10, 4 for 2 and 4, 3 otherwise; each part is then a round length."""
     lead = length
     while lead >= 10.0 - 1e-9:
         lead /= 10.0
@@ -24,13 +26,13 @@ def bar_divisions(length: float) -> int:
 
 
 def bar_length(longest: float) -> float:
-    """Largest of 1, 2, 5 times a power of ten that is not longer."""
+    """Largest of 1 to 5 times a power of ten that is not longer."""
     power = 1.0
     while power > longest:
         power /= 10.0
     while power * 10.0 <= longest * (1 + 1e-9):
         power *= 10.0
-    return max(power * step for step in DECIMAL if power * step <= longest * (1 + 1e-9))
+    return max(power * step for step in STEPS if power * step <= longest * (1 + 1e-9))
 
 
 def scale_text(scale: float) -> str:
@@ -61,7 +63,7 @@ def draw_scale(canvas: Canvas, page: Page, layout: Layout, middle: float, top: f
     if not layout.scalebar.show:
         return top - 4.0
     per_metre = 1000.0 / page.scale
-    longest = min(room - 16.0, 110.0)
+    longest = min(room - 12.0, 110.0)
     wanted = layout.scalebar.length
     if wanted is not None and wanted * per_metre > room - 8.0:
         raise InputError(
@@ -93,7 +95,11 @@ def _bar(canvas: Canvas, left: float, top: float, length: float, value: float, u
     size = 6.0
     y = top + 0.8 if above else top - 2 * ROW - 0.8 - size * CAP * POINT
     for k in range(parts + 1):
-        text = f"{value * k / parts:g}"
+        text = _figure(value * k / parts)
         canvas.text(left + k * step, y, text, size, align="center")
-    last = text_size(f"{value:g}", size)[0] / 2
+    last = text_size(_figure(value), size)[0] / 2
     canvas.text(left + length + last + 0.8, y, unit, size)
+
+
+def _figure(value: float) -> str:
+    return grouped(value) if value >= 1000 and value == int(value) else f"{value:g}"

@@ -64,11 +64,11 @@ def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> li
         canvas.picture(pixels(area), area)
         if parts.contours:
             draw_contours(canvas, page, parts.contours, layout.contours)
-        for layer in parts.layers:
-            draw_overlay(canvas, page, layer)
         for grid, part in zip(parts.grids, (layout.grid, layout.graticule), strict=True):
             if grid is not None:
                 draw_grid(canvas, page, grid, part)
+        for layer in parts.layers:
+            draw_overlay(canvas, page, layer)
         left, bottom, right, top = page.neatline
         placer = Placer((left + 0.8, bottom + 0.8, right - 0.8, top - 0.8))
         names, lost = place_names(page, parts.layers, placer)
@@ -85,9 +85,7 @@ def draw_sheet(parts: SheetParts, pixels: Pixels) -> tuple[Canvas, list[str]]:
     page, layout = parts.page, parts.layout
     canvas = Canvas((0.0, 0.0, page.width, page.height))
     told = draw_map(canvas, parts, pixels, page.neatline)
-    for row, (grid, part) in enumerate(zip(parts.grids, (layout.grid, layout.graticule), strict=True)):
-        if grid is not None:
-            draw_labels(canvas, page, grid, part, row)
+    draw_labels(canvas, page, ((parts.grids[0], layout.grid), (parts.grids[1], layout.graticule)))
     draw_edge(canvas, page)
     draw_head(canvas, page, layout)
     entries = legend(parts) if layout.legend.show else []
@@ -108,7 +106,7 @@ def legend(parts: SheetParts) -> list[Entry]:
     line = frozenset({"line"})
     if parts.contours:
         shown: Sequence[tuple[bool, str, float]] = (
-            (True, f"Contours, every {parts.interval * part.index:g} m", part.index_width),
+            (True, f"Index contours, every {parts.interval * part.index:g} m", part.index_width),
             (False, f"Contours, every {parts.interval:g} m", part.width),
         )
         for main, text, width in shown:
