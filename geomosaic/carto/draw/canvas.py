@@ -42,8 +42,8 @@ def text_size(text: str, size: float, bold: bool = False, italic: bool = False) 
     """Width and height in mm of one line of text at a size in points; the height is that of capitals."""
     if not text.strip():
         return 0.0, size * CAP * POINT
-    box = _outline(text, size, bold, italic).get_extents()
-    return float(box.x1) * POINT, size * CAP * POINT
+    # Control points of the outline's curves reach a little beyond it, which is on the safe side.
+    return float(_outline(text, size, bold, italic).vertices[:, 0].max()) * POINT, size * CAP * POINT
 
 
 def _outline(text: str, size: float, bold: bool, italic: bool) -> Any:
