@@ -211,7 +211,9 @@ def parse_style(values: Mapping[str, Any], where: str) -> Style:
             raise InputError("a class has no limits", where=where, mend="write least = ..., below = ... or both")
     symbol = Symbol(file.line, file.fill, file.marker)
     if symbol == Symbol() and not rules and file.label is None and file.graduated is None:
-        raise InputError("the style draws nothing", where=where, mend="write [line], [fill], [marker], [graduated] or [label]")
+        raise InputError(
+            "the style draws nothing", where=where, mend="write [line], [fill], [marker], [graduated] or [label]"
+        )
     # What a rule leaves open is as the base has it.
     rules = tuple(
         replace(rule, line=rule.line or symbol.line, fill=rule.fill or symbol.fill, marker=rule.marker or symbol.marker)

@@ -32,7 +32,7 @@ def drawing() -> Iterator[None]:
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(
             {"pdf.fonttype": 42, "font.family": FAMILY, "pdf.compression": 6, "svg.hashsalt": "geomosaic",
-             "path.simplify": False, "text.hinting": "none", "text.hinting_factor": 1}
+             "path.simplify": False, "text.hinting": "none"}
         )  # fmt: skip
         yield
 
@@ -227,10 +227,19 @@ class Canvas:
         self.text(x + drop * math.sin(a), y - drop * math.cos(a), text, size, align="center", angle=angle, **looks)
 
     def pixels(self, dpi: float) -> AnyArray:
-        """Draw as pixels: uint8 array (rows, cols, 3)."""
+        """Draw as pixels: uint8 array (rows, cols, 3), the first at the upper left corner of the box.
+
+        The right and lower sides move by up to half a pixel, so that the scale stays exact.
+        """
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+        left, bottom, right, top = self.box
+        size = [max(1, round((b - a) * dpi / 25.4)) for a, b in ((left, right), (bottom, top))]
         self.figure.set_dpi(dpi)
+        # A hair more: matplotlib cuts off the fraction.
+        self.figure.set_size_inches(*((n + 1e-6) / dpi for n in size))
+        self.axes.set_xlim(left, left + size[0] * 25.4 / dpi)
+        self.axes.set_ylim(top - size[1] * 25.4 / dpi, top)
         agg: Any = FigureCanvasAgg(self.figure)
         agg.draw()
         return np.ascontiguousarray(np.asarray(agg.buffer_rgba())[..., :3])
