@@ -77,9 +77,9 @@ def test_radar_as_gdal_has_it(radar, tmp_path, model, order):
     both = seen & np.isfinite(theirs)
     assert both.sum() > 0.99 * seen.sum() > 400_000
     moved = shifts(np.where(both, ours, 0), np.where(both, theirs, 0), both, 64, 4)
-    assert moved.matched.mean() > 0.3
-    assert moved.robust_rms < 0.02
-    assert moved.rms < 0.05
+    assert moved.matched.mean() > 0.9
+    assert moved.robust_rms < 0.01
+    assert moved.rms < 0.01
 
 
 def test_radar_errors_by_order(radar):

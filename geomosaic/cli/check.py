@@ -12,7 +12,14 @@ from geomosaic.cli.points import control_options
 from geomosaic.cli.talk import answer, notes, say
 
 check_options = stack(
-    click.option("--points", "--gcps", "points", type=FILE, required=True, help="Check points: see docs/control."),
+    click.option(
+        "--points",
+        "--gcps",
+        "points",
+        type=FILE,
+        required=True,
+        help="Check points: any file of control, or a table with measured_x, measured_y.",
+    ),
     control_options,
     click.option("--raster-crs", metavar="CRS", help="CRS of the raster, where it names none."),
     click.option(

@@ -22,7 +22,8 @@ georeference_options = stack(
     click.option(
         "--gcps",
         type=FILE,
-        help="Control points; see docs/control.  [default: those in the image, or a world file beside it]",
+        help="Control points: a table, QGIS .points, gcp_list.txt, a raster or a world file.  "
+        "[default: those in the image, or a world file beside it]",
     ),
     click.option(
         "--model",

@@ -18,8 +18,8 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import FloatArray
 
-GROSS, GROSS_PIXELS = 10.0, 5.0
-"""A blunder is gross from so many standard deviations and pixels on: it would bend the picture visibly."""
+GROSS, GROSS_PIXELS = 6.0, 5.0
+"""A blunder is gross from so many times the RMS of the others on, and so many pixels: it would be seen."""
 BETTER = 0.67
 """Share of the leave-one-out error of the model asked for, below which another one is named."""
 SAME = {"poly1": "affine"}

@@ -121,8 +121,10 @@ def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
     )
     count = len(robust["blunders"])
     if "agree" in robust:
-        text = "Found by data snooping and by the M-estimator."
-        found.append({"title": "Blunders", "value": str(count), "unit": "", "text": text, "passed": count == 0})
+        inside = {point["id"] for point in data["points"] if point["state"] == "control"} & set(robust["blunders"])
+        left = "" if inside or not count else ", and left out"
+        text = f"Found by data snooping and by the M-estimator{left}."
+        found.append({"title": "Blunders", "value": str(count), "unit": "", "text": text, "passed": not inside})
     return found
 
 
