@@ -17,6 +17,7 @@ from PIL import Image, ImageOps
 from geomosaic.raster.preview import preview
 
 IMAGES = Path(__file__).parent / "images"
+SHEET = Path(__file__).parent / "sheet"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 
@@ -52,6 +53,24 @@ def head_of_report(folder: Path) -> Image.Image | None:
         return Image.open(shot).convert("RGB")
 
 
+def map_sheet(folder: Path) -> Image.Image:
+    """The sheet of `docs/sheet/layout.toml`, of the demo's mosaic, as pixels."""
+    from geomosaic.project.sheet import sheet_from_files
+
+    sys.path.insert(0, str(SHEET))
+    from make_map import make
+
+    with tempfile.TemporaryDirectory() as scratch:
+        place = Path(scratch)
+        for file in SHEET.glob("*.toml"):
+            shutil.copy(file, place)
+        shutil.copy(folder / "dem.tif", place)
+        make(folder / "gcps.csv", place / "map.gpkg")
+        out, report = place / "sheet.png", folder / "output" / "report.json"
+        sheet_from_files(folder / "output" / "sample.tif", out, layout=place / "layout.toml", report=report, dpi=150)
+        return Image.open(out).convert("RGB")
+
+
 if __name__ == "__main__":
     IMAGES.mkdir(exist_ok=True)
     demo = Path(sys.argv[1])
@@ -59,3 +78,4 @@ if __name__ == "__main__":
     report_picture = head_of_report(demo)
     if report_picture is not None:
         report_picture.save(IMAGES / "report.jpg", quality=86)
+    map_sheet(demo).save(IMAGES / "sheet.jpg", quality=88)

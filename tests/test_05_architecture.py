@@ -12,8 +12,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 HEAVY = {
-    "affine", "geopandas", "jinja2", "numba", "numpy", "PIL", "pandas", "pydantic", "pyogrio", "pyproj", "pystac",
-    "rasterio", "scipy", "shapely",
+    "affine", "contourpy", "geopandas", "jinja2", "matplotlib", "numba", "numpy", "PIL", "pandas", "pydantic",
+    "pyogrio", "pyproj", "pystac", "rasterio", "scipy", "shapely",
 }  # fmt: skip
 HELP_SECONDS = 0.4
 

@@ -213,8 +213,8 @@ def test_text_stays_text_in_embedded_fonts(
     document = pdfium.PdfDocument(str(out))
     page = document[0]
     assert [v * 25.4 / 72 for v in page.get_size()] == pytest.approx([297.0, 210.0], abs=0.01)
-    text = page.get_textpage().get_text_range()
-    for words in ("Zażółć $5 & Ελλάδα", "Long Street", "Straße Łódź", "399\u202f500", "1 : 10\u202f000", "E", "Legend"):
+    text = page.get_textpage().get_text_range().replace("\u202f", " ")
+    for words in ("Zażółć $5 & Ελλάδα", "Long Street", "Straße Łódź", "399 500", "1 : 10 000", "Legend"):
         assert words in text, words
     data = out.read_bytes()
     assert data.count(b"/FontFile2") == data.count(b"/Type /FontDescriptor") > 0

@@ -237,8 +237,7 @@ class Canvas:
         size = [max(1, round((b - a) * dpi / 25.4)) for a, b in ((left, right), (bottom, top))]
         self.figure.set_dpi(dpi)
         # A hair more: matplotlib cuts off the fraction.
-        wide, tall = ((n + 1e-6) / dpi for n in size)
-        self.figure.set_size_inches(wide, tall)
+        self.figure.set_size_inches((size[0] + 1e-6) / dpi, (size[1] + 1e-6) / dpi)
         self.axes.set_xlim(left, left + size[0] * 25.4 / dpi)
         self.axes.set_ylim(top - size[1] * 25.4 / dpi, top)
         agg: Any = FigureCanvasAgg(self.figure)

@@ -79,7 +79,8 @@ def _draw_row(
         return []
     axis = 0 if side in ("bottom", "top") else 1
     widths = [text_size(text, part.size)[0] for text in texts]
-    low, high = page.border[axis] + 1.0, page.border[axis + 2] - 1.0
+    # At the corners the labels above and below have the room.
+    low, high = (page.border[0] + 1.0, page.border[2] - 1.0) if axis == 0 else (page.neatline[1], page.neatline[3])
     aside = TICK + 0.9 + (BAND / 2 - 0.4 if row else 0.0)
     kept = []
     for i in spread(along, widths, 2.0):

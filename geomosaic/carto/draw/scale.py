@@ -85,14 +85,15 @@ def draw_scale(canvas: Canvas, page: Page, layout: Layout, middle: float, top: f
 
 def _bar(canvas: Canvas, left: float, top: float, length: float, value: float, unit: str, *, above: bool) -> None:
     """Two rows of boxes, black where the other is white; figures above or below."""
-    parts = bar_divisions(value)
+    size = 6.0
+    widest = text_size(_figure(value), size)[0] + 1.0
+    parts = next((n for n in (bar_divisions(value), 2) if length / n >= widest), 1)
     step = length / parts
     canvas.rectangle((left, top - 2 * ROW, left + length, top), fill="#ffffff")
     for k in range(parts):
         y = top - ROW if k % 2 == 0 else top - 2 * ROW
         canvas.rectangle((left + k * step, y, left + (k + 1) * step, y + ROW), fill="#000000")
     canvas.rectangle((left, top - 2 * ROW, left + length, top), edge="#000000", width=0.15)
-    size = 6.0
     y = top + 0.8 if above else top - 2 * ROW - 0.8 - size * CAP * POINT
     for k in range(parts + 1):
         text = _figure(value * k / parts)
