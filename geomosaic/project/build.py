@@ -81,8 +81,11 @@ def _model(
         options.update(_of_table(inputs, row))
     if inputs.sensor == "planar":
         crs = _planar(options, photo, crs, control)
+    elif _refines(inputs):
+        points = _points(photo, control)
+        options.update({"points": points} if points else {})
     try:
-        request = SensorRequest(photo.name, photo.info.size, options, crs, str(inputs.base))
+        request = SensorRequest(photo.name, photo.info.size, options, crs, str(inputs.base), str(photo.path))
         return _on_ground(inputs.sensor, request, surface, row.position if row else None)
     except InputError as error:
         if error.where == photo.name and inputs.exterior is not None:
@@ -142,11 +145,10 @@ def _planar(options: dict[str, Any], photo: Photo, crs: CRS | None, control: Seq
     """Complete the inputs of a planar model: from control points in the image, else from its own georeference."""
     if {"transform", "geotransform", "points", "coefficients"} & set(options):
         return crs or photo.info.crs
-    points = [point for point in control if point.image == photo.name and point.role == "control"]
+    points = _points(photo, control)
     if points:
-        options["points"] = [
-            {"x": p.xyz[0], "y": p.xyz[1], "col": p.colrow[0], "row": p.colrow[1], "sigma": p.sigma_px} for p in points
-        ]
+        keys = ("x", "y", "col", "row", "sigma")
+        options["points"] = [{key: point[key] for key in keys} for point in points]
         return crs
     own = photo.info.transform
     if own is None:
@@ -159,6 +161,27 @@ def _planar(options: dict[str, Any], photo: Photo, crs: CRS | None, control: Seq
         raise InputError("the image has a geotransform but no CRS", where=str(photo.path), mend="give --exterior-crs")
     options["transform"] = [own.a, own.b, own.c, own.d, own.e, own.f]
     return photo.info.crs or crs
+
+
+def _refines(inputs: BlockInputs) -> bool:
+    """Whether the sensor refines itself, told so or of its own accord, and was given no points of its own."""
+    known = {entry.name: entry for entry in plugin(inputs.sensor).inputs}
+    if not {"refine", "points"} <= set(known) or "points" in inputs.options:
+        return False
+    chosen: object = inputs.options.get("refine", known["refine"].default or "none")
+    return chosen != "none"
+
+
+def _points(photo: Photo, control: Sequence[ControlPoint]) -> list[dict[str, Any]]:
+    """Control points of an image as an input of its sensor; check points stay out."""
+    return [
+        {
+            "id": point.id, "x": point.xyz[0], "y": point.xyz[1], "z": point.xyz[2],
+            "col": point.colrow[0], "row": point.colrow[1], "sigma": point.sigma_px,
+        }
+        for point in control
+        if point.image == photo.name and point.role == "control"
+    ]  # fmt: skip
 
 
 def _control(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS | None) -> tuple[ControlPoint, ...]:

@@ -37,6 +37,8 @@ class SensorRequest:
         3-D (or 2-D, for models without heights) CRS in which positions in `options` are given.
     base : str
         Folder that relative file names in `options` start from.
+    path : str, optional
+        The image's own file, for sensors that read what it carries or what lies beside it.
     """
 
     image: str
@@ -44,6 +46,7 @@ class SensorRequest:
     options: Mapping[str, Any] = field(default_factory=dict)
     crs: CRS | None = None
     base: str = "."
+    path: str | None = None
 
 
 class SensorPlugin(Protocol):
