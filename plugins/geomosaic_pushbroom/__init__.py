@@ -15,7 +15,9 @@ class PushbroomPlugin:
     """The door: `geomosaic.sensors` → 'pushbroom'."""
 
     name = "pushbroom"
-    summary = "line scanner: SPOT 1 to 5 and Pléiades by their metadata, strips with a GNSS track, or control points alone"
+    summary = (
+        "line scanner: SPOT 1 to 5 and Pléiades by metadata, strips by a GNSS track, scenes by control points alone"
+    )
     inputs: tuple[SensorInput, ...] = INPUTS
 
     @property

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from geomosaic.errors import InputError, SolveError
-from geomosaic.geo.crs import has_heights
+from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.parameters import Parameters
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
@@ -22,13 +20,14 @@ from geomosaic_pushbroom.look import Look
 from geomosaic_pushbroom.metadata import find_beside, read_metadata
 from geomosaic_pushbroom.model import PushbroomModel
 from geomosaic_pushbroom.platform import Flight
-from geomosaic_pushbroom.read import Control, known_keys, number, numbers, read_points
+from geomosaic_pushbroom.points import Control, need_crs, read_points, with_result
+from geomosaic_pushbroom.read import known_keys, number, numbers
 from geomosaic_pushbroom.reported import Quality, Reported
 from geomosaic_pushbroom.start import solve_without_metadata
 from geomosaic_pushbroom.track import read_track
 
 GROUPS = {"angles": Flight.names[:3], "rates": Flight.names[3:6], "position": Flight.names[6:9]}
-OF_TRACK = ("start_time", "line_period", "angle_unit")
+OF_TRACK = ("start_time", "line_period", "columns", "angle_unit")
 OF_POINTS = ("flying_height", "additional")
 
 
@@ -106,13 +105,13 @@ def _of_scene(reported: Reported, request: SensorRequest) -> PushbroomModel:
     width, height = reported.size
     if given is None and size != reported.size:
         raise InputError(
-            f"the image has {size[0]} x {size[1]} pixels, the scene of the metadata ({reported.title}) {width} x {height}",
+            f"the image has {size[0]} x {size[1]} pixels, the scene ({reported.title}) has {width} x {height}",
             where=where,
             mend="give offset = [col, row] of the image's upper-left corner in the scene, if the image is a cut of it",
         )
     if col < 0 or row < 0 or col + size[0] > width or row + size[1] > height:
         raise InputError(
-            f"an image of {size[0]} x {size[1]} pixels at {col:g}, {row:g} reaches beyond the scene of {width} x {height}",
+            f"{size[0]} x {size[1]} pixels from {col:g}, {row:g} on reach beyond the scene of {width} x {height}",
             where=where,
             mend="check offset",
         )
@@ -138,12 +137,9 @@ def _ellipsoidal(request: SensorRequest, flight: Flight | None = None) -> float:
     if flight is not None and given is None:
         # A flight below height 0, or over high ground of which nothing is said: half a kilometre down will do.
         position = flight.path.pose(np.zeros(1)).position
-        z = Transform(ECEF, _GEOGRAPHIC)(position)[0, 2]
+        z = Transform(ECEF, geographic(ECEF))(position)[0, 2]
         height = float(min(height, z - 500.0))
     return height
-
-
-_GEOGRAPHIC = Transform(ECEF, ECEF).source.geodetic_crs.__class__.from_epsg(4979)
 
 
 def _sigmas(options: Mapping[str, Any], quality: Quality, where: str) -> FloatArray:
@@ -172,36 +168,3 @@ def _refined(model: PushbroomModel, control: Control, request: SensorRequest) ->
         error.where = request.image
         raise
     return with_result(solved.model, solved.residuals, control)
-
-
-def need_crs(request: SensorRequest) -> Any:
-    """The CRS of points and track.
-
-    Raises
-    ------
-    InputError
-        There is none, or its heights are undeclared.
-    """
-    if request.crs is None:
-        raise InputError(
-            "positions and control points have no CRS",
-            where=request.image,
-            mend="name one with a vertical datum, for example EPSG:32633 with heights = 'egm96'",
-        )
-    if not has_heights(request.crs):
-        raise InputError(
-            f"the heights of '{request.crs.name}' have no vertical datum",
-            where=request.image,
-            mend="declare the heights: 'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid",
-        )
-    return request.crs
-
-
-def with_result(model: PushbroomModel, residuals: FloatArray, control: Control) -> PushbroomModel:
-    """Model with a note on its control points."""
-    length = np.hypot(residuals[:, 0], residuals[:, 1])
-    worst = int(np.nanargmax(length))
-    rms = float(np.sqrt(np.nanmean(length**2)))
-    note = f"{len(control)} control points: RMS {rms:.2f} px, worst {length[worst]:.2f} px at {control.names[worst]}"
-    parameters: Parameters = model.parameters
-    return replace(model, parameters=parameters, notes=(*model.notes, note))

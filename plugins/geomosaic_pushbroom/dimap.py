@@ -8,7 +8,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look import Look
+from geomosaic_pushbroom.look import Look, of_angles
 from geomosaic_pushbroom.orbit import Orbit
 from geomosaic_pushbroom.paths import AnglePath
 from geomosaic_pushbroom.reported import GYROSCOPES, STARS, Reported, moment, since_times
@@ -16,8 +16,6 @@ from geomosaic_pushbroom.xml import children, each, find, number, text
 
 _ANGLES = ("PITCH", "ROLL", "YAW")
 _STRIP = ".//Data_Strip"
-_NODES = 1001
-"""Look directions of a line whose angles are given at fewer detectors; 1e-4 pixel from the angles between them."""
 
 
 def read_spot(root: Element, where: str, band: int | None = None) -> Reported:
@@ -73,7 +71,7 @@ def _orbit(root: Element, centre: tuple[int, float], where: str) -> Orbit:
     points = list(each(root, f"{_STRIP}/Ephemeris/Points/Point"))
     times = since_times([text(point, "TIME", where) for point in points], where, centre)
     xyz = [[[number(point, f"{part}/{axis}", where) for axis in "XYZ"] for point in points] for part in _PARTS]
-    return Orbit.through(times, *(np.array(values).reshape(-1, 3) for values in xyz), where=where)
+    return Orbit.through(times, np.array(xyz[0]).reshape(-1, 3), np.array(xyz[1]).reshape(-1, 3), where)
 
 
 _PARTS = ("Location", "Velocity")
@@ -156,20 +154,6 @@ def _look(root: Element, band: int | None, where: str) -> tuple[Look, tuple[str,
             mend=f"give band = {' or '.join(map(str, looks))}, and rectify each band by itself",
         )
     return first, ()
-
-
-def of_angles(cols: FloatArray, psi_x: FloatArray, psi_y: FloatArray, where: str) -> Look:
-    """Look directions u = (−tan ψy, tan ψx, −1) of angles (K,) in radians at columns (K,).
-
-    SPOT 1 to 4 give the angles of the first and the last detector. Between them it is the angle that grows linearly,
-    not its tangent: that would be wrong by 55 pixels at 27° of incidence.
-    """
-    order = np.argsort(cols)
-    c, x, y = cols[order], psi_x[order], psi_y[order]
-    if 2 <= len(c) < _NODES:
-        nodes = np.linspace(c[0], c[-1], _NODES)
-        c, x, y = nodes, np.interp(nodes, c, x), np.interp(nodes, c, y)
-    return Look.of(c, -np.tan(y), np.tan(x), where)
 
 
 def _apart(one: Look, other: Look) -> float:

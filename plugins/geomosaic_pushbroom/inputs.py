@@ -13,7 +13,10 @@ INPUTS = (
     ),
     SensorInput("band", "band whose look angles are taken, where those of the bands differ (BAND_INDEX)"),
     SensorInput(
-        "offset", "column and row of the image's upper-left corner in the scene of the metadata, for a cut", "px", "0, 0"
+        "offset",
+        "column and row of a cut image's upper-left corner in the scene of the metadata",
+        "px",
+        "0, 0",
     ),
     SensorInput(
         "points",
@@ -29,7 +32,8 @@ INPUTS = (
     SensorInput(
         "sigmas",
         "a-priori standard deviations of what control points may correct: angles, or roll, pitch, yaw in degrees; "
-        "rates, or roll_rate, pitch_rate, yaw_rate in degrees/s; position, or across, along, up in m; time in s; 0 fixed",
+        "rates, or roll_rate, pitch_rate, yaw_rate in degrees/s; position, or across, along, up in m; time in s; 0 is "
+        "fixed",
         "deg, deg/s, m, s",
         "by mission; time 0",
     ),
@@ -48,9 +52,10 @@ INPUTS = (
     ),
     SensorInput(
         "track",
-        "CSV file of an airborne strip: time (s), x, y, z in the declared CRS, and roll, pitch, heading (aircraft, true "
-        "north) or omega, phi, kappa (grid north)",
+        "CSV file of an airborne strip: time (s), x, y, z in the declared CRS, and roll, pitch, heading (aircraft, "
+        "true north) or omega, phi, kappa (grid north)",
     ),
+    SensorInput("columns", "right or left: to which side of the flight columns grow, with a track"),
     SensorInput("angle_unit", "unit of the angles of the track: deg, gon or rad", default="deg"),
     SensorInput("start_time", "time of the first row's middle in the clock of the track", "s"),
     SensorInput("line_period", "time from one row to the next, with a track", "s"),

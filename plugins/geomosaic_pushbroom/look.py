@@ -14,6 +14,8 @@ from geomosaic.types import FloatArray
 REACH = 5.0
 """Line lengths beyond each end of the line within which directions are extrapolated."""
 _ROUNDS = 12
+_NODES = 1001
+"""Look directions of a line whose angles are given at fewer detectors; 1e-4 pixel from the angles between them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,3 +122,17 @@ class Look:
     def from_dict(cls, state: dict[str, Any]) -> Self:
         """Rebuild from `to_dict`."""
         return cls(np.array(state["cols"]), np.array(state["across"]), np.array(state["along"]))
+
+
+def of_angles(cols: FloatArray, psi_x: FloatArray, psi_y: FloatArray, where: str) -> Look:
+    """Look directions u = (−tan ψy, tan ψx, −1) of angles (K,) in radians at columns (K,).
+
+    SPOT 1 to 4 give the angles of the first and the last detector. Between them it is the angle that grows linearly,
+    not its tangent: that would be wrong by 55 pixels at 27° of incidence.
+    """
+    order = np.argsort(cols)
+    c, x, y = cols[order], psi_x[order], psi_y[order]
+    if 2 <= len(c) < _NODES:
+        nodes = np.linspace(c[0], c[-1], _NODES)
+        c, x, y = nodes, np.interp(nodes, c, x), np.interp(nodes, c, y)
+    return Look.of(c, -np.tan(y), np.tan(x), where)

@@ -101,9 +101,7 @@ class PushbroomModel:
             done = np.abs(step) < _GOAL
             image[there[done], 0], image[there[done], 1] = col[done], row[done]
             on = ~done & np.isfinite(miss) & (np.abs(row) < 2.0 * limit)
-            there, row, before, col, miss, miss_before = (
-                v[on] for v in (there, row, before, col, miss, miss_before)
-            )
+            there, row, before, col, miss, miss_before = (v[on] for v in (there, row, before, col, miss, miss_before))
             if not len(there):
                 break
         self._hide_beyond_horizon(points, image)

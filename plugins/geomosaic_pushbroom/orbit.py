@@ -72,7 +72,8 @@ class Orbit:
         t, p, v = t[chosen], p[chosen], v[chosen]
         span = float(np.abs(t).max())
         powers = np.vander(t / span, increasing=True)
-        return cls(span, (float(t[0]), float(t[-1])), np.linalg.solve(powers, p), np.linalg.solve(powers, v))
+        both: FloatArray = np.linalg.solve(powers, np.column_stack([p, v]))
+        return cls(span, (float(t[0]), float(t[-1])), both[:, :3], both[:, 3:])
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Positions and velocities (N, 3) at times (N,) in seconds; NaN outside the ephemeris."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look import Look
+from geomosaic_pushbroom.look import of_angles
 from geomosaic_pushbroom.orbit import Orbit
 from geomosaic_pushbroom.paths import AnglePath
 from geomosaic_pushbroom.reported import GYROSCOPES, STARS, Reported
@@ -37,13 +37,13 @@ def read_ossim(data: bytes, where: str) -> Reported:
     attitude = _list(words, "attitude_samples", 3 * len(at), where).reshape(-1, 3)
     count = int(_list(words, "detector_count", 1, where)[0])
     psi_x, psi_y = (_list(words, f"pixel_lookat_angle_{axis}", count, where) for axis in "xy")
-    look = Look.of(np.arange(count) + 0.5, -np.tan(psi_y), np.tan(psi_x), where)
+    look = of_angles(np.arange(count) + 0.5, psi_x, psi_y, where)
     orbit = Orbit.through(times, positions, velocities, where)
     width, height = (int(v) for v in _list(words, "image_size", 2, where))
     stars = words.get(f"{_PREFIX}star_tracker_used_flag", "0").strip() == "1"
     title = f"SPOT 5 HRG, {words.get(f'{_PREFIX}image_date', 'no date')[:10]}"
-    path = AnglePath(orbit, at, attitude)
-    return Reported(title, path, look, float(period), float(line) - 0.5, (width, height), STARS if stars else GYROSCOPES)
+    path, quality = AnglePath(orbit, at, attitude), STARS if stars else GYROSCOPES
+    return Reported(title, path, look, float(period), float(line) - 0.5, (width, height), quality)
 
 
 def _words(content: str, where: str) -> dict[str, str]:

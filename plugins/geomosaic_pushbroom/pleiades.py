@@ -8,7 +8,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic_pushbroom.look import Look
-from geomosaic_pushbroom.orbit import Orbit
+from geomosaic_pushbroom.orbit import Orbit, horner
 from geomosaic_pushbroom.paths import QuaternionPath
 from geomosaic_pushbroom.reported import AGILE, Reported, moment, since_times
 from geomosaic_pushbroom.xml import each, find, number, numbers, text
@@ -36,7 +36,7 @@ def read_pleiades(root: Element, where: str) -> Reported:
     points = list(each(model, "Sensor_Ephemeris/Point_List/Point"))
     times = since_times([text(point, "UTC_TIME", where) for point in points], where, middle)
     xyz = [[numbers(point, name, where) for point in points] for name in ("LOCATION_VALUES", "VELOCITY_VALUES")]
-    orbit = Orbit.through(times, *(np.array(values).reshape(-1, 3) for values in xyz), where=where)
+    orbit = Orbit.through(times, np.array(xyz[0]).reshape(-1, 3), np.array(xyz[1]).reshape(-1, 3), where)
     part = "Sensor_Attitudes/Polynomial_Models/Q"
     powers = [numbers(model, f"{part}{i}/COEFFICIENTS", where) for i in range(4)]
     offset, scale = (number(model, f"Sensor_Attitudes/{name}", where) for name in ("OFFSET", "SCALE"))
@@ -44,9 +44,9 @@ def read_pleiades(root: Element, where: str) -> Reported:
     for i, row in enumerate(powers):
         quaternion[: len(row), i] = row
     path = QuaternionPath(orbit, offset - middle[1], scale, quaternion)
-    size_line = _line(model, where)
+    look = _line(model, where)
     title = f"{text(root, './/Scene_Source/MISSION', where)}, {text(root, './/Scene_Source/IMAGING_DATE', where)}"
-    return Reported(title, path, size_line, period, 0.5 + half / period, size, AGILE)
+    return Reported(title, path, look, period, 0.5 + half / period, size, AGILE)
 
 
 def _line(model: Element, where: str) -> Look:
@@ -55,5 +55,5 @@ def _line(model: Element, where: str) -> Look:
     psi = [numbers(view, f"Viewing_Directions/{name}/COEFFICIENTS", where) for name in ("PsiX_Model", "PsiY_Model")]
     degree = max(map(len, psi)) - 1
     nodes = np.linspace(0.0, last - first, 2 if degree <= 1 else 2001)
-    x, y = (np.polynomial.polynomial.polyval(nodes, c) for c in psi)
+    x, y = (horner(c[:, None], nodes[:, None])[:, 0] for c in psi)
     return Look.of(nodes + 0.5, -x, y, where)

@@ -121,6 +121,8 @@ def _number(word: str, path: str, where: str) -> float:
         value = math.nan
     if not math.isfinite(value):
         raise InputError(
-            f"<{path.removeprefix('.//')}> is '{word[:40]}', not a finite number", where=where, mend="get the file again"
+            f"<{path.removeprefix('.//')}> is '{word[:40]}', not a finite number",
+            where=where,
+            mend="get the file again",
         )
     return value
