@@ -72,7 +72,7 @@ class Orbit:
         t, p, v = t[chosen], p[chosen], v[chosen]
         span = float(np.abs(t).max())
         powers = np.vander(t / span, increasing=True)
-        both: FloatArray = np.linalg.solve(powers, np.column_stack([p, v]))
+        both = np.asarray(np.linalg.solve(powers, np.column_stack([p, v])), dtype=np.float64)
         return cls(span, (float(t[0]), float(t[-1])), both[:, :3], both[:, 3:])
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:

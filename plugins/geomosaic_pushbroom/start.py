@@ -32,12 +32,12 @@ LEAST = 6
 """Control points for the ideal flight: 9 unknowns, and a start of 8 that checks itself."""
 ENOUGH = 10
 """Control points from which the additional parameters are free: 20 observations for 17 unknowns."""
-POSITION_SHARE = 0.05
-"""A-priori sigma of A and E, in flying heights: path and angle across it are told apart by relief alone."""
-ANGLE_SIGMA = np.array([1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
+VIEW_SIGMA = 5.0
+"""Degrees, of omega and phi: where they come from, relief and the width of the line, may say little of them."""
+ANGLE_SIGMA = np.array([0.5, 0.5, 1.0, 0.2, 0.2, 0.2])
 """Degrees, of the linear and squared terms of the angles in space; an orbit pitches by 0.25° over half a SPOT scene."""
 AIRBORNE = 3e4
-"""Flying height in metres below which the angles of a flight may change by ten times as much."""
+"""Flying height in metres below which angles may be off and change by ten times as much."""
 LINE_SIGMA = 20.0
 """Pixels, of bend and stretch."""
 _STEEPEST = np.tan(np.radians(60.0))
@@ -45,10 +45,9 @@ _STEEPEST = np.tan(np.radians(60.0))
 
 @dataclass(frozen=True)
 class Start:
-    """First values of the straight flight: A and E (m), omega, phi, kappa (deg), camera constant (px), height (m)."""
+    """First values of the straight flight: those of `IDEAL`, the camera constant (px) and the flying height (m)."""
 
-    ends: FloatArray
-    angles: FloatArray
+    values: FloatArray
     focal: float
     flying_height: float
 
@@ -83,16 +82,18 @@ def solve_without_metadata(request: SensorRequest, control: Control) -> Pushbroo
     platform = Straight(frame, request.size[1], start.focal)
     sides = np.array([0.0, float(request.size[0])])
     look = Look(sides, (sides - centre) / start.focal, np.zeros(2))
-    sigmas = np.concatenate([np.full(6, POSITION_SHARE * start.flying_height), np.full(3, np.inf), np.zeros(8)])
-    values = np.concatenate([start.ends, start.angles, np.zeros(8)])
+    factor = 10.0 if start.flying_height < AIRBORNE else 1.0
+    sigmas = np.full(len(Straight.names), np.inf)
+    sigmas[6:8], sigmas[9:] = VIEW_SIGMA * factor, 0.0
+    values = np.concatenate([start.values, np.zeros(len(ADDITIONAL))])
     height = float(Transform(ECEF, geographic(ECEF))(frame.origin[None])[0, 2])
     try:
         model = assemble(platform, look, request.size, values, sigmas, height, where, crs=frame.crs)
         solved = resect(model, xyz, control.colrow, control.sigmas)
         notes = [f"camera constant {start.focal:.1f} px, {start.flying_height:.0f} m above the ground"]
         if additional:
-            # The ideal flight is the centre of the a-priori values: its ends may move on from there as far again.
-            sigmas[9:] = _own_sigmas(start.flying_height) * np.isin(ADDITIONAL, additional)
+            own = np.concatenate([ANGLE_SIGMA * factor, np.full(2, LINE_SIGMA)])
+            sigmas[9:] = np.where(np.isin(ADDITIONAL, additional), own, 0.0)
             values = solved.model.parameters.values
             model = assemble(platform, look, request.size, values, sigmas, height, where, crs=frame.crs)
             solved = resect(model, xyz, control.colrow, control.sigmas)
@@ -103,11 +104,6 @@ def solve_without_metadata(request: SensorRequest, control: Control) -> Pushbroo
         error.where = where
         raise
     return with_result(model, solved.residuals, control)
-
-
-def _own_sigmas(flying_height: float) -> FloatArray:
-    angles = ANGLE_SIGMA * (10.0 if flying_height < AIRBORNE else 1.0)
-    return np.concatenate([angles, np.full(2, LINE_SIGMA)])
 
 
 def _additional(given: Any, count: int, where: str) -> tuple[str, ...]:
@@ -188,10 +184,14 @@ def start_from_points(
             where=where,
             mend="give focal_length_px (SPOT 1 to 4 panchromatic: 83230) or flying_height in metres (SPOT: 830000)",
         )
-    ends = np.concatenate([below(principal, row) - distance * view for row in (0.0, float(size[1]))])
     x = across / size_of_pixel
     rotation = np.array([x, np.cross(-view, x), -view])
-    return Start(ends, np.degrees(angles_of(rotation)), focal, flying)
+    values = []
+    for row in (0.0, float(size[1])):
+        centre = below(principal, row) - distance * view
+        reach = centre[2] / -view[2]  # along the view down to local height 0
+        values += [*(centre + reach * view)[:2], reach]
+    return Start(np.array([*values, *np.degrees(angles_of(rotation))]), focal, flying)
 
 
 EARTH = 6.371e6

@@ -6,11 +6,20 @@ Earth disturb it; since a path and the angle across it act nearly alike on the i
 angles become functions of time. Eight additional parameters hold that, with s = 2j/n − 1 (−1 at A, 1 at E), L(s) =
 (3s² − 1)/2, and v the same over the columns:
 
-    omega(s) = omega + omega1·s + omega2·L(s)    linear: relief displacement across turns as the ground passes below
-    phi(s)   = phi   + phi1·s   + phi2·L(s)      linear: the pitch of an orbit, seen in relief only; squared: speed
-    kappa(s) = kappa + kappa1·s + kappa2·L(s)    linear: lines that are not parallel; squared: their turn bends
+    omega(s) = omega + omega1·s + omega2·L(s)    linear: the view turns as the ground passes below, seen in relief only
+    phi(s)   = phi   + phi1·s   + phi2·L(s)      the same for the other axis; squared terms: speed and side drift change
+    kappa(s) = kappa + kappa1·s + kappa2·L(s)    linear: lines that are not parallel; squared: their turn is uneven
     along slope of a detector  + bend·L(v)       a line that is curved
     across slope of a detector + stretch·L(v)    pixels that grow towards both ends of the line
+
+From afar a centre that moves and an angle that turns after it are the same but for relief, and would be estimated with
+correlations of nearly 1. So A and E are not unknowns themselves but follow from what the image tells well: the ground
+points (xa, ya) and (xe, ye), at local height 0, on which the principal point of row 0 and row n falls, and how far away
+they are,
+
+    A = (xa, ya, 0) + da·z(omega − omega1, phi − phi1),   E = (xe, ye, 0) + de·z(omega + omega1, phi + phi1)
+
+z being the third row of M. The six are as free as the coordinates of A and E.
 """
 
 from __future__ import annotations
@@ -26,7 +35,7 @@ from geomosaic.types import FloatArray
 from geomosaic_pushbroom.platform import Bend
 from geomosaic_pushbroom.pose import Pose
 
-IDEAL = ("xa", "ya", "za", "xe", "ye", "ze", "omega", "phi", "kappa")
+IDEAL = ("xa", "ya", "da", "xe", "ye", "de", "omega", "phi", "kappa")
 ADDITIONAL = ("omega1", "phi1", "kappa1", "omega2", "phi2", "kappa2", "bend", "stretch")
 
 
@@ -53,10 +62,20 @@ class Straight:
     rows: int
     focal: float
 
+    def ends(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A and E, east, north, up in metres (3,) each."""
+        centre, turn = values[6:9], values[9:12]
+        found = []
+        for angles, (x, y, distance) in ((centre - turn, values[:3]), (centre + turn, values[3:6])):
+            z = omega_phi_kappa(*np.radians(angles)[:, None])[0, 2]
+            found.append(np.array([x, y, 0.0]) + distance * z)
+        return found[0], found[1]
+
     def pose(self, values: FloatArray, rows: FloatArray) -> Pose:
         """Pose at rows (N,)."""
         share = (rows / self.rows)[:, None]
-        local = values[:3] + share * (values[3:6] - values[:3])
+        start, end = self.ends(values)
+        local = start + share * (end - start)
         s = 2.0 * share[:, 0] - 1.0
         curve = 1.5 * s * s - 0.5
         omega, phi, kappa = (np.radians(values[6 + i] + values[9 + i] * s + values[12 + i] * curve) for i in range(3))
