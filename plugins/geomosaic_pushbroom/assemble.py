@@ -47,7 +47,7 @@ def assemble(
     """
     parameters = Parameters(platform.names, platform.units, values, sigmas, np.ones(len(values)))
     origin = (0.0, 0.0, 0.0)
-    bare = PushbroomModel(platform, look, crs, size, parameters, origin, np.zeros(4), notes)
+    bare = PushbroomModel(platform, look, crs, size, parameters, origin, np.zeros(5), notes)
     width, rows = float(size[0]), float(size[1])
     c, r = np.meshgrid([0.0, width / 2, width], [0.0, rows / 2, rows])
     origins, directions = bare.rays(np.column_stack([c.ravel(), r.ravel()]))
@@ -66,9 +66,13 @@ def assemble(
     scale = float(np.abs(off).max())
     design = np.column_stack([np.ones(len(off)), off / scale])
     guess = np.linalg.lstsq(design, np.tile(r.ravel(), 3), rcond=None)[0] / [1.0, scale, scale, scale]
-    x, y, z = seed.tolist()
-    model = replace(bare, seed=(x, y, z), guess=guess)
     ground = origins + distances[:, None] * directions
+    ends = [bare.seen_from(ground, r.ravel() + shift)[1] for shift in (-0.5, 0.5)]
+    slope = float(np.median(ends[1] - ends[0]))
+    if not abs(slope) > 0.0:
+        raise InputError("the scanner does not move from row to row", where=where, mend="check times and positions")
+    x, y, z = seed.tolist()
+    model = replace(bare, seed=(x, y, z), guess=np.append(guess, slope))
     return replace(model, parameters=replace(parameters, steps=_steps(model, ground)))
 
 

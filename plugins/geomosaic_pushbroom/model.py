@@ -20,7 +20,8 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.sensor.parameters import Parameters
-from geomosaic.types import FloatArray, IntArray
+from geomosaic.types import FloatArray
+from geomosaic_pushbroom.derivatives import derivatives
 from geomosaic_pushbroom.look import Look
 from geomosaic_pushbroom.platform import Bend, Flight, Platform
 from geomosaic_pushbroom.pose import combined, components, unit
@@ -28,7 +29,7 @@ from geomosaic_pushbroom.straight import Straight
 
 PLATFORMS: dict[str, type[Flight] | type[Straight]] = {"flight": Flight, "straight": Straight}
 _ROUNDS = 40
-_GOAL = 1e-8  # pixels of the last step; the error that is left is far smaller, secants being steeper than linear
+_GOAL = 1e-7  # pixels of the last step; the error that is left is far smaller, secants converging faster than linear
 _FURTHEST = 20.0  # image heights beyond the image
 
 
@@ -50,8 +51,8 @@ class PushbroomModel:
         Those of the platform.
     seed : tuple of float
         Ground point near the middle of the image.
-    guess : array (4,)
-        Rough row of a ground point: guess[0] + guess[1:]·(xyz − seed).
+    guess : array (5,)
+        Rough row of a ground point, guess[0] + guess[1:4]·(xyz − seed), and the change of the misfit per row.
     notes : tuple of str
         What was assumed when the model was made.
     """
@@ -69,11 +70,17 @@ class PushbroomModel:
     def _bend(self) -> Bend:
         return self.platform.bend(self.parameters.values)
 
-    def _slopes(self, xyz: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Column (N,) and misfit along (N,) of points (N, 3) as seen from the poses of rows (N,)."""
+    def seen_from(self, xyz: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Column and misfit along, as a slope, of points (N, 3) seen from the poses of rows (N,); (N,) each.
+
+        The misfit is NaN where the scanner is below the point's horizon or the point behind it.
+        """
         position, axes = self.platform.pose(self.parameters.values, rows)
-        d = components(axes, xyz - position)
-        down = np.where(d[:, 2] < 0.0, -d[:, 2], np.nan)
+        line = xyz - position
+        d = components(axes, line)
+        # A line of sight goes through the Earth and comes out again: what it meets there cannot be seen.
+        above = line[:, 0] * xyz[:, 0] + line[:, 1] * xyz[:, 1] + line[:, 2] * xyz[:, 2] < 0.0
+        down = np.where((d[:, 2] < 0.0) & above, -d[:, 2], np.nan)
         cols = self.look.columns(d[:, 0] / down, self._bend.stretch)
         return cols, d[:, 1] / down - self.look.slopes(cols, *self._bend)[1]
 
@@ -83,37 +90,34 @@ class PushbroomModel:
         NaN where the scanner is below the point's horizon or never passes it, and far outside the image.
         """
         points = np.asarray(xyz, dtype=np.float64)
+        image = np.full((len(points), 2), np.nan)
         off = points - np.array(self.seed)
         rows = self.guess[0] + (off[:, 0] * self.guess[1] + off[:, 1] * self.guess[2] + off[:, 2] * self.guess[3])
         limit = _FURTHEST * self.size[1]
-        rows = np.clip(rows, -limit, self.size[1] + limit)
-        image = np.full((len(points), 2), np.nan)
-        cols, misfit = self._slopes(points, rows)
-        there = np.flatnonzero(np.isfinite(misfit))
-        before, row = rows[there] + 1.0, rows[there]
-        miss_before, miss, col = self._slopes(points[there], before)[1], misfit[there], cols[there]
+        row = np.clip(rows, -limit, limit + self.size[1])
+        _, miss = self.seen_from(points, row)
+        there = np.flatnonzero(np.isfinite(miss))
+        row, miss = row[there], miss[there]
+        slope = np.full(len(there), self.guess[4])
         for _ in range(_ROUNDS):
+            if not len(there):
+                break
+            step = np.clip(-miss / slope, -self.size[1], self.size[1])
+            col, next_miss = self.seen_from(points[there], row + step)
             with np.errstate(divide="ignore", invalid="ignore"):
-                step = -miss * (row - before) / (miss - miss_before)
-            step = np.where(miss == 0.0, 0.0, np.clip(step, -self.size[1], self.size[1]))
-            before, miss_before, row = row, miss, row + step
-            col, miss = self._slopes(points[there], row)
+                secant = (next_miss - miss) / step
+            slope = np.where(np.isfinite(secant) & (secant != 0.0), secant, slope)
+            row, miss = row + step, next_miss
             done = np.abs(step) < _GOAL
             image[there[done], 0], image[there[done], 1] = col[done], row[done]
             on = ~done & np.isfinite(miss) & (np.abs(row) < 2.0 * limit)
-            there, row, before, col, miss, miss_before = (v[on] for v in (there, row, before, col, miss, miss_before))
-            if not len(there):
-                break
-        self._hide_beyond_horizon(points, image)
+            there, row, miss, slope = there[on], row[on], miss[on], slope[on]
+        image[~np.isfinite(image).all(axis=1)] = np.nan
         return image
 
-    def _hide_beyond_horizon(self, points: FloatArray, image: FloatArray) -> None:
-        """A line of sight goes through the Earth and comes out again: what it meets there cannot be seen."""
-        seen: IntArray = np.flatnonzero(np.isfinite(image[:, 1]))
-        position = self.platform.pose(self.parameters.values, image[seen, 1]).position
-        up = ((position - points[seen]) * points[seen]).sum(axis=1) > 0.0
-        image[seen[~up]] = np.nan
-        image[~np.isfinite(image).all(axis=1)] = np.nan
+    def jacobian(self, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of (col, row) by parameters (N, 2, P) and by ground coordinates (N, 2, 3)."""
+        return derivatives(self, np.asarray(xyz, dtype=np.float64))
 
     def rays(self, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Image (N, 2) to origins (N, 3) and unit directions (N, 3) towards the ground, geocentric."""

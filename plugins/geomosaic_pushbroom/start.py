@@ -79,27 +79,31 @@ def solve_without_metadata(request: SensorRequest, control: Control) -> Pushbroo
     xyz = Transform(crs, ECEF)(control.xyz)
     centre = _principal(options, request.size[0], where)
     start = start_from_points(frame.to_enu(xyz), control.colrow, request.size, centre, options, where)
-    platform = Straight(frame, request.size[1], start.focal)
-    sides = np.array([0.0, float(request.size[0])])
-    look = Look(sides, (sides - centre) / start.focal, np.zeros(2))
+    height = float(Transform(ECEF, geographic(ECEF))(frame.origin[None])[0, 2])
     factor = 10.0 if start.flying_height < AIRBORNE else 1.0
     sigmas = np.full(len(Straight.names), np.inf)
     sigmas[6:8], sigmas[9:] = VIEW_SIGMA * factor, 0.0
-    values = np.concatenate([start.values, np.zeros(len(ADDITIONAL))])
-    height = float(Transform(ECEF, geographic(ECEF))(frame.origin[None])[0, 2])
+    sides = np.array([0.0, float(request.size[0])])
+
+    def model_at(values: FloatArray, focal: float, notes: tuple[str, ...] = ()) -> PushbroomModel:
+        platform = Straight(frame, request.size[1], focal)
+        look = Look(sides, (sides - centre) / focal, np.zeros(2))
+        return assemble(platform, look, request.size, values, sigmas, height, where, frame.crs, notes)
+
     try:
-        model = assemble(platform, look, request.size, values, sigmas, height, where, crs=frame.crs)
-        solved = resect(model, xyz, control.colrow, control.sigmas)
-        notes = [f"camera constant {start.focal:.1f} px, {start.flying_height:.0f} m above the ground"]
-        if additional:
-            own = np.concatenate([ANGLE_SIGMA * factor, np.full(2, LINE_SIGMA)])
-            sigmas[9:] = np.where(np.isin(ADDITIONAL, additional), own, 0.0)
-            values = solved.model.parameters.values
-            model = assemble(platform, look, request.size, values, sigmas, height, where, crs=frame.crs)
-            solved = resect(model, xyz, control.colrow, control.sigmas)
-            notes.append(f"additional parameters: {', '.join(additional)}")
-        values = solved.model.parameters.values
-        model = assemble(platform, look, request.size, values, sigmas, height, where, frame.crs, tuple(notes))
+        values, focal = np.concatenate([start.values, np.zeros(len(ADDITIONAL))]), start.focal
+        solved = resect(model_at(values, focal), xyz, control.colrow, control.sigmas)
+        values = solved.model.parameters.values.copy()
+        if options.get("focal_length_px") is None:
+            # The view is better known now, and with it the distance that belongs to the flying height.
+            scale = _slant(start.flying_height, float(np.prod(np.cos(np.radians(values[6:8]))))) / values[[2, 5]].mean()
+            focal, values[[2, 5]] = focal * scale, values[[2, 5]] * scale
+        own = np.concatenate([ANGLE_SIGMA * factor, np.full(2, LINE_SIGMA)])
+        sigmas[9:] = np.where(np.isin(ADDITIONAL, additional), own, 0.0)
+        solved = resect(model_at(values, focal), xyz, control.colrow, control.sigmas)
+        notes = [f"camera constant {focal:.1f} px, {start.flying_height:.0f} m above the ground"]
+        notes += [f"additional parameters: {', '.join(additional)}"] if additional else []
+        model = model_at(solved.model.parameters.values, focal, tuple(notes))
     except SolveError as error:
         error.where = where
         raise
@@ -219,11 +223,17 @@ def parallel_projection(
     if any(s[-1] < 1e-3 * s[0] or s[0] == 0.0 for s in spread):
         raise SolveError("the control points lie on a line", where=where, mend="spread them over the whole image")
     gradients = np.linalg.lstsq(flat, image, rcond=None)[0].T
-    # One pixel of misfit for a view as oblique as can be: any relief of more than a few pixels outweighs it.
+    # Where there are points enough, the curvature of the Earth and the perspective along the line are kept out of the
+    # vertical part. One pixel of misfit for a view as oblique as can be: relief of more than a few pixels outweighs it.
+    span = float(np.abs(flat).max())
+    e, n = off[:, 0] / span, off[:, 1] / span
+    curved = np.column_stack([np.ones(len(off)), e * e, e * n, n * n])[:, : 4 if len(off) >= ENOUGH else 1]
     steepest = _STEEPEST * np.linalg.norm(gradients, axis=1)
-    columns = []
+    forms = []
     for i in range(2):
-        design = np.vstack([off, [0.0, 0.0, 1.0 / steepest[i]]])
-        columns.append(np.linalg.lstsq(design, np.append(image[:, i], 0.0), rcond=None)[0])
-    a, b = columns
-    return colrow.mean(axis=0) - np.array([a @ middle, b @ middle]), a, b
+        design = np.vstack([np.hstack([off, curved]), np.zeros(3 + curved.shape[1])])
+        design[-1, 2] = 1.0 / steepest[i]
+        forms.append(np.linalg.lstsq(design, np.append(image[:, i], 0.0), rcond=None)[0])
+    a, b = (form[:3] for form in forms)
+    constant = colrow.mean(axis=0) + [form[3] for form in forms] - np.array([a @ middle, b @ middle])
+    return constant, a, b
