@@ -144,7 +144,7 @@ def stamp(t: float) -> str:
     return f"{DAY}T{int(second // 3600):02d}:{int(second % 3600 // 60):02d}:{second % 60:09.6f}"
 
 
-def with_places(satellite: Satellite, count: int) -> np.ndarray:
+def with_places(count: int) -> np.ndarray:
     """Image points of control: the usual pattern of 1, 3, 4, 6, 9 and 16 points."""
     grid = {
         1: [(0.5, 0.5)],

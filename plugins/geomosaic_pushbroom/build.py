@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,6 @@ from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.assemble import ECEF, assemble
 from geomosaic_pushbroom.inputs import OPTIONS
-from geomosaic_pushbroom.look import Look
 from geomosaic_pushbroom.metadata import find_beside, read_metadata
 from geomosaic_pushbroom.model import PushbroomModel
 from geomosaic_pushbroom.platform import Flight
@@ -115,7 +115,7 @@ def _of_scene(reported: Reported, request: SensorRequest) -> PushbroomModel:
             where=where,
             mend="check offset",
         )
-    look = Look(reported.look.cols - col, reported.look.across, reported.look.along)
+    look = replace(reported.look, cols=reported.look.cols - col)
     flight = Flight(reported.path, reported.period, reported.middle - row)
     sigmas = _sigmas(request.options, reported.quality, where)
     notes = (reported.title, *reported.notes)

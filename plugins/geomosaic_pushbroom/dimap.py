@@ -8,7 +8,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look import Look, of_angles
+from geomosaic_pushbroom.look import Look
 from geomosaic_pushbroom.orbit import Orbit
 from geomosaic_pushbroom.paths import AnglePath
 from geomosaic_pushbroom.reported import GYROSCOPES, STARS, Reported, moment, since_times
@@ -137,7 +137,7 @@ def _look(root: Element, band: int | None, where: str) -> tuple[Look, tuple[str,
         detector, psi_x, psi_y = children(
             part, "Look_Angles_List/Look_Angles", ("DETECTOR_ID", "PSI_X", "PSI_Y"), where
         ).T
-        looks[int(number(part, "BAND_INDEX", where))] = of_angles(detector - 0.5, psi_x, psi_y, where)
+        looks[int(number(part, "BAND_INDEX", where))] = Look.of(detector - 0.5, -psi_y, psi_x, where, angular=True)
     if not looks:
         find(root, ".//Instrument_Look_Angles_List/Instrument_Look_Angles", where)
     if band is not None:

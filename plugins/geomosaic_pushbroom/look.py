@@ -14,8 +14,6 @@ from geomosaic.types import FloatArray
 REACH = 5.0
 """Line lengths beyond each end of the line within which directions are extrapolated."""
 _ROUNDS = 12
-_NODES = 1001
-"""Look directions of a line whose angles are given at fewer detectors; 1e-4 pixel from the angles between them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +25,16 @@ class Look:
     cols : array (K,)
         Image columns of the nodes, increasing; 0.5 is the first pixel's centre.
     across, along : array (K,)
-        Slopes of the look direction at the nodes, without unit; `across` is monotonic.
+        Slopes of the look direction at the nodes, without unit, or their angles in radians; `across` is monotonic.
+    angular : bool
+        Whether it is angles that grow linearly between nodes. SPOT 1 to 4 tell those of the first and the last
+        detector only; were it their tangents, the line would be wrong by 55 pixels at 27° of incidence.
     """
 
     cols: FloatArray
     across: FloatArray
     along: FloatArray
+    angular: bool = False
 
     def __post_init__(self) -> None:
         for name in ("cols", "across", "along"):
@@ -41,7 +43,7 @@ class Look:
             object.__setattr__(self, name, array)
 
     @classmethod
-    def of(cls, cols: FloatArray, across: FloatArray, along: FloatArray, where: str) -> Self:
+    def of(cls, cols: FloatArray, across: FloatArray, along: FloatArray, where: str, angular: bool = False) -> Self:
         """Check and make.
 
         Raises
@@ -59,7 +61,7 @@ class Look:
                 where=where,
                 mend="two or more detectors are needed, each looking further across than the one before",
             )
-        return cls(c, a, b)
+        return cls(c, a, b, angular)
 
     @cached_property
     def _table(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -99,6 +101,8 @@ class Look:
         nodes, across, along = self._table
         a = np.interp(cols, nodes, across, np.nan, np.nan)
         b = np.interp(cols, nodes, along)
+        if self.angular:
+            a, b = np.tan(a), np.tan(b)
         if stretch or bend:
             curve = self._curve(cols)
             a, b = a + stretch * curve, b + bend * curve
@@ -106,33 +110,24 @@ class Look:
 
     def columns(self, across: FloatArray, stretch: float = 0.0) -> FloatArray:
         """Columns (N,) that look along slopes across (N,); NaN more than five line lengths beyond an end."""
-        slopes, nodes = self._by_across
-        cols: FloatArray = np.interp(across, slopes, nodes, np.nan, np.nan)
+        known, nodes = self._by_across
+        cols: FloatArray = np.interp(self._as_known(across), known, nodes, np.nan, np.nan)
         if stretch:
             # The stretch is some pixels in thousands, so each round gains three digits or more.
             for _ in range(_ROUNDS):
-                cols = np.interp(across - stretch * self._curve(cols), slopes, nodes, np.nan, np.nan)
+                cols = np.interp(self._as_known(across - stretch * self._curve(cols)), known, nodes, np.nan, np.nan)
         return cols
+
+    def _as_known(self, slopes: FloatArray) -> FloatArray:
+        known: FloatArray = np.arctan(slopes) if self.angular else slopes
+        return known
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
-        return {"cols": self.cols.tolist(), "across": self.across.tolist(), "along": self.along.tolist()}
+        nodes = {"cols": self.cols.tolist(), "across": self.across.tolist(), "along": self.along.tolist()}
+        return {**nodes, "angular": self.angular}
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
         """Rebuild from `to_dict`."""
-        return cls(np.array(state["cols"]), np.array(state["across"]), np.array(state["along"]))
-
-
-def of_angles(cols: FloatArray, psi_x: FloatArray, psi_y: FloatArray, where: str) -> Look:
-    """Look directions u = (−tan ψy, tan ψx, −1) of angles (K,) in radians at columns (K,).
-
-    SPOT 1 to 4 give the angles of the first and the last detector. Between them it is the angle that grows linearly,
-    not its tangent: that would be wrong by 55 pixels at 27° of incidence.
-    """
-    order = np.argsort(cols)
-    c, x, y = cols[order], psi_x[order], psi_y[order]
-    if 2 <= len(c) < _NODES:
-        nodes = np.linspace(c[0], c[-1], _NODES)
-        c, x, y = nodes, np.interp(nodes, c, x), np.interp(nodes, c, y)
-    return Look.of(c, -np.tan(y), np.tan(x), where)
+        return cls(np.array(state["cols"]), np.array(state["across"]), np.array(state["along"]), state["angular"])

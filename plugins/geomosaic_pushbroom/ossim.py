@@ -8,7 +8,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look import of_angles
+from geomosaic_pushbroom.look import Look
 from geomosaic_pushbroom.orbit import Orbit
 from geomosaic_pushbroom.paths import AnglePath
 from geomosaic_pushbroom.reported import GYROSCOPES, STARS, Reported
@@ -37,7 +37,8 @@ def read_ossim(data: bytes, where: str) -> Reported:
     attitude = _list(words, "attitude_samples", 3 * len(at), where).reshape(-1, 3)
     count = int(_list(words, "detector_count", 1, where)[0])
     psi_x, psi_y = (_list(words, f"pixel_lookat_angle_{axis}", count, where) for axis in "xy")
-    look = of_angles(np.arange(count, dtype=np.float64) + 0.5, psi_x, psi_y, where)
+    cols: FloatArray = np.arange(0.5, count, dtype=np.float64)
+    look = Look.of(cols, -psi_y, psi_x, where, angular=True)
     orbit = Orbit.through(times, positions, velocities, where)
     width, height = (int(v) for v in _list(words, "image_size", 2, where))
     stars = words.get(f"{_PREFIX}star_tracker_used_flag", "0").strip() == "1"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, Self
+from functools import cached_property
+from typing import Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
 
@@ -108,10 +109,11 @@ class QuaternionPath:
 
 @dataclass(frozen=True, eq=False)
 class TrackPath:
-    """Poses of a table, as GNSS and inertial measurement give them, interpolated linearly.
+    """Poses of a table, as GNSS and inertial measurement give them, on smooth curves through them.
 
-    Components of quaternions are interpolated and brought to length one; over steps of a tenth of a degree that is the
-    shortest turn to 1e-10 rad. Before the first and after the last pose the flight goes on at its mean speed.
+    Positions and components of quaternions run on cubic Hermite curves whose slope at a node is that of the parabola
+    through it and its neighbours; quaternions are then brought to length one. Before the first and after the last pose
+    the flight goes on at its mean speed.
 
     Attributes
     ----------
@@ -128,14 +130,27 @@ class TrackPath:
     positions: FloatArray
     quaternions: FloatArray
 
+    @cached_property
+    def _curve(self) -> tuple[FloatArray, FloatArray]:
+        """Values at the nodes relative to the first (K, 7), and their slopes."""
+        values = np.column_stack([self.positions - self.positions[0], self.quaternions])
+        edge: Literal[1, 2] = 2 if len(self.times) > 2 else 1
+        return values, np.gradient(values, self.times, axis=0, edge_order=edge)
+
     def pose(self, times: FloatArray) -> Pose:
         """Pose at times (N,)."""
-        inside = np.clip(times, self.times[0], self.times[-1])
-        position = np.stack([np.interp(inside, self.times, column) for column in self.positions.T], axis=1)
-        speed = (self.positions[-1] - self.positions[0]) / (self.times[-1] - self.times[0])
-        position = position + (times - inside)[:, None] * speed
-        turn = np.stack([np.interp(inside, self.times, column) for column in self.quaternions.T], axis=1)
-        return Pose(position, np.ascontiguousarray(of_quaternions(turn).transpose(0, 2, 1)))
+        t = self.times
+        inside = np.clip(times, t[0], t[-1])
+        k = np.clip(np.searchsorted(t, inside, side="right") - 1, 0, len(t) - 2)
+        width = (t[k + 1] - t[k])[:, None]
+        u = (inside - t[k])[:, None] / width
+        values, slopes = self._curve
+        first, last, start, end = values[k], values[k + 1], slopes[k] * width, slopes[k + 1] * width
+        rise = last - first
+        found = first + u * (start + u * ((3.0 * rise - 2.0 * start - end) + u * (start + end - 2.0 * rise)))
+        speed = (self.positions[-1] - self.positions[0]) / (t[-1] - t[0])
+        position = self.positions[0] + found[:, :3] + (times - inside)[:, None] * speed
+        return Pose(position, np.ascontiguousarray(of_quaternions(found[:, 3:]).transpose(0, 2, 1)))
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""

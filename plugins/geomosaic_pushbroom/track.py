@@ -51,7 +51,11 @@ def read_track(request: SensorRequest) -> tuple[Flight, Look, Quality]:
     period = positive(options["line_period"], "line_period", where)
     width, rows = request.size
     file = Path(request.base) / options["track"]
-    system, table = _table(file)
+    try:
+        system, table = _table(file)
+    except InputError as error:
+        error.where = f"{where} ({error.where})"
+        raise
     first = number(options["start_time"], "start_time", where)
     middle = 0.5 * rows
     times = table[:, 0] - (first + (middle - 0.5) * period)
