@@ -42,9 +42,7 @@ def strip(additional: dict[str, float] | None = None) -> PushbroomModel:
     return assemble(Straight(FRAME, STRIP[1], FOCAL), look, STRIP, values, sigmas, 345.0, "strip", FRAME.crs)
 
 
-DISTURBED = {
-    "omega1": 0.4, "phi1": -0.3, "kappa1": 0.5, "omega2": 0.1, "phi2": -0.2, "kappa2": 0.3, "bend": 6.0, "stretch": -9.0,
-}  # fmt: skip
+DISTURBED = dict(zip(ADDITIONAL, (0.4, -0.3, 0.5, 0.1, -0.2, 0.3, 6.0, -9.0), strict=True))
 
 
 def ground_of(model: PushbroomModel, count: int = 40, relief: float = 500.0, seed: int = 5) -> FloatArray:

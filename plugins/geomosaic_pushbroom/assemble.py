@@ -17,7 +17,8 @@ from geomosaic_pushbroom.model import PushbroomModel
 from geomosaic_pushbroom.platform import Platform
 
 ECEF = CRS.from_epsg(4978)
-_LARGEST_STEP = 1e12
+_LARGEST_STEP = {"m": 1e4, "deg": 0.05, "deg/s": 0.05, "s": 1.0, "px": 1e2}
+"""Beyond these differences are no derivatives any more, however little they move the image."""
 
 
 def assemble(
@@ -95,7 +96,7 @@ def _down_to(crs: CRS, origins: FloatArray, directions: FloatArray, height: floa
 
 
 def _steps(model: PushbroomModel, ground: FloatArray) -> FloatArray:
-    """Changes of the parameters that move the image by one pixel where they move it most."""
+    """Changes of parameters that move the image by a pixel where they move it most, or less if that took too much."""
     image = model.ground_to_image(ground)
     values = model.parameters.values
     steps = np.empty(len(values))
@@ -105,6 +106,6 @@ def _steps(model: PushbroomModel, ground: FloatArray) -> FloatArray:
             moved = values.copy()
             moved[index] += step
             most = np.nanmax(np.hypot(*(model.with_values(moved).ground_to_image(ground) - image).T))
-            step = float(np.clip(step / max(float(most), 1e-6), 1e-12, _LARGEST_STEP))
+            step = float(np.clip(step / max(float(most), 1e-6), 1e-12, _LARGEST_STEP[unit]))
         steps[index] = step
     return steps

@@ -47,7 +47,7 @@ def read_bytes(data: bytes, where: str, band: int | None = None) -> Reported:
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         return read_ossim(data, where)
     root = parse(data, where)
-    if root.tag.rpartition("}")[2] != "Dimap_Document":
+    if root.tag.rpartition("}")[2] not in ("Dimap_Document", "PHR_Dimap_Document"):
         raise InputError(
             f"this XML starts with <{root.tag[:40]}>, not <Dimap_Document>", where=where, mend="give METADATA.DIM"
         )

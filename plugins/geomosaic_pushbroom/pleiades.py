@@ -45,7 +45,7 @@ def read_pleiades(root: Element, where: str) -> Reported:
         quaternion[: len(row), i] = row
     path = QuaternionPath(orbit, offset - middle[1], scale, quaternion)
     look = _line(model, where)
-    title = f"{text(root, './/Scene_Source/MISSION', where)}, {text(root, './/Scene_Source/IMAGING_DATE', where)}"
+    title = f"Pléiades, {text(model, 'UTC_Sensor_Model_Range/START', where)[:10]}"
     return Reported(title, path, look, period, 0.5 + half / period, size, AGILE)
 
 
