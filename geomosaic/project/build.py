@@ -188,10 +188,12 @@ def _planar(options: dict[str, Any], photo: Photo, crs: CRS | None, control: Seq
 
 
 def _refines(inputs: BlockInputs) -> bool:
-    """Whether the sensor is told to refine itself, takes points for that, and was given none of its own."""
-    known = {entry.name for entry in plugin(inputs.sensor).inputs}
-    asked = inputs.options.get("refine", "none") != "none" and "points" not in inputs.options
-    return asked and {"refine", "points"} <= known
+    """Whether the sensor refines itself, told so or of its own accord, and was given no points of its own."""
+    known = {entry.name: entry for entry in plugin(inputs.sensor).inputs}
+    if not {"refine", "points"} <= set(known) or "points" in inputs.options:
+        return False
+    chosen: object = inputs.options.get("refine", known["refine"].default or "none")
+    return chosen != "none"
 
 
 def _points(photo: Photo, control: Sequence[ControlPoint]) -> list[dict[str, Any]]:

@@ -1,0 +1,170 @@
+"""A scene's model from what there is: metadata, a track, or control points alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomosaic.errors import InputError, SolveError
+from geomosaic.geo.crs import geographic
+from geomosaic.geo.transform import Transform
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.solve import resect
+from geomosaic.types import FloatArray
+from geomosaic_pushbroom.assemble import ECEF, assemble
+from geomosaic_pushbroom.inputs import OPTIONS
+from geomosaic_pushbroom.metadata import find_beside, read_metadata
+from geomosaic_pushbroom.model import PushbroomModel
+from geomosaic_pushbroom.platform import Flight
+from geomosaic_pushbroom.points import Control, need_crs, read_points, with_result
+from geomosaic_pushbroom.read import known_keys, number, numbers
+from geomosaic_pushbroom.reported import Quality, Reported
+from geomosaic_pushbroom.start import solve_without_metadata
+from geomosaic_pushbroom.track import read_track
+
+GROUPS = {"angles": Flight.names[:3], "rates": Flight.names[3:6], "position": Flight.names[6:9]}
+OF_TRACK = ("start_time", "line_period", "columns", "angle_unit")
+OF_POINTS = ("flying_height", "additional")
+
+
+def build_pushbroom(request: SensorRequest) -> PushbroomModel:
+    """Make the model of one image.
+
+    Raises
+    ------
+    InputError
+        An input is missing, unknown or out of range; names the image and the input.
+    SolveError
+        The control points do not determine the model.
+    """
+    where, options = request.image, request.options
+    known_keys(options, OPTIONS, where)
+    control = read_points(options["points"], where) if options.get("points") is not None else None
+    if options.get("refine", "points") not in ("points", "none"):
+        raise InputError(f"refine = {options['refine']!r}", where=where, mend="choose from: points, none")
+    metadata = _metadata(request)
+    way = "metadata" if metadata else "track" if options.get("track") is not None else "points"
+    _need_only(options, way, where)
+    if metadata is not None:
+        band = int(number(options["band"], "band", where)) if options.get("band") is not None else None
+        try:
+            reported = read_metadata(metadata, band)
+        except InputError as error:
+            error.where = f"{where} ({error.where})"
+            raise
+        model = _of_scene(reported, request)
+    elif way == "track":
+        model = _of_track(request)
+    else:
+        if control is None:
+            raise InputError(
+                "there is neither metadata nor a track nor control points",
+                where=where,
+                mend="put METADATA.DIM beside the image, or give metadata = FILE, track = FILE, or control points",
+            )
+        return solve_without_metadata(request, control)
+    if control is None or options.get("refine", "points") == "none":
+        return model
+    return _refined(model, control, request)
+
+
+def _metadata(request: SensorRequest) -> Path | None:
+    given = request.options.get("metadata")
+    if given is None:
+        return None if request.options.get("track") is not None else find_beside(request.path)
+    if not isinstance(given, str):
+        raise InputError(f"metadata = {given!r} is not a file name", where=request.image)
+    return None if given == "none" else Path(request.base) / given
+
+
+def _need_only(options: Mapping[str, Any], way: str, where: str) -> None:
+    """Refuse inputs that would be passed over."""
+    foreign = {
+        "metadata": (*OF_TRACK, *OF_POINTS, "focal_length_px", "principal_col", "track"),
+        "track": (*OF_POINTS, "band", "offset"),
+        "points": (*OF_TRACK, "band", "offset", "sigmas"),
+    }[way]
+    odd = [name for name in foreign if options.get(name) is not None and name != "angle_unit"]
+    if odd:
+        raise InputError(
+            f"{odd[0]} has no meaning for a model from {way}",
+            where=where,
+            mend="leave it out" + (", or give metadata = none" if way == "metadata" else ""),
+        )
+
+
+def _of_scene(reported: Reported, request: SensorRequest) -> PushbroomModel:
+    """Model of a scene or of a cut of it."""
+    where, size = request.image, request.size
+    given = request.options.get("offset")
+    col, row = numbers(given if given is not None else (0, 0), 2, "offset", where)
+    width, height = reported.size
+    if given is None and size != reported.size:
+        raise InputError(
+            f"the image has {size[0]} x {size[1]} pixels, the scene ({reported.title}) has {width} x {height}",
+            where=where,
+            mend="give offset = [col, row] of the image's upper-left corner in the scene, if the image is a cut of it",
+        )
+    if col < 0 or row < 0 or col + size[0] > width or row + size[1] > height:
+        raise InputError(
+            f"{size[0]} x {size[1]} pixels from {col:g}, {row:g} on reach beyond the scene of {width} x {height}",
+            where=where,
+            mend="check offset",
+        )
+    look = replace(reported.look, cols=reported.look.cols - col)
+    flight = Flight(reported.path, reported.period, reported.middle - row)
+    sigmas = _sigmas(request.options, reported.quality, where)
+    notes = (reported.title, *reported.notes)
+    height_of_ground = _ellipsoidal(request)
+    return assemble(flight, look, size, np.zeros(len(sigmas)), sigmas, height_of_ground, where, notes=notes)
+
+
+def _of_track(request: SensorRequest) -> PushbroomModel:
+    flight, look, quality = read_track(request)
+    sigmas = _sigmas(request.options, quality, request.image)
+    height = _ellipsoidal(request, flight)
+    return assemble(flight, look, request.size, np.zeros(len(sigmas)), sigmas, height, request.image)
+
+
+def _ellipsoidal(request: SensorRequest, flight: Flight | None = None) -> float:
+    """Rough ellipsoidal height of the ground; a geoid's undulation is of no matter for a start."""
+    given = request.options.get("ground_height")
+    height = 0.0 if given is None else number(given, "ground_height", request.image)
+    if flight is not None and given is None:
+        # A flight below height 0, or over high ground of which nothing is said: half a kilometre down will do.
+        position = flight.path.pose(np.zeros(1)).position
+        z = Transform(ECEF, geographic(ECEF))(position)[0, 2]
+        height = float(min(height, z - 500.0))
+    return height
+
+
+def _sigmas(options: Mapping[str, Any], quality: Quality, where: str) -> FloatArray:
+    """A-priori sigmas of the corrections: those of the mission, then groups, then single ones."""
+    table = options.get("sigmas", {})
+    if not isinstance(table, Mapping):
+        raise InputError(f"sigmas = {table!r} is not a table", where=where)
+    known_keys(table, (*GROUPS, *Flight.names), f"{where}, sigmas")
+    values = dict.fromkeys(Flight.names, 0.0)
+    for group, names in GROUPS.items():
+        sigma = number(table[group], f"sigmas, {group}", where) if group in table else getattr(quality, group)
+        values.update(dict.fromkeys(names, sigma))
+    values.update({name: number(table[name], f"sigmas, {name}", where) for name in Flight.names if name in table})
+    negative = [name for name, value in values.items() if value < 0.0]
+    if negative:
+        raise InputError(f"the sigma of {negative[0]} is negative", where=where, mend="0 holds it fixed")
+    return np.array(list(values.values()))
+
+
+def _refined(model: PushbroomModel, control: Control, request: SensorRequest) -> PushbroomModel:
+    """Correct the reported flight by control points, each parameter within its sigma."""
+    xyz = Transform(need_crs(request), model.crs)(control.xyz)
+    try:
+        solved = resect(model, xyz, control.colrow, control.sigmas)
+    except SolveError as error:
+        error.where = request.image
+        raise
+    return with_result(solved.model, solved.residuals, control)

@@ -1,0 +1,70 @@
+"""What the line scanner wants to know: the text of `geomosaic sensors pushbroom`."""
+
+from __future__ import annotations
+
+from geomosaic.sensor.plugin import SensorInput
+
+INPUTS = (
+    SensorInput(
+        "metadata",
+        "file with orbit, attitude and look angles: METADATA.DIM of SPOT 1 to 5 (level 1A), DIMAP of Pléiades with its "
+        "physical model, or an OSSIM keyword list of SPOT 5; none: there is none, and what lies beside is not taken",
+        default="METADATA.DIM, or NAME.DIM, beside the image",
+    ),
+    SensorInput("band", "band whose look angles are taken, where those of the bands differ (BAND_INDEX)"),
+    SensorInput(
+        "offset",
+        "column and row of a cut image's upper-left corner in the scene of the metadata",
+        "px",
+        "0, 0",
+    ),
+    SensorInput(
+        "points",
+        "control points, each with x, y, z, col, row and optionally id and sigma (pixels, default 1), in the declared "
+        "CRS; in a project those of [control]",
+    ),
+    SensorInput(
+        "refine",
+        "points: metadata or track are corrected by the control points, within their sigmas; none: left as they are. "
+        "Without metadata and track the points alone make the model",
+        default="points",
+    ),
+    SensorInput(
+        "sigmas",
+        "a-priori standard deviations of what control points may correct: angles, or roll, pitch, yaw in degrees; "
+        "rates, or roll_rate, pitch_rate, yaw_rate in degrees/s; position, or across, along, up in m; time in s; 0 is "
+        "fixed",
+        "deg, deg/s, m, s",
+        "by mission; time 0",
+    ),
+    SensorInput(
+        "focal_length_px",
+        "camera constant in pixels: needed with a track; without metadata this or flying_height",
+        "px",
+    ),
+    SensorInput("flying_height", "above the ground, where nothing is reported and no focal_length_px is given", "m"),
+    SensorInput("principal_col", "column of the principal point", "px", "the middle"),
+    SensorInput(
+        "additional",
+        "additional parameters of the model from points alone: all, none, or a list of omega1, phi1, kappa1, omega2, "
+        "phi2, kappa2, bend, stretch",
+        default="all from 10 points, else none",
+    ),
+    SensorInput(
+        "track",
+        "CSV file of an airborne strip: time (s), x, y, z in the declared CRS, and roll, pitch, heading (aircraft, "
+        "true north) or omega, phi, kappa (grid north)",
+    ),
+    SensorInput("columns", "right or left: to which side of the flight columns grow, with a track"),
+    SensorInput("angle_unit", "unit of the angles of the track: deg, gon or rad", default="deg"),
+    SensorInput("start_time", "time of the first row's middle in the clock of the track", "s"),
+    SensorInput("line_period", "time from one row to the next, with a track", "s"),
+    SensorInput(
+        "ground_height",
+        "rough height of the ground in the declared vertical datum, to start inverses; no result depends on it",
+        "m",
+        "that of the DEM below the scanner; 0 without",
+    ),
+)
+
+OPTIONS = tuple(entry.name for entry in INPUTS)

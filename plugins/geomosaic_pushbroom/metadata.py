@@ -1,0 +1,62 @@
+"""Finding and reading the metadata file of a scene, whichever format it has."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from geomosaic.errors import InputError
+from geomosaic_pushbroom.dimap import read_spot
+from geomosaic_pushbroom.ossim import read_ossim
+from geomosaic_pushbroom.pleiades import PART, read_pleiades
+from geomosaic_pushbroom.reported import Reported
+from geomosaic_pushbroom.xml import parse
+
+BESIDE = ("METADATA.DIM", "metadata.dim")
+_LARGEST = 256 * 2**20
+
+
+def find_beside(image: str | None) -> Path | None:
+    """Metadata beside an image: METADATA.DIM, or a .DIM or .dim of the image's name."""
+    if image is None:
+        return None
+    path = Path(image)
+    names = [path.with_suffix(suffix) for suffix in (".DIM", ".dim")] + [path.with_name(name) for name in BESIDE]
+    return next((file for file in names if file.is_file()), None)
+
+
+def read_metadata(path: Path, band: int | None = None) -> Reported:
+    """Read a metadata file: DIMAP of SPOT 1 to 5 or Pléiades, or an OSSIM keyword list of SPOT 5.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is damaged, or holds no physical model.
+    """
+    where = str(path)
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise InputError("the file is too large to be metadata", where=where, mend="give METADATA.DIM")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"the metadata cannot be read ({error})", where=where, mend="check the name") from error
+    return read_bytes(data, where, band)
+
+
+def read_bytes(data: bytes, where: str, band: int | None = None) -> Reported:
+    """Read the contents of a metadata file."""
+    if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        return read_ossim(data, where)
+    root = parse(data, where)
+    if root.tag.rpartition("}")[2] not in ("Dimap_Document", "PHR_Dimap_Document"):
+        raise InputError(
+            f"this XML starts with <{root.tag[:40]}>, not <Dimap_Document>", where=where, mend="give METADATA.DIM"
+        )
+    if root.find(PART) is not None:
+        return read_pleiades(root, where)
+    if root.find(".//Rational_Sensor_Model") is not None or root.find(".//Refined_Model") is not None:
+        raise InputError(
+            "this DIMAP has no physical model that is read here",
+            where=where,
+            mend="use the sensor 'rpc' with the scene's RPC file",
+        )
+    return read_spot(root, where, band)

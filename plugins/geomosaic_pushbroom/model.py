@@ -1,0 +1,162 @@
+"""The pushbroom scanner as a sensor model: each row has a pose of its own.
+
+A ground point G is seen in the row whose pose has it in the plane of its line. With d the components of G − P(row)
+along the scanner's axes, look slopes across a = dx / −dz and along b = dy / −dz, col(a) the detector that looks at a,
+and B(col) the along slope of that detector, the row is the root of
+
+    b(row) − B(col(a(row))) = 0
+
+found by Newton's rule with slopes by secants, for each point by itself (equation (4) of Müller and Sauleda, 1988, where
+B = 0; SPOT Geometry Handbook, CNES, 2002). Rays are the same without iteration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.sensor.parameters import Parameters
+from geomosaic.types import FloatArray
+from geomosaic_pushbroom.derivatives import derivatives
+from geomosaic_pushbroom.look import Look
+from geomosaic_pushbroom.platform import Bend, Flight, Platform
+from geomosaic_pushbroom.pose import combined, components, unit
+from geomosaic_pushbroom.straight import Straight
+
+PLATFORMS: dict[str, type[Flight] | type[Straight]] = {"flight": Flight, "straight": Straight}
+_ROUNDS = 40
+_GOAL = 1e-7  # pixels of the last step; the error that is left is far smaller, secants converging faster than linear
+_FURTHEST = 20.0  # image heights beyond the image
+
+
+@dataclass(frozen=True, eq=False)
+class PushbroomModel:
+    """One scene or strip of a line scanner.
+
+    Attributes
+    ----------
+    platform : Flight or Straight
+        Poses over rows.
+    look : Look
+        Directions over columns.
+    crs : CRS
+        Geocentric.
+    size : tuple of int
+        Width and height in pixels.
+    parameters : Parameters
+        Those of the platform.
+    seed : tuple of float
+        Ground point near the middle of the image.
+    guess : array (5,)
+        Rough row of a ground point, guess[0] + guess[1:4]·(xyz − seed), and the change of the misfit per row.
+    notes : tuple of str
+        What was assumed when the model was made.
+    """
+
+    platform: Platform
+    look: Look
+    crs: CRS
+    size: tuple[int, int]
+    parameters: Parameters
+    seed: tuple[float, float, float]
+    guess: FloatArray
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def _bend(self) -> Bend:
+        return self.platform.bend(self.parameters.values)
+
+    def seen_from(self, xyz: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Column and misfit along, as a slope, of points (N, 3) seen from the poses of rows (N,); (N,) each.
+
+        The misfit is NaN where the scanner is below the point's horizon or the point behind it.
+        """
+        position, axes = self.platform.pose(self.parameters.values, rows)
+        line = xyz - position
+        d = components(axes, line)
+        # A line of sight goes through the Earth and comes out again: what it meets there cannot be seen.
+        above = line[:, 0] * xyz[:, 0] + line[:, 1] * xyz[:, 1] + line[:, 2] * xyz[:, 2] < 0.0
+        down = np.where((d[:, 2] < 0.0) & above, -d[:, 2], np.nan)
+        cols = self.look.columns(d[:, 0] / down, self._bend.stretch)
+        return cols, d[:, 1] / down - self.look.slopes(cols, *self._bend)[1]
+
+    def ground_to_image(self, xyz: FloatArray) -> FloatArray:
+        """Ground (N, 3) in geocentric metres to image (N, 2) in pixels.
+
+        NaN where the scanner is below the point's horizon or never passes it, and far outside the image.
+        """
+        points = np.asarray(xyz, dtype=np.float64)
+        image = np.full((len(points), 2), np.nan)
+        off = points - np.array(self.seed)
+        rows = self.guess[0] + (off[:, 0] * self.guess[1] + off[:, 1] * self.guess[2] + off[:, 2] * self.guess[3])
+        limit = _FURTHEST * self.size[1]
+        row = np.clip(rows, -limit, limit + self.size[1])
+        _, miss = self.seen_from(points, row)
+        there = np.flatnonzero(np.isfinite(miss))
+        row, miss = row[there], miss[there]
+        slope = np.full(len(there), self.guess[4])
+        for _ in range(_ROUNDS):
+            if not len(there):
+                break
+            step = np.clip(-miss / slope, -self.size[1], self.size[1])
+            col, next_miss = self.seen_from(points[there], row + step)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                secant = (next_miss - miss) / step
+            slope = np.where(np.isfinite(secant) & (secant != 0.0), secant, slope)
+            row, miss = row + step, next_miss
+            done = np.abs(step) < _GOAL
+            image[there[done], 0], image[there[done], 1] = col[done], row[done]
+            on = ~done & np.isfinite(miss) & (np.abs(row) < 2.0 * limit)
+            there, row, miss, slope = there[on], row[on], miss[on], slope[on]
+        image[~np.isfinite(image).all(axis=1)] = np.nan
+        return image
+
+    def jacobian(self, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of (col, row) by parameters (N, 2, P) and by ground coordinates (N, 2, 3)."""
+        return derivatives(self, np.asarray(xyz, dtype=np.float64))
+
+    def rays(self, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Image (N, 2) to origins (N, 3) and unit directions (N, 3) towards the ground, geocentric."""
+        pixels = np.asarray(colrow, dtype=np.float64)
+        across, along = self.look.slopes(pixels[:, 0], *self._bend)
+        position, axes = self.platform.pose(self.parameters.values, pixels[:, 1])
+        directions = combined(axes, np.stack([across, along, np.full(len(pixels), -1.0)], axis=1))
+        return position, unit(directions)
+
+    def with_values(self, values: FloatArray) -> Self:
+        """Return the scene with other parameter values (P,)."""
+        return replace(self, parameters=self.parameters.with_values(values))
+
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values; a free parameter's sigma is null."""
+        p = self.parameters
+        return {
+            "platform": self.platform.kind,
+            "flight": self.platform.to_dict(),
+            "look": self.look.to_dict(),
+            "crs": self.crs.to_wkt(),
+            "size": list(self.size),
+            "values": p.values.tolist(),
+            "sigmas": [None if np.isinf(s) else float(s) for s in p.sigmas],
+            "steps": p.steps.tolist(),
+            "seed": list(self.seed),
+            "guess": self.guess.tolist(),
+            "notes": list(self.notes),
+        }
+
+    @classmethod
+    def from_dict(cls, state: dict[str, Any]) -> Self:
+        """Rebuild a model from `to_dict`."""
+        platform = PLATFORMS[state["platform"]].from_dict(state["flight"])
+        sigmas = np.array([np.inf if s is None else s for s in state["sigmas"]])
+        values, steps = np.array(state["values"]), np.array(state["steps"])
+        parameters = Parameters(platform.names, platform.units, values, sigmas, steps)
+        x, y, z = state["seed"]
+        width, height = state["size"]
+        crs, guess = CRS.from_wkt(state["crs"]), np.array(state["guess"])
+        look, notes = Look.from_dict(state["look"]), tuple(state["notes"])
+        return cls(platform, look, crs, (width, height), parameters, (x, y, z), guess, notes)

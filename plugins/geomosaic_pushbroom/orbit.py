@@ -1,0 +1,105 @@
+"""The orbit of a satellite: ephemeris points to positions and velocities at any time of a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.types import FloatArray
+
+NODES = 8
+"""Ephemeris points taken together, as the SPOT Geometry Handbook has it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Orbit:
+    """Lagrange's polynomial through the ephemeris points about a scene.
+
+    The nodes are chosen once for the scene, so that its orbit is one smooth curve, and the polynomial is written in
+    powers of time: evaluating it is then a few products.
+
+    Attributes
+    ----------
+    span : float
+        Seconds of u = 1, where u = t / span; t counts from the middle of the scene.
+    range : tuple of float
+        First and last time that the nodes cover, in seconds.
+    position, velocity : array (K, 3)
+        Coefficients of powers of u; geocentric metres, metres per second.
+    """
+
+    span: float
+    range: tuple[float, float]
+    position: FloatArray
+    velocity: FloatArray
+
+    @classmethod
+    def through(cls, times: FloatArray, positions: FloatArray, velocities: FloatArray, where: str) -> Self:
+        """Take the eight points about time 0, all where there are fewer.
+
+        Parameters
+        ----------
+        times : array (K,)
+            Seconds from the middle of the scene.
+        positions, velocities : array (K, 3)
+            Geocentric; metres, metres per second.
+
+        Raises
+        ------
+        InputError
+            Fewer than four points, two of one time, none on one side of the scene, or a position that is no orbit.
+        """
+        order = np.argsort(times, kind="stable")
+        t, p, v = times[order], positions[order], velocities[order]
+        if len(t) < 4 or not (np.diff(t) > 0.0).all() or not t[0] < 0.0 < t[-1]:
+            raise InputError(
+                f"{len(t)} ephemeris points do not give an orbit about the scene",
+                where=where,
+                mend="at least four are needed, of different times, before and after the middle of the scene",
+            )
+        height = np.linalg.norm(p, axis=1)
+        if not (np.isfinite(height).all() and (height > 6.4e6).all() and (height < 5e7).all()):
+            raise InputError(
+                "ephemeris points lie inside the Earth or far from it",
+                where=where,
+                mend="positions must be Earth-centred (ITRF), in metres",
+            )
+        first = int(np.clip(np.searchsorted(t, 0.0) - NODES // 2, 0, max(0, len(t) - NODES)))
+        chosen = slice(first, first + NODES)
+        t, p, v = t[chosen], p[chosen], v[chosen]
+        span = float(np.abs(t).max())
+        powers = np.vander(t / span, increasing=True)
+        both = np.asarray(np.linalg.solve(powers, np.column_stack([p, v])), dtype=np.float64)
+        return cls(span, (float(t[0]), float(t[-1])), both[:, :3], both[:, 3:])
+
+    def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Positions and velocities (N, 3) at times (N,) in seconds; NaN outside the ephemeris."""
+        u = np.where((times >= self.range[0]) & (times <= self.range[1]), times, np.nan)[:, None] / self.span
+        return horner(self.position, u), horner(self.velocity, u)
+
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values."""
+        return {
+            "span": self.span,
+            "range": list(self.range),
+            "position": self.position.tolist(),
+            "velocity": self.velocity.tolist(),
+        }
+
+    @classmethod
+    def from_dict(cls, state: dict[str, Any]) -> Self:
+        """Rebuild from `to_dict`."""
+        first, last = state["range"]
+        return cls(state["span"], (first, last), np.array(state["position"]), np.array(state["velocity"]))
+
+
+def horner(coefficients: FloatArray, u: FloatArray) -> FloatArray:
+    """Polynomials with coefficients (K, D), lowest power first, at u (N, 1); shape (N, D)."""
+    total = np.broadcast_to(coefficients[-1], (len(u), coefficients.shape[1]))
+    for row in coefficients[-2::-1]:
+        total = total * u + row
+    result: FloatArray = total
+    return result

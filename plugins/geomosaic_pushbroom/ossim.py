@@ -1,0 +1,73 @@
+"""SPOT 5 scenes as OSSIM keyword lists (.geom): orbit, attitudes and look angles under 'support_data'."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.types import FloatArray
+from geomosaic_pushbroom.look import Look
+from geomosaic_pushbroom.orbit import Orbit
+from geomosaic_pushbroom.paths import AnglePath
+from geomosaic_pushbroom.reported import GYROSCOPES, STARS, Reported
+
+KIND = "ossimSpot5Model"
+_PREFIX = "support_data."
+
+
+def read_ossim(data: bytes, where: str) -> Reported:
+    """Read a scene. Attitudes are pitch, roll, yaw; lines and detectors count from 1 at the pixel's centre."""
+    words = _words(data.decode("utf-8", "replace"), where)
+    if words.get("type") != KIND:
+        raise InputError(
+            f"this keyword list is of type '{words.get('type', 'none')[:40]}', not {KIND}",
+            where=where,
+            mend="RPC models in keyword lists are for the sensor 'rpc'",
+        )
+    reference = _list(words, "reference_line_time", 1, where)[0]
+    line = _list(words, "reference_line_time_line", 1, where)[0]
+    period = _list(words, "line_sampling_period", 1, where)[0]
+    times = _list(words, "ephemeris_sample_times", 0, where) - reference
+    positions, velocities = (
+        _list(words, f"{name}_ecf_samples", 3 * len(times), where).reshape(-1, 3) for name in ("position", "velocity")
+    )
+    at = _list(words, "attitude_sample_times", 0, where) - reference
+    attitude = _list(words, "attitude_samples", 3 * len(at), where).reshape(-1, 3)
+    count = int(_list(words, "detector_count", 1, where)[0])
+    psi_x, psi_y = (_list(words, f"pixel_lookat_angle_{axis}", count, where) for axis in "xy")
+    cols: FloatArray = np.arange(0.5, count, dtype=np.float64)
+    look = Look.of(cols, -psi_y, psi_x, where, angular=True)
+    orbit = Orbit.through(times, positions, velocities, where)
+    width, height = (int(v) for v in _list(words, "image_size", 2, where))
+    stars = words.get(f"{_PREFIX}star_tracker_used_flag", "0").strip() == "1"
+    title = f"SPOT 5 HRG, {words.get(f'{_PREFIX}image_date', 'no date')[:10]}"
+    path, quality = AnglePath(orbit, at, attitude), STARS if stars else GYROSCOPES
+    return Reported(title, path, look, float(period), float(line) - 0.5, (width, height), quality)
+
+
+def _words(content: str, where: str) -> dict[str, str]:
+    words = {}
+    for row in content.splitlines():
+        name, colon, value = row.partition(":")
+        if colon:
+            words[name.strip()] = value.strip().strip('"').strip()
+    if not words:
+        raise InputError("this is no keyword list", where=where, mend="give METADATA.DIM or a .geom file of SPOT 5")
+    return words
+
+
+def _list(words: dict[str, str], name: str, count: int, where: str) -> FloatArray:
+    """Finite numbers of a key, `count` of them (0: any number)."""
+    given = words.get(f"{_PREFIX}{name}")
+    if given is None:
+        raise InputError(f"the keyword list has no {_PREFIX}{name}", where=where, mend="get the whole file")
+    try:
+        values = np.array([float(word) for word in given.split()])
+    except ValueError:
+        values = np.array([math.nan])
+    if not len(values) or not np.isfinite(values).all() or (count and len(values) != count):
+        wanted = f"{count} finite numbers" if count else "finite numbers"
+        raise InputError(f"{_PREFIX}{name} does not hold {wanted}", where=where, mend="get the file again")
+    return values

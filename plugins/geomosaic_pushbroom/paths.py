@@ -1,0 +1,168 @@
+"""Three ways to know the flight of a scanner: orbit and attitude angles, orbit and quaternions, a table of poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Literal, Protocol, Self
+
+import numpy as np
+
+from geomosaic.types import FloatArray
+from geomosaic_pushbroom.orbit import Orbit, horner
+from geomosaic_pushbroom.pose import Pose, cross, of_quaternions, turned, unit
+
+
+class Path(Protocol):
+    """The flight as it was reported; x right, y forward, z up in the scanner's axes."""
+
+    kind: ClassVar[str]
+
+    def pose(self, times: FloatArray) -> Pose:
+        """Pose at times (N,), seconds from the middle of the scene; NaN where nothing is known."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values."""
+
+    @classmethod
+    def from_dict(cls, state: dict[str, Any]) -> Self:
+        """Rebuild from `to_dict`."""
+
+
+@dataclass(frozen=True, eq=False)
+class AnglePath:
+    """Orbit, with attitude angles about the orbital axes (SPOT 1 to 5).
+
+    z is the direction from the Earth's centre, x = velocity × z, y = z × x; velocity is that in the turning Earth's
+    frame, as the ephemeris gives it. The angles are interpolated linearly and stay as they are beyond their ends.
+
+    Attributes
+    ----------
+    orbit : Orbit
+    times : array (K,)
+        Of the angles, seconds from the middle of the scene.
+    angles : array (K, 3)
+        Pitch, roll, yaw in radians, see `pose.turned`.
+    """
+
+    kind: ClassVar[str] = "angles"
+    orbit: Orbit
+    times: FloatArray
+    angles: FloatArray
+
+    def pose(self, times: FloatArray) -> Pose:
+        """Pose at times (N,)."""
+        position, velocity = self.orbit.at(times)
+        z = unit(position)
+        x = unit(cross(velocity, z))
+        axes = np.stack([x, cross(z, x), z], axis=1)
+        pitch, roll, yaw = (np.interp(times, self.times, column) for column in self.angles.T)
+        return Pose(position, turned(axes, pitch, roll, yaw))
+
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values."""
+        return {"orbit": self.orbit.to_dict(), "times": self.times.tolist(), "angles": self.angles.tolist()}
+
+    @classmethod
+    def from_dict(cls, state: dict[str, Any]) -> Self:
+        """Rebuild from `to_dict`."""
+        return cls(Orbit.from_dict(state["orbit"]), np.array(state["times"]), np.array(state["angles"]))
+
+
+@dataclass(frozen=True, eq=False)
+class QuaternionPath:
+    """Orbit, with a polynomial for each component of the quaternion from satellite to geocentric axes (Pléiades).
+
+    Of the satellite's axes the first points forward, the second right and the third to the ground.
+
+    Attributes
+    ----------
+    orbit : Orbit
+    offset, scale : float
+        Seconds: the polynomials run over (t − offset) / scale.
+    quaternion : array (K, 4)
+        Coefficients, lowest power first; scalar component first.
+    """
+
+    kind: ClassVar[str] = "quaternions"
+    orbit: Orbit
+    offset: float
+    scale: float
+    quaternion: FloatArray
+
+    def pose(self, times: FloatArray) -> Pose:
+        """Pose at times (N,)."""
+        position, _ = self.orbit.at(times)
+        turns = of_quaternions(horner(self.quaternion, (times[:, None] - self.offset) / self.scale))
+        return Pose(position, np.stack([turns[:, :, 1], turns[:, :, 0], -turns[:, :, 2]], axis=1))
+
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values."""
+        numbers = {"offset": self.offset, "scale": self.scale, "quaternion": self.quaternion.tolist()}
+        return {"orbit": self.orbit.to_dict(), **numbers}
+
+    @classmethod
+    def from_dict(cls, state: dict[str, Any]) -> Self:
+        """Rebuild from `to_dict`."""
+        return cls(Orbit.from_dict(state["orbit"]), state["offset"], state["scale"], np.array(state["quaternion"]))
+
+
+@dataclass(frozen=True, eq=False)
+class TrackPath:
+    """Poses of a table, as GNSS and inertial measurement give them, on smooth curves through them.
+
+    Positions and components of quaternions run on cubic Hermite curves whose slope at a node is that of the parabola
+    through it and its neighbours; quaternions are then brought to length one. Before the first and after the last pose
+    the flight goes on at its mean speed.
+
+    Attributes
+    ----------
+    times : array (K,)
+        Seconds from the middle of the scene.
+    positions : array (K, 3)
+        Geocentric metres.
+    quaternions : array (K, 4)
+        From the scanner's to geocentric axes, scalar first, neighbours of the same sign.
+    """
+
+    kind: ClassVar[str] = "track"
+    times: FloatArray
+    positions: FloatArray
+    quaternions: FloatArray
+
+    @cached_property
+    def _curve(self) -> tuple[FloatArray, FloatArray]:
+        """Values at the nodes relative to the first (K, 7), and their slopes."""
+        values = np.column_stack([self.positions - self.positions[0], self.quaternions])
+        edge: Literal[1, 2] = 2 if len(self.times) > 2 else 1
+        return values, np.gradient(values, self.times, axis=0, edge_order=edge)
+
+    def pose(self, times: FloatArray) -> Pose:
+        """Pose at times (N,)."""
+        t = self.times
+        inside = np.clip(times, t[0], t[-1])
+        k = np.clip(np.searchsorted(t, inside, side="right") - 1, 0, len(t) - 2)
+        width = (t[k + 1] - t[k])[:, None]
+        u = (inside - t[k])[:, None] / width
+        values, slopes = self._curve
+        first, last, start, end = values[k], values[k + 1], slopes[k] * width, slopes[k + 1] * width
+        rise = last - first
+        found = first + u * (start + u * ((3.0 * rise - 2.0 * start - end) + u * (start + end - 2.0 * rise)))
+        speed = (self.positions[-1] - self.positions[0]) / (t[-1] - t[0])
+        position = self.positions[0] + found[:, :3] + (times - inside)[:, None] * speed
+        return Pose(position, np.ascontiguousarray(of_quaternions(found[:, 3:]).transpose(0, 2, 1)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values."""
+        names = ("times", "positions", "quaternions")
+        return {name: getattr(self, name).tolist() for name in names}
+
+    @classmethod
+    def from_dict(cls, state: dict[str, Any]) -> Self:
+        """Rebuild from `to_dict`."""
+        return cls(np.array(state["times"]), np.array(state["positions"]), np.array(state["quaternions"]))
+
+
+PATHS: dict[str, type[AnglePath] | type[QuaternionPath] | type[TrackPath]] = {
+    path.kind: path for path in (AnglePath, QuaternionPath, TrackPath)
+}

@@ -1,0 +1,59 @@
+"""DIMAP of Pléiades primary scenes with their physical model (profile with Sensor_Model_Characteristics)."""
+
+from __future__ import annotations
+
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic_pushbroom.look import Look
+from geomosaic_pushbroom.orbit import Orbit, horner
+from geomosaic_pushbroom.paths import QuaternionPath
+from geomosaic_pushbroom.reported import AGILE, Reported, moment, since_times
+from geomosaic_pushbroom.xml import each, find, number, numbers, text
+
+PART = ".//Sensor_Model_Characteristics"
+
+
+def read_pleiades(root: Element, where: str) -> Reported:
+    """Read a scene.
+
+    Notes
+    -----
+    Row 0.5 is scanned at START, one row later each SENSOR_LINE_PERIOD (ms). The quaternion polynomials run over
+    (second of the day − OFFSET) / SCALE. Detector k counts from FIRST_COL, and its look direction is (ψy, −ψx, 1) along
+    the satellite's axes forward, right, down, the polynomials of ψ running over k − FIRST_COL; ψ is a slope.
+    """
+    model = find(root, PART, where)
+    size = (int(number(root, ".//Raster_Dimensions/NCOLS", where)), int(number(root, ".//NROWS", where)))
+    first = moment(text(model, "UTC_Sensor_Model_Range/START", where), where)
+    period = number(model, "SENSOR_LINE_PERIOD", where) * 1e-3
+    if not 0.0 < period < 1.0:
+        raise InputError(f"SENSOR_LINE_PERIOD is {period * 1e3:g} ms", where=where, mend="get the file again")
+    half = 0.5 * size[1] * period
+    middle = (first[0], first[1] + half)
+    points = list(each(model, "Sensor_Ephemeris/Point_List/Point"))
+    times = since_times([text(point, "UTC_TIME", where) for point in points], where, middle)
+    xyz = [[numbers(point, name, where) for point in points] for name in ("LOCATION_VALUES", "VELOCITY_VALUES")]
+    orbit = Orbit.through(times, np.array(xyz[0]).reshape(-1, 3), np.array(xyz[1]).reshape(-1, 3), where)
+    part = "Sensor_Attitudes/Polynomial_Models/Q"
+    powers = [numbers(model, f"{part}{i}/COEFFICIENTS", where) for i in range(4)]
+    offset, scale = (number(model, f"Sensor_Attitudes/{name}", where) for name in ("OFFSET", "SCALE"))
+    quaternion = np.zeros((max(map(len, powers)), 4))
+    for i, row in enumerate(powers):
+        quaternion[: len(row), i] = row
+    path = QuaternionPath(orbit, offset - middle[1], scale, quaternion)
+    look = _line(model, where)
+    title = f"Pléiades, {text(model, 'UTC_Sensor_Model_Range/START', where)[:10]}"
+    return Reported(title, path, look, period, 0.5 + half / period, size, AGILE)
+
+
+def _line(model: Element, where: str) -> Look:
+    view = find(model, "Sensor_Viewing_Model", where)
+    first, last = (number(view, f"Position_In_Retina/{name}", where) for name in ("FIRST_COL", "LAST_COL"))
+    psi = [numbers(view, f"Viewing_Directions/{name}/COEFFICIENTS", where) for name in ("PsiX_Model", "PsiY_Model")]
+    degree = max(map(len, psi)) - 1
+    nodes = np.linspace(0.0, last - first, 2 if degree <= 1 else 2001)
+    x, y = (horner(c[:, None], nodes[:, None])[:, 0] for c in psi)
+    return Look.of(nodes + 0.5, -x, y, where)

@@ -1,0 +1,105 @@
+"""Control points of one image: read, brought to one CRS, and told of in the model's notes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import has_heights
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.types import FloatArray
+from geomosaic_pushbroom.model import PushbroomModel
+from geomosaic_pushbroom.read import known_keys, number, positive
+
+POINT = ("x", "y", "z", "col", "row")
+
+
+@dataclass(frozen=True)
+class Control:
+    """Control points of one image.
+
+    Attributes
+    ----------
+    names : tuple of str
+    xyz : array (N, 3)
+        In the CRS of the request.
+    colrow : array (N, 2)
+        Pixels.
+    sigmas : array (N,)
+        Pixels.
+    """
+
+    names: tuple[str, ...]
+    xyz: FloatArray
+    colrow: FloatArray
+    sigmas: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def read_points(points: Any, where: str) -> Control:
+    """Read the input 'points'.
+
+    Raises
+    ------
+    InputError
+        It is no list of tables, or a point lacks a coordinate; names the point.
+    """
+    if not isinstance(points, Iterable) or isinstance(points, str | Mapping) or not list(points):
+        raise InputError("'points' is not a list of control points", where=where, mend=f"each with {', '.join(POINT)}")
+    names, rows = [], []
+    for index, point in enumerate(points, 1):
+        if not isinstance(point, Mapping):
+            raise InputError(f"control point {index} is not a table", where=where, mend=f"give {', '.join(POINT)}")
+        known_keys(point, (*POINT, "id", "sigma"), f"{where}, control point {index}")
+        name = str(point.get("id", index))
+        missing = [key for key in POINT if point.get(key) is None]
+        if missing:
+            raise InputError(
+                f"control point {name} has no {', '.join(missing)}", where=where, mend=f"give {', '.join(POINT)}"
+            )
+        label = f"control point {name}, "
+        row = [number(point[key], label + key, where) for key in POINT]
+        rows.append([*row, positive(point.get("sigma", 1.0), f"{label}sigma", where)])
+        names.append(name)
+    table = np.array(rows)
+    return Control(tuple(names), table[:, :3], table[:, 3:5], table[:, 5])
+
+
+def need_crs(request: SensorRequest) -> CRS:
+    """The CRS of points and track.
+
+    Raises
+    ------
+    InputError
+        There is none, or its heights are undeclared.
+    """
+    if request.crs is None:
+        raise InputError(
+            "positions and control points have no CRS",
+            where=request.image,
+            mend="name one with a vertical datum, for example EPSG:32633 with heights = 'egm96'",
+        )
+    if not has_heights(request.crs):
+        raise InputError(
+            f"the heights of '{request.crs.name}' have no vertical datum",
+            where=request.image,
+            mend="declare the heights: 'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid",
+        )
+    crs: CRS = request.crs
+    return crs
+
+
+def with_result(model: PushbroomModel, residuals: FloatArray, control: Control) -> PushbroomModel:
+    """Model with a note on its control points."""
+    length = np.hypot(residuals[:, 0], residuals[:, 1])
+    worst = int(np.nanargmax(length))
+    rms = float(np.sqrt(np.nanmean(length**2)))
+    note = f"{len(control)} control points: RMS {rms:.2f} px, worst {length[worst]:.2f} px at {control.names[worst]}"
+    return replace(model, notes=(*model.notes, note))

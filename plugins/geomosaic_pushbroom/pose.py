@@ -1,0 +1,116 @@
+"""Position and axes of a scanner at many times, and small rotations of its axes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from geomosaic.types import FloatArray
+
+
+class Pose(NamedTuple):
+    """Where a scanner is and how it is turned, for N times.
+
+    Attributes
+    ----------
+    position : array (N, 3)
+        Geocentric metres.
+    axes : array (N, 3, 3)
+        Rows are the scanner's own axes x, y, z in geocentric components. z points away from the ground.
+    """
+
+    position: FloatArray
+    axes: FloatArray
+
+
+def components(axes: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Components (N, 3) of geocentric vectors (N, 3) along axes (N, 3, 3).
+
+    Written out instead of a matrix product: BLAS may round a point differently from one array length to the next.
+    """
+    return np.stack([_dot(axes[:, i], vectors) for i in range(3)], axis=1)
+
+
+def combined(axes: FloatArray, parts: FloatArray) -> FloatArray:
+    """Geocentric vectors (N, 3) of components (N, 3) along axes (N, 3, 3)."""
+    vectors: FloatArray = parts[:, :1] * axes[:, 0] + parts[:, 1:2] * axes[:, 1] + parts[:, 2:] * axes[:, 2]
+    return vectors
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    product: FloatArray = a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
+    return product
+
+
+def turned(axes: FloatArray, pitch: FloatArray, roll: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Turn axes (N, 3, 3) by the SPOT attitude angles (N,), radians.
+
+    A look direction u in the turned axes is Mp·Mr·My·u in the axes given, with (SPOT Geometry Handbook, CNES, 2002)
+
+             1    0     0            cr   0  −sr            cy −sy   0
+        Mp = 0   cp    sp       Mr =  0   1    0       My = sy  cy   0
+             0  −sp    cp            sr   0   cr             0   0   1
+
+    so the rows of the turned axes are those of (Mp·Mr·My)ᵀ times the axes.
+    """
+    x, y, z = axes[:, 0], axes[:, 1], axes[:, 2]
+    c, s = np.cos(pitch)[:, None], np.sin(pitch)[:, None]
+    y, z = c * y - s * z, s * y + c * z
+    c, s = np.cos(roll)[:, None], np.sin(roll)[:, None]
+    x, z = c * x + s * z, c * z - s * x
+    c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    x, y = c * x + s * y, c * y - s * x
+    return np.stack([x, y, z], axis=1)
+
+
+def unit(vectors: FloatArray) -> FloatArray:
+    """Vectors (N, 3) of length one."""
+    scaled: FloatArray = vectors / np.sqrt(_dot(vectors, vectors))[:, None]
+    return scaled
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross products (N, 3), by components."""
+    return np.stack(
+        [
+            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
+            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
+            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
+        ],
+        axis=1,
+    )
+
+
+def of_quaternions(q: FloatArray) -> FloatArray:
+    """Rotation matrices (N, 3, 3) of quaternions (N, 4), scalar first, brought to length one."""
+    w, x, y, z = (q / np.sqrt((q * q).sum(axis=1))[:, None]).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
+
+
+def quaternions_of(matrices: FloatArray) -> FloatArray:
+    """Quaternions (N, 4), scalar first, of rotation matrices (N, 3, 3); neighbours have the same sign.
+
+    Of the four forms the one with the largest divisor is taken (Shepperd, 1978).
+    """
+    m = np.asarray(matrices, dtype=np.float64)
+    trace = np.trace(m, axis1=1, axis2=2)
+    squares = 0.25 * np.column_stack([1 + trace, *(1 + 2 * m[:, i, i] - trace for i in range(3))])
+    w2, x2, y2, z2 = squares.T
+    wx, wy, wz = (0.25 * v for v in (m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]))
+    xy, xz, yz = (0.25 * v for v in (m[:, 0, 1] + m[:, 1, 0], m[:, 0, 2] + m[:, 2, 0], m[:, 1, 2] + m[:, 2, 1]))
+    forms = np.stack(
+        [np.stack(row, axis=1) for row in ((w2, wx, wy, wz), (wx, x2, xy, xz), (wy, xy, y2, yz), (wz, xz, yz, z2))],
+        axis=1,
+    )
+    best = np.argmax(squares, axis=1)
+    q: FloatArray = forms[np.arange(len(m)), best]
+    q = q / np.linalg.norm(q, axis=1)[:, None]
+    sign = np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+    q[1:] *= np.cumprod(sign)[:, None]
+    return q

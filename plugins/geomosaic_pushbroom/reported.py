@@ -1,0 +1,105 @@
+"""What a metadata file says of one scene, in one form for all formats, and times of day in seconds."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from datetime import date
+
+from geomosaic.errors import InputError
+from geomosaic.types import FloatArray
+from geomosaic_pushbroom.look import Look
+from geomosaic_pushbroom.paths import Path
+
+_TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d):(\d\d(?:\.\d*)?)Z?")
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Standard deviations of what the metadata says: what control points may change, and how far.
+
+    Attributes
+    ----------
+    angles : float
+        Degrees, of roll, pitch and yaw.
+    rates : float
+        Degrees per second.
+    position : float
+        Metres, each of across, along and up.
+    """
+
+    angles: float
+    rates: float
+    position: float
+
+
+GYROSCOPES = Quality(angles=0.03, rates=3e-4, position=30.0)
+"""SPOT 1 to 4: location without control within some 350 m RMS; angular speeds are integrated, so they drift."""
+STARS = Quality(angles=0.003, rates=3e-5, position=5.0)
+"""SPOT 5 with star tracker and DORIS: location without control within some 50 m RMS."""
+AGILE = Quality(angles=0.001, rates=3e-5, position=2.0)
+"""Pléiades: location without control within some 10 m."""
+
+
+@dataclass(frozen=True)
+class Reported:
+    """One scene as its metadata reports it; times count from the row `middle`.
+
+    Attributes
+    ----------
+    title : str
+        Mission, instrument and date.
+    path : Path
+    look : Look
+    period : float
+        Seconds per row.
+    middle : float
+        Row at t = 0.
+    size : tuple of int
+        Width and height of the whole scene in pixels.
+    quality : Quality
+    notes : tuple of str
+        What was assumed in reading.
+    """
+
+    title: str
+    path: Path
+    look: Look
+    period: float
+    middle: float
+    size: tuple[int, int]
+    quality: Quality
+    notes: tuple[str, ...] = ()
+
+
+def seconds(text: str, where: str, since: tuple[int, float] = (0, 0.0)) -> float:
+    """Seconds of a time 2005-03-13T05:18:28.000000 since (day, second), see `moment`."""
+    day, second = moment(text, where)
+    return (day - since[0]) * 86400.0 + (second - since[1])
+
+
+def moment(text: str, where: str) -> tuple[int, float]:
+    """Day number and second of the day (UTC), apart, so that microseconds are not lost.
+
+    Raises
+    ------
+    InputError
+        No such time.
+    """
+    found = _TIME.fullmatch(text.strip())
+    try:
+        if found is None:
+            raise ValueError
+        year, month, day, hour, minute = (int(found[i]) for i in range(1, 6))
+        return date(year, month, day).toordinal(), hour * 3600.0 + minute * 60.0 + float(found[6])
+    except ValueError:
+        raise InputError(
+            f"'{text[:40]}' is not a time like 2005-03-13T05:21:07.332158", where=where, mend="get the file again"
+        ) from None
+
+
+def since_times(texts: list[str], where: str, since: tuple[int, float]) -> FloatArray:
+    """Seconds (K,) of several times."""
+    import numpy as np
+
+    return np.array([seconds(text, where, since) for text in texts])
