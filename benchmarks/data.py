@@ -23,9 +23,10 @@ FORMAT = "4"
 def make(folder: Path, small: bool) -> None:
     """Make what is not there yet."""
     whole = folder / "made"
+    folder.mkdir(parents=True, exist_ok=True)
+    write_control(folder / "control.csv", scenes(small)["single"].camera)
     if whole.exists() and whole.read_text() == FORMAT:
         return
-    folder.mkdir(parents=True, exist_ok=True)
     write_dem(folder / "dem.tif")
     for scene in scenes(small).values():
         home = folder / scene.name
@@ -136,6 +137,21 @@ def write_map(path: Path) -> None:
     place = from_origin(left, top, RESOLUTION, RESOLUTION)
     with rasterio.open(path, "w", crs=CRS, transform=place, **shape, **TILED) as file:
         file.write(bands)
+
+
+def write_control(path: Path, camera: Camera, count: int = 200) -> None:
+    """Control points as of a scanned map that is bent by a cubic, measured to a third of a pixel."""
+    chance = np.random.default_rng(7)
+    size = np.array(camera.size, dtype=np.float64)
+    image = chance.uniform(0.005, 0.995, (count, 2))
+    image[:4] = [[0.005, 0.005], [0.995, 0.005], [0.005, 0.995], [0.995, 0.995]]
+    u, v = (image - 0.5).T
+    x = u + 0.02 * u * u - 0.03 * u * v + 0.02 * u**3
+    y = v + 0.015 * v * v + 0.02 * u * v - 0.02 * v**3
+    ground = np.column_stack([x, -y]) * RESOLUTION * size + CENTRE[:2] + chance.normal(0, RESOLUTION / 3, (count, 2))
+    rows = np.column_stack([ground, image * size]).tolist()
+    lines = [f"p{i},{','.join(f'{value:.4f}' for value in row)}" for i, row in enumerate(rows)]
+    path.write_text("\n".join(["id,x,y,col,row", *lines]) + "\n")
 
 
 def write_tables(folder: Path, scene: Scene) -> None:

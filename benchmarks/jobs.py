@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -188,6 +189,27 @@ def mosaic(s: Setting) -> Result:
     return result
 
 
+def georeference(s: Setting) -> Result:
+    """A large scan onto 200 control points: the same fit and kernel in GDAL's warper."""
+    out, other = s.work / "ours.tif", s.work / "warped.tif"
+    photo, table, script = s.photos("single")[0], str(s.data / "control.csv"), str(ROOT / "benchmarks" / "warped.py")
+    names = {"poly3": "polynomial of order 3", "tps": "thin plate spline"}
+    tools = []
+    for model, words in names.items():
+        command: Command = (
+            *s.programs.geomosaic, "georeference", photo, "--gcps", table, "--crs", CRS, "--model", model,
+            "--res", repr(RESOLUTION), *RAW, "--no-report", "-o", str(out),
+        )  # fmt: skip
+        tools.append(Tool(f"geomosaic {words}", (command,), (out,)))
+        warp = (s.python, script, photo, table, CRS, str(other), model, repr(RESOLUTION), str(os.cpu_count() or 1))
+        tools.append(Tool(f"GDAL {words}", (warp,), (other, s.work / "warped.tif.vrt")))
+    times = take(tools, s.rounds, s.work, tell)
+    result = Result("georeference", f"{shape(s.scene('single'))} RGB scan, 200 control points, bilinear", times)
+    for words in names.values():
+        result.at_least(f"{words}: times as fast as GDAL", times.ratio(f"GDAL {words}", f"geomosaic {words}"), 1.0)
+    return result
+
+
 def small(s: Setting) -> Result:
     """Jobs so small that starting is most of them."""
     out, other = s.work / "ours.tif", s.work / "warped.tif"
@@ -256,5 +278,6 @@ JOBS: dict[str, Callable[[Setting], Result]] = {
     "small": small,
     "ortho": ortho,
     "mosaic": mosaic,
+    "georeference": georeference,
     "memory": memory,
 }

@@ -467,6 +467,55 @@ def test_new_says_what_it_understood_and_what_it_needs(tell, block, tmp_path):
     assert "ground sampling 0.7" in out
 
 
+def test_new_tells_what_does_not_fit_together(tell, block, tmp_path):
+    file = tmp_path / "p.toml"
+    far = tmp_path / "far.csv"
+    lines = (block / "exterior.csv").read_text().splitlines()
+    head = lines[0].split(",")
+    rows = [dict(zip(head, line.split(","), strict=True)) for line in lines[1:]]
+    far.write_text("\n".join([lines[0], *(",".join({**row, "x": "700000"}[name] for name in head) for row in rows)]))
+    code, out, _ = tell("new", file, *photos(block), *flags(block, exterior=far))
+    assert code == 0
+    assert "does not fit together" in out
+    assert "mend that first" in out
+    assert "run it" not in out
+
+
+def test_new_marks_the_undeclared_datum_of_a_dem(tell, block, tmp_path):
+    file = tmp_path / "p.toml"
+    flat = tmp_path / "dem.tif"
+    with rasterio.open(block / "dem.tif") as dem:
+        profile, heights = {**dem.profile, "crs": "EPSG:32633"}, dem.read()
+    with rasterio.open(flat, "w", **profile) as copy:
+        copy.write(heights)
+    code, out, _ = tell("new", file, *photos(block), *flags(block, dem=flat))
+    assert code == 0
+    assert "needs the vertical datum of the DEM" in out
+    section = file.read_text().split("[dem]")[1].split("[control]")[0]
+    assert "NEEDED" in section
+
+
+def test_a_resolution_in_the_wrong_unit_is_told_as_such(tell, block, tmp_path):
+    code, _, err = tell(
+        "mosaic", *photos(block), *flags(block), "--dst-crs", "EPSG:4326", "--res", 0.7, "-o", tmp_path / "m.tif"
+    )
+    assert code == 1
+    assert "degree" in err
+    assert "larger than all the images show" in err
+
+
+def test_an_output_crs_far_from_its_area_is_told(tell, block, tmp_path):
+    code, _, err = tell(
+        "ortho", photos(block)[0], *flags(block), "--dst-crs", "EPSG:2180", "--res", 20, "-o", tmp_path / "o.tif"
+    )
+    assert code == 0
+    assert "far outside" not in err  # a neighbour of Poland
+    code, _, err = tell(
+        "ortho", photos(block)[0], *flags(block), "--dst-crs", "EPSG:32618", "--res", 20, "-o", tmp_path / "n.tif"
+    )
+    assert "note: the images lie far outside the area that WGS 84 / UTM zone 18N is made for" in err
+
+
 def test_status_and_only_what_is_stale(tell, own):
     code, out, _ = tell("status", own, "--json")
     assert code == 0

@@ -15,6 +15,7 @@ from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.local import enu_axes
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
+from geomosaic.sensor import state as state_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve.jacobian import difference_jacobian
 from geomosaic.testing import SensorModelTests, check_plugin
@@ -246,9 +247,9 @@ def test_closed_form_derivatives() -> None:
 def test_state_is_exact_and_keeps_the_crs() -> None:
     for changes in ({"sigmas": {"position": 0.05, "kappa": 0.0}}, {"treatment": "planar"}, {"camera": FISHEYE}):
         model = build(**changes)
-        text = json.dumps(registry.to_dict("frame", model), allow_nan=False)
-        back = registry.from_dict(json.loads(text))
-        assert json.dumps(registry.to_dict("frame", back), allow_nan=False) == text
+        text = json.dumps(state_of.to_dict("frame", model), allow_nan=False)
+        back = state_of.from_dict(json.loads(text))
+        assert json.dumps(state_of.to_dict("frame", back), allow_nan=False) == text
         ground = ground_of(model)
         assert np.array_equal(back.ground_to_image(ground), model.ground_to_image(ground))
         assert back.crs.to_wkt() == model.crs.to_wkt()

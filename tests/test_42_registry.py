@@ -15,6 +15,7 @@ from pyproj import CRS
 
 from geomosaic.errors import SensorError
 from geomosaic.sensor import registry
+from geomosaic.sensor import state as state_of
 from geomosaic.sensor.plugin import SensorRequest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -68,8 +69,8 @@ def test_third_party_plugin_is_listed_and_built(install: Install) -> None:
     assert "acme_kite" not in sys.modules
     model = registry.build("kite", SensorRequest("photo", (10, 10)))
     assert "acme_kite" in sys.modules
-    state = registry.to_dict("kite", model)
-    back = registry.from_dict(state)
+    state = state_of.to_dict("kite", model)
+    back = state_of.from_dict(state)
     point = np.array([model.seed])
     np.testing.assert_array_equal(back.ground_to_image(point), model.ground_to_image(point))
 
@@ -132,13 +133,13 @@ def test_unknown_sensor_suggests_and_lists() -> None:
     with pytest.raises(SensorError, match="no sensor named 'plannar'") as caught:
         registry.plugin("plannar")
     assert "did you mean 'planar'?" in str(caught.value)
-    assert "frame, planar" in str(caught.value)
+    assert all(name in str(caught.value) for name in ("frame", "planar"))
 
 
 def test_built_in_goes_through_the_same_door() -> None:
     request = SensorRequest("ortho", (100, 80), {"transform": Affine(2, 0, 5e5, 0, -2, 5e6)}, CRS.from_epsg(32633))
     model = registry.build("planar", request)
     assert type(model).__module__.split(".")[0] == "geomosaic_planar"
-    back = registry.from_dict(registry.to_dict("planar", model))
+    back = state_of.from_dict(state_of.to_dict("planar", model))
     point = np.array([[500_100.0, 4_999_950.0, 0.0]])
     np.testing.assert_allclose(back.ground_to_image(point), [[50.0, 25.0]], atol=1e-9)

@@ -24,7 +24,7 @@ from geomosaic.product.georeference.request import ControlInput, FitRequest, Pla
 from geomosaic.product.georeference.run import Georeferenced, georeference
 from geomosaic.product.options import RenderOptions
 from geomosaic.raster.vector import read_layer
-from geomosaic.sensor.registry import from_dict
+from geomosaic.sensor.state import from_dict
 
 CRS = "EPSG:32633"
 LEFT, TOP, RES = 611_000.0, 5_412_000.0, 2.0

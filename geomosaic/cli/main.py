@@ -24,7 +24,12 @@ COMMANDS: dict[str, str] = {
     "georeference": "Place one image on the map by control points.",
     "ortho": "Rectify one image.",
     "mosaic": "Make one mosaic from images.",
+    "edges": "Join photos with control at their edges, and mosaic them.",
+    "reproject": "Bring a georeferenced raster or vectors to another CRS.",
     "check": "Measure a map at check points.",
+    "fiducials": "Find the fiducial marks of scanned films.",
+    "contours": "Draw contours of a DEM.",
+    "sheet": "Make a map sheet: frame, grid, legend, vectors.",
     "sensors": "List sensors, or show the inputs of one.",
 }
 """Short help by command: `geomosaic --help` imports none of them."""

@@ -10,10 +10,26 @@ from geomosaic.cli.talk import say
 from geomosaic.cli.values import size
 
 MEGABYTE = 1 << 20
-SMALLEST = {"ortho": 90, "georeference": 180, "mosaic": 170, "run": 190, "demo": 450}
+SMALLEST = {
+    "ortho": 90,
+    "reproject": 90,
+    "georeference": 180,
+    "mosaic": 170,
+    "edges": 220,
+    "run": 190,
+    "demo": 450,
+}
 """Megabytes at the peak of the smallest work, one or two pictures of 100 pixels in one thread (demo: the sample), as
 measured. Nothing keeps a lower limit."""
-LEAST = {"ortho": 220, "georeference": 370, "mosaic": 330, "run": 460, "demo": 460}
+LEAST = {
+    "ortho": 220,
+    "reproject": 220,
+    "georeference": 370,
+    "mosaic": 330,
+    "edges": 340,
+    "run": 460,
+    "demo": 460,
+}
 """Megabytes that a command takes before it holds a pixel where all that it may need is loaded, as measured."""
 PER_THREAD = 40
 """Megabytes of one thread: the block it works on, as measured with 1, 2 and 4 threads."""

@@ -48,5 +48,11 @@ def command(
         write_project(draft, overwrite=overwrite)
     lines = [*draft.understood, *(f"needs {text}" for text in draft.needed)]
     following = "fill in what it needs" if draft.needed else f"run it: geomosaic run {project}"
+    if draft.misfit is not None:
+        lines.append(f"but it does not fit together: {draft.misfit}")
+        following = "mend that first"
     lines.append(f"{project} written; {following}")
-    answer({"project": str(project), "understood": draft.understood, "needed": draft.needed}, "\n".join(lines), as_json)
+    result = {
+        "project": str(project), "understood": draft.understood, "needed": draft.needed, "misfit": draft.misfit,
+    }  # fmt: skip
+    answer(result, "\n".join(lines), as_json)

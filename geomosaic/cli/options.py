@@ -56,7 +56,13 @@ band_option = click.option(
 image_options = stack(
     band_option,
     click.option("--sensor", help="Sensor of the images; see `geomosaic sensors`."),
-    click.option("--camera", type=FILE, help="Camera description (TOML)."),
+    click.option("--camera", type=FILE, help="Camera description, or calibration certificate (TOML)."),
+    click.option("--fiducials", type=FILE, help="Fiducials measured in scans of film: image, id, col, row."),
+    click.option(
+        "--corrections",
+        metavar="FILE",
+        help="Correction grid of image coordinates; {image} in the name takes each image's name.",
+    ),
     click.option("--exterior", type=FILE, help="Orientation table: image, x, y, z and angles."),
     click.option("--exterior-crs", "--crs", "crs", metavar="CRS", help="CRS of the positions, such as EPSG:32633."),
     click.option(

@@ -37,6 +37,7 @@ def accuracy_words(facts: Mapping[str, Any]) -> list[str]:
     lines = []
     orient, made, check = (facts.get(name) for name in ("orient", "mosaic", "check"))
     if orient:
+        lines += (orient.get("planar") or {}).get("summary", [])
         for role in ("control", "check"):
             value = orient[f"rms_{role}_px"]
             if value is not None:
@@ -46,6 +47,8 @@ def accuracy_words(facts: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"geometry: interpolated within {made['lattice_error_px']:.4f} px (tolerance {made['tolerance_px']:g} px)"
         )
+        if made.get("reused"):
+            lines.append(f"mosaic: {made['units'] - made['reused']} of {made['units']} units computed, the rest kept")
         if made["overlaps"] and made["balanced"]:
             before, after = rms(made["before"]), rms(made["after"])
             lines.append(colour_words(made["overlaps"], before, after))

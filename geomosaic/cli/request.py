@@ -11,22 +11,29 @@ from geomosaic.cli.talk import Progress
 
 if TYPE_CHECKING:
     from geomosaic.product.options import MosaicOptions, RenderOptions
-    from geomosaic.project.inputs import BlockInputs
+    from geomosaic.project.inputs import BlockInputs, PlanarInputs
     from geomosaic.project.make import Area
 
 
-def block_inputs(images: tuple[Path, ...], flags: Mapping[str, Any], control: Path | None = None) -> BlockInputs:
+def block_inputs(
+    images: tuple[Path, ...],
+    flags: Mapping[str, Any],
+    control: Path | None = None,
+    planar: PlanarInputs | None = None,
+) -> BlockInputs:
     """Make the description of a block."""
     from geomosaic.errors import InputError
     from geomosaic.project.inputs import BlockInputs
 
-    if flags["sensor"] is None and (flags["exterior"] or flags["camera"]):
-        raise InputError("--exterior or --camera is given without a sensor", mend="add --sensor frame")
+    if flags["sensor"] is None and (flags["exterior"] or flags["camera"] or flags["fiducials"]):
+        raise InputError("--exterior, --camera or --fiducials is given without a sensor", mend="add --sensor frame")
     return BlockInputs(
         images=images,
         sensor=flags["sensor"] or "planar",
         options={name: value(text) for name, text in flags["sensor_options"].items()},
         camera=flags["camera"],
+        corrections=flags["corrections"],
+        fiducials=flags["fiducials"],
         exterior=flags["exterior"],
         crs=flags["crs"],
         heights=flags["heights"],
@@ -39,7 +46,31 @@ def block_inputs(images: tuple[Path, ...], flags: Mapping[str, Any], control: Pa
         dem_heights=flags["dem_heights"],
         control=control,
         bands=flags["bands"],
+        planar=planar,
     )
+
+
+def planar_inputs(flags: Mapping[str, Any]) -> PlanarInputs | None:
+    """How photos are placed together by plane transformations; None where nothing asks for it."""
+    from geomosaic.errors import InputError
+    from geomosaic.project.inputs import PlanarInputs
+
+    own = [name for name in ("model", "ties", "gcps", "scale", "azimuth", "rectify") if flags[name] is not None]
+    if flags["kind"] is None:
+        if own:
+            raise InputError(
+                f"--{own[0]} is given without a kind of mosaic",
+                mend="add --kind uncontrolled, semicontrolled, controlled or grown",
+            )
+        return None
+    if flags["sensor"] not in (None, "planar"):
+        raise InputError(
+            f"--kind {flags['kind']} places photos without a rigorous model, and --sensor {flags['sensor']} names one",
+            mend="leave one of them out",
+        )
+    scale = 1.0 if flags["scale"] is None else flags["scale"]
+    azimuth = flags["azimuth"] or 0.0
+    return PlanarInputs(flags["kind"], flags["model"], flags["ties"], scale, azimuth, flags["rectify"])
 
 
 def value(text: str) -> Any:
@@ -77,5 +108,17 @@ def render_options(flags: Mapping[str, Any], progress: Progress | None) -> Rende
 def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> MosaicOptions:
     """Make the options of a mosaic."""
     from geomosaic.product.options import MosaicOptions
+    from geomosaic.project.make import reference_scene
 
-    return MosaicOptions(render_options(flags, progress), flags["feather"], flags["balance"], flags["labels"])
+    reference = flags["reference"]
+    return MosaicOptions(
+        render_options(flags, progress),
+        flags["feather"],
+        flags["balance"],
+        flags["labels"],
+        histogram=flags["histogram"],
+        master=flags["master"],
+        reference=None if reference is None else reference_scene(reference, flags["bands"]),
+        seams=flags["seams"],
+        cutlines=flags["cutlines"],
+    )

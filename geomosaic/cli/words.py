@@ -32,14 +32,16 @@ def ortho_facts(result: OrthoResult) -> dict[str, Any]:
         "lattice_error_px": result.lattice_error,
         "tolerance_px": result.tolerance,
         "image_pixels_per_output_pixel": finite(result.scale),
+        "notes": list(result.notes),
         "seconds": round(result.seconds, 3),
     }
 
 
 def ortho_words(result: OrthoResult) -> str:
-    """Say what was made, in two lines."""
+    """Say how the image was oriented, and what was made."""
     return "\n".join(
         [
+            *result.notes,
             f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen",
             f"geometry within {result.lattice_error:.4f} px of the exact model (tolerance {result.tolerance:g} px), "
             f"{result.seconds:.1f} s",

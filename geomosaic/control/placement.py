@@ -8,8 +8,8 @@ from pyproj import CRS
 from geomosaic.control.finding import Advice, listed, named
 from geomosaic.control.handed import swapped
 from geomosaic.control.points import ImageControl
-from geomosaic.geo.crs import geographic, horizontal
-from geomosaic.geo.transform import Transform
+from geomosaic.geo.area import Area, area_of_use, beyond, longitude_latitude
+from geomosaic.geo.crs import horizontal
 from geomosaic.types import BoolArray, FloatArray
 
 MARGIN = 1.0
@@ -19,32 +19,6 @@ ZONE = 12.0
 FOOT = 0.3048
 SMALLEST = 1e-4
 """Units of a projection; no photo has pixels as small on the ground."""
-Area = tuple[float, float, float, float]
-
-
-def area_of_use(crs: CRS) -> Area | None:
-    """Return west, south, east, north in degrees; a PROJ string is looked up among the known CRS."""
-    area = crs.area_of_use
-    if area is None and (code := crs.to_epsg()) is not None:
-        area = CRS.from_epsg(code).area_of_use
-    return None if area is None else (area.west, area.south, area.east, area.north)
-
-
-def longitude_latitude(xy: FloatArray, crs: CRS) -> FloatArray:
-    """Return degrees (N, 2) on the CRS's own datum; NaN where the projection has no such place."""
-    flat = horizontal(crs)
-    degrees = Transform(flat, horizontal(geographic(flat)))(xy)
-    degrees[np.abs(degrees[:, 1]) > 90.0] = np.nan
-    degrees[np.abs(degrees[:, 0]) > 360.0] = np.nan
-    return degrees
-
-
-def beyond(degrees: FloatArray, area: Area) -> FloatArray:
-    """Return by how many degrees places (N, 2) miss an area, in longitude and latitude; 0 inside, NaN nowhere."""
-    west, south, east, north = area
-    middle, half = (west + (east - west) % 360.0 / 2, (east - west) % 360.0 / 2) if east != west + 360 else (0.0, 180.0)
-    off = np.abs((degrees[:, 0] - middle + 180.0) % 360.0 - 180.0) - half
-    return np.maximum(np.column_stack([off, np.abs(degrees[:, 1] - (south + north) / 2) - (north - south) / 2]), 0.0)
 
 
 def _inside(xy: FloatArray, crs: CRS, area: Area) -> BoolArray:

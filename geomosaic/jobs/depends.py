@@ -10,7 +10,8 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.jobs.digest import digest_of
 from geomosaic.project.load import Project
 from geomosaic.raster.companions import companions
-from geomosaic.sensor.registry import installed
+from geomosaic.sensor.plugin import HasFiles
+from geomosaic.sensor.registry import installed, plugin
 
 
 def with_companions(
@@ -42,3 +43,14 @@ def plugin_versions(sensor: str) -> dict[str, str]:
         for entry in installed()
         if entry.name == sensor and entry.distribution != "geomosaic"
     }
+
+
+def sensor_files(sensor: str, images: Sequence[Path]) -> tuple[Path, ...]:
+    """Files beside the images that the sensor takes their models from; none where it cannot be loaded."""
+    try:
+        loaded = plugin(sensor)
+    except GeomosaicError:
+        return ()
+    if not isinstance(loaded, HasFiles):
+        return ()
+    return tuple(dict.fromkeys(file for image in images for file in loaded.files(image)))

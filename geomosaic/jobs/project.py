@@ -10,7 +10,7 @@ from typing import Any
 
 from geomosaic.errors import QualityError
 from geomosaic.jobs import engine
-from geomosaic.jobs.depends import plugin_versions, with_companions
+from geomosaic.jobs.depends import plugin_versions, sensor_files, with_companions
 from geomosaic.jobs.facts import read_json
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Job, Machine, Progress, State, Step
@@ -29,12 +29,17 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     images, said_of_images = with_companions(project, project.images, inputs.bands)
     ground, said_of_ground = with_companions(project, inputs.ground)
     reference, said_of_reference = with_companions(project, (against,) if against is not None else ())
-    tables = inputs.tables
+    like = project.file(settings.mosaic.reference)
+    master, said_of_master = with_companions(project, (like,) if like is not None else ())
+    cutlines = project.file(settings.mosaic.cutlines)
+    drawn = () if cutlines is None else (cutlines,)
+    tables = tuple(dict.fromkeys((*inputs.tables, *sensor_files(settings.sensor.name, project.images))))
     orientation: dict[str, Any] = {
         "sensor": settings.sensor.model_dump(mode="json"),
         "exterior": settings.exterior.model_dump(mode="json"),
         "dem": settings.dem.model_dump(mode="json") if settings.dem else None,
         "images": [path.name for path in project.images],
+        "planar": settings.planar.model_dump(mode="json") if settings.planar else None,
         "nodata": settings.project.nodata,
         "bands": settings.project.bands,
         **plugin_versions(settings.sensor.name),
@@ -42,9 +47,10 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         **said_of_ground,
     }
     place: dict[str, Any] = {"output": settings.output.model_dump(mode="json", exclude={"folder", "orthos"})}
-    blend: dict[str, Any] = {"mosaic": settings.mosaic.model_dump(mode="json")}
+    blend: dict[str, Any] = {"mosaic": settings.mosaic.model_dump(mode="json"), **said_of_master}
     wants_labels = (layout.labels,) if settings.mosaic.labels else ()
-    rasters = (layout.mosaic, *wants_labels, layout.vectors, layout.item)
+    nowhere = settings.planar is not None and settings.planar.kind == "uncontrolled"
+    rasters = (layout.mosaic, *wants_labels, layout.vectors, *(() if nowhere else (layout.item,)))
     every_ortho = layout.orthos if settings.output.orthos else ()
     oriented = (*layout.models, layout.facts("orient"))
 
@@ -60,8 +66,9 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             "mosaic",
             partial(mosaic, project, machine),
             {**orientation, **place, **blend},
-            (*images, *ground, *layout.models),
+            (*images, *ground, *master, *drawn, *layout.models),
             (*rasters, layout.facts("mosaic")),
+            version=2,
         ),
     ]
     if every_ortho:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomosaic.geo.grid import Grid
+from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.options import RenderOptions
-from geomosaic.product.photo import pull
+from geomosaic.product.photo import Photo, pull
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.radiometry.gain_offset import Balance, solve
@@ -15,6 +15,7 @@ from geomosaic.resample.engine import engine_for
 from geomosaic.resample.warp import Colour, value_range
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import BLOCK_HEIGHT, BLOCK_WIDTH
+from geomosaic.surface.model import Surface
 
 CELLS = 96
 """Cells across a footprint at which images are compared: coarse, so that small misfits of geometry do not count."""
@@ -30,37 +31,43 @@ def balance(photos: Photos, options: RenderOptions) -> Balance:
     low, high, whole = value_range(photos.info.dtype)
     windows = [grid.window_of(outline.bounds) for outline in photos.outlines]
     overlaps = Overlaps(windows, (low, high) if whole else None)
-    rendered = in_order(lambda i: _thumbnail(photos, i, grid, options), range(len(photos)), options.threads, ahead=1)
+    rendered = in_order(lambda i: _mean(photos, i, windows[i], grid), range(len(photos)), options.threads, ahead=1)
     for done, (index, piece) in enumerate(rendered):
         overlaps.add(index, piece)
         options.report(done + 1, len(photos), "balance")
     return solve(len(photos), photos.info.bands, overlaps.found)
 
 
-def comparison_grid(photos: Photos) -> Grid:
-    """Output grid coarsened until a footprint is about `CELLS` across."""
+def comparison_grid(photos: Photos, cells: int = CELLS) -> Grid:
+    """Output grid coarsened until a footprint is about so many cells across."""
     areas = [np.prod(np.ptp(outline.ring, axis=0)) for outline in photos.outlines]
-    cell = np.sqrt(float(np.median(areas))) / CELLS
+    cell = np.sqrt(float(np.median(areas))) / cells
     return photos.grid.coarser(max(1, round(cell / photos.grid.resolution[0])))
 
 
-def _thumbnail(photos: Photos, index: int, grid: Grid, options: RenderOptions) -> Thumbnail:
-    bands = photos.info.bands
-    window = grid.window_of(photos.outlines[index].bounds)
-    values = np.zeros((max(window.height, 0), max(window.width, 0), bands), dtype=np.float32)
+def _mean(photos: Photos, index: int, window: Window, grid: Grid) -> Thumbnail:
+    with photos.using(index) as photo:
+        return thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
+
+
+def thumbnail(
+    photo: Photo, surface: Surface | None, grid: Grid, window: Window, resampling: str, dtype: str
+) -> Thumbnail:
+    """Render one photo on a coarse grid: means of cells ('average'), or one pixel of each ('nearest')."""
+    bands = photo.source.info.bands
+    values = np.zeros((max(window.height, 0), max(window.width, 0), bands), dtype=dtype)
     valid = np.zeros(values.shape[:2], dtype=np.uint8)
     if window.empty:
         return Thumbnail(window, values, valid)
-    engine, colour = engine_for(4 * valid.size, "average"), Colour.identity(bands)
-    below = Ground.under(grid, photos.block.surface)
+    engine, colour = engine_for(4 * valid.size, resampling), Colour.identity(bands)
+    below = Ground.under(grid, surface)
     # The window itself is cut into blocks, not the grid: only the heights below the photo are read.
     for part in window.split(BLOCK_WIDTH, BLOCK_HEIGHT):
         ground = below.block(part)
         rows, cols = part.row - window.row, part.col - window.col
         here = slice(rows, rows + part.height), slice(cols, cols + part.width)
-        with photos.using(index) as photo:
-            pull(
-                engine, photo, grid, ground, "average", NEAR_ENOUGH, colour, values[here], valid[here],
-                most_samples=MOST_SAMPLES,
-            )  # fmt: skip
+        pull(
+            engine, photo, grid, ground, resampling, NEAR_ENOUGH, colour, values[here], valid[here],
+            most_samples=MOST_SAMPLES,
+        )  # fmt: skip
     return Thumbnail(window, values, valid)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.photo import pull
 from geomosaic.product.photos import Photos
+from geomosaic.radiometry.curve import Curve
 from geomosaic.raster.burn import burn
 from geomosaic.resample.engine import Engine
 from geomosaic.resample.warp import CELL, Colour, value_range
@@ -87,7 +89,7 @@ class Blender:
     grid: Grid
     below: Ground
     seams: Seams
-    colours: list[Colour]
+    colours: Sequence[Colour | Curve]
     engine: Engine
     resampling: str
     tolerance: float
@@ -182,23 +184,33 @@ class Blender:
         lattices: Lattices,
     ) -> None:
         shape, bands = valid.shape, values.shape[2]
+        needs = [share.need(shape) for share in shares]
+        mixed = (np.sum(needs, axis=0) > 1).astype(np.uint8)
+        seen = np.zeros(shape, dtype=np.uint8)
+        for share, need in zip(shares, needs, strict=True):
+            alone = need & ~mixed
+            if alone.any():
+                seen.fill(0)
+                self._pull(share.index, ground, values, seen, alone, lattices)
+                valid |= seen
+                label += seen * label.dtype.type(share.index + 1)
+        if not mixed.any():
+            return
         # Sums of numbers of 32 bits and more need more digits than those of photos.
         kind = np.float32 if values.dtype.itemsize < 4 or values.dtype == np.float32 else np.float64
-        total = np.zeros((*shape, bands), dtype=kind)
+        total, own = np.zeros((*shape, bands), dtype=kind), np.zeros((*shape, bands), dtype=kind)
         sums, best = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
-        own, seen = np.zeros((*shape, bands), dtype=kind), np.zeros(shape, dtype=np.uint8)
-        for share in shares:
-            assert share.weight is not None
-            need = share.need(shape)
-            if not need.any():
+        for share, need in zip(shares, needs, strict=True):
+            shared = need & mixed
+            if not shared.any():
                 continue
             seen.fill(0)  # and what the last image left in `own` counts no more
-            self._pull(share.index, ground, own, seen, need, lattices)
+            self._pull(share.index, ground, own, seen, shared, lattices)
             self.engine.accumulate(
-                own, seen, share.weight, share.factor, share.margin, share.index + 1, total, sums, best, label
+                own, seen, share.weight, share.factor, share.margin, share.index + 1, shared, total, sums, best, label
             )
         low, high, whole = value_range(str(values.dtype))
-        self.engine.finish(total, sums, low, high, whole, values, valid)
+        self.engine.finish(total, sums, mixed, low, high, whole, values, valid)
 
     def _fill(
         self,

@@ -21,7 +21,7 @@ def output_crs(scenes: tuple[Scene, ...], surface: Surface | None) -> CRS:
     """Map CRS of the output where none is given: the surface's or model's own, or the UTM zone it lies in."""
     model = scenes[0].model
     own = horizontal(model.crs if surface is None or not model.crs.is_geocentric else surface.crs)
-    if own.is_projected:
+    if own.is_projected or own.is_engineering:  # a map of its own, such as that of an uncontrolled mosaic
         return own
     lon, lat, _ = Transform(model.crs, geographic(model.crs))(np.array([model.seed]))[0]
     return utm_zone(float(lon), float(lat))
@@ -50,7 +50,12 @@ def nice(resolution: float) -> float:
 
 
 def output_grid(
-    crs: CRS, outlines: list[Footprint], resolution: float | None = None, bounds: Bounds | None = None
+    crs: CRS,
+    outlines: list[Footprint],
+    resolution: float | None = None,
+    bounds: Bounds | None = None,
+    *,
+    snap: bool = False,
 ) -> Grid:
     """Grid over all footprints, snapped to whole pixels.
 
@@ -63,6 +68,8 @@ def output_grid(
         Map units; the median ground sampling distance of the images unless given, rounded to two digits.
     bounds : tuple of float, optional
         Left, bottom, right, top in `crs`, kept as they are given.
+    snap : bool
+        Widen the bounds to whole pixels.
     """
     each = np.array([outline.bounds for outline in outlines])
     everything = (each[:, 0].min(), each[:, 1].min(), each[:, 2].max(), each[:, 3].max())
@@ -70,7 +77,7 @@ def output_grid(
         resolution = nice(float(np.median([outline.sampling for outline in outlines])))
     if bounds is None:
         return Grid.from_bounds(crs, everything, resolution)
-    grid = Grid.from_bounds(crs, bounds, resolution, snap=False)
+    grid = Grid.from_bounds(crs, bounds, resolution, snap=snap)
     a, b = everything, grid.bounds
     if not (a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]):
         raise InputError(

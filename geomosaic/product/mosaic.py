@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +23,8 @@ from geomosaic.product.ortho import GeometryRecord, samples, tiles
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.product.records import write_item, write_vectors
+from geomosaic.product.reuse import LOSSLESS, Reuse
+from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output
@@ -57,6 +61,8 @@ class MosaicResult:
         Image pixels per output pixel.
     seconds : dict
         Per stage.
+    reused, units : int
+        Units of work whose pixels came from an earlier run, and all of them.
     """
 
     path: Path
@@ -72,6 +78,8 @@ class MosaicResult:
     tolerance: float
     scale: float
     seconds: dict[str, float]
+    reused: int = 0
+    units: int = 0
 
 
 def beside(output: Path, what: str, suffix: str) -> Path:
@@ -103,7 +111,8 @@ def mosaic(
     render = options.render
     labels = beside(output, "-labels", ".tif") if options.labels else None
     vectors = beside(output, "", ".gpkg") if options.vectors else None
-    item = beside(output, "", ".stac.json") if options.stac else None
+    # A map of its own lies nowhere on the Earth, which a STAC item would have to say.
+    item = beside(output, "", ".stac.json") if options.stac and not grid.crs.is_engineering else None
     for path in (output, labels, vectors, item):
         if path is not None:  # before an hour's work, not behind it
             check_output(path, overwrite=render.overwrite)
@@ -111,23 +120,27 @@ def mosaic(
     seconds: dict[str, float] = {}
     photos = Photos(block, grid, outlines, render.memory_limit // 2)
     beside_it = ThreadPoolExecutor(1)
+    reuse: Reuse | None = None
     try:
         # What costs time to import gets it where a processor would idle.
         compiled = beside_it.submit(engine_for, 2 * samples(grid, outlines), render.resampling)
         with _Clock(seconds, "balance"):
-            solved = balance(photos, render) if options.balance else solve(len(photos), photos.info.bands, [])
+            solved = _balanced(photos, options)
+        colours = solved.curves or [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
         with _Clock(seconds, "seams"):
             shapes = [outline.polygon for outline in outlines]
-            shares = regions(shapes, [outline.centre for outline in outlines])
-        colours = [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
+            shares = _shares(photos, shapes, colours, options)
         seams = Seams(shares, shapes, feather / grid.resolution[0])
         ground, engine = Ground.under(grid, block.surface), compiled.result()
         blender = Blender(photos, grid, ground, seams, colours, engine, render.resampling, render.tolerance)
         if vectors is not None:
             beside_it.submit(prepare)
+        reuse = _reuse(blender, output, labels, options)
         with _Clock(seconds, "mosaic"):
-            seen, pixels, record = _render(blender, output, labels, options)
+            seen, pixels, record = _render(blender, output, labels, options, reuse)
     finally:
+        if reuse is not None:
+            reuse.close()
         photos.close()
         beside_it.shutdown(wait=False)
     with _Clock(seconds, "records"), ThreadPoolExecutor(1) as beside_it:
@@ -138,14 +151,52 @@ def mosaic(
             images = [Path(scene.path) for scene in block.scenes]
             sums = {output: checksum.result()}
             write_item(item, output, labels, vectors, grid, shapes, images, sums, overwrite=render.overwrite)
+        if reuse is not None and labels is not None:
+            reuse.save(output, labels)
     return MosaicResult(
         output, labels, vectors, item, grid, seen, pixels, solved, feather, record.error, render.tolerance,
-        record.scale, seconds,
+        record.scale, seconds, 0 if reuse is None else reuse.taken, len(tiles(grid, render.tile)),
     )  # fmt: skip
 
 
+def _balanced(photos: Photos, options: MosaicOptions) -> Balance:
+    """What is done to the values of each image."""
+    if options.histogram is not None:
+        from geomosaic.product.histogram import match_histograms
+
+        return match_histograms(photos, options.render, options.histogram, options.master, options.reference)
+    return balance(photos, options.render) if options.balance else solve(len(photos), photos.info.bands, [])
+
+
+def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve], options: MosaicOptions) -> list[Any]:
+    """Who shows what."""
+    if options.seams == "alike":
+        from geomosaic.product.seams import alike_regions
+
+        shares = alike_regions(photos, shapes, colours, options.render)
+    else:
+        shares = regions(shapes, [outline.centre for outline in photos.outlines])
+    if options.cutlines is None:
+        return shares
+    from geomosaic.product.cutlines import read_cutlines
+    from geomosaic.seam.cutlines import with_cutlines
+
+    names = [outline.name for outline in photos.outlines]
+    return with_cutlines(shares, read_cutlines(options.cutlines, names, photos.grid.crs))
+
+
+def _reuse(blender: Blender, output: Path, labels: Path | None, options: MosaicOptions) -> Reuse | None:
+    """Units of the earlier run, where it is known and its file holds what was computed."""
+    compression = options.render.creation.get("COMPRESS", "DEFLATE").upper()
+    if options.memory is None or labels is None or compression not in LOSSLESS:
+        return None
+    render = options.render
+    said = f"{render.resampling} {render.tolerance!r} {render.tile} {blender.seams.feather!r}"
+    return Reuse(options.memory, blender, output, labels, said)
+
+
 def _render(
-    blender: Blender, output: Path, labels: Path | None, options: MosaicOptions
+    blender: Blender, output: Path, labels: Path | None, options: MosaicOptions, reuse: Reuse | None
 ) -> tuple[int, list[int], GeometryRecord]:
     render, grid, info = options.render, blender.grid, blender.photos.info
     number = len(blender.photos)
@@ -153,6 +204,14 @@ def _render(
     units = tiles(grid, render.tile)
 
     def unit(window: Window) -> MosaicUnit:
+        key = "" if reuse is None else reuse.key(window)
+        before = None if reuse is None else reuse.unit(key, window)
+        made = before or computed(window)
+        if reuse is not None:
+            reuse.made(key, made.facts, taken=before is not None)
+        return made
+
+    def computed(window: Window) -> MosaicUnit:
         made = MosaicUnit.empty(window, info.bands, info.dtype, number)
         for block in blocks(window):
             blender.fill(block.intersection(grid.window), made)
@@ -186,6 +245,8 @@ def _render(
         if not counts[1:].any():
             raise InputError("no image shows anything of the output area", mend="check --bounds and the DEM's extent")
         render.report(0, 1, "writing")
+        if reuse is not None:
+            reuse.close()
         sink.finish()
         if label_sink is not None:
             label_sink.finish()

@@ -5,13 +5,21 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
 
+from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.resample.warp import RESAMPLING
 from geomosaic.sensor.lattice import BLOCK_WIDTH
 
+if TYPE_CHECKING:
+    from geomosaic.product.reuse import Memory
+
 Progress = Callable[[int, int, str], None]
 GIGABYTE = 1 << 30
+HISTOGRAMS = ("overlap", "whole")
+SEAMS = ("nearest", "alike")
 
 
 @dataclass(frozen=True)
@@ -86,6 +94,18 @@ class MosaicOptions:
         Write footprints and seamlines.
     stac : bool
         Write a STAC item.
+    histogram : str, optional
+        Match histograms instead: 'overlap' in sequence over what images share, 'whole' over all that they show.
+    master : str, optional
+        Name of the image that the others are matched to; unless given, the one that shares most.
+    reference : Scene, optional
+        Georeferenced raster that all images are matched to, instead of a master.
+    seams : str
+        'nearest' halfway between the places that images see best; 'alike' where neighbours look most alike.
+    cutlines : Path, optional
+        Vector file of shares that a person has drawn: they win.
+    memory : Memory, optional
+        Where what was computed is remembered, so that a later run takes what has not changed.
     """
 
     render: RenderOptions = field(default_factory=RenderOptions)
@@ -94,7 +114,21 @@ class MosaicOptions:
     labels: bool = True
     vectors: bool = True
     stac: bool = True
+    histogram: str | None = None
+    master: str | None = None
+    reference: Scene | None = None
+    seams: str = "nearest"
+    cutlines: Path | None = None
+    memory: Memory | None = None
 
     def __post_init__(self) -> None:
         if self.feather is not None and not self.feather >= 0:
             raise InputError(f"a feather of {self.feather} is not a width", mend="give map units, 0 or more")
+        if self.seams not in SEAMS:
+            raise InputError(f"no way to lay seams is named '{self.seams}'", mend=f"use {' or '.join(SEAMS)}")
+        if self.histogram not in (None, *HISTOGRAMS):
+            raise InputError(
+                f"histograms cannot be matched by '{self.histogram}'", mend=f"one of {', '.join(HISTOGRAMS)}"
+            )
+        if self.histogram is None and (self.master or self.reference):
+            raise InputError("a master is given, but histograms are not to be matched", mend="add --histogram overlap")

@@ -42,6 +42,8 @@ class OrthoResult:
     scale : float
         Image pixels per output pixel (median over blocks).
     seconds : float
+    notes : tuple of str
+        What the sensor says of the image: how it was oriented, what was assumed.
     """
 
     path: Path
@@ -51,6 +53,7 @@ class OrthoResult:
     tolerance: float
     scale: float
     seconds: float
+    notes: tuple[str, ...] = ()
 
 
 @dataclass
@@ -174,7 +177,9 @@ def ortho(
     finally:
         photo.source.close()
     record.judge(options.tolerance)
-    return OrthoResult(output, grid, seen, record.error, options.tolerance, record.scale, time.perf_counter() - started)
+    notes = tuple(getattr(scene.model, "notes", ()))
+    seconds = time.perf_counter() - started
+    return OrthoResult(output, grid, seen, record.error, options.tolerance, record.scale, seconds, notes)
 
 
 def samples(grid: Grid, outlines: list[Footprint]) -> int:

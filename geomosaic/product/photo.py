@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,9 +11,10 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
+from geomosaic.radiometry.curve import Curve
 from geomosaic.raster.source import Source
 from geomosaic.resample.engine import Engine
-from geomosaic.resample.warp import CELL, Colour, warp
+from geomosaic.resample.warp import CELL, Colour, value_range, warp
 from geomosaic.sensor.ground import BlockGround
 from geomosaic.sensor.lattice import Lattice, build
 from geomosaic.sensor.mapper import MapToImage
@@ -57,7 +59,7 @@ def pull(
     ground: BlockGround,
     resampling: str,
     tolerance: float,
-    colour: Colour,
+    colour: Colour | Curve,
     out: AnyArray,
     out_valid: ByteArray,
     need: ByteArray | None = None,
@@ -70,6 +72,15 @@ def pull(
     """
     if ground.unknown:
         return []
+    if isinstance(colour, Curve):
+        plain, seen = np.zeros(out.shape, dtype=_unrounded(out)), np.zeros_like(out_valid)
+        same = Colour.identity(out.shape[2])
+        used = pull(
+            engine, photo, grid, ground, resampling, tolerance, same, plain, seen, need, most_samples, lattices
+        )  # fmt: skip
+        here = seen > 0
+        out[here], out_valid[here] = _rounded(colour(plain[here]), str(out.dtype)), 1
+        return used
     if lattices is None:
         lattices = build(photo.mapper, grid, ground, tolerance)
     patch = ground.patch if photo.mapper.uses_heights else None
@@ -90,3 +101,13 @@ def pull(
             wanted, most_samples,
         )  # fmt: skip
     return lattices
+
+
+def _unrounded(out: AnyArray) -> type[np.floating[Any]]:
+    """Type of values that a curve has yet to bend: one rounding is enough."""
+    return np.float32 if out.dtype.itemsize < 4 or out.dtype == np.float32 else np.float64
+
+
+def _rounded(values: AnyArray, dtype: str) -> AnyArray:
+    low, high, whole = value_range(dtype)
+    return np.clip(np.floor(values + 0.5), low, high) if whole else values

@@ -17,11 +17,15 @@ from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.project.camera import read_camera
+from geomosaic.project.corrections import read_corrections
 from geomosaic.project.exterior import RECONSTRUCTIONS, Exterior
+from geomosaic.project.fiducials import read_fiducials
 from geomosaic.project.frames import DATUMS
 from geomosaic.project.ground import OF_POSITIONS, build_surface, height_below, undeclared_positions
 from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.names import corrections_file
 from geomosaic.project.photos import Photo, photos_of
+from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.model import HasRays
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build as build_model
@@ -31,6 +35,8 @@ from geomosaic.surface.model import Surface
 if TYPE_CHECKING:
     from geomosaic.sensor.model import SensorModel
 
+POINTS = "points"
+"""Input of a sensor that can be placed by control points alone."""
 GROUND = "ground_height"
 """Input of a sensor that is told how high the ground lies, where the user does not say it."""
 
@@ -43,18 +49,23 @@ def build_block(inputs: BlockInputs) -> Block:
     InputError
         Something is missing or wrong; names the file, line or option.
     """
+    if inputs.planar is not None:
+        from geomosaic.project.planar import build_planar
+
+        return build_planar(inputs, inputs.planar)[0]
     photos, crs = photos_of(inputs)
     if crs is not None and not has_heights(crs) and any(photo.exterior for photo in photos):
         raise undeclared_positions(inputs, crs, photos)
     surface = build_surface(inputs, crs, photos)
     control = _control(inputs, photos, crs)
     camera = read_camera(inputs.camera) if inputs.camera else None
+    marks = read_fiducials(inputs.fiducials, [photo.name for photo in photos]) if inputs.fiducials else {}
     scenes = tuple(
         Scene(
             photo.name,
             str(photo.path),
             inputs.sensor,
-            _model(inputs, photo, crs, camera, control, surface),
+            _corrected(inputs, photo, _model(inputs, photo, crs, camera, marks.get(photo.name), control, surface)),
             inputs.nodata,
             inputs.bands,
         )
@@ -63,17 +74,28 @@ def build_block(inputs: BlockInputs) -> Block:
     return Block(scenes, surface, control, crs)
 
 
+def _corrected(inputs: BlockInputs, photo: Photo, model: SensorModel) -> SensorModel:
+    """Put the correction grid behind a model, where one is given."""
+    if inputs.corrections is None:
+        return model
+    grid = read_corrections(corrections_file(inputs.corrections, photo.name))
+    return Corrected.of(model, grid, inputs.sensor)
+
+
 def _model(
     inputs: BlockInputs,
     photo: Photo,
     crs: CRS | None,
     camera: Mapping[str, Any] | None,
+    marks: Mapping[str, Any] | None,
     control: Sequence[ControlPoint],
     surface: Surface | None,
 ) -> SensorModel:
     options = dict(inputs.options)
     if camera is not None:
         options["camera"] = dict(camera)
+    if marks is not None:
+        options["fiducials"] = dict(marks)
     row = photo.exterior
     if inputs.angles in RECONSTRUCTIONS and inputs.exterior is not None:
         options["orientation"] = {"system": inputs.angles, "reconstruction": str(inputs.exterior.resolve())}
@@ -81,8 +103,13 @@ def _model(
         options.update(_of_table(inputs, row))
     if inputs.sensor == "planar":
         crs = _planar(options, photo, crs, control)
+    elif _refines(inputs):
+        points = _points(photo, control)
+        options.update({"points": points} if points else {})
+    elif row is None and "orientation" not in options:
+        options.update(_from_control(inputs, photo, control, options))
     try:
-        request = SensorRequest(photo.name, photo.info.size, options, crs, str(inputs.base))
+        request = SensorRequest(photo.name, photo.info.size, options, crs, str(inputs.base), str(photo.path))
         return _on_ground(inputs.sensor, request, surface, row.position if row else None)
     except InputError as error:
         if error.where == photo.name and inputs.exterior is not None:
@@ -142,11 +169,10 @@ def _planar(options: dict[str, Any], photo: Photo, crs: CRS | None, control: Seq
     """Complete the inputs of a planar model: from control points in the image, else from its own georeference."""
     if {"transform", "geotransform", "points", "coefficients"} & set(options):
         return crs or photo.info.crs
-    points = [point for point in control if point.image == photo.name and point.role == "control"]
+    points = _points(photo, control)
     if points:
-        options["points"] = [
-            {"x": p.xyz[0], "y": p.xyz[1], "col": p.colrow[0], "row": p.colrow[1], "sigma": p.sigma_px} for p in points
-        ]
+        keys = ("x", "y", "col", "row", "sigma")
+        options["points"] = [{key: point[key] for key in keys} for point in points]
         return crs
     own = photo.info.transform
     if own is None:
@@ -159,6 +185,36 @@ def _planar(options: dict[str, Any], photo: Photo, crs: CRS | None, control: Seq
         raise InputError("the image has a geotransform but no CRS", where=str(photo.path), mend="give --exterior-crs")
     options["transform"] = [own.a, own.b, own.c, own.d, own.e, own.f]
     return photo.info.crs or crs
+
+
+def _refines(inputs: BlockInputs) -> bool:
+    """Whether the sensor is told to refine itself, takes points for that, and was given none of its own."""
+    known = {entry.name for entry in plugin(inputs.sensor).inputs}
+    asked = inputs.options.get("refine", "none") != "none" and "points" not in inputs.options
+    return asked and {"refine", "points"} <= known
+
+
+def _points(photo: Photo, control: Sequence[ControlPoint]) -> list[dict[str, Any]]:
+    """Control points of an image as an input of its sensor; check points stay out."""
+    return [
+        {
+            "id": point.id, "x": point.xyz[0], "y": point.xyz[1], "z": point.xyz[2],
+            "col": point.colrow[0], "row": point.colrow[1], "sigma": point.sigma_px,
+        }
+        for point in control
+        if point.image == photo.name and point.role == "control"
+    ]  # fmt: skip
+
+
+def _from_control(
+    inputs: BlockInputs, photo: Photo, control: Sequence[ControlPoint], options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Control points in place of an orientation, for a sensor that can be placed by them."""
+    known = {entry.name for entry in plugin(inputs.sensor).inputs}
+    if POINTS not in known or "refine" in known or POINTS in options:
+        return {}
+    points = [{key: value for key, value in point.items() if key != "id"} for point in _points(photo, control)]
+    return {POINTS: points} if points else {}
 
 
 def _control(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS | None) -> tuple[ControlPoint, ...]:

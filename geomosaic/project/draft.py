@@ -21,19 +21,20 @@ from geomosaic.project.exterior import (
 )
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.names import stem
-from geomosaic.project.needs import HEIGHTS, needs
+from geomosaic.project.needs import HEIGHTS, needs, undeclared_heights
 from geomosaic.project.tables import read_table
 from geomosaic.project.understood import understood
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A project file, what was understood and what it still needs."""
+    """A project file, what was understood, what it still needs, and what speaks against the whole."""
 
     path: Path
     text: str
     understood: list[str]
     needed: list[str]
+    misfit: str | None
 
 
 def draft_project(path: Path, inputs: BlockInputs, angles: str | None) -> Draft:
@@ -60,7 +61,8 @@ def draft_project(path: Path, inputs: BlockInputs, angles: str | None) -> Draft:
         inputs = replace(inputs, angles=read or inputs.angles)
     needed = needs(inputs)
     text = _text(path, inputs, read is not None)
-    return Draft(path, text, _understood(inputs, read), needed)
+    lines, misfit = understood(inputs)
+    return Draft(path, text, [*lines, *_angles(inputs, read)], needed, misfit)
 
 
 def write_project(draft: Draft, *, overwrite: bool = False) -> None:
@@ -82,15 +84,15 @@ def _system(table: Path) -> str | None:
     return fitting[0] if fitting else "opk"
 
 
-def _understood(inputs: BlockInputs, read: str | None) -> list[str]:
-    lines = understood(inputs)
+def _angles(inputs: BlockInputs, read: str | None) -> list[str]:
+    """Say what angle system was read off the table, and what it could be taken for."""
+    if read is None:
+        return []
     if read in RECONSTRUCTIONS:
-        lines.append(f"angle system: {read}, by the name of OpenDroneMap's reconstruction.topocentric.json")
-    elif read is not None:
-        others = [name for name, columns in SYSTEMS.items() if name != read and {*columns} == {*SYSTEMS[read]}]
-        doubt = f"; the columns would also fit {', '.join(others)}: say --angles if so" if others else ""
-        lines.append(f"angle system: {read}, from the columns of the table{doubt}")
-    return lines
+        return [f"angle system: {read}, by the name of OpenDroneMap's reconstruction.topocentric.json"]
+    others = [name for name, columns in SYSTEMS.items() if name != read and {*columns} == {*SYSTEMS[read]}]
+    doubt = f"; the columns would also fit {', '.join(others)}: say --angles if so" if others else ""
+    return [f"angle system: {read}, from the columns of the table{doubt}"]
 
 
 def _text(path: Path, inputs: BlockInputs, read: bool) -> str:
@@ -117,6 +119,10 @@ def _text(path: Path, inputs: BlockInputs, read: bool) -> str:
         lines.append(f"camera = {near(inputs.camera)}")
     elif inputs.sensor == "frame" and not reconstruction:
         lines.append('# camera = "camera.toml"    # NEEDED')
+    if inputs.corrections is not None:
+        lines.append(f"corrections = {near(Path(inputs.corrections))}")
+    if inputs.fiducials is not None:
+        lines.append(f"fiducials = {near(inputs.fiducials)}")
     lines += [f"{key} = {_value(value)}" for key, value in inputs.options.items()]
     lines += ["", "[exterior]"]
     if inputs.exterior is not None:
@@ -162,6 +168,10 @@ def _text(path: Path, inputs: BlockInputs, read: bool) -> str:
         "",
         "[mosaic]",
         "balance = true               # gain and offset per image, solved over the overlaps",
+        '# histogram = "overlap"      # match histograms instead: overlap or whole',
+        '# master = "photo_07.tif"    # image they are matched to; or: reference = "ortho.tif"',
+        '# seams = "alike"            # seams where neighbours look most alike; "nearest" unless given',
+        '# cutlines = "mine.gpkg"     # shares drawn by hand: they win',
         "# feather = 10.0             # width of seams in map units; 32 pixels unless given",
         "",
         "[quality]                    # exit code 3 where one fails",
@@ -184,7 +194,9 @@ def _ground(inputs: BlockInputs, near: Any, folder: Path) -> list[str]:
     if inputs.dem_heights:
         lines.append(f"heights = {_string(_datum(inputs.dem_heights, folder))}    # overrides what the file says")
     else:
-        lines.append('# heights = "egm96"    # vertical datum, where the file does not say it')
+        said = inputs.height is None and not undeclared_heights(inputs.dem)
+        mark = "overrides what the file says" if said else f"NEEDED: {HEIGHTS}"
+        lines.append(f'# heights = "egm96"    # vertical datum; {mark}')
     return lines
 
 

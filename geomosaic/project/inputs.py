@@ -7,6 +7,36 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from geomosaic.project.names import corrections_file
+
+
+@dataclass(frozen=True)
+class PlanarInputs:
+    """How photos of flat ground are placed together, without a rigorous model.
+
+    Attributes
+    ----------
+    kind : str
+        'uncontrolled', 'semicontrolled', 'controlled' or 'grown'.
+    model : str, optional
+        'conformal', 'affine' or 'projective'; what the kind usually has unless given.
+    ties : Path, optional
+        Tie points.
+    scale : float
+        Map units per pixel of the photo that an uncontrolled mosaic starts with.
+    azimuth : float
+        Direction of its top in degrees, clockwise from the map's north.
+    rectify : str, optional
+        'singly' or 'together', for controlled mosaics; unless given singly where each photo has enough control.
+    """
+
+    kind: str
+    model: str | None = None
+    ties: Path | None = None
+    scale: float = 1.0
+    azimuth: float = 0.0
+    rectify: str | None = None
+
 
 @dataclass(frozen=True)
 class BlockInputs:
@@ -23,6 +53,10 @@ class BlockInputs:
         Folder that relative file names in `options` start from.
     camera : Path, optional
         Camera description (TOML).
+    corrections : str, optional
+        File of a correction grid; '{image}' in it takes the name of each image, without it one serves all.
+    fiducials : Path, optional
+        Fiducial marks measured in the scans of films.
     exterior : Path, optional
         Orientation table.
     crs : str, optional
@@ -49,6 +83,8 @@ class BlockInputs:
         Value of missing pixels of the images, in place of what the files say.
     bands : tuple of int, optional
         Bands of the images to use, counted from 1, in this order; all but alpha unless given.
+    planar : PlanarInputs, optional
+        Where the photos are placed together by plane transformations.
     """
 
     images: tuple[Path, ...]
@@ -56,6 +92,8 @@ class BlockInputs:
     options: Mapping[str, Any] = field(default_factory=dict)
     base: Path = Path()
     camera: Path | None = None
+    corrections: str | None = None
+    fiducials: Path | None = None
     exterior: Path | None = None
     crs: str | None = None
     heights: str | None = None
@@ -69,11 +107,16 @@ class BlockInputs:
     control: Path | None = None
     nodata: float | None = None
     bands: tuple[int, ...] | None = None
+    planar: PlanarInputs | None = None
 
     @property
     def tables(self) -> tuple[Path, ...]:
         """Files that say how the images were taken."""
-        own = (self.camera, self.exterior, self.control, _grid(self.heights))
+        ties = self.planar.ties if self.planar else None
+        own = (self.camera, self.exterior, self.control, ties, _grid(self.heights))
+        grids = [corrections_file(self.corrections, image.name) for image in self.images] if self.corrections else []
+        return (*(path for path in own if path), *dict.fromkeys(grids), *_named_in(self.options, self.base))
+        own = (self.camera, self.fiducials, self.exterior, self.control, _grid(self.heights))
         return (*(path for path in own if path), *_named_in(self.options, self.base))
 
     @property

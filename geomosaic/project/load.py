@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.project.camera import read_toml
-from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.inputs import BlockInputs, PlanarInputs
 from geomosaic.project.schema import ProjectFile
 from geomosaic.project.tables import read_text
 from geomosaic.types import PathLike
@@ -71,6 +71,8 @@ class Project:
             options=s.sensor.options,
             base=self.folder,
             camera=self.file(s.sensor.camera),
+            corrections=str(self.folder / s.sensor.corrections) if s.sensor.corrections else None,
+            fiducials=self.file(s.sensor.fiducials),
             exterior=self.file(s.exterior.file),
             crs=s.exterior.crs,
             heights=_datum(self.folder, s.exterior.heights),
@@ -84,7 +86,16 @@ class Project:
             control=self.file(s.control.file) if s.control else None,
             nodata=s.project.nodata,
             bands=s.project.bands,
+            planar=self._planar,
         )
+
+    @property
+    def _planar(self) -> PlanarInputs | None:
+        """How photos are placed together by plane transformations, where they are."""
+        s = self.settings.planar
+        if s is None:
+            return None
+        return PlanarInputs(s.kind, s.model, self.file(s.ties), s.scale, s.azimuth, s.rectify)
 
 
 def _datum(folder: Path, heights: str | None) -> str | None:

@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
+import json
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from pyproj import CRS
 
 from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
-from geomosaic.errors import InputError, OutputExistsError
-from geomosaic.geo.crs import parse_map
+from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
+from geomosaic.geo.area import area_of_use, beyond, longitude_latitude
+from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.product.extent import check_size, footprints, output_crs, output_grid
 from geomosaic.project.build import build_block
-from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.inputs import BlockInputs, PlanarInputs
+from geomosaic.raster.info import inspect
 from geomosaic.surface.model import Surface
 
 if TYPE_CHECKING:
     from geomosaic.product.mosaic import MosaicResult
     from geomosaic.product.options import MosaicOptions, RenderOptions
     from geomosaic.product.ortho import OrthoResult
+
+FAR = 6.0
+"""Degrees beyond the area of use of the output CRS, a zone's width, that are told."""
 
 
 @dataclass(frozen=True)
@@ -37,21 +45,60 @@ class Area:
         Pixel size in its units.
     bounds : tuple of float, optional
         Left, bottom, right, top in it.
+    snap : bool
+        Widen the bounds to whole multiples of the pixel size; without bounds that is always done.
+    like : Path, optional
+        Raster whose CRS, pixels and extent the output takes; nothing else is given then.
     """
 
     crs: str | None = None
     resolution: float | None = None
     bounds: Bounds | None = None
+    snap: bool = False
+    like: Path | None = None
 
 
 def plan(scenes: Sequence[Scene], surface: Surface | None, area: Area) -> tuple[Grid, list[Footprint]]:
     """Outlines of the images and the grid of the output."""
     several = tuple(scenes)
+    if area.like is not None:
+        grid = grid_of(area.like)
+        return grid, footprints(several, surface, grid.crs)
     crs: CRS = parse_map(area.crs, "output CRS") if area.crs else output_crs(several, surface)
     outlines = footprints(several, surface, crs)
-    grid = output_grid(crs, outlines, area.resolution, area.bounds)
+    _judge(crs, outlines, area.resolution)
+    grid = output_grid(crs, outlines, area.resolution, area.bounds, snap=area.snap)
     check_size(grid)
     return grid, outlines
+
+
+def grid_of(path: Path) -> Grid:
+    """Grid of a georeferenced raster."""
+    info = inspect(path)
+    if info.crs is None or info.transform is None:
+        raise InputError("the raster is not georeferenced", where=str(path), mend="name one that is")
+    return Grid(horizontal(info.crs), info.transform, info.width, info.height)
+
+
+def _judge(crs: CRS, outlines: list[Footprint], resolution: float | None) -> None:
+    """Refuse a pixel size in a wrong unit; say so where the output CRS is made for another part of the earth."""
+    ring = np.vstack([outline.ring for outline in outlines])
+    wide, tall = np.ptp(ring, axis=0)
+    if resolution is not None and resolution > max(wide, tall):
+        unit = crs.axis_info[0].unit_name
+        raise InputError(
+            f"one pixel of {resolution:g} {unit} would be larger than all the images show, {wide:.3g} x {tall:.3g}",
+            mend=f"the resolution counts in units of the output CRS, {crs.name}: {unit}",
+        )
+    used = area_of_use(crs)
+    if used is not None and (beyond(longitude_latitude(ring, crs), used) > FAR).any():
+        west, south, east, north = used
+        warnings.warn(
+            f"the images lie far outside the area that {crs.name} is made for (longitude {west:g} to {east:g}, "
+            f"latitude {south:g} to {north:g}): lengths and areas are distorted there",
+            GeomosaicWarning,
+            stacklevel=3,
+        )
 
 
 def refuse_existing(path: Path, overwrite: bool, inputs: BlockInputs | None = None) -> None:
@@ -77,6 +124,11 @@ def make_ortho(inputs: BlockInputs, area: Area, output: Path, options: RenderOpt
     return ortho(block.scenes[0], block.surface, grid, outlines[0], output, options)
 
 
+def reference_scene(path: Path, bands: Sequence[int] | None) -> Scene:
+    """Open a georeferenced raster as a scene, to match histograms to."""
+    return build_block(BlockInputs((path,), "planar", bands=None if bands is None else tuple(bands))).scenes[0]
+
+
 def make_mosaic(inputs: BlockInputs, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
     """Make a mosaic of all images of `inputs`."""
     from geomosaic.product.mosaic import beside, mosaic
@@ -87,3 +139,35 @@ def make_mosaic(inputs: BlockInputs, area: Area, output: Path, options: MosaicOp
     block = build_block(inputs)
     grid, outlines = plan(block.scenes, block.surface, area)
     return mosaic(block, grid, outlines, output, options)
+
+
+def make_planar_mosaic(
+    inputs: BlockInputs, wanted: PlanarInputs, area: Area, output: Path, options: MosaicOptions
+) -> tuple[MosaicResult, dict[str, Any], Path]:
+    """Place photos of flat ground together and make their mosaic.
+
+    Returns
+    -------
+    result : MosaicResult
+    facts : dict
+        How the photos were placed, see `planar_facts`.
+    path : Path
+        Where the facts were written, beside the mosaic.
+    """
+    from geomosaic.product.check import check_control
+    from geomosaic.product.mosaic import beside, mosaic
+    from geomosaic.project.atomic import write_atomic
+    from geomosaic.project.planar import build_planar
+    from geomosaic.project.planar_facts import control_facts
+
+    facts_path = beside(output, "-placement", ".json")
+    named = (("-labels", ".tif", options.labels), ("", ".gpkg", options.vectors), ("", ".stac.json", options.stac))
+    companions = (beside(output, mark, suffix) for mark, suffix, wanted_too in named if wanted_too)
+    for file in (output, facts_path, *companions):
+        refuse_existing(file, options.render.overwrite, inputs)
+    block, placed = build_planar(inputs, wanted)
+    facts = {**placed, **control_facts(check_control(block))}
+    grid, outlines = plan(block.scenes, block.surface, area)
+    result = mosaic(block, grid, outlines, output, options)
+    write_atomic(facts_path, json.dumps(facts, indent=1) + "\n")
+    return result, facts, facts_path

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import TypeVar
 
 from geomosaic.errors import InputError, did_you_mean
@@ -19,6 +19,11 @@ def stem(name: str) -> str:
     last = PurePath(name.replace("\\", "/")).name
     base, dot, extension = last.rpartition(".")
     return base if dot and base and extension.isalnum() and not extension.isdigit() else last
+
+
+def corrections_file(pattern: str, image: str) -> Path:
+    """Correction grid of an image: '{image}' in a pattern takes its name, without folder and extension."""
+    return Path(pattern.replace("{image}", stem(image)))
 
 
 def find_by_name(rows: Mapping[str, Value], image: str) -> Value | None:

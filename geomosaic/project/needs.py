@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from geomosaic.errors import SensorError
 from geomosaic.geo.crs import has_heights
 from geomosaic.project.exterior import RECONSTRUCTION_SYSTEM, RECONSTRUCTIONS, undeclared_reconstruction
 from geomosaic.project.frames import named
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.raster.info import inspect
+from geomosaic.sensor.registry import plugin
 
 HEIGHTS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or the path of a geoid grid"
 
 
 def needs(inputs: BlockInputs) -> list[str]:
     """Say what a block still lacks, each with the key that takes it."""
-    found = []
+    found: list[str] = []
+    if inputs.planar is not None:
+        if inputs.planar.kind != "uncontrolled":
+            if inputs.control is None:
+                found.append("control points: [control] file, a table with id, x, y, image, col, row")
+            if inputs.crs is None:
+                found.append("the CRS of the control points: [exterior] crs, such as EPSG:32633")
+        if inputs.planar.ties is None and inputs.planar.kind != "controlled":
+            found.append("tie points: [planar] ties, a table with id, image, col, row")
+        return found
     if inputs.sensor == "planar":
         for path in inputs.images:
             if inspect(path).transform is None and inputs.control is None and not inputs.options:
@@ -24,12 +37,13 @@ def needs(inputs: BlockInputs) -> list[str]:
         return found
     undeclared = undeclared_reconstruction(inputs.exterior, inputs.angles)
     reconstruction = undeclared or inputs.angles in RECONSTRUCTIONS
-    framed = undeclared or inputs.angles == "opensfm"  # it says itself what it counts from
+    # What says itself what it counts from: OpenSfM's reconstructions, and scenes that carry their own model.
+    framed = undeclared or inputs.angles == "opensfm" or not _takes_positions(inputs)
     if undeclared:
         found.append(f"the angle system of the reconstruction: [exterior] angles: {RECONSTRUCTION_SYSTEM}")
     if inputs.sensor == "frame" and inputs.camera is None and not reconstruction:
         found.append("the camera: [sensor] camera, a TOML file (see `geomosaic sensors frame`)")
-    if inputs.sensor == "frame" and inputs.exterior is None:
+    if inputs.sensor == "frame" and inputs.exterior is None and inputs.control is None:
         found.append(
             "positions and angles of the photos: [exterior] file, a table with image, x, y, z, omega, phi, kappa"
         )
@@ -40,8 +54,23 @@ def needs(inputs: BlockInputs) -> list[str]:
         found.append(f"the vertical datum of the positions: [exterior] heights: {HEIGHTS}")
     if inputs.dem is None and inputs.height is None:
         found.append("the ground: [dem] file, or [dem] height in metres")
-    if inputs.dem is not None and inputs.dem_heights is None:
-        crs = inspect(inputs.dem).crs
-        if crs is None or not has_heights(crs):
-            found.append(f"the vertical datum of the DEM: [dem] heights: {HEIGHTS}")
+    if inputs.dem_heights is None and undeclared_heights(inputs.dem):
+        found.append(f"the vertical datum of the DEM: [dem] heights: {HEIGHTS}")
     return found
+
+
+def undeclared_heights(dem: Path | None) -> bool:
+    """Whether there is a DEM whose file does not say what its heights count from."""
+    crs = None if dem is None else inspect(dem).crs
+    return dem is not None and (crs is None or not has_heights(crs))
+
+
+def _takes_positions(inputs: BlockInputs) -> bool:
+    """Whether the CRS of positions or of control points is of any use."""
+    if inputs.exterior is not None or inputs.control is not None:
+        return True
+    try:
+        known = {entry.name for entry in plugin(inputs.sensor).inputs}
+    except SensorError:
+        return True
+    return "position" in known

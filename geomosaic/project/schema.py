@@ -38,12 +38,14 @@ class ProjectSection(Section):
 
 
 class SensorSection(BaseModel):
-    """[sensor]: name and camera file; every other key is an input of the plugin, which checks it."""
+    """[sensor]: name, camera, corrections and fiducials; every other key is an input of the plugin, which checks it."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
     name: str
     camera: FilePath | None = None
+    corrections: FilePath | None = None
+    fiducials: FilePath | None = None
 
     @property
     def options(self) -> dict[str, Any]:
@@ -83,6 +85,17 @@ class ControlSection(Section):
     file: FilePath
 
 
+class PlanarSection(Section):
+    """[planar]: photos of flat ground placed together by plane transformations."""
+
+    kind: Literal["uncontrolled", "semicontrolled", "controlled", "grown"]
+    model: Literal["conformal", "affine", "projective"] | None = None
+    ties: FilePath | None = None
+    scale: Positive = 1.0
+    azimuth: Finite = 0.0
+    rectify: Literal["singly", "together"] | None = None
+
+
 class OutputSection(Section):
     """[output]."""
 
@@ -103,7 +116,18 @@ class MosaicSection(Section):
 
     feather: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
     balance: bool = True
+    histogram: Literal["overlap", "whole"] | None = None
+    master: str | None = None
+    reference: FilePath | None = None
     labels: bool = True
+    seams: Literal["nearest", "alike"] = "nearest"
+    cutlines: FilePath | None = None
+
+    @model_validator(mode="after")
+    def _matched(self) -> MosaicSection:
+        if self.histogram is None and (self.master or self.reference):
+            raise ValueError('a master or reference is of use with histogram = "overlap" or "whole" only')
+        return self
 
 
 class QualitySection(Section):
@@ -131,6 +155,7 @@ class ProjectFile(Section):
     exterior: ExteriorSection = Field(default_factory=ExteriorSection)
     dem: DemSection | None = None
     control: ControlSection | None = None
+    planar: PlanarSection | None = None
     output: OutputSection = Field(default_factory=OutputSection)
     mosaic: MosaicSection = Field(default_factory=MosaicSection)
     quality: QualitySection = Field(default_factory=QualitySection)

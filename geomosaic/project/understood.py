@@ -19,9 +19,12 @@ from geomosaic.project.photos import Photo, photos_of
 from geomosaic.raster.info import inspect
 
 
-def understood(inputs: BlockInputs) -> list[str]:
-    """Describe images, positions, DEM and control points; where the block is complete, its place and sampling."""
-    lines = _images(inputs)
+def understood(inputs: BlockInputs) -> tuple[list[str], str | None]:
+    """Describe images, positions, DEM and control points; where the block is complete, its place and sampling.
+
+    Also what speaks against the whole, although nothing is missing.
+    """
+    lines = [*_images(inputs), f"sensor: {inputs.sensor}"]
     known = not undeclared_reconstruction(inputs.exterior, inputs.angles)
     if inputs.exterior is not None and inputs.crs is not None and known:
         photos, crs = photos_of(inputs)
@@ -38,9 +41,12 @@ def understood(inputs: BlockInputs) -> list[str]:
             f"control: {len(names['control'])} control and {len(names['check'])} check points, "
             f"{len(points)} measurements"
         )
-    if not needs(inputs):
-        lines += _block(inputs)
-    return lines
+    if needs(inputs):
+        return lines, None
+    try:
+        return [*lines, _block(inputs)], None
+    except GeomosaicError as error:
+        return lines, str(error)
 
 
 def _images(inputs: BlockInputs) -> list[str]:
@@ -91,17 +97,14 @@ def _dem(inputs: BlockInputs) -> str:
         dem.close()
 
 
-def _block(inputs: BlockInputs) -> list[str]:
-    """Place and sampling of the whole; a failure is news too."""
-    try:
-        block = build_block(inputs)
-        grid, outlines = plan(block.scenes, block.surface, Area())
-    except GeomosaicError as error:
-        return [f"but it does not fit together: {error}"]
+def _block(inputs: BlockInputs) -> str:
+    """Place and sampling of the whole."""
+    block = build_block(inputs)
+    grid, outlines = plan(block.scenes, block.surface, Area())
     left, bottom, right, top = grid.bounds
     unit = grid.crs.axis_info[0].unit_name
     sampling = np.median([outline.sampling for outline in outlines])
-    return [
+    return (
         f"together: {right - left:.6g} x {top - bottom:.6g} {unit} in {crs_name(grid.crs)}, "
         f"ground sampling {sampling:.3g} {unit}"
-    ]
+    )

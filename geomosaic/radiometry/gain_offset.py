@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.errors import SolveError
+from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.relation import Relation, relate
 from geomosaic.types import AnyArray, FloatArray
 
@@ -56,6 +57,8 @@ class Balance:
         Root mean square difference over all overlaps without and with the correction; NaN without overlaps.
     overlaps : int
         Pairs of images used.
+    curves : tuple of Curve, optional
+        Of the images, where histograms were matched: they are what is applied then.
     """
 
     gain: FloatArray
@@ -63,6 +66,7 @@ class Balance:
     before: FloatArray
     after: FloatArray
     overlaps: int
+    curves: tuple[Curve, ...] | None = None
 
 
 def solve(images: int, bands: int, overlaps: Sequence[Overlap]) -> Balance:

@@ -126,6 +126,56 @@ def _date() -> str:
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
 
 
+def append_layer(path: Path, frame: GeoDataFrame, name: str, driver: str) -> None:
+    """Write a layer to a file, behind the layers it has.
+
+    Raises
+    ------
+    OutputError
+        Writing failed.
+    """
+    import pyogrio
+    from pyogrio.errors import DataSourceError, FeatureError, GeometryError
+
+    # GeoJSON of today is in longitude and latitude only; the older form names another CRS.
+    options = {"RFC7946": "NO"} if driver == "GeoJSON" else {}
+    before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
+    try:
+        pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": _date()})
+        pyogrio.write_dataframe(
+            frame, path, layer=name, driver=driver, append=path.exists(), layer_options=options, use_arrow=False
+        )
+    except (DataSourceError, FeatureError, GeometryError, OSError) as error:
+        raise OutputError(
+            f"writing failed ({error})",
+            where=str(path),
+            mend="check the space on the disk and the rights of the folder",
+        ) from error
+    finally:
+        pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": before})
+
+
+def layer_names(path: PathLike) -> list[str]:
+    """Names of the layers of a vector file, in its order.
+
+    Raises
+    ------
+    InputError
+        The file is missing or no vector file.
+    """
+    import pyogrio
+    from pyogrio.errors import DataLayerError, DataSourceError
+
+    if not Path(path).exists():
+        raise InputError("the file does not exist", where=str(path), mend="check the path")
+    try:
+        return [str(name) for name in pyogrio.list_layers(path)[:, 0]]
+    except (DataSourceError, DataLayerError, IndexError) as error:
+        raise InputError(
+            f"this is not a vector file that can be read ({error})", where=str(path), mend="convert it to GeoPackage"
+        ) from error
+
+
 def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
     """Read a layer of a vector file (GeoPackage, GeoJSON, Shapefile, FlatGeobuf ...), the first by default.
 
@@ -138,14 +188,12 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
     import pyogrio
     from pyogrio.errors import DataLayerError, DataSourceError
 
-    if not Path(path).exists():
-        raise InputError("the file does not exist", where=str(path), mend="check the path")
+    names = layer_names(path)
+    if layer is not None and layer not in names:
+        raise InputError(
+            f"there is no layer '{layer}'", where=str(path), mend=f"the file has: {', '.join(names) or 'none'}"
+        )
     try:
-        names = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
-        if layer is not None and layer not in names:
-            raise InputError(
-                f"there is no layer '{layer}'", where=str(path), mend=f"the file has: {', '.join(names) or 'none'}"
-            )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of further layers: the first is what is documented
             frame = pyogrio.read_dataframe(path, layer=layer or names[0])

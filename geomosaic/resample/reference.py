@@ -269,6 +269,7 @@ def accumulate(
     factor: int,
     margin: int,
     index: int,
+    cells: AnyArray,
     total: AnyArray,
     sums: AnyArray,
     best: AnyArray,
@@ -282,7 +283,7 @@ def accumulate(
     fv, fu = (v[:, None] - j).astype(np.float32), (u[None, :] - i).astype(np.float32)
     top = weight[j, i] + (weight[j, i + 1] - weight[j, i]) * fu
     low = weight[j + 1, i] + (weight[j + 1, i + 1] - weight[j + 1, i]) * fu
-    w = np.where(valid > 0, top + (low - top) * fv, np.float32(0.0)).astype(np.float32)
+    w = np.where((valid > 0) & _pixels(cells, valid.shape), top + (low - top) * fv, np.float32(0.0)).astype(np.float32)
     seen = w > 0.0
     total[seen] += w[seen][:, None] * values[seen]
     sums[seen] += w[seen]
@@ -292,12 +293,24 @@ def accumulate(
 
 
 def finish(
-    total: AnyArray, sums: AnyArray, low: float, high: float, whole: bool, out: AnyArray, out_valid: AnyArray
+    total: AnyArray,
+    sums: AnyArray,
+    cells: AnyArray,
+    low: float,
+    high: float,
+    whole: bool,
+    out: AnyArray,
+    out_valid: AnyArray,
 ) -> None:
     """Divide by the sum of weights, round, and store; see `kernels.blend`."""
-    seen = sums > 0.0
+    seen = (sums > 0.0) & _pixels(cells, sums.shape)
     values = (total[seen] * (np.float32(1.0) / sums[seen])[:, None]).astype(np.float64)
     if whole:
         values = np.clip(np.floor(values + 0.5), low, high)
     out[seen] = values
     out_valid[seen] = 1
+
+
+def _pixels(cells: AnyArray, shape: tuple[int, int]) -> AnyArray:
+    """Whether each pixel lies in a wanted cell of 64 x 64."""
+    return np.kron(cells > 0, np.ones((64, 64), dtype=bool))[: shape[0], : shape[1]]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 from pyproj import CRS
 
@@ -37,6 +38,8 @@ class SensorRequest:
         3-D (or 2-D, for models without heights) CRS in which positions in `options` are given.
     base : str
         Folder that relative file names in `options` start from.
+    path : str, optional
+        The image's own file, for sensors that read what it carries or what lies beside it.
     """
 
     image: str
@@ -44,6 +47,7 @@ class SensorRequest:
     options: Mapping[str, Any] = field(default_factory=dict)
     crs: CRS | None = None
     base: str = "."
+    path: str | None = None
 
 
 class SensorPlugin(Protocol):
@@ -62,3 +66,11 @@ class SensorPlugin(Protocol):
         InputError
             An input is missing, unknown or out of range; it names the image and the input.
         """
+
+
+@runtime_checkable
+class HasFiles(Protocol):
+    """Optional power of a plugin: which files beside an image its model comes from, so that their change is noticed."""
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """Files that belong to the image by their names, as far as they are there."""

@@ -6,7 +6,6 @@ import difflib
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
 
 from geomosaic.errors import SensorError
 from geomosaic.sensor.model import SensorModel
@@ -75,13 +74,3 @@ def plugin(name: str) -> SensorPlugin:
 def build(name: str, request: SensorRequest) -> SensorModel:
     """Make the model of one image with the sensor `name`."""
     return plugin(name).build(request)
-
-
-def to_dict(name: str, model: SensorModel) -> dict[str, Any]:
-    """State of a model with the sensor's name, as JSON values."""
-    return {"sensor": name, "state": model.to_dict()}
-
-
-def from_dict(state: dict[str, Any]) -> SensorModel:
-    """Rebuild a model from `to_dict`."""
-    return plugin(state["sensor"]).model.from_dict(state["state"])

@@ -11,8 +11,17 @@ INPUTS = (
         "sensor_size [width, height] mm or pixel_size µm; principal_point [right, up] mm from the image's centre "
         "(default 0, 0); or focal_length_px and principal_point_px [col, row] from the outer corner of the upper-left "
         "pixel; distortion = {model = none | brown | opencv | fisheye, k1, ...; brown also takes convention = opencv | "
-        "photogrammetric}. An image in another resolution scales the camera",
+        "photogrammetric}. An image in another resolution scales the camera. For film the calibration certificate: "
+        "focal_length, principal_point_autocollimation, principal_point_symmetry [x, y] mm; fiducials = {mark = "
+        "[x, y]} mm, x right, y up; distortion = {model = none | radial | polynomial, ...}",
     ),
+    SensorInput("fiducials", "the marks measured in the scan of a film: {mark = [col, row]}", "px"),
+    SensorInput(
+        "interior",
+        "transformation from the scan to the film: conformal, affine or projective",
+        default="affine; conformal with two or three marks",
+    ),
+    SensorInput("mirrored", "true where the scan shows the film from its back", default="false"),
     SensorInput(
         "position", "projection centre [x, y, z]; x east before y north, z in the declared vertical datum", "CRS"
     ),
@@ -23,6 +32,13 @@ INPUTS = (
         "gimbal_pitch, gimbal_roll}; opensfm or odm {rotation, translation, reference} or {reconstruction = file}. "
         "frame = grid | local says whether angles refer to grid or true north",
         "angle_unit",
+    ),
+    SensorInput(
+        "points",
+        "three or more control points {x, y, z, col, row, sigma}, in place of position and orientation: the photo is "
+        "resected from them, with no initial values; sigma is that of the measurement, default 1. Three points may "
+        "allow several places: position, roughly, chooses the nearest",
+        "CRS, px",
     ),
     SensorInput("angle_unit", "unit of the angles: deg, gon or rad", default="deg"),
     SensorInput(
@@ -41,6 +57,16 @@ INPUTS = (
         "scale_correction",
         "true where heights of projection centres above ground were multiplied by the map's scale factor (linear "
         "alteration): undo it, about ground_height",
+        default="false",
+    ),
+    SensorInput(
+        "refraction",
+        "true corrects the refraction of the standard atmosphere, for a ground at ground_height",
+        default="false",
+    ),
+    SensorInput(
+        "curvature",
+        "true corrects the curvature of the Earth in the planar treatment, for a ground at ground_height",
         default="false",
     ),
     SensorInput(

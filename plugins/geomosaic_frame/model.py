@@ -5,12 +5,13 @@
 O is the nominal projection centre and A the rotation to east, north, up there (`LocalFrame`); c is the offset of the
 projection centre, M = R3(κ)·R2(φ)·R1(ω), and F = diag(1, −1, −1) turns image axes (x right, y up) into camera axes (x
 right, y down, z forward). With an ideal lens this is the collinearity equation with −f of the textbooks (Kraus,
-Photogrammetry, ch. 5). In the planar treatment A is the identity: map axes, as if the Earth were flat.
+Photogrammetry, ch. 5). In the planar treatment A is the identity: map axes, as if the Earth were flat. Where refraction
+or the Earth's curvature is corrected, A·(ground − O) − c is bent first (`bending.py`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -21,7 +22,8 @@ from geomosaic.geo.local import LocalFrame
 from geomosaic.geo.rotation import omega_phi_kappa, r1, r2, r3
 from geomosaic.sensor.parameters import Parameters
 from geomosaic.types import FloatArray
-from geomosaic_frame.camera import Camera
+from geomosaic_frame.bending import Bending, Columns
+from geomosaic_frame.inside import Inside, inside_from_dict
 from geomosaic_frame.orientation import FLIP
 
 NAMES = ("east", "north", "up", "omega", "phi", "kappa")
@@ -40,8 +42,8 @@ class FrameModel:
 
     Attributes
     ----------
-    camera : Camera
-        The inside, for this image's size.
+    camera : Inside
+        The inside, for this image's size: in pixels, or a film with its scan.
     frame : LocalFrame
         East, north, up at the nominal projection centre; or the map's axes (planar treatment).
     parameters : Parameters
@@ -51,13 +53,16 @@ class FrameModel:
         Ground point in `crs` near the middle of the image.
     notes : tuple of str
         What was assumed when the model was made.
+    bending : Bending
+        Refraction and, in the planar treatment, the Earth's curvature; none unless asked for.
     """
 
-    camera: Camera
+    camera: Inside
     frame: LocalFrame
     parameters: Parameters
     seed: tuple[float, float, float]
     notes: tuple[str, ...] = ()
+    bending: Bending = field(default_factory=Bending)
 
     @property
     def crs(self) -> CRS:
@@ -94,8 +99,9 @@ class FrameModel:
         """
         points = np.asarray(xyz, dtype=np.float64)
         x, y, z = (points[:, i] - self.centre[i] for i in range(3))
-        a, b, c = (t[0] * x + t[1] * y + t[2] * z for t in self._to_camera)
-        return a, b, c
+        if self.bending.none:
+            return _product(self._to_camera, x, y, z)
+        return _product(FLIP @ self.rotation, *self.bending.seen(*_product(self.frame.axes, x, y, z)))
 
     def ground_to_image(self, xyz: FloatArray) -> FloatArray:
         """Ground (N, 3) in `crs` to image (N, 2) in pixels; NaN behind the camera."""
@@ -103,7 +109,12 @@ class FrameModel:
 
     def rays(self, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Image (N, 2) to origins (N, 3) and unit directions (N, 3) towards the ground, in `crs`."""
-        directions: FloatArray = self.camera.directions(colrow) @ self._to_camera
+        seen = self.camera.directions(colrow)
+        if self.bending.none:
+            directions: FloatArray = seen @ self._to_camera
+        else:
+            directions = self.bending.true(seen @ (FLIP @ self.rotation)) @ self.frame.axes
+            directions /= np.linalg.norm(directions, axis=1)[:, None]
         return np.tile(self.centre, (len(directions), 1)), directions
 
     def jacobian(self, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -111,6 +122,8 @@ class FrameModel:
         points = np.asarray(xyz, dtype=np.float64)
         by_camera = self.camera.derivatives(*self._camera_axes(points))
         local = (points - self.centre) @ self.frame.axes.T
+        bent = np.eye(3) if self.bending.none else self.bending.slopes(*local.T)
+        seen = local if self.bending.none else np.column_stack(self.bending.seen(*local.T))
         omega, phi, kappa = np.radians(self.parameters.values[3:])
         turned = (
             self.rotation @ _TURN[0],
@@ -118,11 +131,12 @@ class FrameModel:
             _TURN[2] @ self.rotation,
         )
         out = np.empty((len(points), 2, 6))
-        out[:, :, :3] = -by_camera @ (FLIP @ self.rotation)
+        by_local = by_camera @ (FLIP @ self.rotation) @ bent
+        out[:, :, :3] = -by_local
         for i, matrix in enumerate(turned):
-            moved = local @ (FLIP @ matrix).T
+            moved = seen @ (FLIP @ matrix).T
             out[:, :, 3 + i] = np.einsum("nij,nj->ni", by_camera, moved) * (np.pi / 180.0)
-        return out, by_camera @ self._to_camera
+        return out, by_local @ self.frame.axes
 
     def with_values(self, values: FloatArray) -> Self:
         """Return the photo with other parameter values (6,)."""
@@ -142,6 +156,7 @@ class FrameModel:
             "units": list(p.units),
             "seed": list(self.seed),
             "notes": list(self.notes),
+            "bending": self.bending.to_dict(),
         }
 
     @classmethod
@@ -153,4 +168,11 @@ class FrameModel:
             NAMES, tuple(state["units"]), np.array(state["values"]), sigmas, np.array(state["steps"])
         )
         x, y, z = state["seed"]
-        return cls(Camera.from_dict(state["camera"]), frame, parameters, (x, y, z), tuple(state["notes"]))
+        bending = Bending.from_dict(state.get("bending", {}))
+        return cls(inside_from_dict(state["camera"]), frame, parameters, (x, y, z), tuple(state["notes"]), bending)
+
+
+def _product(matrix: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray) -> Columns:
+    """Multiply a matrix (3, 3) by columns (N,), one point the same alone and among others."""
+    a, b, c = (t[0] * x + t[1] * y + t[2] * z for t in matrix)
+    return a, b, c

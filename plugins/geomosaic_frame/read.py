@@ -103,3 +103,11 @@ def choice(value: Any, allowed: Iterable[str], key: str, where: str) -> str:
         hint = did_you_mean(str(value), names)
         raise InputError(f"{key} = {value!r} is not known", where=where, mend=f"{hint}choose from: {', '.join(names)}")
     return str(value)
+
+
+def flag(table: Mapping[str, Any], key: str, where: str) -> bool:
+    """True or false; false where not given."""
+    value = table.get(key)
+    if value is not None and not isinstance(value, bool):
+        raise InputError(f"{key} = {value!r} is neither true nor false", where=where)
+    return bool(value)

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from geomosaic.jobs.digest import digest_of, versions
 from geomosaic.jobs.facts import write_json
 from geomosaic.jobs.heard import heard
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Context, Machine
 from geomosaic.jobs.steps.restore import area_of, render_options, restore_block
+from geomosaic.product.reuse import Memory
+from geomosaic.project.draft import relative
 from geomosaic.project.frames import describe
 from geomosaic.project.load import Project
-from geomosaic.project.make import plan
+from geomosaic.project.make import plan, reference_scene
 
 
 def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
@@ -25,8 +28,18 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     with heard() as notes:
         block = restore_block(project)
         grid, outlines = plan(block.scenes, block.surface, area_of(project))
+        reference = project.file(wanted.reference)
         options = MosaicOptions(
-            render_options(project, machine, context.progress), wanted.feather, wanted.balance, wanted.labels
+            render_options(project, machine, context.progress),
+            wanted.feather,
+            wanted.balance,
+            wanted.labels,
+            histogram=wanted.histogram,
+            master=wanted.master,
+            reference=None if reference is None else reference_scene(reference, project.settings.project.bands),
+            seams=wanted.seams,
+            cutlines=project.file(wanted.cutlines),
+            memory=_memory(project, context),
         )
         result = make(block, grid, outlines, layout.mosaic, options)
     facts = {
@@ -42,8 +55,10 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         "tolerance_px": result.tolerance,
         "scale": result.scale,
         "resampling": project.settings.output.resampling,
+        "seams": wanted.seams,
         "feather": result.feather,
-        "balanced": wanted.balance,
+        "balanced": wanted.balance or wanted.histogram is not None,
+        "histogram": wanted.histogram,
         "overlaps": result.balance.overlaps,
         "before": result.balance.before,
         "after": result.balance.after,
@@ -61,10 +76,28 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             )
         ],
         "seconds": result.seconds,
+        "reused": result.reused,
+        "units": result.units,
         "warnings": notes,
     }
     write_json(layout.facts("mosaic"), facts)
     return {"pixels": result.valid_pixels, "lattice_error_px": result.lattice_error}
+
+
+def _memory(project: Project, context: Context) -> Memory:
+    """Remember units by the digests of their images, models and heights."""
+    layout, settings, digests = Layout(project), project.settings, context.digests
+    scenes = [f"{digests[image]} {digests[model]}" for image, model in zip(project.images, layout.models, strict=True)]
+    # Of all other files, those that only move seams or colours show in the seams and colours themselves.
+    elsewhere = {project.file(settings.mosaic.cutlines), project.file(settings.mosaic.reference)}
+    own = {*project.images, *layout.models, *elsewhere}
+    said = {
+        "files": {relative(path, project.folder): digest for path, digest in digests.items() if path not in own},
+        "dem": settings.dem.model_dump(mode="json") if settings.dem else None,
+        "project": settings.project.model_dump(mode="json", include={"bands", "nodata"}),
+        "versions": versions(),
+    }
+    return Memory(project.state / "mosaic-units.json", scenes, digest_of(said))
 
 
 def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:

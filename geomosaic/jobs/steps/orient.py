@@ -18,14 +18,14 @@ from geomosaic.project.exterior import SYSTEM_NAMES
 from geomosaic.project.frames import describe
 from geomosaic.project.load import Project
 from geomosaic.project.needs import needs
-from geomosaic.sensor.registry import to_dict
+from geomosaic.sensor.state import to_dict
 
 
 def orient(project: Project, context: Context) -> Mapping[str, Any]:
     """Write `models/<image>.json` and the facts of the orientation."""
     layout = Layout(project)
     with heard() as notes:
-        block = _block(project)
+        block, planar = _block(project)
         for done, (scene, path) in enumerate(zip(block.scenes, layout.models, strict=True)):
             write_json(path, {"image": scene.name, **to_dict(scene.sensor, scene.model)})
             context.progress(done + 1, len(block.scenes), "orient")
@@ -57,6 +57,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
                 "width": scene.model.size[0],
                 "height": scene.model.size[1],
                 "crs": scene.model.crs.name,
+                "notes": list(getattr(scene.model, "notes", ())),
             }
             for scene in block.scenes
         ],
@@ -64,16 +65,25 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
         "measured": {f"{p.id} {p.image}": list(p.colrow) for p in block.control},
         "rms_control_px": rms(residuals, "control"),
         "rms_check_px": rms(residuals, "check"),
+        "planar": planar,
         "warnings": notes,
     }
     write_json(layout.facts("orient"), facts)
     return {"images": len(block.scenes), "control": len(residuals)}
 
 
-def _block(project: Project) -> Block:
-    """Build the block; where that fails for want of something, say all that is wanting, not only the first."""
+def _block(project: Project) -> tuple[Block, dict[str, Any] | None]:
+    """Build the block, and say how plane transformations placed its photos where they did.
+
+    Where that fails for want of something, say all that is wanting, not only the first.
+    """
     try:
-        return build_block(project.inputs)
+        inputs = project.inputs
+        if inputs.planar is not None:
+            from geomosaic.project.planar import build_planar
+
+            return build_planar(inputs, inputs.planar)
+        return build_block(inputs), None
     except InputError as error:
         lacking = needs(project.inputs)
         if not lacking:

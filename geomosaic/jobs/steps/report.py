@@ -34,6 +34,7 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
     facts = {step: read_json(layout.facts(step)) for step in ("orient", "mosaic", "check")}
     roles = {
         inputs.camera: "camera",
+        inputs.fiducials: "fiducials",
         inputs.exterior: "orientations",
         inputs.dem: "DEM",
         inputs.control: "control points",

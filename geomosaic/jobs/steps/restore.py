@@ -12,7 +12,7 @@ from geomosaic.project.frames import named
 from geomosaic.project.ground import build_surface
 from geomosaic.project.load import Project
 from geomosaic.project.make import Area
-from geomosaic.sensor.registry import from_dict
+from geomosaic.sensor.state import from_dict
 
 
 def restore_block(project: Project) -> Block:

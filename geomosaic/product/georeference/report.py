@@ -26,7 +26,7 @@ from geomosaic.product.georeference.request import FitRequest, kind_order
 from geomosaic.product.georeference.solution import Solution
 from geomosaic.product.georeference.trial import SENSOR
 from geomosaic.product.ortho import OrthoResult
-from geomosaic.sensor.registry import to_dict
+from geomosaic.sensor.state import to_dict
 
 
 def report_facts(

@@ -142,7 +142,7 @@ def fit_crs(control: ImageControl, given: str | None, target: CRS | None) -> CRS
 
 
 def _zone_of(control: ImageControl) -> CRS:
-    from geomosaic.control.placement import longitude_latitude
+    from geomosaic.geo.area import longitude_latitude
 
     degrees = longitude_latitude(control.xy, control.crs)
     good = np.isfinite(degrees).all(axis=1)

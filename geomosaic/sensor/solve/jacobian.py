@@ -48,8 +48,10 @@ def difference_jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray
         change = model.with_values(high).ground_to_image(points) - model.with_values(low).ground_to_image(points)
         by_parameters[:, :, index] = change / (high[index] - low[index])
     by_ground = np.empty((len(points), 2, 3))
-    step = ground_step(model)
-    for axis in range(3):
+    across = ground_step(model)
+    # One pixel in height too where x and y are degrees: a metre is about 1e-5 of them.
+    upwards = across if model.crs.is_projected or model.crs.is_geocentric else 1e5 * across
+    for axis, step in enumerate((across, across, upwards)):
         above, below = points.copy(), points.copy()
         above[:, axis] += 0.5 * step
         below[:, axis] -= 0.5 * step

@@ -1,0 +1,1 @@
+"""Blocks of photos of flat ground, without a rigorous model: uncontrolled, semicontrolled and controlled mosaics."""

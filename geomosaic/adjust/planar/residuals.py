@@ -1,0 +1,101 @@
+"""Residuals of the measurements, their standard deviations, and the cofactors they follow from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+
+import numpy as np
+
+from geomosaic.adjust.planar.equations import GROUND
+from geomosaic.adjust.planar.kinds import by_parameters, by_photo
+from geomosaic.adjust.planar.normals import Normals
+from geomosaic.adjust.planar.problem import Problem
+from geomosaic.adjust.planar.transform import PlanarTransform
+from geomosaic.types import FloatArray, IntArray
+
+UNCONTROLLED = 1e-6
+"""A residual whose variance is a smaller part of its measurement's tells nothing of it."""
+
+
+def cofactor_blocks(problem: Problem, normals: Normals) -> dict[tuple[int, int], FloatArray]:
+    """Cofactors (P, P) of the parameters of every two photos that show a common point."""
+    photo, count = problem.views.photo, problem.count
+    near: dict[int, set[int]] = {i: {i} for i in range(len(problem.block.photos))}
+    for a, b in photo[problem.views.pairs]:
+        if a != GROUND and b != GROUND:
+            near[int(a)].add(int(b))
+            near[int(b)].add(int(a))
+
+    def columns(i: int) -> IntArray:
+        own: IntArray = problem.first[i] + np.arange(count)
+        return own
+
+    free = [i for i in near if not problem.held[i]]
+    found = normals.cofactors(
+        (columns(i), {(j, i): columns(j) for j in sorted(near[i]) if not problem.held[j]}) for i in free
+    )
+    zero = np.zeros((count, count))
+    return {(j, i): found.get((j, i), zero) for i in near for j in sorted(near[i])}
+
+
+def image_residuals(problem: Problem, values: FloatArray, points: FloatArray) -> FloatArray:
+    """Measured minus computed (col, row) (N, 2) in pixels at the adjusted points (M, 2), normalised ground."""
+    views = problem.views
+    computed = np.full((len(views.photo), 2), np.nan)
+    place = problem.frame.map(points[views.point])
+    for i, photo in enumerate(problem.block.photos):
+        own = np.flatnonzero(views.photo == i)
+        computed[own] = PlanarTransform(photo, problem.kind, problem.frame, values[i]).to_image(place[own])
+    left: FloatArray = views.colrow - computed
+    return left
+
+
+def standardised(
+    problem: Problem,
+    values: FloatArray,
+    at: FloatArray,
+    sigma: FloatArray,
+    cofactors: Mapping[tuple[int, int], FloatArray],
+    residuals: FloatArray,
+) -> FloatArray:
+    """Residuals (N, 2) over their a-priori standard deviations; NaN where these are next to nothing.
+
+    On the ground a view of weight w at a point of weights W deviates from the adjusted point by e, whose cofactors are
+    I/w − I/W − A·Q·Aᵀ, A the derivatives of e by all parameters.
+    """
+    views = problem.views
+    out = np.full_like(residuals, np.nan)
+    slopes, across = np.zeros((len(views.photo), 2, problem.count)), np.zeros((len(views.photo), 2, 2))
+    own = problem.of_views(values)
+    slopes[problem.in_photo] = by_parameters(problem.kind, own, at[problem.in_photo])
+    turn = np.array([1.0, -1.0]) / problem.half[views.photo[problem.in_photo], None]
+    across[problem.in_photo] = by_photo(problem.kind, own, at[problem.in_photo]) * turn[:, None, :]
+    starts = np.searchsorted(views.point, np.arange(len(views.ids) + 1))
+    for first, last in pairwise(starts):
+        if last - first < 2:
+            continue
+        seen = np.arange(first, last)
+        share, spread = _shares(sigma[seen])
+        photos = views.photo[seen]
+        inner = [k for k in range(len(seen)) if photos[k] != GROUND]
+        for k in inner:
+            by = [(float(m == k) - share[m]) * slopes[seen[m]] for m in inner]
+            known = np.zeros((2, 2))
+            for m, a in enumerate(inner):
+                for n, b in enumerate(inner):
+                    known += by[m] @ cofactors[int(photos[a]), int(photos[b])] @ by[n].T
+            ground = np.eye(2) * (sigma[seen[k]] ** 2 - spread) - known
+            to_pixels = np.linalg.inv(across[seen[k]])
+            variance = np.diag(to_pixels @ ground @ to_pixels.T)
+            enough = variance > UNCONTROLLED * views.sigma[seen[k]] ** 2
+            out[seen[k]] = np.where(enough, residuals[seen[k]] / np.sqrt(np.where(enough, variance, 1.0)), np.nan)
+    return out
+
+
+def _shares(sigma: FloatArray) -> tuple[FloatArray, float]:
+    """Share (V,) of each view in the adjusted point, and that point's variance; control of σ = 0 takes all."""
+    if (sigma == 0.0).any():
+        return (sigma == 0.0).astype(np.float64), 0.0
+    weight = 1.0 / sigma**2
+    return weight / weight.sum(), float(1.0 / weight.sum())

@@ -1,0 +1,120 @@
+"""Neatline, grid, graticule and the coordinates around them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from geomosaic.carto.draw.canvas import Canvas, text_size
+from geomosaic.carto.layout import GridPart
+from geomosaic.carto.lines import GridLine, MapGrid
+from geomosaic.carto.page import BAND, Page
+from geomosaic.carto.place import spread
+
+CROSS = 3.0
+"""Arm to arm of a grid cross, mm."""
+TICK = 2.0
+"""Length of a tick outside the neatline, mm; inside it is longer where there are no lines."""
+NEATLINE, BORDER = 0.3, 0.6
+
+
+def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None:
+    """Lines or crosses inside the neatline."""
+    if part.style == "lines":
+        paths = [page.to_page(piece) for line in grid.lines for piece in line.pieces]
+        canvas.lines(paths, "#ffffff", 2.2 * part.width, opacity=0.45)
+        canvas.lines(paths, part.color, part.width)
+    if part.style == "crosses":
+        at = page.to_page(grid.crossings)
+        arms = []
+        for axis in (0, 1):
+            step = [0.0, 0.0]
+            step[axis] = CROSS / 2
+            arms += list(at[:, None, :] + np.array([[-step[0], -step[1]], [step[0], step[1]]]))
+        canvas.lines(arms, "#ffffff", 3.0 * part.width, opacity=0.6)
+        canvas.lines(arms, part.color, 1.5 * part.width)
+    if part.style == "ticks":
+        inner = [_tick(page, side, x, y, -CROSS) for side, x, y in _ends(grid)]
+        canvas.lines(inner, "#ffffff", 3.0 * part.width, opacity=0.6)
+        canvas.lines(inner, part.color, 1.5 * part.width)
+
+
+def draw_edge(canvas: Canvas, page: Page) -> None:
+    """Neatline and border."""
+    canvas.rectangle(page.neatline, edge="#000000", width=NEATLINE)
+    canvas.rectangle(page.border, edge="#000000", width=BORDER)
+
+
+def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None, GridPart]]) -> None:
+    """Ticks outside the neatline and coordinates on all sides; each grid has a row of its own, the first the inner one.
+
+    A tick of the outer row reaches to its label where no label of the inner row is in its way.
+    """
+    for side in ("left", "bottom", "right", "top"):
+        axis = 0 if side in ("bottom", "top") else 1
+        taken: list[tuple[float, float]] = []
+        for row, (grid, part) in enumerate(grids):
+            if grid is None:
+                continue
+            marks = [(line, x, y) for line, s, x, y in _marks(grid) if s == side and line.axis == axis]
+            if not marks:
+                continue
+            along = [float(v) for v in page.to_page(np.array([place for _, *place in marks]))[:, axis]]
+            kept = _draw_row(canvas, page, side, [grid.label(line) for line, _, _ in marks], along, part, row)
+            blocked = [any(low - 0.5 < at < high + 0.5 for low, high in taken) for at in along]
+            long = BAND / 2 + TICK - 0.6 if row else TICK
+            ticks = [
+                _tick(page, side, x, y, TICK if stop else long) for (_, x, y), stop in zip(marks, blocked, strict=True)
+            ]
+            canvas.lines(ticks, part.color, max(part.width, 0.12))
+            taken += kept
+
+
+def _draw_row(
+    canvas: Canvas, page: Page, side: str, texts: Sequence[str], along: Sequence[float], part: GridPart, row: int
+) -> list[tuple[float, float]]:
+    """Write the labels of one side that fit beside each other; returns from where to where each reaches."""
+    if not part.labels:
+        return []
+    axis = 0 if side in ("bottom", "top") else 1
+    widths = [text_size(text, part.size)[0] for text in texts]
+    low, high = page.border[axis] + 1.0, page.border[axis + 2] - 1.0
+    aside = TICK + 0.9 + (BAND / 2 - 0.4 if row else 0.0)
+    kept = []
+    for i in spread(along, widths, 2.0):
+        first, last = along[i] - widths[i] / 2, along[i] + widths[i] / 2
+        if first >= low and last <= high:
+            x, y = _outside(page, side, along[i], aside)
+            canvas.centred(x, y, texts[i], part.size, angle=90.0 if axis else 0.0, color=part.color)
+            kept.append((first, last))
+    return kept
+
+
+def _marks(grid: MapGrid) -> list[tuple[GridLine, str, float, float]]:
+    return [(line, *end) for line in grid.lines for end in line.ends]
+
+
+def _ends(grid: MapGrid) -> list[tuple[str, float, float]]:
+    """Ends on the sides that their lines cross: x at bottom and top, y at left and right."""
+    return [
+        (side, x, y) for line, side, x, y in _marks(grid) if (side in ("bottom", "top")) == (line.axis == 0)
+    ]  # fmt: skip
+
+
+def _tick(page: Page, side: str, x: float, y: float, reach: float) -> list[tuple[float, float]]:
+    """From the neatline outwards by `reach` mm, inwards where negative."""
+    px, py = page.to_page(np.array([[x, y]]))[0]
+    dx = {"left": -reach, "right": reach}.get(side, 0.0)
+    dy = {"bottom": -reach, "top": reach}.get(side, 0.0)
+    return [(float(px), float(py)), (float(px) + dx, float(py) + dy)]
+
+
+def _outside(page: Page, side: str, along: float, aside: float) -> tuple[float, float]:
+    left, bottom, right, top = page.neatline
+    return {
+        "left": (left - aside, along),
+        "right": (right + aside, along),
+        "bottom": (along, bottom - aside),
+        "top": (along, top + aside),
+    }[side]

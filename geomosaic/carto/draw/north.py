@@ -1,0 +1,120 @@
+"""The arrows: grid north, true north by the meridian convergence, magnetic north where it is declared."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from geomosaic.carto.draw.canvas import Canvas
+from geomosaic.carto.layout import NorthPart
+from geomosaic.carto.nice import angle_text
+from geomosaic.types import FloatArray
+
+LENGTH = 17.0
+LEAST = 13.0
+"""Degrees: smaller angles between arrows are drawn as this, and said not to be to scale."""
+BLOCK = 31.0
+"""Height in mm of arrows and words."""
+
+
+def true_north(convergence: float) -> float:
+    """Direction of true north on the sheet: degrees clockwise from grid north, which points up the page."""
+    return -convergence
+
+
+def magnetic_north(declination: float, convergence: float) -> float:
+    """Direction of magnetic north on the sheet: degrees clockwise from grid north (the grid magnetic angle)."""
+    return declination - convergence
+
+
+def shown(angles: Sequence[float]) -> list[float]:
+    """Angles at which arrows are drawn so that all stand clear of grid north (0) and of each other.
+
+    Their order is kept; the one nearest to grid north on each side comes first, and the others make room.
+    """
+    drawn = [0.0] * len(angles)
+    for side in (1.0, -1.0):
+        last = 0.0
+        for i in sorted(range(len(angles)), key=lambda k: abs(angles[k])):
+            if angles[i] * side > 1e-4:
+                drawn[i] = side * max(abs(angles[i]), last + LEAST)
+                last = abs(drawn[i])
+    return drawn
+
+
+def north_words(convergence: float, part: NorthPart) -> list[str]:
+    """Lines below the arrows."""
+    if abs(convergence) < 0.5 / 3600:
+        lines = ["At the centre of the sheet grid north is true north (meridian convergence 0)."]
+    else:
+        amount, side = angle_text(abs(convergence)), "east" if convergence > 0 else "west"
+        lines = [f"At the centre of the sheet grid north is {amount} {side} of true north (meridian convergence)."]
+    if part.magnetic is not None:
+        side = "east" if part.magnetic >= 0 else "west"
+        text = f"Magnetic declination {angle_text(abs(part.magnetic), 1 / 60)} {side}"
+        text += f" ({part.magnetic_date})" if part.magnetic_date else ""
+        if part.annual_change is not None:
+            side = "east" if part.annual_change >= 0 else "west"
+            text += f", annual change {abs(part.annual_change) * 60:.1f}′ {side}"
+        lines.append(f"{text}.")
+    return lines
+
+
+def draw_north(canvas: Canvas, x: float, top: float, convergence: float, part: NorthPart) -> float:
+    """Draw the arrows about x, below `top`; returns the lower end. Lengths in mm."""
+    foot = np.array([x, top - 4.0 - LENGTH])
+    angles = _angles(convergence, part)
+    drawn = shown(angles)
+    arms = [("GN", 0.0, LENGTH)]
+    arms += [
+        (name, angle, LENGTH - 1.5) for name, angle in zip(("TN", "MN"), drawn, strict=False) if angle or name == "MN"
+    ]
+    for name, angle, length in arms:
+        up = direction(angle)
+        tip = foot + length * up
+        canvas.lines([np.array([foot, tip])], "#000000", 0.25 if name != "GN" else 0.35)
+        if name == "GN":
+            _head(canvas, tip, up)
+        elif name == "TN":
+            _star(canvas, tip)
+        else:
+            _half(canvas, tip, up, 1.0 if angle > 0 else -1.0)
+        at = tip + up * 2.6
+        label = "N" if name == "GN" and len(arms) == 1 else name
+        canvas.centred(float(at[0]), float(at[1]), label, 6.5, bold=name == "GN")
+    y = float(foot[1])
+    if any(abs(a - b) > 1e-9 for a, b in zip(angles, drawn, strict=True) if b):
+        y -= 2.4
+        canvas.centred(x, y, "(angles not to scale)", 5.0, italic=True)
+    return y - 1.5
+
+
+def _angles(convergence: float, part: NorthPart) -> list[float]:
+    more = [] if part.magnetic is None else [magnetic_north(part.magnetic, convergence)]
+    return [true_north(convergence), *more]
+
+
+def direction(angle: float) -> FloatArray:
+    """Unit vector on the page, degrees clockwise from up."""
+    a = math.radians(angle)
+    return np.array([math.sin(a), math.cos(a)])
+
+
+def _head(canvas: Canvas, tip: FloatArray, up: FloatArray) -> None:
+    side = np.array([up[1], -up[0]])
+    ring = [tip + 0.6 * up, tip - 2.8 * up + 1.1 * side, tip - 2.0 * up, tip - 2.8 * up - 1.1 * side]
+    canvas.area([np.array([*ring, ring[0]])], "#000000")
+
+
+def _half(canvas: Canvas, tip: FloatArray, up: FloatArray, sign: float) -> None:
+    side = sign * np.array([up[1], -up[0]])
+    ring = [tip + 0.4 * up, tip - 2.4 * up + 1.1 * side, tip - 1.8 * up]
+    canvas.area([np.array([*ring, ring[0]])], "#000000")
+
+
+def _star(canvas: Canvas, tip: FloatArray) -> None:
+    turns = np.radians(90.0 + 36.0 * np.arange(11))
+    radius = np.where(np.arange(11) % 2 == 0, 1.2, 0.5)
+    canvas.area([tip + np.column_stack([radius * np.cos(turns), radius * np.sin(turns)])], "#000000")

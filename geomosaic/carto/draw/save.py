@@ -1,0 +1,123 @@
+"""Sheets as files: PDF with its place on the map, PNG, and GeoTIFF cut at the neatline; whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from affine import Affine
+
+from geomosaic.carto.draw.canvas import Canvas
+from geomosaic.carto.draw.sheet import Pixels, SheetParts, draw_map, draw_sheet
+from geomosaic.carto.geopdf import add_georeference
+from geomosaic.carto.page import Page
+from geomosaic.errors import InputError, OutputError
+from geomosaic.geo.grid import Grid
+from geomosaic.raster.output import check_output, partial, remove, sync
+from geomosaic.raster.sink import RasterSink
+
+FORMATS = (".pdf", ".png", ".tif", ".tiff")
+MOST_PIXELS = 1 << 29
+"""Pixels of a PNG or GeoTIFF that is drawn at once: an A0 sheet at 450 dpi."""
+
+
+def check_format(path: Path) -> None:
+    """Refuse names that say no format.
+
+    Raises
+    ------
+    InputError
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise InputError(
+            f"sheets are not written as '{path.suffix}'", where=str(path), mend="end the name in .pdf, .png or .tif"
+        )
+
+
+def write_sheet(path: Path, parts: SheetParts, pixels: Pixels, dpi: int, *, overwrite: bool) -> list[str]:
+    """Draw and write; returns what had no room, in words.
+
+    Raises
+    ------
+    InputError, OutputExistsError, OutputError
+        An unknown format or one with too many pixels; the name is taken; writing failed.
+    """
+    check_format(path)
+    check_output(path, overwrite=overwrite)
+    suffix = path.suffix.lower()
+    page = parts.page
+    if suffix != ".pdf" and page.width * page.height * (dpi / 25.4) ** 2 > MOST_PIXELS:
+        raise InputError(
+            f"a sheet of {page.width:g} x {page.height:g} mm at {dpi} dpi has too many pixels",
+            where=str(path),
+            mend="lower --dpi, or write a PDF",
+        )
+    if suffix.startswith(".tif"):
+        return _geotiff(path, parts, pixels, dpi, overwrite=overwrite)
+    canvas, told = draw_sheet(parts, pixels)
+    if suffix == ".pdf":
+
+        def write(file: Path) -> None:
+            canvas.save_pdf(file, parts.layout.sheet.title or "Map sheet")
+            add_georeference(file, page)
+
+        _whole(path, write)
+    else:
+        _whole(path, lambda file: _png(file, canvas, dpi))
+    return told
+
+
+def _whole(path: Path, write: Callable[[Path], None]) -> None:
+    """Write under another name, then rename."""
+    unfinished: Path | None = None
+    try:
+        unfinished = partial(path)
+        write(unfinished)
+        sync(unfinished)
+        unfinished.replace(path)
+        sync(path.parent)
+    except OSError as error:
+        raise OutputError(
+            f"writing failed ({error.strerror or error})",
+            where=str(path),
+            mend="check the space on the disk and the rights of the folder",
+        ) from error
+    finally:
+        if unfinished is not None:
+            remove(unfinished)
+
+
+def _png(path: Path, canvas: Canvas, dpi: int) -> None:
+    from PIL import Image
+
+    with path.open("wb") as file:
+        Image.fromarray(canvas.pixels(dpi)).save(file, format="PNG", dpi=(dpi, dpi))
+
+
+def sheet_grid(page: Page, dpi: float) -> Grid:
+    """Pixels of the map at a print resolution: they start at the upper left corner of the neatline and cover it."""
+    step = 25.4 / dpi
+    left, bottom, right, top = page.neatline
+    width, height = (max(1, int(np.ceil(v / step - 1e-6))) for v in (right - left, top - bottom))
+    size = step / page.mm_per_unit
+    return Grid(page.crs, Affine(size, 0.0, page.bounds[0], 0.0, -size, page.bounds[3]), width, height)
+
+
+def _geotiff(path: Path, parts: SheetParts, pixels: Pixels, dpi: int, *, overwrite: bool) -> list[str]:
+    """Draw the map alone, with its vectors burned in, on pixels that fit the neatline."""
+    page = parts.page
+    grid = sheet_grid(page, dpi)
+    left, top = page.neatline[0], page.neatline[3]
+    area = (left, top - grid.height * 25.4 / dpi, left + grid.width * 25.4 / dpi, top)
+    canvas = Canvas(area)
+    told = draw_map(canvas, parts, pixels, area)
+    drawn = canvas.pixels(dpi)
+    if drawn.shape[:2] != grid.shape:
+        raise RuntimeError(f"{drawn.shape[:2]} pixels were drawn where {grid.shape} belong")
+    with RasterSink(path, grid, 3, "uint8", driver="GTiff", overwrite=overwrite, mask=False) as sink:
+        for window in grid.window.split(2048, 512):
+            rows, cols = slice(window.row, window.stop_row), slice(window.col, window.stop_col)
+            sink.write(window, np.ascontiguousarray(drawn[rows, cols]))
+        sink.finish()
+    return told

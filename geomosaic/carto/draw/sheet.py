@@ -1,0 +1,118 @@
+"""The whole sheet, from its parts as values to a canvas."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from geomosaic.carto.contours import Contour
+from geomosaic.carto.draw.canvas import Canvas
+from geomosaic.carto.draw.frame import draw_edge, draw_grid, draw_labels
+from geomosaic.carto.draw.margin import Entry, draw_head, draw_panel
+from geomosaic.carto.draw.names import draw_heights, draw_names, place_heights, place_names
+from geomosaic.carto.draw.symbols import draw_contours, draw_overlay, kinds_of
+from geomosaic.carto.layout import Layout
+from geomosaic.carto.lines import MapGrid
+from geomosaic.carto.notes import grid_words
+from geomosaic.carto.overlay import Overlay
+from geomosaic.carto.page import Box, Page
+from geomosaic.carto.place import Placer
+from geomosaic.carto.style import Line, Symbol
+from geomosaic.types import ByteArray
+
+Pixels = Callable[[Box], ByteArray]
+"""From a rectangle in mm on the page to the pixels (rows, cols, 4) that fill it."""
+
+
+@dataclass(frozen=True)
+class SheetParts:
+    """Everything that is on a sheet.
+
+    Attributes
+    ----------
+    page : Page
+    layout : Layout
+    grids : tuple of MapGrid or None
+        Map grid and graticule, None where not wanted.
+    layers : tuple of Overlay
+        Lowest first.
+    contours : tuple of Contour
+    interval : float
+        Of the contours in metres, 0 without.
+    blocks : tuple of (heading, lines)
+        Notes.
+    convergence : float
+        Degrees, at the centre.
+    """
+
+    page: Page
+    layout: Layout
+    grids: tuple[MapGrid | None, MapGrid | None]
+    layers: tuple[Overlay, ...]
+    contours: tuple[Contour, ...]
+    interval: float
+    blocks: tuple[tuple[str, list[str]], ...]
+    convergence: float
+
+
+def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> list[str]:
+    """Draw what is inside the neatline; returns what had no room, in words."""
+    page, layout = parts.page, parts.layout
+    told: list[str] = []
+    with canvas.clipped(area):
+        canvas.rectangle(area, fill=layout.map.background)
+        canvas.picture(pixels(area), area)
+        if parts.contours:
+            draw_contours(canvas, page, parts.contours, layout.contours)
+        for grid, part in zip(parts.grids, (layout.grid, layout.graticule), strict=True):
+            if grid is not None:
+                draw_grid(canvas, page, grid, part)
+        for layer in parts.layers:
+            draw_overlay(canvas, page, layer)
+        left, bottom, right, top = page.neatline
+        placer = Placer((left + 0.8, bottom + 0.8, right - 0.8, top - 0.8))
+        names, lost = place_names(page, parts.layers, placer)
+        if parts.contours and layout.contours.labels:
+            draw_heights(canvas, place_heights(page, parts.contours, layout.contours, placer), layout.contours)
+        draw_names(canvas, names)
+    if lost:
+        told.append(f"{lost} of {lost + len(names)} names have no room without touching others")
+    return told
+
+
+def draw_sheet(parts: SheetParts, pixels: Pixels) -> tuple[Canvas, list[str]]:
+    """Draw the whole page; returns it and what had no room, in words."""
+    page, layout = parts.page, parts.layout
+    canvas = Canvas((0.0, 0.0, page.width, page.height))
+    told = draw_map(canvas, parts, pixels, page.neatline)
+    draw_labels(canvas, page, ((parts.grids[0], layout.grid), (parts.grids[1], layout.graticule)))
+    draw_edge(canvas, page)
+    draw_head(canvas, page, layout)
+    entries = legend(parts) if layout.legend.show else []
+    told += draw_panel(canvas, page, layout, entries, parts.blocks, parts.convergence)
+    return canvas, told
+
+
+def legend(parts: SheetParts) -> list[Entry]:
+    """Entries in the order in which things lie, the uppermost first."""
+    entries: list[Entry] = []
+    for layer in reversed(parts.layers):
+        if len(layer.groups) > 1 and layer.title:
+            entries.append(Entry(layer.title))
+        for group in layer.groups:
+            text = layer.title if len(layer.groups) == 1 and not layer.style.rules else group.title
+            entries.append(Entry(text, group.symbol, frozenset(kinds_of(group.geometries))))
+    part = parts.layout.contours
+    line = frozenset({"line"})
+    if parts.contours:
+        shown: Sequence[tuple[bool, str, float]] = (
+            (True, f"Index contours, every {parts.interval * part.index:g} m", part.index_width),
+            (False, f"Contours, every {parts.interval:g} m", part.width),
+        )
+        for main, text, width in shown:
+            if any(c.index == main for c in parts.contours):
+                entries.append(Entry(text, Symbol(line=Line(part.color, width)), line))
+    for grid, looks in zip(parts.grids, (parts.layout.grid, parts.layout.graticule), strict=True):
+        if grid is not None:
+            entries.append(Entry(grid_words(grid), Symbol(line=Line(looks.color, max(looks.width, 0.15))), line))
+    return entries

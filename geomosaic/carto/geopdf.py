@@ -1,0 +1,70 @@
+"""A PDF told where its map lies: a viewport with a geospatial measure dictionary on its page.
+
+The dictionary is that of ISO 32000-2:2020, 12.9 and 12.10 (first in Adobe Supplement to ISO 32000, extension level 3):
+`GPTS` are the geographic positions of the neatline's corners, `LPTS` the same corners as parts of `BBox`. It is added
+as an incremental update: what was written stays as it is, and the page is written once more behind it.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from pyproj.enums import WktVersion
+
+from geomosaic.carto.page import Page
+from geomosaic.geo.area import longitude_latitude
+from geomosaic.geo.crs import horizontal
+
+_CORNERS = ((0, 0), (0, 1), (1, 1), (1, 0))
+
+
+def add_georeference(path: Path, page: Page) -> None:
+    """Append the viewport of a map to the PDF of its sheet, a file of one page with a plain cross-reference table.
+
+    Raises
+    ------
+    ValueError
+        The PDF is not of that kind.
+    """
+    data = path.read_bytes()
+    start = re.findall(rb"startxref\s+(\d+)\s+%%EOF\s*$", data)
+    trailer = re.search(rb"trailer\s*<<(.*?)>>\s*startxref", data, re.DOTALL)
+    pages = list(
+        re.finditer(rb"(?:^|\n)(\d+) 0 obj\s*<<((?:(?!endobj).)*?/Type /Page\b(?!s).*?)>>\s*endobj", data, re.DOTALL)
+    )
+    if not start or trailer is None or len(pages) != 1:
+        raise ValueError("not a plain PDF of one page")
+    number, body = int(pages[0][1]), pages[0][2]
+    update = b"%d 0 obj\n<<%s\n/VP [ %s ]\n>>\nendobj\n" % (number, body.rstrip(), viewport(page).encode("ascii"))
+    offset = len(data)
+    table = b"xref\n%d 1\n%010d 00000 n \n" % (number, offset)
+    kept = re.sub(rb"/Prev\s+\d+", b"", trailer[1]).strip()
+    end = b"trailer\n<< %s /Prev %s >>\nstartxref\n%d\n%%%%EOF\n" % (kept, start[0], offset + len(update))
+    path.write_bytes(data + update + table + end)
+
+
+def viewport(page: Page) -> str:
+    """Viewport dictionary of a map, in PDF's notation."""
+    points = [v * 72.0 / 25.4 for v in page.neatline]
+    left, bottom, right, top = page.bounds
+    xy = np.array([(left + u * (right - left), bottom + v * (top - bottom)) for u, v in _CORNERS])
+    places = longitude_latitude(xy, page.crs)
+    gpts = " ".join(f"{lat:.10f} {lon:.10f}" for lon, lat in places)
+    lpts = " ".join(f"{u} {v}" for u, v in _CORNERS)
+    flat = horizontal(page.crs)
+    code = flat.to_epsg(min_confidence=100)
+    wkt = flat.to_wkt(WktVersion.WKT1_ESRI)
+    system = f"/Type /PROJCS /WKT ({_string(wkt)})" + (f" /EPSG {code}" if code else "")
+    return (
+        f"<< /Type /Viewport /Name (Map) /BBox [ {' '.join(f'{v:.6f}' for v in points)} ] "
+        f"/Measure << /Type /Measure /Subtype /GEO /Bounds [ {lpts} ] /GPTS [ {gpts} ] /LPTS [ {lpts} ] "
+        f"/PDU [ /M /SQM /DEG ] /GCS << {system} >> >> >>"
+    )
+
+
+def _string(text: str) -> str:
+    """Escape a literal string; what is not ASCII becomes '?'."""
+    plain = text.encode("ascii", "replace").decode()
+    return re.sub(r"([\\()])", r"\\\1", plain)

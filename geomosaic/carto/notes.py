@@ -1,0 +1,112 @@
+"""What a sheet says of itself in words: grids, CRS and datum, accuracy, sources."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pyproj import CRS
+
+from geomosaic.carto.layout import Layout
+from geomosaic.carto.lines import MapGrid
+from geomosaic.carto.nice import angle_text, grouped
+from geomosaic.carto.page import Page
+from geomosaic.geo.crs import horizontal
+from geomosaic.geo.local import MapPlace
+
+PLOTTABLE_MM = 0.3
+"""What a point on a sheet may be off to count as accurate, mm on the paper."""
+
+
+def crs_title(crs: CRS) -> str:
+    """Name and code."""
+    code = horizontal(crs).to_authority(min_confidence=100)
+    name = horizontal(crs).name
+    operation = horizontal(crs).coordinate_operation
+    if name.lower() in ("unknown", "unnamed", "undefined") and operation is not None:
+        name = f"{operation.method_name} (custom)"
+    return f"{name} ({code[0]}:{code[1]})" if code else str(name)
+
+
+def crs_words(page: Page, place: MapPlace, heights: str | None) -> list[str]:
+    """Lines of the block on CRS and datum."""
+    flat = page.crs
+    unit = flat.axis_info[0].unit_name if flat.axis_info else "unit"
+    lines = [crs_title(flat)]
+    operation = flat.coordinate_operation
+    method = operation.method_name if operation is not None else ""
+    lines.append(f"{method}, {unit}" if method else unit)
+    if flat.datum is not None:
+        lines.append(f"Datum: {flat.datum.name}")
+    if flat.ellipsoid is not None:
+        lines.append(f"Ellipsoid: {flat.ellipsoid.name}")
+    lines.append(f"Point scale factor at the centre: {place.scale:.6f}")
+    if heights:
+        lines.append(f"Heights: {heights}")
+    return lines
+
+
+def grid_words(grid: MapGrid) -> str:
+    """One line of the legend on a grid."""
+    if grid.degrees:
+        step = angle_text(grid.interval, grid.interval) if grid.interval >= 1 / 3600 else f"{grid.interval:g}°"
+        return f"{grid.crs.name}, every {_short(step)}"
+    unit = grid.crs.axis_info[0].unit_name if grid.crs.axis_info else "units"
+    return f"{grid.crs.name}, every {grouped(grid.interval)} {'m' if unit == 'metre' else unit}"
+
+
+def _short(step: str) -> str:
+    """Leave out leading parts that are zero: 0°00′10″ is 10″."""
+    for zero in ("0°", "00′"):
+        step = step.removeprefix(zero) if len(step) > len(zero) else step
+    return step.removeprefix("0") or step
+
+
+def accuracy_words(report: Mapping[str, Any], scale: float) -> str:
+    """Accuracy statement from a project's report.
+
+    Parameters
+    ----------
+    report : mapping
+        What stands in the report's JSON.
+    scale : float
+        Denominator of the sheet.
+
+    Returns
+    -------
+    str
+        Measured values only; '' where the report has none.
+    """
+    orient, check = report.get("orient") or {}, report.get("check") or {}
+    points = [p for p in orient.get("control", ()) if p.get("role") == "check"]
+    parts = []
+    value = orient.get("rms_check_px")
+    if value is not None and points:
+        parts.append(f"check points {value:.2f} px RMS in the images ({len(points)} measurements)")
+    reference = check.get("reference")
+    grid = (report.get("mosaic") or {}).get("grid") or {}
+    resolution = grid.get("resolution")
+    if reference and reference.get("registration_rms_px") is not None:
+        off = float(reference["registration_rms_px"])
+        metres = str(grid.get("crs", "")).endswith("metre")
+        ground = f" = {off * resolution[0]:.2g} m" if resolution and metres else ""
+        parts.append(f"registration on the reference {off:.2g} px{ground} RMS ({reference.get('matched')} places)")
+    if not parts:
+        return ""
+    text = "; ".join(parts)
+    return f"{text[0].upper()}{text[1:]}. {PLOTTABLE_MM:g} mm on the sheet are {PLOTTABLE_MM * scale / 1000:g} m."
+
+
+def blocks(
+    layout: Layout, page: Page, place: MapPlace, heights: str | None, accuracy: str
+) -> list[tuple[str, list[str]]]:
+    """Headed blocks of text for the margin, in their order; empty ones are left out."""
+    notes = layout.notes
+    found = [
+        ("Coordinate reference system", crs_words(page, place, heights)),
+        ("Accuracy", [notes.accuracy or accuracy]),
+        ("Sources", [notes.sources, f"Date of photography: {notes.photography}" if notes.photography else ""]),
+        ("", [notes.publisher, notes.edition, notes.credits]),
+    ]
+    kept = [(head, [line for text in lines for line in text.splitlines() if line.strip()]) for head, lines in found]
+    return [(head, lines) for head, lines in kept if lines]

@@ -1,0 +1,141 @@
+"""The picture inside the neatline: pixels of the raster brought to the resolution of the print, once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.geo.grid import Bounds, Grid, Window
+from geomosaic.raster.source import Source
+from geomosaic.types import AnyArray, ByteArray
+
+_STRIP = 256
+_REACH = 4
+"""Pixels around a strip that bicubic interpolation may need."""
+
+
+def raster_grid(source: Source, where: str) -> Grid:
+    """Place of a raster that can be framed: with a CRS, and north up.
+
+    Raises
+    ------
+    InputError
+        No CRS, no geo-reference, turned, or colours that stand in a palette.
+    """
+    info = source.info
+    if info.crs is None or info.transform is None:
+        raise InputError(
+            f"the raster has no {'CRS' if info.transform is not None else 'geo-reference'}",
+            where=where,
+            mend="make it with `geomosaic ortho` or `geomosaic mosaic`, or assign a CRS with gdal_edit -a_srs",
+        )
+    t = info.transform
+    if t.b or t.d or t.a <= 0 or t.e >= 0:
+        raise InputError("the raster is not north up", where=where, mend="rectify it into a north-up grid first")
+    if "palette" in info.colors:
+        raise InputError(
+            "the colours of the raster stand in a palette",
+            where=where,
+            mend="expand them first: gdal_translate -expand rgb",
+        )
+    from geomosaic.geo.crs import horizontal
+
+    return Grid(horizontal(info.crs), t, info.width, info.height)
+
+
+def picture(source: Source, grid: Grid, bounds: Bounds, size: tuple[int, int]) -> ByteArray:
+    """Pixels of an area: bicubic, or the mean of what a print pixel covers where the raster is finer.
+
+    Parameters
+    ----------
+    source : Source
+    grid : Grid
+        Of the source; north up.
+    bounds : Bounds
+        Area in the grid's CRS; what lies outside the raster stays transparent.
+    size : tuple of int
+        Width and height of the result.
+
+    Returns
+    -------
+    uint8 array (height, width, 4)
+        Red, green, blue and 255 where there is a picture, 0 elsewhere. The first three bands, or the first one as
+        grey; samples other than uint8 are stretched from their 2nd to their 98th percentile.
+    """
+    width, height = size
+    (left, top), (right, bottom) = grid.colrow(np.array([[bounds[0], bounds[3]], [bounds[2], bounds[1]]]))
+    shrink = max(1, int(min((right - left) / width, (bottom - top) / height) + 1e-6))
+    limits = None if source.dtype == np.uint8 else _limits(source, grid, (left, top, right, bottom))
+    out = np.zeros((height, width, 4), dtype=np.uint8)
+    step = (bottom - top) / height
+    for row in range(0, height, _STRIP):
+        stop = min(height, row + _STRIP)
+        first, last = top + row * step, top + stop * step
+        reach = _REACH * max(shrink, step)
+        window = _aligned(left - reach, first - reach, right + reach, last + reach, shrink)
+        values, valid = _read(source, grid, window, shrink)
+        if not valid.any():
+            continue
+        if limits is not None:
+            values = (values - limits[0]) * (255.0 / max(limits[1] - limits[0], 1e-12))
+        box = (
+            (left - window.col) / shrink, (first - window.row) / shrink,
+            (right - window.col) / shrink, (last - window.row) / shrink,
+        )  # fmt: skip
+        out[row:stop] = _resized(values, valid, box, (width, stop - row))
+    return out
+
+
+def _aligned(left: float, top: float, right: float, bottom: float, shrink: int) -> Window:
+    col, row = (int(np.floor(v / shrink)) * shrink for v in (left, top))
+    stop_col, stop_row = (int(np.ceil(v / shrink)) * shrink for v in (right, bottom))
+    return Window(col, row, stop_col - col, stop_row - row)
+
+
+def _read(source: Source, grid: Grid, window: Window, shrink: int) -> tuple[AnyArray, AnyArray]:
+    """Values (rows, cols, 1 or 3) as float32 and validity as float32, of a window that may reach beyond the raster."""
+    bands = 3 if source.info.bands >= 3 else 1
+    shape = (window.height // shrink, window.width // shrink)
+    values, valid = np.zeros((*shape, bands), dtype=np.float32), np.zeros(shape, dtype=np.float32)
+    inside = window.intersection(grid.window)
+    if inside.empty:
+        return values, valid
+    part, known = source.read(inside, shrink)
+    row, col = (inside.row - window.row) // shrink, (inside.col - window.col) // shrink
+    place = slice(row, row + part.shape[0]), slice(col, col + part.shape[1])
+    valid[place] = 1.0 if known is None else known
+    values[place] = np.where(valid[place][..., None] > 0, part[..., :bands], 0)
+    return values, valid
+
+
+def _limits(source: Source, grid: Grid, box: tuple[float, float, float, float]) -> tuple[float, float]:
+    """2nd and 98th percentile over the area, from a reduced reading of it."""
+    factor = max(1, int(max(box[2] - box[0], box[3] - box[1]) / 1000))
+    values, valid = _read(source, grid, _aligned(*box, factor), factor)
+    known = values[valid > 0]
+    return (0.0, 1.0) if not known.size else tuple(float(v) for v in np.percentile(known, (2.0, 98.0)))  # type: ignore[return-value]
+
+
+def _resized(values: AnyArray, valid: AnyArray, box: Any, size: tuple[int, int]) -> ByteArray:
+    """Resample; invalid pixels have no weight."""
+    from PIL import Image
+
+    def resize(band: AnyArray) -> AnyArray:
+        image = Image.fromarray(np.ascontiguousarray(band, dtype=np.float32))
+        return np.asarray(image.resize(size, Image.Resampling.BICUBIC, box=box))
+
+    out = np.zeros((size[1], size[0], 4), dtype=np.uint8)
+    weight = resize(valid)
+    seen = weight >= 0.5
+    whole = bool((valid > 0).all())
+    for band in range(3):
+        if band < values.shape[2]:
+            mean = resize(values[..., band])
+            if not whole:
+                mean = np.where(seen, mean / np.where(seen, weight, 1.0), 0.0)
+            grey = np.clip(np.floor(mean + 0.5), 0, 255).astype(np.uint8)
+        out[..., band] = grey
+    out[..., 3] = np.where(seen, 255, 0)
+    return out

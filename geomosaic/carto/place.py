@@ -1,0 +1,185 @@
+"""Where labels stand: boxes that do not overlap, in the order of their weight.
+
+Point labels try the eight places around a symbol in the order of E. Imhof (Positioning names on maps, The American
+Cartographer 2, 1975): upper right first, below last. Lengths are millimetres on the page.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from geomosaic.types import FloatArray
+
+Measure = Callable[[str, float], tuple[float, float]]
+"""Width and height in mm of a text at a size in points."""
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A place for a text: its centre in mm, and the angle of its baseline in degrees, counter-clockwise."""
+
+    x: float
+    y: float
+    angle: float = 0.0
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A text at its place."""
+
+    text: str
+    spot: Spot
+    width: float
+    height: float
+
+
+def corners(spot: Spot, width: float, height: float) -> FloatArray:
+    """Corners (4, 2) of a text's box, counter-clockwise."""
+    c, s = math.cos(math.radians(spot.angle)), math.sin(math.radians(spot.angle))
+    box = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (width / 2, height / 2)
+    turned: FloatArray = box @ np.array([[c, s], [-s, c]]) + (spot.x, spot.y)
+    return turned
+
+
+def overlap(first: FloatArray, second: FloatArray) -> bool:
+    """Whether two convex quadrangles (4, 2) have area in common: no side of either separates them."""
+    for box in (first, second):
+        sides = np.roll(box, -1, axis=0) - box
+        normals = np.column_stack([sides[:, 1], -sides[:, 0]])
+        a, b = first @ normals.T, second @ normals.T
+        if ((a.max(axis=0) <= b.min(axis=0) + 1e-9) | (b.max(axis=0) <= a.min(axis=0) + 1e-9)).any():
+            return False
+    return True
+
+
+@dataclass
+class Placer:
+    """Boxes that are taken already; labels come in the order of their weight.
+
+    Attributes
+    ----------
+    frame : tuple
+        Left, bottom, right, top in mm: no text reaches beyond.
+    gap : float
+        Least distance between texts, mm.
+    """
+
+    frame: tuple[float, float, float, float]
+    gap: float = 0.6
+    _taken: list[FloatArray] = field(default_factory=list)
+    _limits: list[FloatArray] = field(default_factory=list)
+
+    def block(self, x: float, y: float, size: float) -> None:
+        """Keep a square around a symbol free."""
+        self._take(corners(Spot(x, y), size, size))
+
+    def free(self, box: FloatArray) -> bool:
+        """Whether a box lies inside the frame and touches no other."""
+        left, bottom, right, top = self.frame
+        low, high = box.min(axis=0), box.max(axis=0)
+        if low[0] < left or low[1] < bottom or high[0] > right or high[1] > top:
+            return False
+        if not self._taken:
+            return True
+        limits = np.array(self._limits)
+        near = (limits[:, :2] < high).all(axis=1) & (limits[:, 2:] > low).all(axis=1)
+        return not any(overlap(box, self._taken[i]) for i in np.flatnonzero(near))
+
+    def place(self, text: str, width: float, height: float, spots: Iterable[Spot]) -> Placed | None:
+        """Put a text at the first free spot; None where there is none."""
+        for spot in spots:
+            if self.free(corners(spot, width + 2 * self.gap, height + 2 * self.gap)):
+                self._take(corners(spot, width, height))
+                return Placed(text, spot, width, height)
+        return None
+
+    def _take(self, box: FloatArray) -> None:
+        self._taken.append(box)
+        self._limits.append(np.concatenate([box.min(axis=0), box.max(axis=0)]))
+
+
+def around_point(x: float, y: float, width: float, height: float, radius: float) -> list[Spot]:
+    """Eight places around a symbol of a radius, best first."""
+    across, up = width / 2 + radius, height / 2 + radius
+    aside = 0.4 * radius + height / 4
+    return [
+        Spot(x + across, y + aside),
+        Spot(x + across, y - aside),
+        Spot(x - across, y + aside),
+        Spot(x - across, y - aside),
+        Spot(x + across, y),
+        Spot(x, y + up),
+        Spot(x - across, y),
+        Spot(x, y - up),
+    ]
+
+
+def along_line(
+    path: FloatArray, width: float, height: float, *, bend: float = 20.0, offset: float = 0.0, ends: float = 0.0
+) -> list[Spot]:
+    """Places for a straight text on a line, best first: near the middle, where the line is straight.
+
+    Parameters
+    ----------
+    path : array (N, 2)
+        In mm on the page.
+    width, height : float
+        Of the text.
+    bend : float
+        Largest turn of the line under the text, degrees.
+    offset : float
+        Distance of the text's middle from the line; upwards on the page where positive, on it where 0.
+    ends : float
+        Distance from the line's ends.
+
+    Returns
+    -------
+    list of Spot
+        Never upside down; the angles are from -90 (not included) to 90.
+    """
+    steps = np.hypot(*np.diff(path, axis=0).T)
+    keep = np.concatenate([[True], steps > 1e-9])
+    path, steps = path[keep], steps[steps > 1e-9]
+    length = float(steps.sum())
+    need = width + 2 * ends
+    if length < need or len(path) < 2:
+        return []
+    at = np.concatenate([[0.0], np.cumsum(steps)])
+    middles = np.linspace(need / 2, length - need / 2, max(1, min(41, int((length - need) / 2.0) + 1)))
+    order = np.argsort(np.abs(middles - length / 2), kind="stable")
+    found: list[tuple[float, int, Spot]] = []
+    for rank, middle in enumerate(middles[order]):
+        t = np.linspace(middle - width / 2, middle + width / 2, 7)
+        points = np.column_stack([np.interp(t, at, path[:, 0]), np.interp(t, at, path[:, 1])])
+        chord = points[-1] - points[0]
+        turns = np.degrees(np.arctan2(*np.diff(points, axis=0).T[::-1])) - math.degrees(math.atan2(chord[1], chord[0]))
+        worst = float(np.abs((turns + 180.0) % 360.0 - 180.0).max())
+        if worst > bend:
+            continue
+        angle = upright(math.degrees(math.atan2(chord[1], chord[0])))
+        x, y = points.mean(axis=0)
+        up = math.radians(angle + 90.0)
+        spot = Spot(float(x) + offset * math.cos(up), float(y) + offset * math.sin(up), angle)
+        found.append((round(worst / 5.0), rank, spot))
+    return [spot for _, _, spot in sorted(found, key=lambda item: item[:2])]
+
+
+def upright(angle: float) -> float:
+    """Turn a direction so that text along it can be read: above -90 up to 90 degrees."""
+    turned = (angle + 180.0) % 360.0 - 180.0
+    return turned - 180.0 if turned > 90.0 else turned + 180.0 if turned <= -90.0 else turned
+
+
+def spread(values: Sequence[float], widths: Sequence[float], gap: float) -> list[int]:
+    """Numbers of the labels on one side of the neatline that fit beside each other, from the first one on."""
+    kept: list[int] = []
+    end = -math.inf
+    for i in np.argsort(values, kind="stable"):
+        if values[i] - widths[i] / 2 >= end + gap:
+            kept.append(int(i))
+            end = values[i] + widths[i] / 2
+    return kept

@@ -1,0 +1,67 @@
+"""`geomosaic contours`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from geomosaic.cli.options import FILE, debug_option, json_option
+from geomosaic.cli.talk import answer, notes
+
+
+@click.command()
+@click.argument("dem", type=FILE)
+@click.option(
+    "--interval", type=click.FloatRange(0, min_open=True), metavar="METRES", help="Interval.  [default: about 20 lines]"
+)
+@click.option(
+    "--index", type=click.IntRange(1), default=5, show_default=True, help="Every so many contours, a main one."
+)
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(0),
+    metavar="METRES",
+    help="Height that smoothing may change; 0 for none.  [default: a tenth of the interval]",
+)
+@click.option(
+    "--min-length", type=click.FloatRange(0), metavar="UNITS", help="Leave out shorter rings.  [default: 8 nodes]"
+)
+@click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it.")
+@click.option("-o", "--output", type=FILE, required=True, help="GeoPackage to write.")
+@click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+@json_option
+@debug_option
+def command(
+    dem: Path,
+    interval: float | None,
+    index: int,
+    tolerance: float | None,
+    min_length: float | None,
+    dem_heights: str | None,
+    output: Path,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Draw contours of a DEM into a GeoPackage, smoothed within a tolerance of height that is measured and told.
+
+    \b
+    Example:
+      geomosaic contours dem.tif --interval 5 --index 5 -o contours.gpkg
+    """  # noqa: D301
+    from dataclasses import asdict
+
+    from geomosaic.product.contours import make_contours
+
+    with notes():
+        made = make_contours(
+            dem, output, interval=interval, index=index, tolerance=tolerance, shortest=min_length, heights=dem_heights,
+            overwrite=overwrite,
+        )  # fmt: skip
+    facts = {"output" if key == "path" else key: value for key, value in asdict(made).items()}
+    words = (
+        f"{made.path}: {made.lines} contours every {made.interval:g} m from {made.low:g} to {made.high:g} m, "
+        f"{made.index_lines} of them main ones (heights: {made.heights})\n"
+        f"within {made.deviation:.3f} m of the DEM's surface (smoothing: tolerance {made.tolerance:g} m)"
+    )
+    answer(facts, words, as_json)

@@ -1,0 +1,100 @@
+"""`geomosaic edges`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from geomosaic.cli.memory import note_memory
+from geomosaic.cli.mosaic import mosaic_flags
+from geomosaic.cli.options import FILE, machine_options, output_options, stack
+from geomosaic.cli.request import area, mosaic_options
+from geomosaic.cli.talk import answer, notes, progress
+from geomosaic.cli.values import band_numbers
+from geomosaic.cli.words import finite, mosaic_facts, mosaic_words
+
+if TYPE_CHECKING:
+    from geomosaic.adjust.edges import EdgeMatch, Misfit
+
+
+@click.command()
+@click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE IMAGE...")
+@click.option("--gcps", type=FILE, required=True, help="Control points: id, x, y, z, image, col, row.")
+@click.option("--common", type=FILE, required=True, help="Common points: id, image, col, row [, sigma_px].")
+@click.option("--crs", required=True, metavar="CRS", help="CRS of the control points, such as EPSG:32633.")
+@click.option(
+    "--model",
+    type=click.Choice(["conformal", "affine", "projective"]),
+    default="affine",
+    show_default=True,
+    help="Model of each photo.",
+)
+@click.option(
+    "--reach",
+    type=click.FloatRange(0, min_open=True),
+    metavar="PIXELS",
+    help="Where a correction has faded away.  [default: 3 gaps between common points]",
+)
+@click.option("-b", "--bidx", "bands", multiple=True, callback=band_numbers, metavar="NUMBERS", help="Bands to use.")
+@stack(output_options, mosaic_flags, machine_options)
+def command(
+    images: tuple[Path, ...],
+    gcps: Path,
+    common: Path,
+    crs: str,
+    model: str,
+    reach: float | None,
+    bands: tuple[int, ...] | None,
+    output: Path,
+    as_json: bool,
+    **flags: Any,
+) -> None:
+    """Adjust photos to control and common points together, join them exactly, and mosaic them.
+
+    What crosses an edge through a common point meets itself. Misfits before and after are told.
+    """
+    from geomosaic.project.edges import EdgeInputs, make_edge_mosaic
+
+    note_memory(flags["mem_limit"], flags["threads"])
+    inputs = EdgeInputs(images, gcps, common, crs, model, reach, bands)
+    with notes(), progress(as_json) as report:
+        matched, made = make_edge_mosaic(inputs, area(flags), output, mosaic_options(flags, report))
+    facts = {**mosaic_facts(made), "edges": _facts(matched)}
+    answer(facts, f"{_words(matched)}\n{mosaic_words(made)}", as_json)
+
+
+def _facts(matched: EdgeMatch) -> dict[str, Any]:
+    s = matched.stations
+    return {
+        "sigma0": finite(matched.sigma0),
+        "redundancy": matched.redundancy,
+        "before": _misfit(matched.before),
+        "after": _misfit(matched.after),
+        "joined": _misfit(matched.joined),
+        "residuals": [
+            {"id": s.ids[k], "image": matched.photos[i].name, "col": float(v[0]), "row": float(v[1])}
+            for k, i, v in zip(s.station, s.photo, matched.residuals, strict=True)
+        ],
+    }
+
+
+def _misfit(misfit: Misfit) -> dict[str, Any]:
+    points = zip(misfit.ids, misfit.pairs, misfit.lengths.tolist(), strict=True)
+    return {
+        "rms_px": finite(misfit.rms),
+        "largest_px": finite(misfit.largest),
+        "points": [{"id": name, "images": list(pair), "px": finite(length)} for name, pair, length in points],
+    }
+
+
+def _words(matched: EdgeMatch) -> str:
+    stages = (
+        ("each photo by its own control", matched.before),
+        ("adjusted together", matched.after),
+        ("joined exactly", matched.joined),
+    )
+    lines = [f"misfit at {len(set(matched.after.ids))} shared points, in pixels:      rms  largest"]
+    lines += [f"  {name:<40} {stage.rms:7.3f}  {stage.largest:7.3f}" for name, stage in stages]
+    return "\n".join([*lines, f"sigma0 {matched.sigma0:.2f}, redundancy {matched.redundancy}"])

@@ -1,0 +1,61 @@
+"""`geomosaic fiducials`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from geomosaic.cli.options import FILE, debug_option, json_option
+from geomosaic.cli.talk import answer, notes
+
+
+@click.command()
+@click.argument("scans", type=FILE, nargs=-1, required=True, metavar="SCAN...")
+@click.option("--camera", type=FILE, required=True, help="Calibration certificate (TOML).")
+@click.option("--template", type=FILE, required=True, help="Picture of one mark, or a scan that shows one.")
+@click.option(
+    "--at", type=float, nargs=2, metavar="COL ROW", help="Place of a mark in the template, if that is a scan."
+)
+@click.option("--side", type=float, default=2.0, show_default=True, help="Side of the square cut out there, mm.")
+@click.option("--pixel-size", type=click.FloatRange(0, min_open=True), required=True, help="Pixels of the scans, µm.")
+@click.option("--reach", type=float, default=5.0, show_default=True, help="How far marks may be off, mm.")
+@click.option("--turned", type=float, default=0.0, help="Turn of the film in the scan, degrees counter-clockwise.")
+@click.option("--mirrored", is_flag=True, help="The scan shows the film from its back.")
+@click.option(
+    "--least", type=click.FloatRange(0, 1), default=0.6, show_default=True, help="Least correlation of a mark."
+)
+@click.option("-o", "--output", type=FILE, required=True, help="Table to write.")
+@click.option("--overwrite", is_flag=True, help="Replace the table if it exists.")
+@json_option
+@debug_option
+def command(scans: tuple[Path, ...], output: Path, overwrite: bool, as_json: bool, **flags: Any) -> None:
+    """Find the fiducial marks of scanned films, given a picture of one of them.
+
+    \b
+    Example:
+      geomosaic fiducials scans/*.tif --camera certificate.toml \\
+        --template scans/0417.tif --at 512 498 --pixel-size 14 -o marks.csv
+    """  # noqa: D301
+    from geomosaic.project.find import Search, find_marks, write_marks
+    from geomosaic.project.make import refuse_existing
+
+    refuse_existing(output, overwrite)
+    search = Search(flags["pixel_size"], flags["reach"], flags["turned"], flags["mirrored"], flags["least"])
+    with notes():
+        found = find_marks(scans, flags["camera"], flags["template"], search, flags["at"] or None, flags["side"])
+    write_marks(output, found)
+    words, facts = [], {}
+    for image, marks in found.items():
+        there = [mark for mark in marks.values() if mark.found]
+        missing = [name for name, mark in marks.items() if not mark.found]
+        worst = f", sigmas up to {max(mark.sigma for mark in there):.3f} px" if there else ""
+        lost = f"; not found: {', '.join(missing)}" if missing else ""
+        words.append(f"{image}: {len(there)} of {len(marks)} fiducials found{worst}{lost}")
+        facts[image] = {
+            name: {"col": mark.col, "row": mark.row, "sigma": mark.sigma, "correlation": mark.correlation}
+            for name, mark in marks.items()
+            if mark.found
+        }
+    answer({"output": str(output), "fiducials": facts}, "\n".join([*words, f"{output} written"]), as_json)

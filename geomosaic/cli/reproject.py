@@ -1,0 +1,99 @@
+"""`geomosaic reproject`."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from geomosaic.cli.memory import note_memory
+from geomosaic.cli.options import FILE, machine_options, output_options, stack
+from geomosaic.cli.request import render_options
+from geomosaic.cli.talk import answer, notes, progress
+from geomosaic.cli.words import ortho_facts, ortho_words
+from geomosaic.errors import GeomosaicWarning
+
+if TYPE_CHECKING:
+    from pyproj import CRS
+
+
+@click.command()
+@click.argument("source", type=FILE, metavar="INPUT")
+@click.option("--src-crs", metavar="CRS", help="CRS of the input, instead of what the file says.")
+@click.option("--like", type=FILE, metavar="RASTER", help="Take CRS, pixels and extent of this raster.")
+@click.option(
+    "--target-aligned-pixels",
+    "snap",
+    is_flag=True,
+    help="Widen --bounds to whole multiples of --res; without --bounds that is always done.",
+)
+@stack(output_options, machine_options)
+def command(
+    source: Path, src_crs: str | None, like: Path | None, snap: bool, output: Path, as_json: bool, **flags: Any
+) -> None:
+    """Bring a georeferenced raster, or a file of vectors, to another CRS.
+
+    \b
+    Examples:
+      geomosaic reproject lambert.tif --dst-crs EPSG:32631 --res 0.5 -o utm.tif
+      geomosaic reproject roads.gpkg --dst-crs EPSG:32631 -o roads-utm.gpkg
+    """  # noqa: D301
+    from geomosaic.product.vectors import is_vector
+
+    if like is None and flags["dst_crs"] is None:
+        raise click.UsageError("say where to: --dst-crs, or --like RASTER")
+    if like is not None and (flags["dst_crs"] or flags["res"] or flags["bounds"]):
+        raise click.UsageError("--like says CRS, pixels and extent: leave out --dst-crs, --res and --bounds")
+    if is_vector(source):
+        _vectors(source, src_crs, like, output, as_json, flags)
+        return
+    from geomosaic.geo.crs import parse_map
+    from geomosaic.geo.datum import doubt
+    from geomosaic.project.inputs import BlockInputs
+    from geomosaic.project.make import Area, make_ortho
+    from geomosaic.raster.info import inspect
+
+    note_memory(flags["mem_limit"], flags["threads"])
+    with notes(), progress(as_json) as report:
+        info = inspect(source)
+        if src_crs is None and info.crs is not None and (suspicious := doubt(info.crs)):
+            warnings.warn(suspicious, GeomosaicWarning, stacklevel=1)
+        options: dict[str, Any] = {}
+        if src_crs is not None and info.transform is not None:
+            t = info.transform
+            options["transform"] = [t.a, t.b, t.c, t.d, t.e, t.f]
+        inputs = BlockInputs((source,), "planar", options=options, crs=src_crs)
+        area = Area(flags["dst_crs"], flags["res"], flags["bounds"], snap, like)
+        result = make_ortho(inputs, area, output, render_options(flags, report))
+    own = parse_map(src_crs, "--src-crs") if src_crs else info.crs
+    assert own is not None  # it could not have been placed
+    words = _operation(own, result.grid.crs)
+    answer({**ortho_facts(result), "operation": words}, f"{ortho_words(result)}\n{words}", as_json)
+
+
+def _vectors(
+    source: Path, src_crs: str | None, like: Path | None, output: Path, as_json: bool, flags: dict[str, Any]
+) -> None:
+    from geomosaic.geo.crs import parse_map
+    from geomosaic.product.vectors import reproject_vectors
+    from geomosaic.project.make import grid_of
+
+    with notes():
+        crs = parse_map(flags["dst_crs"], "--dst-crs") if like is None else grid_of(like).crs
+        own = parse_map(src_crs, "--src-crs") if src_crs else None
+        result = reproject_vectors(source, crs, output, source=own, overwrite=flags["overwrite"])
+    words = "; ".join(_operation(found, crs) for found in result.sources)
+    layers = ", ".join(f"{name}: {count} features" for name, count in result.layers.items())
+    lost = f"; {result.lost} features have no place in {crs.name} and were left out" if result.lost else ""
+    facts = {"output": str(result.path), "layers": result.layers, "lost": result.lost, "operation": words}
+    answer(facts, f"{result.path}: {layers}{lost}\n{words}", as_json)
+
+
+def _operation(source: CRS, target: CRS) -> str:
+    """Say how the two CRS are joined, and what would be better."""
+    from geomosaic.geo.crs import horizontal
+    from geomosaic.geo.datum import operation_between
+
+    return f"{source.name} to {target.name}: {operation_between(horizontal(source), horizontal(target)).words()}"

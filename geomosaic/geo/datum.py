@@ -1,0 +1,92 @@
+"""What PROJ does between two CRS, how far that can be trusted, and what would be better."""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from dataclasses import dataclass
+from functools import lru_cache
+
+from pyproj import CRS
+from pyproj.transformer import TransformerGroup
+
+
+@dataclass(frozen=True)
+class Operation:
+    """The operation used between two CRS.
+
+    Attributes
+    ----------
+    name : str
+        PROJ's description.
+    accuracy : float
+        Metres, as the registry has it; NaN where it says nothing.
+    missing : tuple of str
+        Grids of a better operation that are not installed.
+    better : float
+        Its accuracy in metres; NaN where it is not known or there is none.
+    """
+
+    name: str
+    accuracy: float
+    missing: tuple[str, ...] = ()
+    better: float = math.nan
+
+    def words(self) -> str:
+        """Say it in one line."""
+        known = f", good to {self.accuracy:g} m" if math.isfinite(self.accuracy) else ", accuracy not known"
+        text = f"{self.name}{known}"
+        if self.missing:
+            how = f" (good to {self.better:g} m)" if math.isfinite(self.better) else ""
+            text += f"; a better one{how} needs the grid {', '.join(self.missing)}, which is not installed"
+        return text
+
+
+@lru_cache(maxsize=32)
+def operation_between(source: CRS, target: CRS) -> Operation:
+    """Find the operation that `Transform` takes between two CRS, x and y only.
+
+    Where PROJ has several by area, that is the one it holds best for most of their common area.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of missing grids, which the result names
+        group = TransformerGroup(source, target, always_xy=True, allow_ballpark=False)
+    if not group.transformers:
+        return Operation("no operation", math.nan)
+    used = group.transformers[0]
+    accuracy = _accuracy(used.accuracy)
+    if group.best_available or not group.unavailable_operations:
+        return Operation(_short(used.description), accuracy)
+    best = group.unavailable_operations[0]
+    grids = tuple(sorted({grid.short_name for grid in best.grids if not grid.available}))
+    better = _accuracy(best.accuracy)
+    if math.isfinite(better) and math.isfinite(accuracy) and better >= accuracy:
+        return Operation(_short(used.description), accuracy)
+    return Operation(_short(used.description), accuracy, grids, better)
+
+
+def doubt(crs: CRS) -> str | None:
+    """Say what makes a CRS read from a file suspicious: another name than it deserves, or a datum nobody knows."""
+    said = re.search(r"EPSG:+(\d{4,6})", crs.name, re.IGNORECASE)
+    unknown = any(word in _datum(crs).lower() for word in ("unknown", "unnamed"))
+    if said and (unknown or crs.to_epsg() != int(said.group(1))):
+        return (
+            f"the file calls its CRS '{crs.name}', but its keys do not define EPSG:{said.group(1)} "
+            f"(datum: {_datum(crs)}); if that is what is meant, give --src-crs EPSG:{said.group(1)}"
+        )
+    if unknown:
+        return f"the datum of '{crs.name}' is not known, which may hide shifts of hundreds of metres; give --src-crs"
+    return None
+
+
+def _datum(crs: CRS) -> str:
+    return str(crs.datum.name) if crs.datum is not None else "unknown"
+
+
+def _accuracy(value: float | None) -> float:
+    return math.nan if value is None or value < 0 else float(value)
+
+
+def _short(description: str) -> str:
+    return description.replace("axis order change (2D) + ", "").replace(" + axis order change (2D)", "")

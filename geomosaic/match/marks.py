@@ -1,0 +1,228 @@
+"""Where a mark is in a picture, to a few hundredths of a pixel, given one picture of such a mark.
+
+Whole pixels come from the peak of the normalised cross-correlation, fractions from least squares matching with two
+shifts, scale, turn, gain and offset (Förstner 1982; Gruen 1985 with a conformal map). Pixels that do not fit, as those
+of scratches, dust and frame lettering, lose their weight step by step (Beaton and Tukey's biweight). A mark may be
+light on dark in the one picture and dark on light in the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.types import AnyArray, FloatArray
+
+ROUNDS = 25
+CONVERGED = 5e-4
+SYMMETRIC = 0.8
+"""Correlation of a template with itself turned by 180°."""
+LOOSE = 0.02
+"""A-priori standard deviation of scale and turn (radians)."""
+FARTHEST = 4.0
+"""Pixels from the peak of the correlation beyond which it is another thing."""
+PEAKS = 6
+"""Places that are looked at closely."""
+LEAST_WIDTH = 0.03
+"""Share of the mark's contrast that a pixel may always be off: sampling and blur of two pictures differ by as much."""
+CUT = 4.685
+"""Robust standard deviations at which a pixel's weight is 0: 95 % efficient for normal errors."""
+
+
+@dataclass(frozen=True)
+class MarkTemplate:
+    """One picture of a mark, and where its centre is.
+
+    Attributes
+    ----------
+    values : array (rows, cols)
+        Grey values.
+    centre : tuple of float
+        (col, row) of the mark's centre; (0.5, 0.5) is the middle of the upper-left pixel.
+    """
+
+    values: FloatArray
+    centre: tuple[float, float]
+
+    @classmethod
+    def symmetric(cls, values: AnyArray) -> MarkTemplate:
+        """Take a mark that looks the same upside down, as dots, crosses and rings do: its centre is found by that.
+
+        The mark lies about in the middle, whole; the centre is NaN where the picture is not symmetric about any place.
+        """
+        grey = np.asarray(values, dtype=np.float64)
+        rows, cols = grey.shape
+        reach = min(rows, cols) // 6
+        inner = slice(reach, rows - reach), slice(reach, cols - reach)
+        turned = cls(grey[::-1, ::-1][inner], ((cols - 2 * reach) / 2, (rows - 2 * reach) / 2))
+        found = locate_mark(grey, turned, SYMMETRIC)
+        # The turned picture has its mark where the middle mirrors it: the centre is off by half of the shift.
+        return cls(grey, ((found.col + cols / 2) / 2, (found.row + rows / 2) / 2))
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A mark that was found, or NaN where none was.
+
+    Attributes
+    ----------
+    col, row : float
+        Centre in pixels of the picture searched; (0.5, 0.5) is the middle of its upper-left pixel.
+    sigma : float
+        Standard deviation of either coordinate from the matching, in pixels; small where the picture is clean.
+    correlation : float
+        Of the template with the picture there, 0 to 1, over the pixels that kept their weight.
+    """
+
+    col: float
+    row: float
+    sigma: float
+    correlation: float
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a mark."""
+        return bool(np.isfinite(self.col))
+
+
+def locate_mark(picture: AnyArray, template: MarkTemplate, least: float = 0.6) -> Mark:
+    """Find the one mark in a picture.
+
+    Parameters
+    ----------
+    picture : array (rows, cols)
+        Grey values, in which the whole of the template fits.
+    template : MarkTemplate
+        In the scale of the picture, to about 10 %, and not turned by more than a few degrees (dots and rings: at all).
+    least : float
+        Correlation that a mark must have.
+
+    Returns
+    -------
+    Mark
+        NaN where nothing is as like the template as `least`.
+    """
+    from scipy.ndimage import spline_filter
+
+    lost = Mark(np.nan, np.nan, np.nan, 0.0)
+    grey, pattern = np.asarray(picture, dtype=np.float64), template.values
+    if any(a < b for a, b in zip(grey.shape, pattern.shape, strict=True)) or pattern.std() < 1e-9:
+        return lost
+    coefficients = spline_filter(grey, order=3, mode="mirror")
+    matcher = _Matcher.of(template)
+    left, top = np.subtract(template.centre, 0.5)
+    found = [matcher.match(coefficients, (col + left, row + top)) for col, row in _whole(grey, pattern)]
+    best = max(found, key=lambda one: one.correlation, default=lost)
+    return best if best.found and best.correlation >= least else lost
+
+
+@dataclass(frozen=True)
+class _Matcher:
+    """A template with its derivatives: columns of the design by shift right and down, scale, turn, gain, offset."""
+
+    across: FloatArray  # (rows * cols,) from the centre, pixels
+    down: FloatArray
+    columns: FloatArray  # (rows * cols, 6)
+    prior: FloatArray  # (6,) weights of scale and turn being as they are, in shares of the contrast
+    contrast: float
+
+    @classmethod
+    def of(cls, template: MarkTemplate) -> _Matcher:
+        pattern = template.values
+        rows, cols = np.mgrid[0 : pattern.shape[0], 0 : pattern.shape[1]]
+        across, down = (cols + 0.5 - template.centre[0]).ravel(), (rows + 0.5 - template.centre[1]).ravel()
+        by_row, by_col = (np.asarray(slope).ravel() for slope in np.gradient(pattern))
+        scale, turn = across * by_col + down * by_row, across * by_row - down * by_col
+        columns = np.column_stack([by_col, by_row, scale, turn, pattern.ravel(), np.ones(pattern.size)])
+        prior = np.array([0.0, 0.0, 1.0 / LOOSE**2, 1.0 / LOOSE**2, 0.0, 0.0])
+        return cls(across, down, columns, prior, float(np.ptp(pattern)))
+
+    def match(self, coefficients: FloatArray, start: tuple[float, float]) -> Mark:
+        """Centre of the mark near a place (col, row), both counted from the middle of the first pixel."""
+        from scipy.ndimage import map_coordinates
+
+        lost = Mark(np.nan, np.nan, np.nan, 0.0)
+        x, y, scale, turn = *start, 1.0, 0.0
+        weights = np.ones(len(self.columns))
+        for _ in range(ROUNDS):
+            cosine, sine = scale * np.cos(turn), scale * np.sin(turn)
+            places = [
+                y + self.across * sine + self.down * cosine,
+                x + self.across * cosine - self.down * sine,
+            ]
+            there = map_coordinates(coefficients, places, order=3, mode="mirror", prefilter=False)
+            weighted = self.columns * weights[:, None]
+            normal = weighted.T @ self.columns
+            # The prior counts as one pixel of full contrast: enough for what a dot or a ring says nothing of.
+            normal += np.diag(self.prior * self.contrast**2)
+            try:
+                solution = np.linalg.solve(normal, weighted.T @ there)
+            except np.linalg.LinAlgError:
+                return lost
+            gain = float(solution[4])
+            if abs(gain) < 1e-6:
+                return lost
+            misfit = there - self.columns @ solution
+            width = max(1.4826 * float(np.median(np.abs(misfit))), LEAST_WIDTH * abs(gain) * self.contrast)
+            weights = np.maximum(1.0 - (misfit / (CUT * width)) ** 2, 0.0) ** 2
+            right, below, larger, turned = solution[:4] / gain
+            length = float(np.hypot(right, below))
+            shrink = min(1.0, 1.0 / length) if length > 0.0 else 1.0
+            x, y = x - shrink * right, y - shrink * below
+            scale, turn = scale / (1.0 + np.clip(larger, -0.05, 0.05)), turn - np.clip(turned, -0.05, 0.05)
+            if np.hypot(x - start[0], y - start[1]) > FARTHEST or abs(scale - 1.0) > 0.2 or abs(turn) > 0.2:
+                return lost
+            if length < CONVERGED and abs(larger) < CONVERGED:
+                break
+        pattern = self.columns[:, 4]
+        energy = (pattern - pattern.mean()) ** 2
+        if weights @ energy < 0.5 * energy.sum():
+            return lost  # what fits is the ground around the mark
+        sigma = _sigma(self.columns, weights, misfit, normal, gain)
+        return Mark(float(x) + 0.5, float(y) + 0.5, sigma, _correlation(pattern, there, weights))
+
+
+def _whole(grey: FloatArray, pattern: FloatArray) -> list[tuple[int, int]]:
+    """Upper-left pixels (col, row) with the largest normalised cross-correlations of either sign, some way apart.
+
+    A scratch through the mark, or lettering, may correlate better than the mark; so several are looked at.
+    """
+    from scipy.signal import fftconvolve
+
+    t = pattern - pattern.mean()
+    window = grey - grey.mean()
+    cross = fftconvolve(window, t[::-1, ::-1], mode="valid")
+    box = np.ones_like(t)
+    mean = fftconvolve(window, box, mode="valid") / t.size
+    power = fftconvolve(window**2, box, mode="valid") / t.size - mean**2
+    # Flat places correlate with nothing: their variance is rounding.
+    floor = 1e-6 * float(np.max(power, initial=0.0)) + 1e-12
+    score = np.abs(cross) / (np.sqrt(np.maximum(power, floor)) * t.std() * t.size)
+    places: list[tuple[int, int]] = []
+    apart = max(2, min(pattern.shape) // 8)
+    for _ in range(PEAKS):
+        row, col = (int(i) for i in np.unravel_index(int(np.argmax(score)), score.shape))
+        if not score[row, col] > 0.1:
+            break
+        places.append((col, row))
+        score[max(row - apart, 0) : row + apart + 1, max(col - apart, 0) : col + apart + 1] = 0.0
+    return places
+
+
+def _correlation(a: FloatArray, b: FloatArray, weights: FloatArray) -> float:
+    """Absolute correlation with weights."""
+    total = float(weights.sum())
+    if not total > 0.0:
+        return 0.0
+    da, db = a - (weights @ a) / total, b - (weights @ b) / total
+    both = float(np.sqrt((weights @ da**2) * (weights @ db**2)))
+    return abs(float(weights @ (da * db))) / both if both > 0.0 else 0.0
+
+
+def _sigma(columns: FloatArray, weights: FloatArray, misfit: FloatArray, normal: FloatArray, gain: float) -> float:
+    """Standard deviation of the shifts from the pixels that kept their weight."""
+    redundancy = max(float(np.count_nonzero(weights)) - columns.shape[1], 1.0)
+    variance = float(weights @ misfit**2) / redundancy
+    cofactors = np.linalg.pinv(normal)
+    return float(np.sqrt(variance * max(cofactors[0, 0], cofactors[1, 1])) / abs(gain))

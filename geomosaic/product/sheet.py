@@ -1,0 +1,233 @@
+"""A map sheet: raster, vectors, contours and layout to one file."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.carto.contours import Contour
+from geomosaic.carto.draw.canvas import drawing, missing_glyphs
+from geomosaic.carto.draw.save import check_format, write_sheet
+from geomosaic.carto.draw.sheet import SheetParts
+from geomosaic.carto.layout import GridPart, Layout
+from geomosaic.carto.lines import MapGrid, map_grid
+from geomosaic.carto.notes import accuracy_words, blocks
+from geomosaic.carto.overlay import Overlay, overlay
+from geomosaic.carto.page import Box, Page, lay_out
+from geomosaic.carto.picture import picture, raster_grid
+from geomosaic.carto.style import Style, plain
+from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.geo.crs import geographic, horizontal, parse_crs
+from geomosaic.geo.local import map_place
+from geomosaic.product.contours import sheet_contours
+from geomosaic.raster.output import check_output
+from geomosaic.raster.source import Source
+from geomosaic.raster.vector import read_layer
+from geomosaic.types import ByteArray
+
+GRID_MM, GRATICULE_MM = 40.0, 50.0
+"""Least distance of lines on paper, for the intervals that are not given."""
+NODE_MM = 0.35
+"""Distance on paper below which nodes of a DEM are averaged for contours."""
+COLORS = ("#d7191c", "#2c6fbb", "#f58231", "#7b3294", "#1a9641", "#00a6c8")
+"""Of layers without a style, in turn."""
+
+
+@dataclass(frozen=True)
+class VectorInput:
+    """A vector file for the sheet: which layer of it (the first by default), its style, and a title."""
+
+    path: Path
+    layer: str | None = None
+    style: Style | None = None
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class SheetResult:
+    """What was made.
+
+    Attributes
+    ----------
+    path : Path
+    page : Page
+        Paper, neatline, area and scale.
+    intervals : tuple of float or None
+        Of grid and graticule, in their units.
+    contours : int
+    contour_interval : float
+        Metres; 0 without contours.
+    layers : mapping of str to int
+        Objects drawn, by title.
+    convergence : float
+        Degrees.
+    image_dpi : float
+        Pixels of the raster in an inch of paper.
+    """
+
+    path: Path
+    page: Page
+    intervals: tuple[float | None, float | None]
+    contours: int
+    contour_interval: float
+    layers: Mapping[str, int]
+    convergence: float
+    image_dpi: float
+
+
+def make_sheet(
+    raster: Path,
+    output: Path,
+    layout: Layout,
+    vectors: Sequence[VectorInput] = (),
+    *,
+    dem: Path | None = None,
+    dem_heights: str | None = None,
+    report: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
+) -> SheetResult:
+    """Make one sheet.
+
+    Parameters
+    ----------
+    raster : Path
+        North up, in a projected CRS: that of the map.
+    output : Path
+        .pdf and .png are the whole page; .tif is the map cut at the neatline, georeferenced.
+    layout : Layout
+    vectors : sequence of VectorInput
+        Lowest first.
+    dem : Path, optional
+        For contours.
+    dem_heights : str, optional
+        Vertical datum of the DEM, where the file does not say it.
+    report : mapping, optional
+        A project's report, for the accuracy statement.
+    overwrite : bool
+        Replace an existing file.
+
+    Raises
+    ------
+    InputError, OutputExistsError, OutputError
+    """
+    check_format(output)
+    check_output(output, overwrite=overwrite)
+    with Source(raster) as source:
+        grid = raster_grid(source, str(raster))
+        page = lay_out(layout, grid.crs, grid.bounds, str(raster))
+        dpi = layout.sheet.dpi
+        parts = _parts(layout, page, vectors, dem, dem_heights, report)
+        _warn_of_glyphs(parts)
+
+        def pixels(box: Box) -> ByteArray:
+            (left, bottom), (right, top) = page.to_map(np.array([box[:2], box[2:]]))
+            size = [max(1, round((box[k + 2] - box[k]) / 25.4 * dpi)) for k in (0, 1)]
+            return picture(source, grid, (left, bottom, right, top), (size[0], size[1]))
+
+        with drawing():
+            told = write_sheet(output, parts, pixels, dpi, overwrite=overwrite)
+    for text in told:
+        warnings.warn(text, GeomosaicWarning, stacklevel=2)
+    intervals = tuple(None if grid_ is None else grid_.interval for grid_ in parts.grids)
+    return SheetResult(
+        output, page, (intervals[0], intervals[1]), len(parts.contours), parts.interval,
+        {layer.title: layer.count for layer in parts.layers}, parts.convergence,
+        25.4 / (page.mm_per_unit * grid.resolution[0]),
+    )  # fmt: skip
+
+
+def _parts(
+    layout: Layout,
+    page: Page,
+    vectors: Sequence[VectorInput],
+    dem: Path | None,
+    dem_heights: str | None,
+    report: Mapping[str, Any] | None,
+) -> SheetParts:
+    """Bring everything to the page."""
+    left, bottom, right, top = page.bounds
+    place = map_place(page.crs, (left + right) / 2, (bottom + top) / 2)
+    contours: list[Contour] = []
+    interval, datum = 0.0, None
+    if dem is not None:
+        part = layout.contours
+        contours, interval, datum = sheet_contours(
+            dem, page.crs, page.bounds, NODE_MM / page.mm_per_unit, interval=part.interval, index=part.index,
+            tolerance=part.tolerance, heights=dem_heights,
+        )  # fmt: skip
+    graticule = parse_crs(layout.graticule.crs) if layout.graticule.crs else geographic(page.crs)
+    grids = (
+        _grid(layout.grid, parse_crs(layout.grid.crs) if layout.grid.crs else page.crs, page, GRID_MM),
+        _grid(layout.graticule, graticule, page, GRATICULE_MM),
+    )
+    layers = tuple(_layer(vector, page, k) for k, vector in enumerate(vectors))
+    accuracy = accuracy_words(report, page.scale) if report is not None else ""
+    if report is not None and not accuracy and not layout.notes.accuracy:
+        warnings.warn("the report measured no accuracy, so the sheet states none", GeomosaicWarning, stacklevel=2)
+    texts = tuple(blocks(layout, page, place, datum, accuracy))
+    return SheetParts(page, layout, grids, layers, tuple(contours), interval, texts, place.convergence)
+
+
+def _grid(part: GridPart, crs: CRS, page: Page, spacing: float) -> MapGrid | None:
+    if part.style == "none":
+        return None
+    return map_grid(crs, page.crs, page.bounds, spacing / page.mm_per_unit, part.interval)
+
+
+def _layer(vector: VectorInput, page: Page, number: int) -> Overlay:
+    """Read a vector layer and bring it to the map."""
+    frame = read_layer(vector.path, vector.layer)
+    where = f"{vector.path}, layer '{vector.layer}'" if vector.layer else str(vector.path)
+    if frame.crs is None:
+        raise InputError(
+            "the layer has no CRS", where=where, mend="assign one: ogr2ogr -a_srs EPSG:... OUT IN, or add a .prj file"
+        )
+    # WKT between the libraries: each has a PROJ of its own.
+    crs = horizontal(parse_crs(frame.crs.to_wkt(), where))
+    geometries = list(frame.geometry)
+    style = vector.style or plain(_kind(geometries), COLORS[number % len(COLORS)])
+    columns = {str(name): frame[name].tolist() for name in frame.columns if name != frame.geometry.name}
+    title = vector.title or (vector.layer or vector.path.stem).replace("_", " ")
+    made = overlay(
+        geometries, columns, crs, style, title, page.crs, page.bounds, straight=2.0 / page.mm_per_unit, where=where
+    )
+    if vector.title and vector.title != made.title:
+        from dataclasses import replace
+
+        made = replace(made, title=vector.title)
+    for note in made.notes:
+        warnings.warn(f"{where}: {note}", GeomosaicWarning, stacklevel=2)
+    return made
+
+
+def _kind(geometries: Sequence[Any]) -> str:
+    names = {geometry.geom_type for geometry in geometries if geometry is not None}
+    for part, kind in (("Polygon", "polygon"), ("Line", "line")):
+        if any(part in name for name in names):
+            return kind
+    return "point"
+
+
+def _warn_of_glyphs(parts: SheetParts) -> None:
+    """Name the characters that would be drawn as boxes."""
+    sheet, notes = parts.layout.sheet, parts.layout.notes
+    texts = [
+        sheet.title, sheet.subtitle, sheet.series, sheet.number, sheet.name, notes.sources, notes.credits,
+        notes.publisher, notes.edition, notes.accuracy, parts.layout.legend.title,
+        *(layer.title for layer in parts.layers), *(name.text for layer in parts.layers for name in layer.names),
+        *(group.title for layer in parts.layers for group in layer.groups),
+    ]  # fmt: skip
+    lost = missing_glyphs(texts)
+    if lost:
+        warnings.warn(f"the font has no glyph for: {' '.join(lost[:40])}", GeomosaicWarning, stacklevel=2)
+        # It has been said; matplotlib would say it again for every text.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+
+
+__all__ = ["SheetResult", "VectorInput", "make_sheet"]

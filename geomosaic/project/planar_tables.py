@@ -1,0 +1,112 @@
+"""Tie and control points of a block without a rigorous model, from tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from geomosaic.adjust.planar.values import Control, PlanarBlock, PlanarPhoto, Tie
+from geomosaic.block.block import ControlPoint
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.project.control import ROLES
+from geomosaic.project.names import stem
+from geomosaic.project.photos import Photo
+from geomosaic.project.tables import Row, Table, read_table
+
+TIE_COLUMNS = ("id", "image", "col", "row")
+CONTROL_COLUMNS = ("id", "x", "y", "image", "col", "row")
+
+
+def read_block(
+    photos: Sequence[Photo], ties: Path | None, control: Path | None
+) -> tuple[PlanarBlock, tuple[ControlPoint, ...]]:
+    """Read the tables of a block.
+
+    Parameters
+    ----------
+    photos : sequence of Photo
+        Measurements in other images are left out; a name that looks like a slip of one of these is an error.
+    ties : Path, optional
+        Columns id, image, col, row and optionally sigma_px.
+    control : Path, optional
+        Columns id, x, y, image, col, row and optionally sigma_px, sigma_xy, role (control or check). Others, as z, are
+        not looked at.
+
+    Returns
+    -------
+    block : PlanarBlock
+        Check points take no part in it.
+    points : tuple of ControlPoint
+        Control and check points, to hold the result against; their heights count nothing and are 0.
+
+    Raises
+    ------
+    InputError
+        Names file and line.
+    """
+    names = {stem(photo.name): photo.name for photo in photos}
+    found: list[Tie] = []
+    if ties is not None:
+        table = read_table(ties, "tie point table", ",".join(TIE_COLUMNS))
+        table.require(*TIE_COLUMNS, what="tie points")
+        for row, image in _rows(table, names):
+            found.append(Tie(row.text("id"), image, row.number("col"), row.number("row"), _sigma(row)))
+    points: list[ControlPoint] = []
+    if control is not None:
+        table = read_table(control, "control point table", ",".join(CONTROL_COLUMNS))
+        table.require(*CONTROL_COLUMNS, what="control points")
+        for row, image in _rows(table, names):
+            role = (row.values.get("role") or "control").strip().lower()
+            if role not in ROLES:
+                raise InputError(f"role '{role}' is neither 'control' nor 'check'", where=row.where)
+            points.append(
+                ControlPoint(
+                    id=row.text("id"),
+                    xyz=(row.number("x"), row.number("y"), 0.0),
+                    image=image,
+                    colrow=(row.number("col"), row.number("row")),
+                    sigma_xy=row.number("sigma_xy", 0.0),
+                    sigma_px=_sigma(row),
+                    role=role,
+                )
+            )
+    known = [
+        Control(p.id, p.xyz[0], p.xyz[1], p.image, *p.colrow, p.sigma_px, p.sigma_xy)
+        for p in points
+        if p.role == "control"
+    ]
+    own = {(point.id, point.photo) for point in known}
+    # A control point may stand in the table of ties too, so that it ties photos in which it is not listed as control.
+    also = tuple(tie for tie in found if (tie.id, tie.photo) not in own)
+    try:
+        block = PlanarBlock(tuple(PlanarPhoto(photo.name, photo.info.size) for photo in photos), also, tuple(known))
+    except InputError as error:
+        files = " or ".join(str(path) for path in (ties, control) if path is not None)
+        raise InputError(f"{error.where}: {error.what}", where=files, mend=error.mend) from None
+    return block, tuple(points)
+
+
+def _rows(table: Table, names: dict[str, str]) -> list[tuple[Row, str]]:
+    """Rows of the block's images, with the images' full names."""
+    found = []
+    for row in table:
+        image = row.text("image")
+        name = names.get(stem(image))
+        if name is not None:
+            found.append((row, name))
+    if not found:
+        image = table.rows[0].text("image")
+        raise InputError(
+            f"no row is of an image of the block; the first one is of '{image}'",
+            where=table.path,
+            mend=did_you_mean(stem(image), names) or f"the images are {', '.join(list(names.values())[:4])}",
+        )
+    return found
+
+
+def _sigma(row: Row) -> float:
+    """Standard deviation in pixels, 1 unless given."""
+    sigma = row.number("sigma_px", row.number("sigma", 1.0))
+    if sigma <= 0.0:
+        raise InputError(f"sigma_px is {sigma:g}", where=row.where, mend="give a positive number of pixels")
+    return sigma

@@ -1,0 +1,132 @@
+"""Files that describe a sheet, to values: layout, styles, a project's report."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from geomosaic.carto.entries import build
+from geomosaic.carto.layout import Layout, parse_scale
+from geomosaic.carto.style import BUILT_IN, Style, built_in, parse_style
+from geomosaic.errors import InputError
+from geomosaic.product.sheet import SheetResult, VectorInput, make_sheet
+from geomosaic.project.camera import read_toml
+from geomosaic.project.tables import read_text
+
+
+def read_layout(path: Path) -> Layout:
+    """Read a layout file.
+
+    Raises
+    ------
+    InputError
+        Names what is wrong, with its table and key.
+    """
+    values = dict(read_toml(path, "layout"))
+    table = values.get("map")
+    if isinstance(table, dict) and isinstance(table.get("scale"), str):
+        values["map"] = {**table, "scale": parse_scale(table["scale"], f"{path}, [map] scale")}
+    for name in ("layer",):
+        if isinstance(values.get(name), dict):
+            raise InputError("layers are a list", where=f"{path}, [layer]", mend="write [[layer]] in double brackets")
+    return build(Layout, values, str(path))
+
+
+def read_style(name: str, base: Path, where: str | None = None) -> Style:
+    """Read a style: a built-in one by its name, or a .toml file relative to `base`."""
+    if name.lower().endswith(".toml"):
+        file = base / name
+        return parse_style(read_toml(file, "style"), str(file))
+    return built_in(name, where)
+
+
+def vector_input(text: str, base: Path = Path()) -> VectorInput:
+    """Read FILE[#LAYER][:STYLE], as the option --vector has it.
+
+    Raises
+    ------
+    InputError
+        The style does not exist.
+    """
+    file, style = text, ""
+    head, mark, tail = text.rpartition(":")
+    # A colon may belong to the path (a drive): what follows then has a separator in it, or the file exists.
+    if mark and len(head) > 1 and not (base / text).exists():
+        known = tail in BUILT_IN or tail.lower().endswith(".toml")
+        if known or not any(c in tail for c in "/\\"):
+            file, style = head, tail
+    path, layer = file, ""
+    if not (base / file).exists() and "#" in file:
+        path, _, layer = file.rpartition("#")
+    return VectorInput(base / path, layer or None, read_style(style, base, text) if style else None)
+
+
+def sheet_from_files(
+    raster: Path,
+    output: Path,
+    *,
+    layout: Path | None = None,
+    scale: str | None = None,
+    paper: str | None = None,
+    orientation: str | None = None,
+    bounds: tuple[float, float, float, float] | None = None,
+    dpi: int | None = None,
+    title: str | None = None,
+    vectors: tuple[str, ...] = (),
+    contours: Path | None = None,
+    interval: float | None = None,
+    dem_heights: str | None = None,
+    report: Path | None = None,
+    overwrite: bool = False,
+) -> SheetResult:
+    """Make a sheet; what is given here wins over the layout file.
+
+    Parameters are those of `geomosaic sheet`; see `make_sheet` for what it raises.
+    """
+    plan = read_layout(layout) if layout is not None else Layout()
+    base = layout.parent if layout is not None else Path()
+    sheet = {"paper": paper, "orientation": orientation, "dpi": dpi, "title": title}
+    area = {"scale": parse_scale(scale, "--scale") if scale else None, "bounds": bounds}
+    plan = replace(
+        plan,
+        sheet=replace(plan.sheet, **_given(sheet)),
+        map=replace(plan.map, **_given(area)),
+        contours=replace(plan.contours, **_given({"interval": interval})),
+    )
+    if layout is None and title is None:
+        plan = replace(plan, sheet=replace(plan.sheet, title=raster.stem.replace("_", " ")))
+    layers = [
+        VectorInput(
+            base / part.file,
+            part.layer or None,
+            read_style(part.style, base, f"{layout}, [[layer]]") if part.style else None,
+            part.title,
+        )
+        for part in plan.layer
+    ]
+    layers += [vector_input(text) for text in vectors]
+    dem = contours or (base / plan.contours.dem if plan.contours.dem else None)
+    facts = _report(report) if report is not None else None
+    return make_sheet(
+        raster, output, plan, layers, dem=dem, dem_heights=dem_heights or plan.contours.heights or None, report=facts,
+        overwrite=overwrite,
+    )  # fmt: skip
+
+
+def _given(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _report(path: Path) -> Mapping[str, Any]:
+    try:
+        facts = json.loads(read_text(path, "report", 256 << 20))
+    except json.JSONDecodeError as error:
+        raise InputError(f"the report is not JSON: {error}", where=str(path), mend="give report.json") from None
+    if not isinstance(facts, dict) or not {"orient", "mosaic", "check"} & set(facts):
+        raise InputError(
+            "this is no report of a project", where=str(path), mend="give the report.json beside the mosaic"
+        )
+    return facts

@@ -1,0 +1,96 @@
+"""Histogram matching: the values of one image brought to the distribution of another's.
+
+A value goes to the value of equal rank: y = F⁻¹(G(x)), with G the distribution of the image and F that of its master
+(Gonzalez and Woods, *Digital Image Processing*, section 3.3). Over whole images that needs no common ground. Over the
+overlap both show the same ground, so that what one has more of, a lake, does not change the other's colours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from geomosaic.radiometry.curve import Curve
+from geomosaic.radiometry.overlaps import LEAST_CELLS, Thumbnail
+from geomosaic.types import AnyArray, FloatArray
+
+RANKS = 256
+"""Ranks at which two distributions are compared."""
+
+
+def match(source: AnyArray, target: AnyArray) -> Curve:
+    """Curve that brings values (N, bands) to the distribution of others (M, bands).
+
+    Where a value stands for many ranks, as in images of 8 bits, it goes to the mean of theirs.
+    """
+    ranks = (np.arange(RANKS) + 0.5) / RANKS
+    knots = []
+    for band in range(source.shape[1]):
+        x = np.quantile(source[:, band].astype(np.float64), ranks)
+        y = np.quantile(target[:, band].astype(np.float64), ranks)
+        values, which, count = np.unique(x, return_inverse=True, return_counts=True)
+        knots.append((values, np.bincount(which, weights=y) / count))
+    return Curve(knots)
+
+
+def match_whole(pieces: Sequence[Thumbnail], master: Thumbnail) -> list[Curve]:
+    """Bring each image to the distribution of the master, all that both show."""
+    target = master.values[master.valid > 0]
+    curves = []
+    for piece in pieces:
+        own = piece.values[piece.valid > 0]
+        enough = piece is not master and min(len(own), len(target)) >= LEAST_CELLS
+        curves.append(match(own, target) if enough else Curve.identity(piece.values.shape[2]))
+    return curves
+
+
+def match_overlaps(pieces: Sequence[Thumbnail], master: Thumbnail) -> tuple[list[Curve], list[int]]:
+    """Bring images to the master one after the other, each over what it shares with those already done.
+
+    The next one is always that which shares most. `master` is one of the pieces, or a picture of its own.
+
+    Returns
+    -------
+    curves : list of Curve
+    alone : list of int
+        Images that no chain of overlaps joins to the master; they stay as they are.
+    """
+    bands = master.values.shape[2]
+    curves: dict[int, Curve] = {i: Curve.identity(bands) for i, piece in enumerate(pieces) if piece is master}
+    own: list[list[AnyArray]] = [[] for _ in pieces]
+    others: list[list[FloatArray]] = [[] for _ in pieces]
+    shared = np.zeros(len(pieces), dtype=np.int64)
+
+    def meet(done: Thumbnail, curve: Curve) -> None:
+        for i, piece in enumerate(pieces):
+            if i not in curves and (found := common(piece, done)) is not None:
+                own[i].append(found[0])
+                others[i].append(curve(found[1]))
+                shared[i] += len(found[0])
+
+    meet(master, Curve.identity(bands))
+    while True:
+        waiting = [i for i in range(len(pieces)) if i not in curves and shared[i] >= LEAST_CELLS]
+        if not waiting:
+            break
+        following = max(waiting, key=lambda i: (shared[i], -i))
+        curves[following] = match(np.concatenate(own[following]), np.concatenate(others[following]))
+        own[following], others[following] = [], []
+        meet(pieces[following], curves[following])
+    alone = [i for i in range(len(pieces)) if i not in curves]
+    return [curves.get(i, Curve.identity(bands)) for i in range(len(pieces))], alone
+
+
+def common(one: Thumbnail, other: Thumbnail) -> tuple[AnyArray, AnyArray] | None:
+    """Values (N, bands) of two images where both are known; None where they share nothing."""
+    window = one.window.intersection(other.window)
+    if window.empty:
+        return None
+    views = []
+    for piece in (one, other):
+        row, col = window.row - piece.window.row, window.col - piece.window.col
+        here = slice(row, row + window.height), slice(col, col + window.width)
+        views.append((piece.values[here], piece.valid[here] > 0))
+    seen = views[0][1] & views[1][1]
+    return (views[0][0][seen], views[1][0][seen]) if seen.any() else None

@@ -1,0 +1,37 @@
+"""Shares that a person has drawn: they win, and the seams laid before fill what they leave."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from geomosaic.seam.voronoi import polygonal
+
+
+def with_cutlines(shares: Sequence[Any], drawn: Mapping[int, Any]) -> list[Any]:
+    """Shares with some of them drawn anew.
+
+    Parameters
+    ----------
+    shares : sequence of Polygon or MultiPolygon
+        One per image; they share no area.
+    drawn : mapping of int to Polygon or MultiPolygon
+        By number of the image. Where two overlap, the image of the lower number has it.
+
+    Returns
+    -------
+    list of Polygon or MultiPolygon
+        They share no area. An image without a drawn share keeps what no drawn one takes.
+    """
+    import shapely
+
+    taken: Any = shapely.Polygon()
+    result: list[Any] = [shapely.Polygon()] * len(shares)
+    for number in sorted(drawn):
+        result[number] = polygonal(shapely.make_valid(drawn[number]).difference(taken))
+        taken = taken.union(result[number])
+    tree = shapely.STRtree(list(shares))
+    for number, share in enumerate(shares):
+        rest = polygonal(share.difference(taken)) if len(tree.query(taken)) else share
+        result[number] = polygonal(result[number].union(rest))
+    return result

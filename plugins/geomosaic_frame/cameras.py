@@ -1,0 +1,96 @@
+"""The camera of a photo, from a table, a file or a reconstruction; a film with the marks of its scan."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import InputError
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic_frame.calibration import read_certificate
+from geomosaic_frame.camera import Camera
+from geomosaic_frame.film import FilmCamera
+from geomosaic_frame.inside import Inside
+from geomosaic_frame.interior import KINDS
+from geomosaic_frame.marks import orient
+from geomosaic_frame.opensfm import read_shot
+from geomosaic_frame.orientation import DIRECTIONS, FRAMES
+from geomosaic_frame.read import choice, flag, known_keys, need, table_of
+
+FILM_OPTIONS = ("fiducials", "interior", "mirrored")
+
+
+def tables(request: SensorRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    """Camera table and orientation row, wherever they come from."""
+    where, options = request.image, request.options
+    if options.get("points") is not None:
+        row: dict[str, Any] = {}
+    else:
+        row = dict(table_of(need(options, "orientation", where, "system and angles"), "orientation", where))
+    table = options.get("camera")
+    if row.get("system") in ("opensfm", "odm") and "reconstruction" in row:
+        known_keys(row, ("system", "reconstruction"), where)
+        path = Path(request.base) / str(row["reconstruction"])
+        own, row = read_shot(path, request.image, str(row["system"]), where)
+        table = own if table is None else table
+    if isinstance(table, str):
+        table = _toml(Path(request.base) / table, f"{where}, camera")
+    if table is None:
+        raise InputError(
+            "'camera' is missing", where=where, mend="give the camera's table or the name of a camera.toml file"
+        )
+    for option, key, words in (("matrix", "matrix", DIRECTIONS), ("angle_frame", "frame", FRAMES)):
+        if options.get(option) is not None and row:
+            row.setdefault(key, choice(options[option], words, option, where))
+    return table_of(table, "camera", where), row
+
+
+def _toml(path: Path, where: str) -> Mapping[str, Any]:
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"the camera file {path} cannot be read: {error}", where=where) from error
+    inner = values.get("camera")
+    return inner if isinstance(inner, dict) and len(values) == 1 else values
+
+
+def camera_of(table: Mapping[str, Any], request: SensorRequest) -> tuple[Inside, list[str]]:
+    """Camera for the image at hand, and what was done to it."""
+    where = f"{request.image}, camera"
+    if "fiducials" in table:
+        return _film(table, request, where)
+    for key in FILM_OPTIONS:
+        if request.options.get(key) is not None:
+            raise InputError(
+                f"'{key}' is about film, but the camera has no fiducials",
+                where=request.image,
+                mend="give the camera's calibration certificate, with the table [fiducials] in mm",
+            )
+    full = Camera.from_table(table, request.size, where)
+    camera = full.scaled(request.size, where)
+    camera.warn_of_fold(where)
+    if camera is full:
+        return camera, []
+    w, h = full.size
+    factor = w / camera.size[0]
+    return camera, [f"the image is a copy of the camera's {w} x {h} pixels, reduced by {factor:g}: camera scaled to it"]
+
+
+def _film(table: Mapping[str, Any], request: SensorRequest, where: str) -> tuple[FilmCamera, list[str]]:
+    """Certificate and measured marks to a camera of this scan."""
+    certificate = read_certificate(table, where)
+    options = request.options
+    text = "the fiducials measured in this scan, mark = [col, row] in pixels, for the interior orientation"
+    given = table_of(need(options, "fiducials", request.image, text), "fiducials", request.image)
+    kind = options.get("interior")
+    if kind is not None:
+        kind = choice(kind, KINDS, "interior", request.image)
+    mirrored = flag(options, "mirrored", request.image)
+    interior, notes = orient(given, certificate.fiducials, request.size, kind, mirrored, request.image)
+    camera = FilmCamera(request.size, certificate.lens, certificate.autocollimation, interior.matrix)
+    end, reach = certificate.lens.radial.end, camera.reach()
+    if reach > end:
+        notes.append(f"the distortion is given up to {end:.0f} mm, the scan reaches {reach:.0f} mm: continued linearly")
+    return camera, notes

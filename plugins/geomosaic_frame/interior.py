@@ -1,0 +1,137 @@
+"""Interior orientation: from pixels of a scan to millimetres of the camera, by its fiducial marks.
+
+Three kinds (lecture on image rectification; Kraus, Photogrammetry, 2.1): conformal (4 parameters: shift, turn, scale),
+affine (6: also another scale across and a shear, as film and scanners have them), projective (8).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.types import FloatArray
+
+KINDS = {"conformal": 2, "affine": 3, "projective": 4}
+"""Names, and the fewest marks each needs."""
+
+
+@dataclass(frozen=True)
+class InteriorOrientation:
+    """Pixels to millimetres, fitted to marks.
+
+    Attributes
+    ----------
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    matrix : array (3, 3)
+        Homogeneous (col, row, 1) in pixels → (x, y, 1) in mm of the fiducial axes, x right, y up.
+    residuals : array (N, 2)
+        Measured, brought to the fiducial axes, minus calibrated; micrometres.
+    sigma0 : float
+        Standard deviation of a coordinate, micrometres; NaN without redundancy.
+    redundancy : int
+    """
+
+    kind: str
+    matrix: FloatArray
+    residuals: FloatArray
+    sigma0: float
+    redundancy: int
+
+    @property
+    def rms(self) -> float:
+        """Root mean square length of the residuals, micrometres."""
+        return float(np.sqrt((self.residuals**2).sum(axis=1).mean()))
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the scan shows the film from its back."""
+        return bool(np.linalg.det(self.matrix[:2, :2]) > 0.0)  # rows count downwards, y up
+
+    @property
+    def turn(self) -> float:
+        """Direction of the fiducial x axis in the scan, in degrees, counter-clockwise from its columns."""
+        dx, dy = np.linalg.inv(self.matrix[:2, :2])[:, 0]
+        return float(np.degrees(np.arctan2(-dy, dx)))
+
+    @property
+    def pixel(self) -> tuple[float, float]:
+        """Size of a pixel along columns and rows, micrometres."""
+        across, down = 1000.0 * np.linalg.norm(self.matrix[:2, :2], axis=0)
+        return float(across), float(down)
+
+
+def fit_interior(colrow: FloatArray, calibrated: FloatArray, kind: str, mirrored: bool = False) -> InteriorOrientation:
+    """Fit pixels to millimetres by least squares.
+
+    Parameters
+    ----------
+    colrow : array (N, 2)
+        Measured marks in pixels.
+    calibrated : array (N, 2)
+        The same marks in mm, x right, y up; at least as many as `KINDS` says, not all in line.
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    mirrored : bool
+        Whether a conformal fit may only mirror, or not mirror, the film; the other two kinds do what the marks say.
+    """
+    image, film = np.asarray(colrow, dtype=np.float64), np.asarray(calibrated, dtype=np.float64)
+    # About their middles and with radii near one, so that no accuracy is lost to large numbers.
+    middle = image.mean(axis=0)
+    scale = float(np.sqrt(((image - middle) ** 2).sum(axis=1).mean())) or 1.0
+    p = (image - middle) / scale
+    bring = np.array([[1.0, 0.0, -middle[0]], [0.0, 1.0, -middle[1]], [0.0, 0.0, scale]]) / scale
+    if kind == "conformal":
+        matrix, unknowns = _conformal(p, film, mirrored), 4
+    else:
+        affine = np.linalg.lstsq(np.column_stack([p, np.ones(len(p))]), film, rcond=None)[0].T
+        matrix, unknowns = np.vstack([affine, [0.0, 0.0, 1.0]]), 6
+        if kind == "projective":
+            matrix, unknowns = _projective(p, film, matrix), 8
+    residuals = 1000.0 * (apply(matrix, p) - film)
+    redundancy = 2 * len(p) - unknowns
+    sigma0 = float(np.sqrt((residuals**2).sum() / redundancy)) if redundancy > 0 else float("nan")
+    full = matrix @ bring
+    return InteriorOrientation(kind, full / full[2, 2], residuals, sigma0, redundancy)
+
+
+def apply(matrix: FloatArray, xy: FloatArray) -> FloatArray:
+    """Homography (3, 3) of points (N, 2)."""
+    x, y = np.asarray(xy, dtype=np.float64).T
+    # Written out instead of a matrix product: BLAS may round a point differently from one array length to the next.
+    a, b, c = (row[0] * x + row[1] * y + row[2] for row in matrix)
+    return np.column_stack([a / c, b / c])
+
+
+def _conformal(p: FloatArray, film: FloatArray, mirrored: bool) -> FloatArray:
+    """Fit x = a·m·p₁ + b·p₂ + e,  y = b·m·p₁ − a·p₂ + f, with m = 1, or −1 where mirrored."""
+    m = -1.0 if mirrored else 1.0
+    one, zero = np.ones(len(p)), np.zeros(len(p))
+    design = np.vstack(
+        [np.column_stack([m * p[:, 0], p[:, 1], one, zero]), np.column_stack([-p[:, 1], m * p[:, 0], zero, one])]
+    )
+    a, b, e, f = np.linalg.lstsq(design, film.T.ravel(), rcond=None)[0]
+    return np.array([[a * m, b, e], [b * m, -a, f], [0.0, 0.0, 1.0]])
+
+
+def _projective(p: FloatArray, film: FloatArray, start: FloatArray) -> FloatArray:
+    """Gauss-Newton steps on the residuals in the film, from the affine fit."""
+    values = start.ravel()[:8].copy()
+    for _ in range(30):
+        matrix = np.append(values, 1.0).reshape(3, 3)
+        x, y = apply(matrix, p).T
+        w = p @ matrix[2, :2] + 1.0
+        base = np.column_stack([p, np.ones(len(p))]) / w[:, None]
+        nothing = np.zeros((len(p), 3))
+        design = np.vstack(
+            [
+                np.column_stack([base, nothing, -x[:, None] * base[:, :2]]),
+                np.column_stack([nothing, base, -y[:, None] * base[:, :2]]),
+            ]
+        )
+        step = np.linalg.lstsq(design, np.concatenate([film[:, 0] - x, film[:, 1] - y]), rcond=None)[0]
+        values += step
+        if np.abs(step).max() < 1e-14 * np.abs(values).max():
+            break
+    return np.append(values, 1.0).reshape(3, 3)

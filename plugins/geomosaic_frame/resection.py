@@ -1,0 +1,229 @@
+"""Space resection: place and attitude of a photo from control points, with no initial values.
+
+Grunert's solutions of three points start a least squares adjustment over all of them (`geomosaic.sensor.solve`).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SolveError
+from geomosaic.geo.crs import geocentric
+from geomosaic.geo.transform import Transform
+from geomosaic.sensor.solve import Pose, Resection, correlations, dangerous_cylinder, poses, resect
+from geomosaic.types import FloatArray
+from geomosaic_frame.corrections import bending_of, untold
+from geomosaic_frame.inside import Inside
+from geomosaic_frame.model import NAMES, FrameModel
+from geomosaic_frame.orientation import FLIP, Attitude
+from geomosaic_frame.place import local_frame, need_heights, planar, rigorous
+from geomosaic_frame.read import flag, known_keys, need, number, numbers, positive, table_of
+from geomosaic_frame.start import model_at
+
+COLUMNS = ("x", "y", "z", "col", "row")
+WEAK = 50.0
+"""Pixels on the ground per pixel of measurement: a centre less certain than that is told as badly determined."""
+NEAR = 0.1
+"""Share of the dangerous cylinder's radius within which a centre is told to be near it."""
+
+
+def read_points(given: Any, where: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Ground (N, 3), image (N, 2) and sigmas (N,) of a list of tables."""
+    if isinstance(given, str) or not isinstance(given, Sequence):
+        raise InputError(f"points = {given!r} is not a list of tables", where=where)
+    rows = []
+    for i, item in enumerate(given):
+        table, here = table_of(item, f"points[{i}]", where), f"{where}, points[{i}]"
+        known_keys(table, ("id", *COLUMNS, "sigma"), here)
+        row = [number(need(table, key, here, "ground in the CRS, image in pixels"), key, here) for key in COLUMNS]
+        rows.append([*row, positive(table.get("sigma", 1.0), "sigma", here)])
+    if len(rows) < 3:
+        raise InputError(
+            f"{len(rows)} control points do not place a photo", where=where, mend="give three; a fourth is a check"
+        )
+    values = np.array(rows)
+    return values[:, :3], values[:, 3:5], values[:, 5]
+
+
+def resect_photo(
+    camera: Inside,
+    crs: CRS,
+    treatment: str,
+    ground: float | None,
+    options: Mapping[str, Any],
+    notes: tuple[str, ...],
+    where: str,
+) -> FrameModel:
+    """Make the model of a photo from its control points.
+
+    Parameters
+    ----------
+    camera : Inside
+    crs : CRS
+        3-D, of the points.
+    treatment : str
+        'rigorous' or 'planar'.
+    ground : float or None
+        Mean height of the ground; that of the points where not given.
+    options : mapping
+        With `points`.
+    notes : tuple of str
+        What is to be said of the camera.
+    where : str
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        Points are missing or no numbers, or they do not place the photo; says why.
+    """
+    if options.get("orientation") is not None:
+        raise InputError("both 'points' and 'orientation' are given", where=where, mend="give one of them")
+    if flag(options, "scale_correction", where):
+        raise InputError(
+            "scale_correction is about given positions, not about points", where=where, mend="leave it out"
+        )
+    known, image, sigmas = read_points(options["points"], where)
+    near = options.get("position")
+    if near is not None:
+        if len(known) > 3:
+            raise InputError(
+                "position chooses among the places that three points allow, and more points allow one",
+                where=where,
+                mend="leave position out",
+            )
+        near = np.array(numbers(near, 3, "position", where))
+    need_heights(crs, known[0], float(np.hypot(*camera.size)) / 2, where)
+    ground = float(known[:, 2].mean()) if ground is None else ground
+    xyz = known if treatment == "planar" else Transform(crs, geocentric(crs))(known)
+    if not np.isfinite(xyz).all():
+        raise InputError("a control point has no place in the CRS", where=where, mend="check x, y, z and the CRS")
+
+    def photo(pose: Pose) -> FrameModel:
+        """The model at a pose, in a frame of its own."""
+        return _photo(camera, crs, treatment, ground, options, pose, where)
+
+    solved: list[Resection[FrameModel]] = []
+    refused: GeomosaicError | None = None
+    for pose in poses(camera.directions(image), xyz):
+        try:
+            first = resect(photo(pose), xyz, image, sigmas)
+            # Once more about the centre found, so that the parameters are offsets of zero from it.
+            final = resect(photo(_pose_of(first.model)), xyz, image, sigmas)
+        except (InputError, SolveError) as error:
+            refused = error
+            continue
+        if np.isfinite(final.residuals).all():
+            solved.append(final)
+    if not solved:
+        raise InputError(
+            "the control points do not place the photo" + (f": {refused.what}" if refused else ": they are in line"),
+            where=where,
+            mend="check that the points are the ones measured, (col, row) in pixels, and their CRS",
+        )
+    best = _choose(solved, xyz, crs, near, where)
+    _warn_of_weakness(best, xyz, sigmas, where)
+    model = best.model
+    position = Transform(model.crs, crs)(model.centre[None])[0]
+    said = bending_of(options, crs, position, ground, treatment, where)[1]
+    told = said or untold(camera, crs, position, ground, treatment)
+    return replace(model, notes=(*notes, *told, *_words(best, crs)))
+
+
+def _photo(
+    camera: Inside,
+    crs: CRS,
+    treatment: str,
+    ground: float,
+    options: Mapping[str, Any],
+    pose: Pose,
+    where: str,
+) -> FrameModel:
+    rotation = FLIP @ pose.rotation
+    if treatment == "planar":
+        position = pose.centre
+        place = planar(crs, position, Attitude(rotation, "grid"), where)
+    else:
+        position = Transform(geocentric(crs), crs)(pose.centre[None])[0]
+        axes = local_frame(crs, position, where).axes
+        place = rigorous(crs, position, Attitude(rotation @ axes.T, "local"), where)
+    if not crs.is_geocentric and position[2] <= ground:
+        raise InputError("the camera would be below the ground", where=where)
+    bending = bending_of(options, crs, position, ground, treatment, where)[0]
+    return model_at(camera, place, crs, ground, options, (), bending, where)
+
+
+def _pose_of(model: FrameModel) -> Pose:
+    return Pose(model.centre, FLIP @ model.rotation @ model.frame.axes)
+
+
+def _choose(
+    solved: list[Resection[FrameModel]], xyz: FloatArray, crs: CRS, near: FloatArray | None, where: str
+) -> Resection[FrameModel]:
+    """The best of the solutions; with three points all fit, and several are an error that lists them."""
+    if len(xyz) > 3:
+        return min(solved, key=lambda one: float(np.nansum(one.residuals**2)))
+    distinct = [solved[0]]
+    for one in solved[1:]:
+        apart = min(float(np.linalg.norm(one.model.centre - other.model.centre)) for other in distinct)
+        if apart > 0.01 * one.model.parameters.steps[0]:
+            distinct.append(one)
+    to_map = Transform(distinct[0].model.crs, crs)
+    if near is not None:
+        wanted = Transform(crs, distinct[0].model.crs)(near[None])[0]
+        return min(distinct, key=lambda one: float(np.linalg.norm(one.model.centre - wanted)))
+    if len(distinct) > 1:
+        centres = [to_map(one.model.centre[None])[0] for one in distinct]
+        listed = "; ".join(f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in centres)
+        raise InputError(
+            f"three points fit {len(distinct)} places of the camera: {listed}",
+            where=where,
+            mend="give a fourth point, or position, roughly, to choose the nearest of them",
+        )
+    return distinct[0]
+
+
+def _warn_of_weakness(one: Resection[FrameModel], xyz: FloatArray, sigmas: FloatArray, where: str) -> None:
+    """Warn where the centre is on the dangerous cylinder, or as badly determined as if it were."""
+    gap = dangerous_cylinder(one.model.centre, xyz) if len(xyz) == 3 else float("inf")
+    worst = float(one.sigmas[:3].max())
+    pixels = worst / float(one.model.parameters.steps[0] * np.median(sigmas))
+    if not gap < NEAR and not pixels > WEAK:
+        return
+    cause = (
+        f"the camera is near the dangerous cylinder through them ({100.0 * gap:.0f} % of its radius away)"
+        if gap < NEAR
+        else "they are too few, or too close together"
+    )
+    warnings.warn(
+        f"{where}: the control points hardly determine the photo: {cause}; the projection centre is uncertain by "
+        f"{worst:.2f} m, {pixels:.0f} pixels on the ground. Add points, one in the middle or at another height.",
+        GeomosaicWarning,
+        stacklevel=2,
+    )
+
+
+def _words(one: Resection[FrameModel], crs: CRS) -> list[str]:
+    count = len(one.residuals)
+    rms = float(np.sqrt((one.residuals**2).sum(axis=1).mean()))
+    fit = (
+        f"residuals {rms:.2f} px RMS, sigma0 {one.sigma0:.2f}"
+        if one.redundancy
+        else "no check: three points fit always"
+    )
+    rho = correlations(one.covariance)
+    i, j = np.unravel_index(int(np.argmax(np.abs(np.triu(rho, 1)))), rho.shape)
+    unit = "m" if (name := one.model.parameters.units[0]) == "metre" else name
+    place = ", ".join(f"{value:.2f}" for value in Transform(one.model.crs, crs)(one.model.centre[None])[0])
+    length, angle = (", ".join(f"{s:.2g}" for s in part) for part in (one.sigmas[:3], one.sigmas[3:]))
+    return [
+        f"resected from {count} points: {fit}; projection centre {place}",
+        f"sigmas of {', '.join(NAMES[:3])}: {length} {unit}; of {', '.join(NAMES[3:])}: {angle} deg; largest "
+        f"correlation {rho[i, j]:+.3f}, of {NAMES[int(i)]} and {NAMES[int(j)]}",
+    ]

@@ -1,0 +1,207 @@
+"""The plugin's door: from an image and its inputs to a model."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError, SolveError, did_you_mean
+from geomosaic.geo.crs import has_heights
+from geomosaic.geo.transform import Transform
+from geomosaic.sensor.plugin import SensorInput, SensorRequest
+from geomosaic.types import FloatArray
+from geomosaic_rpc.coefficients import Rpc
+from geomosaic_rpc.find import OWN, Found, files_beside, find_rpc, own_rpc
+from geomosaic_rpc.model import KINDS, WGS84, RpcModel
+from geomosaic_rpc.read import read_rpc
+from geomosaic_rpc.refine import refine
+
+POINT = ("x", "y", "z", "col", "row")
+
+
+class RpcPlugin:
+    """Sensor 'rpc'."""
+
+    name = "rpc"
+    summary = "satellite scenes with rational polynomial coefficients (RPC00B), refined by shift, drift or affine"
+    inputs = (
+        SensorInput(
+            "rpc",
+            "file of the RPC: _RPC.TXT, RPB, DIMAP 2 or 3 XML, DigitalGlobe XML, OSSIM keyword list; or 'image', what "
+            "the image itself carries (TIFF tags, NITF)",
+            default="found in the image or beside it",
+        ),
+        SensorInput(
+            "first_pixel",
+            "what the RPC calls the centre of the upper-left pixel",
+            "px",
+            "that of the format: 1 for Pleiades and SPOT 6 and 7 XML, 0 for all others",
+        ),
+        SensorInput(
+            "offset",
+            "[col, row] of the image's corner in the scene the RPC was made for, for a part of it",
+            "px",
+            "0, 0",
+        ),
+        SensorInput(
+            "refine",
+            "what is corrected in the image: none, shift, drift (shift and drift along the rows) or affine",
+            default="shift",
+        ),
+        SensorInput(
+            "points", "control points for it, each with x, y, z, col, row and optionally id and sigma (pixels)", "CRS"
+        ),
+    )
+    model = RpcModel
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """Files beside an image that its RPC may come from."""
+        return files_beside(path)
+
+    def build(self, request: SensorRequest) -> RpcModel:
+        """Make the model of one image.
+
+        Raises
+        ------
+        InputError
+            There is no RPC, there are several, or an input is unknown or out of range.
+        SolveError
+            The control points do not determine the refinement.
+        """
+        where, options = request.image, request.options
+        known = [entry.name for entry in self.inputs]
+        for key in options:
+            if key not in known:
+                hint = did_you_mean(str(key), known)
+                raise InputError(
+                    f"sensor 'rpc' has no input '{key}'", where=where, mend=f"{hint} it has {', '.join(known)}".strip()
+                )
+        kind = options.get("refine", "shift")
+        if kind not in KINDS:
+            hint = did_you_mean(str(kind), KINDS)
+            raise InputError(
+                f"input 'refine' is '{kind}'", where=where, mend=f"{hint} choose one of {', '.join(KINDS)}".strip()
+            )
+        found = _chosen(request)
+        first = _numbers([options["first_pixel"]], 1, "first_pixel", where)[0] if "first_pixel" in options else None
+        rpc = found.fields.rpc(f"{where} ({found.source})", first)
+        corner = _numbers(options.get("offset", (0.0, 0.0)), 2, "offset", where)
+        if "offset" not in options:
+            _warn_of_a_part(rpc, request.size, where)
+        notes = (f"RPC of {found.source}, format {found.fields.format}",)
+        model = RpcModel.of(rpc.moved(-corner[0], -corner[1]), request.size, kind, where=where, notes=notes)
+        return _refined(model, request, kind) if options.get("points") else model
+
+
+def _chosen(request: SensorRequest) -> Found:
+    """Find the RPC that the inputs name, or the one of the image."""
+    named = request.options.get("rpc")
+    if named is not None and (not isinstance(named, str) or not named.strip()):
+        raise InputError(f"input 'rpc' is {named!r}, not the name of a file", where=request.image)
+    if named is not None and named != OWN:
+        file = Path(request.base) / named
+        if not file.is_file():
+            raise InputError(f"there is no RPC file '{named}'", where=request.image, mend="check the path")
+        return Found(file.name, read_rpc(file))
+    if request.path is None:
+        raise InputError(
+            "nothing says where the RPC is: neither a file of the image nor one of the RPC is known",
+            where=request.image,
+            mend="give rpc = FILE",
+        )
+    if named is None:
+        return find_rpc(request.path, request.image)
+    own = own_rpc(request.path)
+    if own is None:
+        raise InputError("the image carries no RPC", where=request.image, mend="name its file: rpc = FILE")
+    return own
+
+
+def _warn_of_a_part(rpc: Rpc, size: tuple[int, int], where: str) -> None:
+    """Say so where the image is much smaller than the scene, and its RPC counts from the corner of the scene."""
+    whole = 2.0 * np.abs(rpc.image_scale)
+    corner = rpc.image_offset - np.abs(rpc.image_scale)
+    if (np.abs(corner) < 0.02 * whole).all() and (np.array(size) < 0.5 * whole).any():
+        warnings.warn(
+            f"{where}: the image has {size[0]} x {size[1]} pixels, its RPC is made for about {whole[0]:.0f} x "
+            f"{whole[1]:.0f}; it is taken for the upper-left part. If it is another part, give offset = [col, row] of "
+            "its corner in the scene; if it was reduced, its RPC does not fit",
+            GeomosaicWarning,
+            stacklevel=4,
+        )
+
+
+def _refined(model: RpcModel, request: SensorRequest, kind: str) -> RpcModel:
+    """Correct the model with the control points of the inputs; wrong ones are named."""
+    where = request.image
+    if kind == "none":
+        raise InputError("there are control points, but refine is 'none'", where=where, mend="leave one of them out")
+    if request.crs is None:
+        raise InputError("the control points have no CRS", where=where, mend="name it, e.g. EPSG:32633")
+    if not has_heights(request.crs):
+        raise HeightDatumError(
+            "the heights of the control points have no vertical datum",
+            where=where,
+            mend="declare it: 'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid",
+        )
+    names, ground, image, sigmas = _points(request.options["points"], where)
+    try:
+        found = refine(model, Transform(request.crs, WGS84)(ground), image, kind, sigmas)
+    except SolveError as error:
+        error.where = where
+        raise
+    if not found.used.all():
+        left = ", ".join(
+            f"{name} ({length:.1f} px)"
+            for name, length, used in zip(names, np.hypot(*found.residuals.T), found.used, strict=True)
+            if not used
+        )
+        warnings.warn(
+            f"{where}: control points that contradict the others were left out: {left}", GeomosaicWarning, stacklevel=4
+        )
+    return found.model
+
+
+def _points(points: Any, where: str) -> tuple[list[str], FloatArray, FloatArray, FloatArray | None]:
+    """Names, ground (N, 3), image (N, 2) and sigmas (N,) of control points; no sigmas where none is given."""
+    if not isinstance(points, Sequence) or isinstance(points, str):
+        raise InputError("input 'points' is not a list of points", where=where)
+    names, rows = [], []
+    for index, point in enumerate(points, 1):
+        if not isinstance(point, Mapping):
+            raise InputError(f"control point {index} is not a table of {', '.join(POINT)}", where=where)
+        missing = [key for key in POINT if key not in point]
+        if missing:
+            hints = (did_you_mean(str(key), missing) for key in point if key not in (*POINT, "id", "sigma"))
+            raise InputError(
+                f"control point {index} has no {', '.join(missing)}",
+                where=where,
+                mend=f"{' '.join(filter(None, hints))} give each point {', '.join(POINT)}".strip(),
+            )
+        names.append(str(point.get("id", index)))
+        rows.append(
+            _numbers([point[key] for key in POINT] + [point.get("sigma", 1.0)], 6, f"points, {names[-1]}", where)
+        )
+        if rows[-1][5] <= 0.0:
+            raise InputError(f"control point {names[-1]} has a sigma that is not greater than 0", where=where)
+    table = np.array(rows)
+    known = all("sigma" in point for point in points)
+    return names, table[:, :3], table[:, 3:5], table[:, 5] if known else None
+
+
+def _numbers(given: Any, count: int, option: str, where: str) -> list[float]:
+    """Read a list of finite numbers."""
+    good = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) and len(given) == count
+    try:
+        numbers = [math.nan if isinstance(value, bool) else float(value) for value in given] if good else []
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        noun = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise InputError(f"input '{option}' is not {noun}: {given!r}", where=where)
+    return numbers

@@ -1,0 +1,118 @@
+"""One set of rational polynomial coefficients: normalise, divide two cubics, denormalise.
+
+    col = col_scale · N_c(L, P, H) / D_c(L, P, H) + col_off,   row likewise,
+    L = (longitude − lon_off) / lon_scale,   P = (latitude − lat_off) / lat_scale,   H = (height − h_off) / h_scale
+
+NITF extension RPC00B (STDI-0002); longitude and latitude of WGS 84 in degrees, height above its ellipsoid in metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+
+from geomosaic.types import BoolArray, FloatArray
+from geomosaic_rpc.polynomial import COUNT, combine, evaluate, slopes, terms
+
+# Cubics bend back far outside the ground they were fitted to, and would put distant ground into the image. Longitude
+# and latitude are normalised to about ±1 over the scene; heights may well exceed a scale made for flat land.
+_FARTHEST = np.array([10.0, 10.0, 100.0])
+
+
+@dataclass(frozen=True)
+class Rpc:
+    """A rational polynomial map from WGS 84 (longitude, latitude, ellipsoidal height) to the image.
+
+    Attributes
+    ----------
+    image_offset, image_scale : array (2,)
+        (col, row) in pixels. The offset counts from the outer corner of the upper-left pixel, as everywhere in
+        geomosaic: readers have added what their format counts otherwise.
+    ground_offset, ground_scale : array (3,)
+        Longitude and latitude in degrees, height in metres.
+    coefficients : array (4, 20)
+        Numerator and denominator for columns, numerator and denominator for rows, in the order of RPC00B.
+    errors : tuple of float, optional
+        What the producer says of the accuracy, root mean square: bias and random error per point, metres.
+    """
+
+    image_offset: FloatArray
+    image_scale: FloatArray
+    ground_offset: FloatArray
+    ground_scale: FloatArray
+    coefficients: FloatArray
+    errors: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        shapes = {
+            "image_offset": (2,), "image_scale": (2,), "ground_offset": (3,), "ground_scale": (3,),
+            "coefficients": (4, COUNT),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            array = np.array(getattr(self, name), dtype=np.float64)
+            if array.shape != shape:
+                raise ValueError(f"{name} has shape {array.shape}, not {shape}")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    def normalised(self, lonlath: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Ground (N, 3) to L, P, H (N, 3), and which points lie where the polynomials mean something."""
+        offset = np.asarray(lonlath, dtype=np.float64) - self.ground_offset
+        lon = offset[:, 0]
+        with np.errstate(invalid="ignore"):
+            # A scene at the date line: 179.9 and -179.9 are 0.2 degrees apart. Elsewhere nothing is rounded.
+            offset[:, 0] = np.where(np.abs(lon) > 180.0, np.mod(lon + 180.0, 360.0) - 180.0, lon)
+            lph = offset / self.ground_scale
+            inside: BoolArray = np.all(np.abs(lph) <= _FARTHEST, axis=1)
+        return np.where(inside[:, None], lph, 0.0), inside
+
+    def image(self, lonlath: FloatArray) -> FloatArray:
+        """Ground (N, 3) to image (N, 2) in pixels; NaN far outside the scene and where a denominator passes zero."""
+        lph, inside = self.normalised(lonlath)
+        image, good = self._divided(evaluate(self.coefficients, lph))
+        image[~(inside & good)] = np.nan
+        return image
+
+    def jacobian(self, lonlath: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the image (N, 2) and its derivatives by ground (N, 2, 3), in pixels per degree and per metre."""
+        lph, inside = self.normalised(lonlath)
+        values = combine(self.coefficients, terms(lph))
+        image, good = self._divided(values)
+        by_ground = np.empty((len(lph), 2, 3))
+        for axis, each in enumerate(slopes(lph)):
+            change = combine(self.coefficients, each)
+            for k in range(2):
+                top, bottom = values[2 * k], values[2 * k + 1]
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    quotient = (change[2 * k] - change[2 * k + 1] * (top / bottom)) / bottom
+                by_ground[:, k, axis] = quotient * (self.image_scale[k] / self.ground_scale[axis])
+        bad = ~(inside & good)
+        image[bad], by_ground[bad] = np.nan, np.nan
+        return image, by_ground
+
+    def _divided(self, values: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Image (N, 2) of polynomial values (4, N), and where both denominators have the sign of the scene's middle."""
+        bottom = values[1::2]
+        good: BoolArray = np.all(bottom * np.sign(self.coefficients[1::2, :1]) > 0.0, axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = values[0::2] / bottom
+        return np.ascontiguousarray((ratio * self.image_scale[:, None] + self.image_offset[:, None]).T), good
+
+    def moved(self, cols: float, rows: float) -> Self:
+        """Return the same map with the image's coordinates counted larger by so many pixels."""
+        return replace(self, image_offset=self.image_offset + np.array([cols, rows]))
+
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values."""
+        names = ("image_offset", "image_scale", "ground_offset", "ground_scale", "coefficients")
+        state: dict[str, Any] = {name: getattr(self, name).tolist() for name in names}
+        return {**state, "errors": None if self.errors is None else list(self.errors)}
+
+    @classmethod
+    def from_dict(cls, state: dict[str, Any]) -> Self:
+        """Rebuild from `to_dict`."""
+        arrays = {name: np.array(value) for name, value in state.items() if name != "errors"}
+        errors = state["errors"]
+        return cls(**arrays, errors=None if errors is None else (errors[0], errors[1]))

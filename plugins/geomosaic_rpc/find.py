@@ -1,0 +1,126 @@
+"""The RPC of an image: what it carries itself, and what lies beside it; where these differ, nothing is chosen."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.raster.rpc import read_rpc_tags
+from geomosaic_rpc.coefficients import Rpc
+from geomosaic_rpc.fields import RpcFields
+from geomosaic_rpc.read import FORMATS, read_rpc
+from geomosaic_rpc.tags import rpc_tags
+
+OWN = "image"
+"""Word for the RPC that the image itself carries."""
+
+_BESIDE = ("_RPC.TXT", "_RPC.txt", "_rpc.txt", ".RPB", ".rpb", ".geom", ".GEOM", ".kwl", ".KWL")
+# A file of the image's name may be anything; it counts only where it is an RPC.
+_MAYBE = (".XML", ".xml")
+_SAME = 1e-3  # pixels: formats print offsets and coefficients with different numbers of digits
+
+
+@dataclass(frozen=True)
+class Found:
+    """An RPC and where it comes from: a file name, or 'image'."""
+
+    source: str
+    fields: RpcFields
+
+
+def own_rpc(path: str) -> Found | None:
+    """Read the RPC that GDAL reports for an image, from its tags or from what it finds beside it."""
+    fields = rpc_tags(read_rpc_tags(path), path)
+    return None if fields is None else Found(OWN, fields)
+
+
+def rpc_beside(path: Path) -> list[Found]:
+    """RPC files that by their names belong to an image.
+
+    'scene.tif' has scene_RPC.TXT, scene.RPB, scene.geom, scene.kwl or scene.XML; 'IMG_x_R1C1.TIF' of a DIMAP product
+    RPC_x.XML. Tiles of a scene other than the first have an RPC that counts from the corner of the scene, so a
+    DIMAP file is taken for R1C1 only.
+
+    Raises
+    ------
+    InputError
+        A file that must hold an RPC is damaged.
+    """
+    sure, maybe = _named(path)
+    found = [Found(file.name, read_rpc(file)) for file in sure]
+    for file in maybe:
+        with suppress(InputError):
+            found.append(Found(file.name, read_rpc(file)))
+    return found
+
+
+def files_beside(path: Path) -> tuple[Path, ...]:
+    """Files beside an image that its RPC may come from, GDAL's .aux.xml among them where it holds one."""
+    sure, maybe = _named(path)
+    notes = path.with_name(f"{path.name}.aux.xml")
+    with suppress(OSError):
+        if b'"RPC"' in notes.read_bytes():
+            maybe = [*maybe, notes]
+    return (*sure, *maybe)
+
+
+def _named(path: Path) -> tuple[list[Path], list[Path]]:
+    """Files beside an image that by their names are an RPC, and that may be one."""
+    files = [path.with_name(path.stem + suffix) for suffix in _BESIDE]
+    dimap = re.fullmatch(r"IMG_(.+?)(?:_R1C1)?", path.stem)
+    if dimap and not re.search(r"_R\d+C\d+$", dimap[1]):
+        files += [path.with_name(f"RPC_{dimap[1]}{suffix}") for suffix in _MAYBE]
+    maybe = [path.with_name(path.stem + suffix) for suffix in _MAYBE]
+    return _distinct(files), [file for file in _distinct(maybe) if not file.samefile(path)]
+
+
+def find_rpc(path: str, where: str) -> Found:
+    """Find the one RPC of an image.
+
+    Raises
+    ------
+    InputError
+        There is none, or there are several that differ.
+    """
+    every = [one for one in (*rpc_beside(Path(path)), own_rpc(path)) if one is not None]
+    if not every:
+        raise InputError(
+            "the image carries no RPC, and none lies beside it",
+            where=where,
+            mend=f"name its file: rpc = FILE ({FORMATS}), or use another sensor",
+        )
+    first = every[0]
+    for other in every[1:]:
+        off = _difference(first.fields.rpc(where), other.fields.rpc(where))
+        if not off <= _SAME:
+            raise InputError(
+                f"the RPC of {first.source} and of {other.source} differ, by up to {off:.3g} pixels",
+                where=where,
+                mend=f"say which one holds: rpc = '{first.source}' or rpc = '{other.source}', with its path; "
+                f"'{OWN}' is what the image itself carries",
+            )
+    return first
+
+
+def _difference(one: Rpc, other: Rpc) -> float:
+    """Largest distance in pixels between two maps over the scene of the first; infinite where one of them fails."""
+    levels = np.linspace(-0.9, 0.9, 5)
+    lph = np.stack(np.meshgrid(levels, levels, levels), axis=-1).reshape(-1, 3)
+    ground = one.ground_offset + lph * np.abs(one.ground_scale)
+    off = np.hypot(*(one.image(ground) - other.image(ground)).T)
+    # Corners of the box may lie far outside the image, where one map may end.
+    return float(np.nanmax(off)) if np.isfinite(off).mean() > 0.5 else float("inf")
+
+
+def _distinct(files: list[Path]) -> list[Path]:
+    """Files that are there, each once where the file system does not tell capitals apart."""
+    there: list[Path] = []
+    for file in files:
+        if file.is_file() and not any(file.samefile(other) for other in there):
+            there.append(file)
+    return there

@@ -1,0 +1,94 @@
+"""RPCs as other programs read them: TIFF tags and _RPC.TXT, both RPC00B with pixel centres counted from 0."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from geomosaic.errors import OutputExistsError
+from geomosaic.raster.rpc import write_rpc_tags
+from geomosaic.types import PathLike
+from geomosaic_rpc.coefficients import Rpc
+from geomosaic_rpc.fields import POLYNOMIALS, SCALARS
+from geomosaic_rpc.fit import fit_rpc
+from geomosaic_rpc.model import RpcModel
+
+_UNITS = {"LINE": "pixels", "SAMP": "pixels", "LAT": "degrees", "LONG": "degrees", "HEIGHT": "meters"}
+
+
+def plain(model: RpcModel) -> Rpc:
+    """Coefficients that include the corrections of a model, which no RPC format has a place for.
+
+    A shift goes into the offsets and nothing is lost. Drift and affine corrections are fitted again, over the heights
+    the RPC was made for; `fit_rpc` of the model tells the error, which is far below 0.001 px.
+    """
+    values = model.parameters.values
+    if not values[2:].any():
+        return model.rpc.moved(float(values[0]), float(values[1]))
+    middle, half = float(model.rpc.ground_offset[2]), abs(float(model.rpc.ground_scale[2]))
+    return fit_rpc(model, (middle - half, middle + half)).model.rpc
+
+
+def tags_of(rpc: Rpc) -> dict[str, str]:
+    """GDAL's RPC domain of coefficients, in full precision."""
+    numbers = dict(zip(SCALARS, _scalars(rpc), strict=True))
+    bias, random = rpc.errors or (-1.0, -1.0)  # -1: unknown
+    tags = {"ERR_BIAS": _text(bias), "ERR_RAND": _text(random)}
+    tags |= {name: _text(value) for name, value in numbers.items()}
+    return tags | {
+        name: " ".join(map(_text, row)) for name, row in zip(POLYNOMIALS, rpc.coefficients.tolist(), strict=True)
+    }
+
+
+def text_of(rpc: Rpc) -> str:
+    """Return the text of an _RPC.TXT file, in full precision."""
+    lines = [
+        f"{name}: {_text(value)} {_UNITS[name.partition('_')[0]]}"
+        for name, value in zip(SCALARS, _scalars(rpc), strict=True)
+    ]
+    if rpc.errors is not None:
+        lines = [f"ERR_BIAS: {_text(rpc.errors[0])} meters", f"ERR_RAND: {_text(rpc.errors[1])} meters", *lines]
+    rows = dict(zip(POLYNOMIALS, rpc.coefficients.tolist(), strict=True))
+    for name in ("LINE_NUM_COEFF", "LINE_DEN_COEFF", "SAMP_NUM_COEFF", "SAMP_DEN_COEFF"):
+        lines += [f"{name}_{k}: {_text(value)}" for k, value in enumerate(rows[name], 1)]
+    return "\n".join(lines) + "\n"
+
+
+def write_text(model: RpcModel, image: PathLike, *, overwrite: bool = False) -> Path:
+    """Write the RPC of a model, corrections included, as the _RPC.TXT file that belongs to an image.
+
+    Raises
+    ------
+    OutputExistsError
+        There is one already.
+    """
+    path = Path(image)
+    path = path.with_name(f"{path.stem}_RPC.TXT")
+    if path.exists() and not overwrite:
+        raise OutputExistsError("the RPC file exists", where=str(path), mend="move it away, or allow overwriting")
+    path.write_text(text_of(plain(model)), encoding="ascii")
+    return path
+
+
+def write_tags(model: RpcModel, image: PathLike) -> None:
+    """Write the RPC of a model, corrections included, into the tags of an existing TIFF; its pixels stay as they are.
+
+    Raises
+    ------
+    OutputError
+        The file is no TIFF that can be changed.
+    """
+    write_rpc_tags(image, tags_of(plain(model)))
+
+
+def _scalars(rpc: Rpc) -> list[float]:
+    """Values of `SCALARS`; in RPC00B the centre of the first pixel is 0, not 0.5."""
+    (sample, line), (lon, lat, height) = (rpc.image_offset - 0.5).tolist(), rpc.ground_offset.tolist()
+    (samples, lines), (lons, lats, heights) = rpc.image_scale.tolist(), rpc.ground_scale.tolist()
+    return [line, sample, lat, lon, height, lines, samples, lats, lons, heights]
+
+
+def _text(value: float) -> str:
+    """Shortest text that gives the same number back."""
+    return repr(float(np.float64(value)))

@@ -1,0 +1,59 @@
+"""`geomosaic edges`: photos and tables in, a mosaic and the misfits out."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from edge_render import photographs, roads
+from edge_rig import rig
+
+from geomosaic.cli.main import run
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    r = rig(2, "affine", common_sigma=0.05)
+    photographs(r, roads(8), tmp_path, 300)
+    control = ["id,x,y,z,image,col,row"]
+    control += [f"{p.id},{p.xyz[0]},{p.xyz[1]},0,{p.image},{p.colrow[0]},{p.colrow[1]}" for p in r.control]
+    (tmp_path / "gcps.csv").write_text("\n".join(control))
+    common = ["id,image,col,row,sigma_px"]
+    common += [f"{p.id},{p.image}.tif,{p.colrow[0]},{p.colrow[1]},{p.sigma_px}" for p in r.common]
+    (tmp_path / "common.csv").write_text("\n".join(common))
+    return tmp_path
+
+
+def words(folder: Path, *more: str) -> list[str]:
+    photos = [str(folder / f"photo-{k}.tif") for k in (0, 1)]
+    tables = ["--gcps", str(folder / "gcps.csv"), "--common", str(folder / "common.csv"), "--crs", "EPSG:32633"]
+    return ["edges", *photos, *tables, "-o", str(folder / "out.tif"), "--res", "4", *more]
+
+
+def test_mosaic_and_misfits(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(words(files, "--json")) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (files / "out.tif").is_file()
+    edges = told["edges"]
+    assert edges["before"]["rms_px"] > 2.0 > edges["joined"]["largest_px"] * 100.0
+    assert edges["joined"]["largest_px"] <= 0.02
+    assert len(edges["after"]["points"]) == 8
+    assert run(words(files, "--overwrite", "--model", "projective")) == 0
+    assert "joined exactly" in capsys.readouterr().out
+
+
+def test_a_photo_without_control_starts_from_its_neighbour(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = (files / "gcps.csv").read_text().splitlines()
+    (files / "gcps.csv").write_text("\n".join(line for line in lines if "photo-1" not in line or "c11" in line))
+    assert run(words(files, "--json")) == 0
+    assert json.loads(capsys.readouterr().out)["edges"]["joined"]["largest_px"] <= 0.02
+
+
+def test_what_is_wrong_is_told(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (files / "common.csv").write_text("id,image,col,row\np,other.tif,1,1\n")
+    assert run(words(files)) == 1
+    assert "no point of these images" in capsys.readouterr().err
+    (files / "common.csv").write_text("id,image,col,row\np,photo-0,1,1\n")
+    assert run(words(files)) == 1
+    assert "in one photo only" in capsys.readouterr().err

@@ -1,0 +1,113 @@
+"""`geomosaic mosaic --kind ...` and the project kind: what is printed, what is written, what is refused."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from planar_rig import FLAT, flight
+
+from geomosaic.cli.main import run
+from geomosaic.testing.synthetic import render
+
+sys.path.insert(0, str(Path(__file__).parent))
+from test_80_planar_mosaic import write_tables
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four photos of one strip in colour, with tables."""
+    made = tmp_path_factory.mktemp("strip")
+    taken = flight(1, 4, noise=0.2)
+    for name, camera in taken.cameras.items():
+        values = render(camera, FLAT)
+        profile = {"driver": "GTiff", "width": camera.size[0], "height": camera.size[1], "count": 3, "dtype": "uint8"}
+        with rasterio.open(made / f"{name}.tif", "w", **profile) as file:
+            file.write(np.moveaxis(values, 2, 0))
+    write_tables(made, taken, lambda number: "check" if number % 4 == 1 else "control")
+    return made
+
+
+def command(folder: Path, *words: str) -> list[str]:
+    return ["mosaic", *(str(path) for path in sorted(folder.glob("strip*.tif"))), *words]
+
+
+@pytest.mark.parametrize("kind", ["semicontrolled", "controlled", "grown"])
+def test_kinds_with_control(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str) -> None:
+    """One line of how the photos were placed, control and check points, and the mosaic; the same in JSON."""
+    output = tmp_path / "m.tif"
+    words = ["--kind", kind, "--ties", str(folder / "ties.csv"), "--gcps", str(folder / "gcps.csv")]
+    words += ["--crs", "EPSG:32633", "-o", str(output)]
+    assert run(command(folder, *words)) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith(kind)
+    assert "check points: " in printed
+    assert f"placement: {tmp_path / 'm-placement.json'}" in printed
+    assert run([*command(folder, *words), "--overwrite", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)["placement"]
+    assert facts == json.loads((tmp_path / "m-placement.json").read_text())
+    assert facts["rms_check_px"] < 2.5
+    assert len(facts["photos"]) == 4
+
+
+def test_uncontrolled(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Tie points alone; says what the joins add up to."""
+    output = tmp_path / "m.tif"
+    words = ["--kind", "uncontrolled", "--ties", str(folder / "ties.csv"), "--scale", "0.8", "--azimuth", "30"]
+    assert run(command(folder, *words, "-o", str(output))) == 0
+    printed = capsys.readouterr().out
+    assert "uncontrolled, conformal: 4 photos joined outwards from strip1_02.tif" in printed
+    assert "accumulated error against all photos adjusted together on ties alone: " in printed
+
+
+def test_flags_that_do_not_belong_together(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Ties without a kind, a rigorous sensor with one."""
+    ties, output = str(folder / "ties.csv"), str(tmp_path / "m.tif")
+    assert run(command(folder, "--ties", ties, "-o", output)) == 1
+    assert "--ties is given without a kind of mosaic" in capsys.readouterr().err
+    assert run(command(folder, "--kind", "uncontrolled", "--sensor", "frame", "--ties", ties, "-o", output)) == 1
+    assert "without a rigorous model, and --sensor frame names one" in capsys.readouterr().err
+
+
+PROJECT = """
+format = 1
+[project]
+name = "strip"
+images = ["strip*.tif"]
+[sensor]
+name = "planar"
+[exterior]
+crs = "EPSG:32633"
+[control]
+file = "gcps.csv"
+[planar]
+kind = "{kind}"
+ties = "ties.csv"
+"""
+
+
+@pytest.mark.parametrize("kind", ["semicontrolled", "uncontrolled"])
+def test_project(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str) -> None:
+    """A project of photos without a rigorous model runs to the report, and is fresh until a table changes."""
+    for path in folder.glob("*.*"):
+        if path.suffix in (".tif", ".csv"):
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    project = tmp_path / "project.toml"
+    project.write_text(PROJECT.format(kind=kind))
+    assert run(["run", str(project), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["orient"]["planar"]["kind"] == kind
+    assert (found["orient"]["rms_check_px"] is None) == (kind == "uncontrolled")
+    assert (tmp_path / "output" / "strip.tif").is_file()
+    assert (tmp_path / "output" / "strip.stac.json").is_file() == (kind != "uncontrolled")
+    model = json.loads((tmp_path / "output" / "models" / "strip1_01.tif.json").read_text())
+    assert (model["sensor"], model["state"]["kind"]) == ("planar", "conformal")
+    assert f"<p>{kind}, conformal: 4 photos" in (tmp_path / "output" / "report.html").read_text(encoding="utf-8")
+    ties = (tmp_path / "ties.csv").read_text().splitlines()
+    (tmp_path / "ties.csv").write_text("\n".join(ties[:-1]) + "\n")
+    assert run(["status", str(project)]) == 0
+    assert "ties.csv" in capsys.readouterr().out

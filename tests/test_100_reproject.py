@@ -1,0 +1,181 @@
+"""`geomosaic reproject`: rasters and vectors to another CRS, against independent ways to the same places."""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pyproj
+import pytest
+import rasterio
+import shapely
+from affine import Affine
+from rasterio.warp import Resampling, reproject
+
+from geomosaic.cli.main import run
+
+LAMBERT, UTM = "EPSG:2154", "EPSG:32631"
+LEFT, TOP, SIZE = 770_500.0, 6_277_700.0, 260
+
+
+@pytest.fixture
+def tell(capsys) -> Callable[..., tuple[int, str, str]]:
+    def call(*words: object) -> tuple[int, str, str]:
+        capsys.readouterr()
+        code = run([str(word) for word in words])
+        return code, *capsys.readouterr()
+
+    return call
+
+
+def texture(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Ground as a function of Lambert coordinates, smooth enough for bilinear values to be nearly exact."""
+    waves = [np.sin((x - LEFT) / 23.0 + k) + np.cos((y - TOP) / 31.0 - k) for k in (0.0, 1.0)]
+    return np.stack([6000 * wave + 30000 for wave in waves])
+
+
+@pytest.fixture
+def lambert(tmp_path) -> Path:
+    path = tmp_path / "lambert.tif"
+    transform = Affine(1.0, 0.0, LEFT, 0.0, -1.0, TOP)
+    c, r = np.meshgrid(np.arange(SIZE) + 0.5, np.arange(SIZE) + 0.5)
+    x, y = transform @ (c, r)
+    profile = {"driver": "GTiff", "width": SIZE, "height": SIZE, "count": 2, "dtype": "uint16", "crs": LAMBERT}
+    with rasterio.open(path, "w", transform=transform, **profile) as dataset:
+        dataset.write(np.round(texture(x, y)).astype(np.uint16))
+    return path
+
+
+def test_lambert_to_utm_shows_the_ground_where_it_is(tell, lambert, tmp_path):
+    out = tmp_path / "utm.tif"
+    code, said, _ = tell(
+        "reproject", lambert, "--dst-crs", UTM, "--res", 1, "--resampling", "cubic", "-o", out, "--json"
+    )
+    assert code == 0
+    facts = json.loads(said)
+    assert facts["lattice_error_px"] <= 0.02
+    assert "RGF93" in facts["operation"]
+    with rasterio.open(out) as dataset:
+        values, valid, transform = dataset.read(), dataset.dataset_mask() > 0, dataset.transform
+        assert dataset.crs.to_epsg() == 32631
+    rows, cols = np.nonzero(valid)
+    xy = transform @ (cols + 0.5, rows + 0.5)
+    x, y = pyproj.Transformer.from_crs(UTM, LAMBERT, always_xy=True).transform(*xy)
+    inside = (x > LEFT + 3) & (x < LEFT + SIZE - 3) & (y < TOP - 3) & (y > TOP - SIZE + 3)
+    miss = values[:, rows[inside], cols[inside]] - texture(x[inside], y[inside])
+    assert inside.sum() > 0.9 * SIZE**2
+    assert np.abs(miss).max() < 10  # of 12 000: half a value of rounding and less than 0.02 px of 260 values per pixel
+
+
+def test_like_takes_the_grid_of_another_raster_and_agrees_with_gdal(tell, lambert, tmp_path):
+    model, out = tmp_path / "model.tif", tmp_path / "o.tif"
+    x, y = pyproj.Transformer.from_crs(LAMBERT, UTM, always_xy=True).transform(LEFT + 60, TOP - 60)
+    turned = Affine.translation(x, y) @ Affine.rotation(12.0) @ Affine.scale(1.5, -1.5)
+    profile = {"driver": "GTiff", "width": 70, "height": 50, "count": 1, "dtype": "uint8", "crs": UTM}
+    with rasterio.open(model, "w", transform=turned, **profile) as dataset:
+        dataset.write(np.zeros((1, 50, 70), dtype=np.uint8))
+    assert tell("reproject", lambert, "--like", model, "-o", out)[0] == 0
+    with rasterio.open(out) as mine, rasterio.open(lambert) as source:
+        assert mine.transform.almost_equals(turned)
+        assert (mine.width, mine.height) == (70, 50)
+        theirs = np.zeros((2, 50, 70), dtype=np.float64)
+        reproject(
+            rasterio.band(source, [1, 2]), theirs, dst_transform=turned, dst_crs=UTM, resampling=Resampling.bilinear,
+            tolerance=0.0,
+        )  # fmt: skip
+        seen = (mine.dataset_mask() > 0) & (theirs > 0).all(axis=0)
+        assert seen.sum() > 3000
+        # GDAL widens bilinear where pixels grow by half; ours samples.
+        assert np.abs(mine.read() - theirs)[:, seen].max() < 30
+
+
+def test_bounds_are_widened_to_aligned_pixels_on_demand(tell, lambert, tmp_path):
+    x, y = pyproj.Transformer.from_crs(LAMBERT, UTM, always_xy=True).transform(LEFT + 100, TOP - 100)
+    bounds = (x - 30.3, y - 20.2, x + 30.1, y + 20.4)
+    for flag, aligned in ((), False), (("--target-aligned-pixels",), True):
+        out = tmp_path / f"{aligned}.tif"
+        assert tell("reproject", lambert, "--dst-crs", UTM, "--res", 2, "--bounds", *bounds, *flag, "-o", out)[0] == 0
+        with rasterio.open(out) as dataset:
+            assert (dataset.bounds.left % 2 == 0) == aligned
+            assert (dataset.bounds.top % 2 == 0) == aligned
+            assert dataset.bounds.left <= bounds[0]
+            assert dataset.bounds.right >= bounds[2]
+
+
+def test_a_crs_that_is_not_what_it_says(tell, lambert, tmp_path):
+    odd = tmp_path / "odd.tif"
+    wkt = pyproj.CRS(LAMBERT).to_wkt("WKT1_GDAL").replace("RGF93 v1 / Lambert-93", "EPSG:2154")
+    wkt = wkt.replace('DATUM["Reseau_Geodesique_Francais_1993_v1"', 'DATUM["unknown"')
+    wkt = re.sub(r',AUTHORITY\["EPSG","\d+"\]', "", wkt)
+    with rasterio.open(lambert) as source:
+        profile, values = {**source.profile, "crs": rasterio.crs.CRS.from_wkt(wkt)}, source.read()
+    with rasterio.open(odd, "w", **profile) as dataset:
+        dataset.write(values)
+    _, _, err = tell("reproject", odd, "--dst-crs", UTM, "-o", tmp_path / "o.tif")
+    assert "--src-crs EPSG:2154" in err
+    code, _, err = tell("reproject", odd, "--src-crs", LAMBERT, "--dst-crs", UTM, "-o", tmp_path / "p.tif")
+    assert (code, err) == (0, "")
+
+
+def test_vectors_keep_their_attributes_and_layers(tell, tmp_path):
+    roads = gpd.GeoDataFrame(
+        {"name": ["a", "é"], "width": [3.5, None]},
+        geometry=[shapely.LineString([(LEFT, TOP), (LEFT + 50, TOP - 70)]), shapely.Point(LEFT, TOP).buffer(9)],
+        crs=LAMBERT,
+    )
+    wells = gpd.GeoDataFrame({"depth": [4]}, geometry=[shapely.Point(LEFT, TOP, 120.0)], crs=LAMBERT)
+    path, out = tmp_path / "in.gpkg", tmp_path / "out.gpkg"
+    roads.to_file(path, layer="roads")
+    wells.to_file(path, layer="wells")
+    code, said, _ = tell("reproject", path, "--dst-crs", UTM, "-o", out, "--json")
+    assert code == 0
+    assert json.loads(said)["layers"] == {"roads": 2, "wells": 1}
+    for name, before in (("roads", roads), ("wells", wells)):
+        after = gpd.read_file(out, layer=name)
+        assert after.crs == UTM
+        expected = before.to_crs(UTM)
+        assert all(a.equals_exact(b, 1e-6) for a, b in zip(after.geometry, expected.geometry, strict=True))
+        plain = [column for column in before if column != "geometry"]
+        assert after[plain].astype(object).equals(before[plain].astype(object)) or after[plain].equals(before[plain])
+    first = out.read_bytes()
+    assert tell("reproject", path, "--dst-crs", UTM, "-o", out, "--overwrite")[0] == 0
+    assert out.read_bytes() == first
+    code, _, err = tell("reproject", path, "--dst-crs", UTM, "-o", tmp_path / "o.geojson")
+    assert code == 1
+    assert "2 layers" in err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["in.gpkg", "out.gpkg"]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ((), 2, "--dst-crs, or --like"),
+        (("--like", "m.tif", "--res", "2"), 2, "leave out"),
+        (("--dst-crs", "EPSG:99999"), 2, "99999"),
+    ],
+)
+def test_usage(tell, lambert, tmp_path, words, code, said):
+    got, _, err = tell("reproject", lambert, *words, "-o", tmp_path / "o.tif")
+    assert got == code
+    assert said in err
+
+
+def test_what_has_no_place_is_told(tell, tmp_path):
+    path = tmp_path / "p.geojson"
+    shape = gpd.GeoDataFrame({"n": [1, 2]}, geometry=[shapely.Point(3.0, 45.0), shapely.Point(3.0, 95.0)], crs=4326)
+    shape.to_file(path)
+    code, out, _ = tell("reproject", path, "--dst-crs", UTM, "-o", tmp_path / "o.fgb")
+    assert code == 0
+    assert "1 features have no place" in out
+    bare = tmp_path / "bare.gpkg"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        gpd.GeoDataFrame({"n": [1, 2]}, geometry=list(shape.geometry)).to_file(bare)
+    code, _, err = tell("reproject", bare, "--dst-crs", UTM, "-o", tmp_path / "q.gpkg")
+    assert code == 1
+    assert "--src-crs" in err

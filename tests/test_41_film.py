@@ -1,0 +1,336 @@
+"""Film cameras: certificate, interior orientation, and what is said of marks that cannot be right."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from typing import Any
+
+import film_rig as rig
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.geo.crs import parse_crs, with_heights
+from geomosaic.sensor import registry
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.testing import SensorModelTests, check_plugin
+from geomosaic.types import FloatArray
+from geomosaic_frame import plugin
+from geomosaic_frame.calibration import read_certificate
+from geomosaic_frame.filmlens import FilmLens
+from geomosaic_frame.interior import apply, fit_interior
+from geomosaic_frame.model import FrameModel
+from geomosaic_frame.radial import RadialPolynomial, RadialTable
+
+CRS = with_heights(parse_crs("EPSG:32633"), "ellipsoidal")
+CENTRE = np.array([500_000.0, 5_500_000.0, 2600.0])
+ANGLES = (1.5, -2.0, 37.0)
+
+
+def request(**changes: Any) -> SensorRequest:
+    given: dict[str, Any] = {
+        "camera": rig.CERTIFICATE,
+        "fiducials": rig.marks(),
+        "position": CENTRE.tolist(),
+        "orientation": {"system": "opk", **dict(zip(("omega", "phi", "kappa"), ANGLES, strict=True))},
+        "ground_height": 300.0,
+        "treatment": "planar",
+    }
+    return SensorRequest("scan", rig.SIZE, {k: v for k, v in (given | changes).items() if v is not None}, CRS)
+
+
+def build(**changes: Any) -> FrameModel:
+    model = registry.build("frame", request(**changes))
+    assert isinstance(model, FrameModel)
+    return model
+
+
+def ground_of(model: FrameModel, count: int = 30) -> FloatArray:
+    rng = np.random.default_rng(4)
+    origins, directions = model.rays(rng.uniform(0.03, 0.97, (count, 2)) * model.size)
+    points: FloatArray = origins + directions * rng.uniform(2000.0, 2400.0, (count, 1))
+    return points
+
+
+class TestFilm(SensorModelTests):
+    @pytest.fixture
+    def model(self) -> FrameModel:
+        return build(treatment="rigorous")
+
+    @pytest.fixture
+    def ground(self, model: FrameModel) -> FloatArray:
+        return ground_of(model)
+
+
+class TestProjectiveWithRefraction(TestFilm):
+    @pytest.fixture
+    def model(self) -> FrameModel:
+        return build(treatment="rigorous", interior="projective", refraction=True)
+
+
+class TestPlanarWithCurvature(TestFilm):
+    @pytest.fixture
+    def model(self) -> FrameModel:
+        return build(refraction=True, curvature=True)
+
+
+class TestPolynomial(TestFilm):
+    @pytest.fixture
+    def model(self) -> FrameModel:
+        lens = {
+            "model": "polynomial",
+            "sign": "distortion",
+            "k0": 1e-5,
+            "k1": -3e-9,
+            "k2": 1e-13,
+            "p1": 1e-8,
+            "p2": -2e-8,
+        }
+        return build(camera=rig.CERTIFICATE | {"distortion": lens})
+
+
+def test_the_door() -> None:
+    check_plugin(plugin, request(angle_unit="deg", interior="affine"))
+
+
+# --- truth ------------------------------------------------------------------------------------------------------------
+
+
+def test_projection_against_the_formulas_written_a_second_time() -> None:
+    model = build()
+    rng = np.random.default_rng(1)
+    local = np.column_stack([rng.uniform(-1500, 1500, (500, 2)), rng.uniform(-2400, -2200, 500)])
+    rotation = Rotation.from_euler("XYZ", ANGLES, degrees=True).as_matrix().T
+    there = rig.project(local, rotation)
+    here = model.ground_to_image(CENTRE + local)
+    inside = ((there > 0) & (there < rig.SIZE)).all(axis=1)
+    assert inside.sum() > 300
+    assert np.abs(here - there)[inside].max() < 1e-6  # pixels of 50 µm: 5e-8 mm of coordinates of 5.5e6 m
+
+
+def test_radial_table_to_a_billionth() -> None:
+    """Noise-free: forward and back, and against scipy's odd spline with natural ends."""
+    lens = read_certificate(rig.CERTIFICATE, "certificate").lens
+    rng = np.random.default_rng(2)
+    film = rng.uniform(-110.0, 110.0, (400, 2))
+    measured = rig.distorted(film) - rig.CERTIFICATE["principal_point_autocollimation"]
+    c = rig.CERTIFICATE["focal_length"]
+    u, v = lens._undistort(measured[:, 0] / c, -measured[:, 1] / c)
+    assert np.abs(np.column_stack([u, -v]) * c - film).max() < 1e-9
+    back = lens._distort(film[:, 0] / c, -film[:, 1] / c)
+    assert np.abs(np.column_stack([back[0], -back[1]]) * c - measured).max() < 1e-9
+
+
+def test_a_correction_is_a_distortion_the_other_way_and_angles_are_radii() -> None:
+    table = rig.CERTIFICATE["distortion"]
+    flipped = {"model": "radial", "radius": table["radius"], "correction": [-d for d in table["distortion"]]}
+    first = read_certificate(rig.CERTIFICATE, "c").lens
+    assert read_certificate(rig.CERTIFICATE | {"distortion": flipped}, "c").lens == first
+    angles = np.degrees(np.arctan(np.array(table["radius"]) / 152.818)).tolist()
+    turned = {"model": "radial", "angle": angles, "distortion": table["distortion"]}
+    radial = read_certificate(rig.CERTIFICATE | {"distortion": turned}, "c").lens.radial
+    assert isinstance(radial, RadialTable)
+    assert np.abs(np.array(radial.radii) - table["radius"][1:]).max() < 1e-12
+
+
+def test_polynomial_of_a_certificate_by_hand() -> None:
+    """r = 100 mm on the x axis, k1 = -3e-9: Δr = -3 µm, so a distortion is undone by +3 µm."""
+    lens = read_certificate(
+        {
+            "focal_length": 150.0,
+            "principal_point_autocollimation": [0, 0],
+            "fiducials": {"a": [-100, 0], "b": [100, 0]},
+            "distortion": {"model": "polynomial", "sign": "distortion", "k1": -3e-9, "p1": 2e-8},
+        },
+        "c",
+    ).lens
+    u, v = lens._undistort(np.array([100 / 150]), np.array([0.0]))
+    assert u[0] * 150 == pytest.approx(100 + 0.003 - 2e-8 * 3 * 100**2, abs=1e-12)
+    assert v[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        FilmLens(150.0, RadialPolynomial((1e-5, -4e-9, 3e-13)), (0.02, -0.03), (2e-7, -3e-7)),
+        read_certificate(rig.CERTIFICATE, "c").lens,
+        FilmLens(88.0, RadialTable((50.0, 100.0), (0.3, -0.5)), (0.5, 0.0), (4e-6, 1e-6)),
+    ],
+)
+def test_derivatives_and_inverse_far_beyond_the_film(lens: FilmLens) -> None:
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(-3.0, 3.0, (2, 300))
+    u, v = lens._distort(x, y)
+    back = lens._undistort(u, v)
+    assert np.nanmax(np.abs(back[0] - x)) < 1e-11
+    assert np.isfinite(u).all()
+    h = 1e-6
+    closed = np.array(lens._slopes(x, y))
+    plus, minus = np.array(lens._distort(x + h, y)), np.array(lens._distort(x - h, y))
+    up, down = np.array(lens._distort(x, y + h)), np.array(lens._distort(x, y - h))
+    measured = np.array([(plus - minus)[0], (up - down)[0], (plus - minus)[1], (up - down)[1]]) / (2 * h)
+    assert np.median(np.abs(closed - measured)) < 1e-9
+    assert np.percentile(np.abs(closed - measured), 99) < 1e-7  # but where the difference straddles a kink
+
+
+# --- interior orientation ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["conformal", "affine", "projective"])
+@pytest.mark.parametrize("turn", [0.3, 91.0, -178.0])
+def test_interior_orientation_finds_what_made_the_marks(kind: str, turn: float) -> None:
+    t = np.radians(turn)
+    matrix = np.array(
+        [[0.02 * np.cos(t), 0.02 * np.sin(t), -110.0], [0.02 * np.sin(t), -0.02 * np.cos(t), 112.0], [0, 0, 1]]
+    )
+    if kind != "conformal":
+        matrix[0] *= 1.0003
+    if kind == "projective":
+        matrix[2, :2] = 2e-8, -1e-8
+    rng = np.random.default_rng(3)
+    colrow = rng.uniform(0, 11000, (8, 2))
+    found = fit_interior(colrow, apply(matrix, colrow), kind)
+    assert np.abs(found.residuals).max() < 1e-8  # micrometres
+    pixels = rng.uniform(0, 11000, (50, 2))
+    assert np.abs(apply(found.matrix, pixels) - apply(matrix, pixels)).max() < 1e-9
+    assert not found.mirrored
+    # Here x rises along (cos, sin) of (col, row): clockwise, as rows count downwards.
+    assert (found.turn + turn + 180) % 360 - 180 == pytest.approx(0.0, abs=0.05)
+
+
+def test_sigma0_is_the_noise_of_the_marks() -> None:
+    rng = np.random.default_rng(8)
+    film = np.array(list(rig.FIDUCIALS.values()))
+    found = [fit_interior(rig.scan_of(film) + rng.normal(0, 0.1, (8, 2)), film, "affine").sigma0 for _ in range(300)]
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(0.1 * 50.0, rel=0.05)  # 0.1 px of 50 µm
+
+
+def said(**changes: Any) -> list[str]:
+    return [note for note in build(**changes).notes if "interior" in note or "fiducial" in note]
+
+
+def test_residuals_pixel_and_turn_are_told() -> None:
+    (note,) = said()
+    assert re.search(
+        r"affine, 8 fiducials, residuals 0\.0 µm RMS.*pixels of 49\.99\d x 50\.00\d µm, turned by 0\.4\d°", note
+    )
+
+
+def test_missing_marks_are_told() -> None:
+    notes = said(fiducials=rig.marks(["1", "2", "4", "7"]))
+    assert "fiducials not measured: 3, 5, 6, 8" in notes
+    notes = said(fiducials=rig.marks(["1", "2"]))
+    assert "conformal, 2 fiducials" in notes[0]
+    assert "no check" in notes[-1]
+
+
+def test_marks_numbered_the_other_way_round() -> None:
+    names = ["1", "3", "2", "4"]  # around the frame, clockwise
+    good = rig.marks(names)
+    wrong = dict(zip(names, [good[name] for name in ["1", "4", "2", "3"]], strict=True))
+    with pytest.raises(InputError, match=r"(?s)numbered the other way round they do, to \d+ µm.*mirrored = true"):
+        build(fiducials=wrong)
+    assert "mirrored" in said(fiducials=wrong, mirrored=True)[0]
+    with pytest.raises(InputError, match=r"(?s)the other way round.*mirrored = false"):
+        build(fiducials=good, mirrored=True)
+
+
+def test_a_scan_from_the_back_is_the_same_camera() -> None:
+    """Mirrored: the same directions at mirrored pixels."""
+    plain = build()
+    back = build(fiducials={name: [rig.SIZE[0] - c, r] for name, (c, r) in rig.marks().items()}, mirrored=True)
+    pixels = np.random.default_rng(0).uniform(0, 4600, (20, 2))
+    mirrored = np.column_stack([rig.SIZE[0] - pixels[:, 0], pixels[:, 1]])
+    assert np.abs(plain.rays(pixels)[1] - back.rays(mirrored)[1]).max() < 1e-12
+
+
+def test_two_marks_exchanged() -> None:
+    marks = rig.marks(["1", "2", "3", "4"])
+    marks["2"], marks["3"] = marks["3"], marks["2"]
+    # Of four marks at the corners of a square, two exchanged opposite each other mirror it; two neighbours do not.
+    with pytest.raises(InputError, match=r"the other way round|with other numbers"):
+        build(fiducials=marks)
+    marks = rig.marks()
+    marks["5"], marks["7"] = marks["7"], marks["5"]
+    with pytest.raises(InputError, match=r"with other numbers they do, to .* what is called 5 is 7, 7 is 5"):
+        build(fiducials=marks)
+
+
+def test_one_gross_mark_is_named() -> None:
+    marks = rig.marks()
+    marks["6"][0] -= 100.0  # 5 mm
+    with pytest.raises(InputError, match=r"without 6 they do, to \d+ µm, and it is off by 5\.0 mm"):
+        build(fiducials=marks)
+    marks = rig.marks()
+    marks["6"][0] += 3.0
+    with pytest.warns(GeomosaicWarning, match="a fiducial fits badly: 6"):
+        build(fiducials=marks)
+
+
+def test_numbers_moved_on_are_found_where_the_frame_is_not_symmetric() -> None:
+    """A frame with marks 0.1 mm off the square, numbered from the wrong corner."""
+    fiducials = {"1": [-106.1, -106.0], "2": [106.0, -105.9], "3": [106.05, 106.0], "4": [-106.0, 106.12]}
+    camera = rig.CERTIFICATE | {"fiducials": fiducials}
+    names = list(fiducials)
+    image = rig.scan_of(np.array(list(fiducials.values()))).tolist()
+    build(camera=camera, fiducials=dict(zip(names, image, strict=True)))
+    turned = dict(zip(names, image[1:] + image[:1], strict=True))
+    with pytest.warns(GeomosaicWarning) as told:
+        build(camera=camera, fiducials=turned)
+    assert any("probably the scan is turned" in str(entry.message) for entry in told)
+
+
+def test_a_turned_scan_of_a_right_numbering_is_silent() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        turned = said(fiducials=rig.marks(turn=90.0))
+    assert "turned by 90.0" in turned[0] or "turned by 89.9" in turned[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"fiducials": None}, ["'fiducials' is missing", "mark = [col, row]"]),
+        ({"fiducials": rig.marks(["1"])}, ["do not determine a conformal", "measure 2"]),
+        ({"fiducials": rig.marks(["1", "2", "3"]), "interior": "projective"}, ["projective", "measure 4"]),
+        ({"fiducials": {"9": [1, 2]}}, ["no fiducial '9'", "it has 1, 2, 3"]),
+        ({"fiducials": rig.marks() | {"1": [9000, 10]}}, ["fiducial 1", "outside the image of 4600 x 4640"]),
+        ({"fiducials": {k: [v[1], v[0]] for k, v in rig.marks().items()}}, ["numbered the other way round"]),
+        ({"fiducials": {k: [c / 2, r / 2] for k, (c, r) in rig.marks().items()} | {"1": [3, 4]}}, ["without 1"]),
+        ({"interior": "affin"}, ["did you mean 'affine'"]),
+        ({"camera": {"focal_length_px": 3000}}, ["'fiducials' is about film"]),
+        ({"camera": {k: v for k, v in rig.CERTIFICATE.items() if k != "principal_point_autocollimation"}}, ["in mm"]),
+        ({"camera": rig.CERTIFICATE | {"principal_point_autocollimation": [2300, 2300]}}, ["far from the middle"]),
+        ({"camera": rig.CERTIFICATE | {"distortion": {"model": "radial", "radius": [0, 1]}}}, ["neither 'distortion'"]),
+        (
+            {
+                "camera": rig.CERTIFICATE
+                | {"distortion": {"model": "radial", "radius": [0, 9, 5], "distortion": [0, 1, 2]}}
+            },
+            ["does not rise"],
+        ),
+        (
+            {
+                "camera": rig.CERTIFICATE
+                | {"distortion": {"model": "radial", "radius": [0, 9], "distortion": [0, 1, 2]}}
+            },
+            ["3 values, not 2"],
+        ),
+        ({"camera": rig.CERTIFICATE | {"distortion": {"model": "polynomial", "k1": 1e-8}}}, ["'sign' is missing"]),
+        (
+            {"camera": rig.CERTIFICATE | {"distortion": {"model": "polynomial", "k1": -0.1, "sign": "correction"}}},
+            ["coefficients in mm"],
+        ),
+        ({"curvature": True, "treatment": "rigorous"}, ["has the Earth's curvature"]),
+        ({"refraction": True, "ground_height": None}, ["give ground_height"]),
+        ({"refraction": "yes"}, ["neither true nor false"]),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(changes: dict[str, Any], words: list[str]) -> None:
+    with pytest.raises(InputError) as refused:
+        build(**changes)
+    assert str(refused.value).startswith("scan")
+    for word in words:
+        assert word in str(refused.value)

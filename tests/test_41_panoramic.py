@@ -1,0 +1,251 @@
+"""The panoramic sensor: what textbooks say of scanners comes out of its geometry; parameters are found again."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from pyproj import CRS
+from rasterio.errors import NotGeoreferencedWarning
+from solve_rig import MAP, PLACE, control
+
+from geomosaic.errors import GeomosaicError, HeightDatumError
+from geomosaic.geo.local import LocalFrame, map_place
+from geomosaic.product.options import RenderOptions
+from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.make import Area, make_ortho
+from geomosaic.sensor import registry
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.solve import image_to_ground, resect
+from geomosaic.surface.plane import Plane
+from geomosaic.testing import SensorModelTests, check_plugin
+from geomosaic.types import FloatArray
+from geomosaic_panoramic.geometry import cell_size, swath
+from geomosaic_panoramic.model import PanoramicModel
+
+SIZE = (1000, 1200)
+HEIGHT, GROUND = 3450.0, 450.0
+
+SCANNER: dict[str, Any] = {
+    "kind": "scanner", "position": [*PLACE[:2], HEIGHT], "heading": 30.0, "course": 33.0, "pitch": 1.5, "roll": -2.0,
+    "rates": [0.002, -0.001, 0.0015], "advance": 4.0, "climb": 0.01, "field_of_view": 90.0, "ground_height": GROUND,
+}  # fmt: skip
+CAMERA: dict[str, Any] = {
+    "kind": "panoramic", "position": [*PLACE[:2], HEIGHT], "heading": 200.0, "pitch": 15.0, "roll": 1.0,
+    "advance": 6.0, "field_of_view": 70.0, "focal_length": 609.6, "pixel_size": 0.5, "image_motion": 3.0,
+    "columns": "left", "ground_height": GROUND,
+}  # fmt: skip
+LEVEL: dict[str, Any] = {
+    "kind": "scanner", "position": [*PLACE[:2], HEIGHT], "heading": 0.0, "north": "true", "advance": 4.0,
+    "field_of_view": 90.0, "ground_height": GROUND,
+}  # fmt: skip
+
+
+def made(options: dict[str, Any], crs: CRS = MAP, size: tuple[int, int] = SIZE) -> PanoramicModel:
+    model = registry.build("panoramic", SensorRequest("strip", size, options, crs))
+    assert isinstance(model, PanoramicModel)
+    return model
+
+
+def flat(model: PanoramicModel, colrow: FloatArray, below: float) -> FloatArray:
+    """Where lines of sight meet a plane `below` the nominal position, east, north, up (N, 3)."""
+    origins, directions = model.rays(colrow)
+    o, d = model.frame.to_enu(origins), directions @ model.frame.axes.T
+    return o + d * ((-below - o[:, 2]) / d[:, 2])[:, None]
+
+
+@pytest.mark.parametrize("options", [SCANNER, CAMERA], ids=["scanner", "camera"])
+class TestContract(SensorModelTests):
+    @pytest.fixture
+    def model(self, options: dict[str, Any]) -> PanoramicModel:
+        return made(options)
+
+    @pytest.fixture
+    def ground(self, model: PanoramicModel) -> FloatArray:
+        return control(model, 20)
+
+
+def test_the_plugin() -> None:
+    check_plugin(registry.plugin("panoramic"), SensorRequest("strip", SIZE, SCANNER, MAP))
+
+
+def test_swath_and_cells_are_those_of_the_textbook() -> None:
+    model = made(LEVEL)
+    edges = flat(model, np.array([[0.0, 600.0], [1000.0, 600.0]]), HEIGHT - GROUND)
+    assert np.hypot(*(edges[1] - edges[0])[:2]) == pytest.approx(swath(HEIGHT - GROUND, math.radians(90)), rel=1e-9)
+    assert swath(6000.0, math.radians(90.0)) == pytest.approx(12_000.0)  # the textbook's example
+    beta = math.radians(90.0) / 1000
+    for degrees in (0.0, 20.0, 40.0):
+        col = 500 + math.radians(degrees) / beta
+        ends = flat(model, np.array([[col - 0.5, 600.0], [col + 0.5, 600.0]]), HEIGHT - GROUND)
+        across = np.hypot(*(ends[1] - ends[0])[:2])
+        assert across == pytest.approx(cell_size(HEIGHT - GROUND, beta, math.radians(degrees))[1], rel=2e-6)
+
+
+def test_tangential_distortion_compresses_the_edges_and_bends_what_runs_aslant() -> None:
+    model = made(LEVEL)
+    frame, h = model.frame, HEIGHT - GROUND
+
+    def seen(enu: list[list[float]]) -> FloatArray:
+        return model.ground_to_image(frame.to_geocentric(np.array(enu)))
+
+    image = seen([[x, 0.0, -h] for x in (-2500.0, -2400.0, 0.0, 100.0)])
+    assert image[3, 0] - image[2, 0] > 1.6 * (image[1, 0] - image[0, 0])
+    # A straight road aslant becomes an S: its ends leave the chord through its middle to opposite sides.
+    aslant = seen([[x, 0.4 * x, -h] for x in (-2500.0, -1250.0, 0.0, 1250.0, 2500.0)])
+    bend = aslant[:, 1] - np.interp(aslant[:, 0], aslant[[0, 4], 0], aslant[[0, 4], 1])
+    assert bend[1] * bend[3] < 0
+    assert abs(bend[1]) > 10
+    assert bend[2] == pytest.approx(0.0, abs=1e-6)
+    # Along and across the flight nothing bends.
+    along = seen([[800.0, y, -h] for y in (-2000.0, 0.0, 2000.0)])
+    assert np.ptp(along[:, 0]) < 1e-6
+
+
+def test_relief_is_displaced_across_the_track_only() -> None:
+    model = made(LEVEL)
+    foot = np.array([[1200.0, 500.0, -(HEIGHT - GROUND)]])
+    top = foot + np.array([0.0, 0.0, 100.0])
+    low, high = (model.ground_to_image(model.frame.to_geocentric(place))[0] for place in (foot, top))
+    assert high[1] == pytest.approx(low[1], abs=1e-6)
+    beta, h = math.radians(90.0) / 1000, HEIGHT - GROUND
+    assert high[0] - low[0] == pytest.approx((math.atan2(1200, h - 100) - math.atan2(1200, h)) / beta, abs=1e-6)
+
+
+def test_lines_follow_the_flight_and_heading_counts_from_the_north_that_was_named() -> None:
+    model = made(LEVEL)
+    first, second = flat(model, np.array([[500.0, 100.5], [500.0, 101.5]]), HEIGHT - GROUND)
+    assert (second - first)[1] == pytest.approx(4.0, abs=1e-9)
+    assert (second - first)[0] == pytest.approx(0.0, abs=1e-9)
+    grid = made({**LEVEL, "north": "grid"})
+    turn = map_place(MAP, *PLACE[:2]).convergence
+    assert grid.parameters.values[6] - model.parameters.values[6] == pytest.approx(turn)
+    right = flat(model, np.array([[900.0, 600.0]]), HEIGHT - GROUND)[0]
+    left = flat(made({**LEVEL, "columns": "left"}), np.array([[900.0, 600.0]]), HEIGHT - GROUND)[0]
+    assert right[0] == pytest.approx(-left[0])
+    assert right[0] > 2000
+    banked = flat(made({**LEVEL, "roll": 5.0}), np.array([[500.0, 600.0]]), HEIGHT - GROUND)[0]
+    assert banked[0] == pytest.approx(-(HEIGHT - GROUND) * math.tan(math.radians(5.0)))  # right wing down looks left
+    pitched = flat(made({**LEVEL, "pitch": 5.0}), np.array([[500.0, 600.0]]), HEIGHT - GROUND)[0]
+    assert pitched[1] == pytest.approx((HEIGHT - GROUND) * math.tan(math.radians(5.0)))  # nose up looks ahead
+
+
+def test_v_over_h_is_the_advance() -> None:
+    rest = {name: value for name, value in LEVEL.items() if name != "advance"}
+    assert made({**rest, "v_over_h": 4.0 / 3000.0}).parameters.values[4] == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize("options", [SCANNER, CAMERA], ids=["scanner", "camera"])
+def test_both_ways_agree(options: dict[str, Any]) -> None:
+    model = made(options)
+    c, r = np.meshgrid(np.linspace(1, SIZE[0] - 1, 9), np.linspace(1, SIZE[1] - 1, 9))
+    colrow = np.column_stack([c.ravel(), r.ravel()])
+    origins, directions = model.rays(colrow)
+    for length in (2500.0, 3400.0):
+        assert np.abs(model.ground_to_image(origins + length * directions) - colrow).max() < 1e-7
+
+
+def test_motion_during_the_sweep_and_its_compensation() -> None:
+    still, moving = made({**CAMERA, "advance": 0.0, "image_motion": 0.0}), made({**CAMERA, "image_motion": 0.0})
+    ground = flat(still, np.array([[100.0, 600.0], [500.0, 600.0], [900.0, 600.0]]), HEIGHT - GROUND)
+    seen = moving.ground_to_image(moving.frame.to_geocentric(ground))
+    # Half a sweep before the middle the camera is half the advance behind: the ground lies farther ahead, rows less.
+    assert seen[0, 1] < 600 < seen[2, 1]
+    assert seen[1, 1] == pytest.approx(600.0, abs=1e-6)
+    compensated = made({**CAMERA, "image_motion": 3.0}).ground_to_image(moving.frame.to_geocentric(ground))
+    angle = np.radians((seen[:, 0] - 500) * 70.0 / 1000)
+    np.testing.assert_allclose(compensated[:, 1] - seen[:, 1], 3.0 * np.sin(angle), atol=1e-9)
+
+
+@pytest.mark.parametrize("options", [SCANNER, CAMERA], ids=["scanner", "camera"])
+def test_position_and_attitude_come_back_from_control(options: dict[str, Any]) -> None:
+    truth = made(options)
+    ground = control(truth, 25)
+    image = truth.ground_to_image(ground)
+    free = np.array([0, 1, 2, 6, 7, 8])
+    values = truth.parameters.values.copy()
+    values[free] += np.array([4.0, -3.0, 5.0, 0.2, -0.1, 0.15])
+    priors = np.zeros(len(values))
+    priors[free] = np.inf
+    solved = resect(truth.with_values(values), ground, image, priors=priors)
+    found = solved.model.ground_to_image(ground)
+    assert np.abs(found - image).max() < 1e-6
+    np.testing.assert_allclose(solved.model.parameters.values[free[:3]], 0.0, atol=1e-4)
+
+
+def test_ground_of_the_image_is_found_on_a_plane() -> None:
+    model = made(SCANNER)
+    ground = image_to_ground(model, np.array([[10.0, 10.0], [990.0, 1190.0]]), Plane(MAP, GROUND))
+    assert np.isfinite(ground).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"kind": "scaner"}, "did you mean 'scanner'"),
+        ({"field_of_view": 190.0}, "field_of_view"),
+        ({"advance": 0.0}, "positive advance"),
+        ({"v_over_h": 0.1}, "together"),
+        ({"focal_length": 100.0}, "no meaning for a scanner"),
+        ({"positon": [1, 2, 3]}, "did you mean 'position'"),
+        ({"position": [1, 2]}, "not 3 numbers"),
+        ({"ground_height": 9000.0}, "below ground_height"),
+        ({"roll": 170.0}, "sky"),
+        ({"columns": "up"}, "right or left"),
+    ],
+)
+def test_what_is_wrong_is_said(change: dict[str, Any], said: str) -> None:
+    with pytest.raises(GeomosaicError) as caught:
+        made({**SCANNER, **change})
+    assert said in str(caught.value)
+
+
+def test_heights_are_declared() -> None:
+    with pytest.raises(HeightDatumError):
+        made(SCANNER, CRS.from_epsg(32633))
+    assert isinstance(made(SCANNER).frame, LocalFrame)
+
+
+def test_a_strip_becomes_an_ortho_that_shows_the_ground_where_it_is(tmp_path: Path) -> None:
+    size = (500, 400)
+    options = {**SCANNER, "advance": 12.0, "rates": [0.004, -0.003, 0.006]}
+    model = made(options, size=size)
+    c, r = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
+    ground = image_to_ground(model, np.column_stack([c.ravel(), r.ravel()]), Plane(MAP, GROUND))
+    image = np.round(texture(ground[:, 0], ground[:, 1])).astype(np.uint16).reshape(1, size[1], size[0])
+    path, out = tmp_path / "strip.tif", tmp_path / "ortho.tif"
+    profile = {"driver": "GTiff", "width": size[0], "height": size[1], "count": 1, "dtype": "uint16"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "w", **profile) as dataset:
+            dataset.write(image)
+    inputs = BlockInputs((path,), "panoramic", options=options, crs="EPSG:32633", heights="egm96", height=GROUND)
+    made_of = make_ortho(inputs, Area(None, 10.0), out, RenderOptions(resampling="cubic"))
+    assert made_of.lattice_error <= 0.02
+    with rasterio.open(out) as dataset:
+        values, valid, transform = dataset.read(1), dataset.dataset_mask() > 0, dataset.transform
+    inner = erosion(valid, 4)
+    rows, cols = np.nonzero(inner)
+    x, y = transform @ (cols + 0.5, rows + 0.5)
+    miss = values[inner] - texture(x, y)
+    assert inner.sum() > 100_000
+    # The texture changes by up to 45 a metre, pixels are 6 to 19 m: a tenth of a pixel would be 40 and more.
+    assert np.sqrt((miss**2).mean()) < 12
+
+
+def texture(x: FloatArray, y: FloatArray) -> FloatArray:
+    waves = np.sin((x - PLACE[0]) / 180.0) + np.cos((y - PLACE[1]) / 150.0 + 1.0)
+    return np.asarray(30000 + 6000 * waves)
+
+
+def erosion(valid: np.ndarray, by: int) -> np.ndarray:
+    inner = valid.copy()
+    for _ in range(by):
+        padded = np.pad(inner, 1)
+        inner = padded[1:-1, 1:-1] & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    return inner

@@ -1,0 +1,142 @@
+"""An edited seam costs what it touches: the rest is taken from the run before, and the bytes are the same."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import shapely
+
+from geomosaic.cli.main import run
+from geomosaic.raster.vector import read_layer
+
+PHOTOS = ("strip1_02.jpg", "strip1_03.jpg", "strip2_02.jpg", "strip2_03.jpg")
+
+
+@pytest.fixture(scope="module")
+def done(sample, tmp_path_factory) -> Path:
+    """A project of four photos, run once."""
+    folder = tmp_path_factory.mktemp("reuse") / "one"
+    (folder / "photos").mkdir(parents=True)
+    for name in PHOTOS:
+        shutil.copy(sample / "photos" / name, folder / "photos")
+    for name in ("camera.toml", "exterior.csv", "dem.tif"):
+        shutil.copy(sample / name, folder)
+    file = folder / "trial.toml"
+    words = [
+        "new", file, *sorted((folder / "photos").iterdir()), "--sensor", "frame", "--camera", folder / "camera.toml",
+        "--exterior", folder / "exterior.csv", "--crs", "EPSG:32633", "--heights", "egm96", "--dem", folder / "dem.tif",
+    ]  # fmt: skip
+    assert run([str(word) for word in words]) == 0
+    file.write_text(file.read_text().replace("# resolution = 0.5 ", "resolution = 0.7 "))
+    assert run(["run", str(file), "mosaic"]) == 0
+    return file
+
+
+@pytest.fixture
+def own(done, tmp_path) -> Path:
+    shutil.copytree(done.parent, tmp_path / "own")
+    return tmp_path / "own" / done.name
+
+
+@pytest.fixture
+def tell(capsys) -> Callable[..., tuple[int, str, str]]:
+    def call(*words: object) -> tuple[int, str, str]:
+        capsys.readouterr()
+        code = run([str(word) for word in words])
+        return code, *capsys.readouterr()
+
+    return call
+
+
+def facts(project: Path) -> dict[str, int]:
+    found = json.loads((project.parent / ".geomosaic" / "trial" / "facts" / "mosaic.json").read_text())
+    return {name: found[name] for name in ("reused", "units")}
+
+
+def hashes(project: Path) -> list[str]:
+    names = ("trial.tif", "trial-labels.tif", "trial.gpkg")
+    return [hashlib.sha256((project.parent / "output" / name).read_bytes()).hexdigest() for name in names]
+
+
+def edit_south(project: Path) -> None:
+    """Give a place in the south to another photo, as one would in QGIS."""
+    made = project.parent / "output" / "trial.gpkg"
+    shares, prints = read_layer(made, "seams"), read_layer(made, "footprints")
+    seen = dict(zip(prints["image"], prints.geometry, strict=True))
+    pairs = [(i, j) for i in range(len(shares)) for j in range(len(shares)) if i != j]
+    common = {(i, j): shares.geometry[i].intersection(seen[shares["image"][j]]) for i, j in pairs}
+    south, other = min((pair for pair in pairs if common[pair].area > 2e4), key=lambda pair: common[pair].bounds[1])
+    left, bottom, right, _ = common[south, other].bounds
+    place = common[south, other].intersection(shapely.box(left, bottom, right, bottom + 120))
+    drawn = [shape.union(place) if i == other else shape.difference(place) for i, shape in enumerate(shares.geometry)]
+    shares.set_geometry(drawn).to_file(project.parent / "mine.gpkg", layer="seams")
+    text = project.read_text()
+    project.write_text(text.replace("[mosaic]\n", '[mosaic]\ncutlines = "mine.gpkg"\n'))
+
+
+def test_the_first_run_computes_all(done):
+    assert facts(done)["reused"] == 0
+    assert facts(done)["units"] >= 3
+
+
+def test_an_edited_seam_costs_what_it_touches(own, tell, tmp_path):
+    before = hashes(own)
+    edit_south(own)
+    code, out, _ = tell("run", own, "mosaic")
+    assert code == 0
+    found = facts(own)
+    assert 0 < found["reused"] < found["units"]
+    assert f"{found['units'] - found['reused']} of {found['units']} units computed" in out
+    after = hashes(own)
+    assert after[0] != before[0]
+    assert after[1] != before[1]
+    # The same project without a memory gives the same bytes.
+    shutil.rmtree(own.parent / ".geomosaic")
+    shutil.rmtree(own.parent / "output")
+    assert tell("run", own, "mosaic")[0] == 0
+    assert facts(own)["reused"] == 0
+    assert hashes(own) == after
+
+
+def test_a_changed_photo_or_option_is_no_reason_to_reuse(own, tell):
+    text = own.read_text()
+    own.write_text(text.replace('resampling = "bilinear"', 'resampling = "cubic"'))
+    assert tell("run", own, "mosaic")[0] == 0
+    assert facts(own)["reused"] == 0
+
+
+def test_a_file_that_was_touched_is_not_trusted(own, tell):
+    edit_south(own)
+    state = own.parent / ".geomosaic" / "trial" / "mosaic-units.json"
+    state.write_text(state.read_text().replace('"labels": "', '"labels": "0'))
+    assert tell("run", own, "mosaic")[0] == 0
+    assert facts(own)["reused"] == 0
+    state.write_text("{")
+    text = own.read_text()
+    own.write_text(text.replace("# feather = 10.0 ", "feather = 9.0 "))
+    assert tell("run", own, "mosaic")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda shares: shares.assign(image=["nobody.jpg"] * len(shares)), "which is no image of this mosaic"),
+        (lambda shares: shares.rename(columns={"image": "photo"}), "no column 'image'"),
+        (lambda shares: shares.set_geometry(shares.geometry.boundary), "not an area"),
+    ],
+)
+def test_drawn_shares_that_cannot_be_used(own, tell, change, said):
+    edit_south(own)
+    shares = read_layer(own.parent / "mine.gpkg", "seams")
+    (own.parent / "mine.gpkg").unlink()
+    change(shares).to_file(own.parent / "mine.gpkg", layer="seams")
+    before = hashes(own)
+    code, _, err = tell("run", own, "mosaic")
+    assert code == 1
+    assert said in err
+    assert hashes(own) == before
