@@ -13,7 +13,7 @@ MEGABYTE = 1 << 20
 SMALLEST = {
     "ortho": 90,
     "reproject": 90,
-    "georeference": 90,
+    "georeference": 180,
     "mosaic": 170,
     "edges": 220,
     "run": 190,
@@ -24,7 +24,7 @@ measured. Nothing keeps a lower limit."""
 LEAST = {
     "ortho": 220,
     "reproject": 220,
-    "georeference": 220,
+    "georeference": 370,
     "mosaic": 330,
     "edges": 340,
     "run": 460,
