@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from pyproj import Transformer
 from spot_rig import SIZE, TO_LLH, Satellite, with_places
 
 from geomosaic.cli.main import run
+from geomosaic.project.build import build_block
+from geomosaic.project.inputs import BlockInputs
 
 TOLD = Satellite(attitude=(0.0, 0.0, 0.0), rate=(0.0, 0.0, 0.0))
 BIASED = Satellite()
@@ -102,6 +105,25 @@ def test_ortho_with_control_points(scene: Path, tmp_path: Path) -> None:
     assert run(words(scene, tmp_path / "right.tif", *declared, "--option", f"points={points}")) == 0
     assert worst(tmp_path / "wrong.tif", *seen(BIASED, 100)) > 30.0
     assert worst(tmp_path / "right.tif", *seen(BIASED, 100)) < 2.5
+
+
+def test_control_of_a_project_refines_the_scene(scene: Path, tmp_path: Path) -> None:
+    """Points of role control are passed to the sensor, check points are not; refine = none keeps them away."""
+    ground, image = BIASED.points(4, 800.0, 3, with_places(4))
+    xyz = np.column_stack(TO_MAP.transform(*TO_LLH.transform(*ground.T)))
+    lines = ["id,x,y,z,image,col,row,role"]
+    for i, (place, pixel) in enumerate(zip(xyz.tolist(), image.tolist(), strict=True)):
+        lines.append(",".join(map(str, [i, *place, "IMAGERY.TIF", *pixel, "control"])))
+    lines.append(",".join(map(str, ["far", *xyz[0], "IMAGERY.TIF", 5.0, 5.0, "check"])))
+    (tmp_path / "gcps.csv").write_text("\n".join(lines))
+    inputs = BlockInputs(
+        (scene / "IMAGERY.TIF",), "pushbroom", crs="EPSG:32624", heights="ellipsoidal", dem=scene / "dem.tif",
+        dem_heights="ellipsoidal", control=tmp_path / "gcps.csv",
+    )  # fmt: skip
+    refined = build_block(inputs).scenes[0].model
+    assert np.abs(refined.ground_to_image(ground) - image).max() < 1.0
+    left = build_block(replace(inputs, options={"refine": "none"})).scenes[0].model
+    assert np.abs(left.ground_to_image(ground) - image).max() > 3.0
 
 
 def test_what_is_missing_is_told(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

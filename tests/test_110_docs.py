@@ -219,7 +219,7 @@ def test_every_input_of_a_sensor_is_documented() -> None:
     from geomosaic.sensor.registry import plugin
 
     shown = tables(DOCS / "sensors.md")
-    for name in ("frame", "planar", "rpc"):
+    for name in ("frame", "panoramic", "planar", "pushbroom", "rpc"):
         assert set(shown[name]) == {entry.name for entry in plugin(name).inputs}
 
 

@@ -143,7 +143,7 @@ def test_found_again_without_start_values(additional: dict[str, float] | None) -
 
 @pytest.mark.parametrize("trial", range(2))
 def test_a_true_orbit_by_sixteen_points(trial: int) -> None:
-    """SPOT-like scene, 800 m of relief, 0.3 px noise: of 20 trials col 0.24 px, row 0.18 px (docs/pushbroom.md)."""
+    """SPOT-like scene, 800 m of relief, 0.3 px noise: col 0.24 px, row 0.23 px on average of 20 trials."""
     ground, image = SATELLITE.points(16, 800.0, 100 + trial, with_places(16))
     noisy = image + np.random.default_rng(trial).normal(0.0, 0.3, image.shape)
     check, truth = SATELLITE.points(80, 800.0, 9)

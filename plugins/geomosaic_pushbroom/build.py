@@ -56,7 +56,7 @@ def build_pushbroom(request: SensorRequest) -> PushbroomModel:
         except InputError as error:
             error.where = f"{where} ({error.where})"
             raise
-        model = _of_scene(reported, request)
+        model = of_scene(reported, request)
     elif way == "track":
         model = _of_track(request)
     else:
@@ -97,7 +97,7 @@ def _need_only(options: Mapping[str, Any], way: str, where: str) -> None:
         )
 
 
-def _of_scene(reported: Reported, request: SensorRequest) -> PushbroomModel:
+def of_scene(reported: Reported, request: SensorRequest) -> PushbroomModel:
     """Model of a scene or of a cut of it."""
     where, size = request.image, request.size
     given = request.options.get("offset")

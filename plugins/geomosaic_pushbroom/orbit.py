@@ -50,7 +50,7 @@ class Orbit:
         Raises
         ------
         InputError
-            Fewer than four points, two of one time, none on one side of the scene, or a position that is no orbit.
+            Fewer than four points, two of one time, none on one side of the scene, or no satellite's orbit.
         """
         order = np.argsort(times, kind="stable")
         t, p, v = times[order], positions[order], velocities[order]
@@ -60,13 +60,15 @@ class Orbit:
                 where=where,
                 mend="at least four are needed, of different times, before and after the middle of the scene",
             )
-        height = np.linalg.norm(p, axis=1)
-        if not (np.isfinite(height).all() and (height > 6.4e6).all() and (height < 5e7).all()):
-            raise InputError(
-                "ephemeris points lie inside the Earth or far from it",
-                where=where,
-                mend="positions must be Earth-centred (ITRF), in metres",
-            )
+        for values, least, most, words in ((p, 6.4e6, 5e7, "positions"), (v, 1e3, 2e4, "velocities")):
+            known = np.isfinite(values).all() and np.abs(values).max() < most
+            length = np.linalg.norm(values, axis=1) if known else np.zeros(1)
+            if not ((length > least) & (length < most)).all():
+                raise InputError(
+                    f"{words} of the ephemeris are not those of a satellite",
+                    where=where,
+                    mend="they must be Earth-centred (ITRF), in metres and metres per second",
+                )
         first = int(np.clip(np.searchsorted(t, 0.0) - NODES // 2, 0, max(0, len(t) - NODES)))
         chosen = slice(first, first + NODES)
         t, p, v = t[chosen], p[chosen], v[chosen]
