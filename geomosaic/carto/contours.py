@@ -216,7 +216,7 @@ def smooth(values: AnyArray, nodes: FloatArray, level: float, tolerance: float) 
                 break
             weight[bad] *= factor
         # Where a neighbour was held back, the line between may have left the tolerance again.
-        for _ in range(len(line)):
+        for _ in range(20):
             moved = line + weight[:, None] * (target - line)
             bad = _beyond(values, moved, level, tolerance) & (weight > 0)
             if closed:
@@ -224,6 +224,8 @@ def smooth(values: AnyArray, nodes: FloatArray, level: float, tolerance: float) 
             if not bad.any():
                 break
             weight[bad] = 0.0
+        else:
+            break  # nothing more can be moved safely
         line = line + weight[:, None] * (target - line)
     return line
 
