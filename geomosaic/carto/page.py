@@ -209,8 +209,9 @@ def _on_paper(
     if side == "right":
         panel = (border[2] + GAP, border[1], border[2] + GAP + PANEL_RIGHT, border[3])
     elif side == "bottom":
-        half, middle = max(border[2] - border[0], min(width - 2 * margin, COLUMNS)) / 2, (border[0] + border[2]) / 2
-        foot, panel = None, (middle - half, border[1] - GAP - PANEL_BOTTOM, middle + half, border[1] - GAP)
+        wide = max(border[2] - border[0], min(width - 2 * margin, COLUMNS))
+        start = (border[0] + border[2] - wide) / 2
+        foot, panel = None, (start, border[1] - GAP - PANEL_BOTTOM, start + wide, border[1] - GAP)
     top = (min(border[0], (panel or border)[0]), border[3], (panel or border)[2], border[3] + head)
     return Page(width, height, neatline, border, top, foot, panel, side, crs, bounds, scale)
 
