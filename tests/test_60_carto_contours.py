@@ -9,9 +9,10 @@ import pytest
 import shapely
 from affine import Affine
 
-from geomosaic.carto.contours import Contour, Heights, bilinear_at, nice_interval, smooth, trace
+from geomosaic.carto.contours import Contour, Heights, nice_interval, trace
 from geomosaic.carto.draw.names import uphill
 from geomosaic.carto.place import along_line
+from geomosaic.carto.smooth import bilinear_at, smooth
 from geomosaic.errors import InputError
 
 CELL = 2.0
@@ -102,7 +103,7 @@ def test_ends_stay_and_rings_stay_closed() -> None:
     values = noise(3)
     open_line = np.column_stack([np.arange(0, 50, 1.0), 20 + 3 * np.sin(np.arange(50))])
     level = float(np.nanmean(bilinear_at(values, *open_line.T)))
-    moved = smooth(values, open_line, level, 50.0)
+    (moved,) = smooth(values, [open_line], [level], 50.0)
     assert moved[0].tolist() == open_line[0].tolist()
     assert moved[-1].tolist() == open_line[-1].tolist()
     for c in trace(Heights(values, PLACE), 5.0):

@@ -52,7 +52,7 @@ def grid_words(grid: MapGrid) -> str:
         step = angle_text(grid.interval, grid.interval) if grid.interval >= 1 / 3600 else f"{grid.interval:g}°"
         return f"{grid.crs.name}, every {_short(step)}"
     unit = grid.crs.axis_info[0].unit_name if grid.crs.axis_info else "units"
-    return f"{grid.crs.name}, every {grouped(grid.interval)} {'m' if unit == 'metre' else unit}"
+    return f"{grid.crs.name}, every {grouped(grid.interval)}\u00a0{'m' if unit == 'metre' else unit}"
 
 
 def _short(step: str) -> str:

@@ -19,6 +19,8 @@ HEAD = 15.0
 """Height in mm of the title's strip."""
 PANEL_RIGHT, PANEL_BOTTOM = 64.0, 62.0
 """Width of a panel at the right and height of one at the bottom, in mm."""
+NARROWEST, COLUMNS = 140.0, 168.0
+"""Width in mm from which a panel at the bottom has room for its three columns, and which they take where they can."""
 FOOT = 16.0
 """Height in mm of the strip for the scale below a map that has no panel there."""
 GAP = 3.0
@@ -179,7 +181,12 @@ def _on_paper(
         width, height = min(width, height), max(width, height)
     margin, side = layout.sheet.margin, layout.sheet.panel
     if side == "auto":
+        wide = width - 2 * margin
         side = "right" if width > height else "bottom"
+        if wide < (NARROWEST if side == "bottom" else PANEL_RIGHT + GAP + 2 * BAND + 2 * SMALLEST):
+            side = "none"
+    if side == "bottom" and width - 2 * margin < NARROWEST:
+        return None
     head = HEAD if any((layout.sheet.title, layout.sheet.subtitle, layout.sheet.number, layout.sheet.name)) else 0.0
     right = PANEL_RIGHT + GAP if side == "right" else 0.0
     bottom = PANEL_BOTTOM + GAP if side == "bottom" else FOOT
@@ -202,8 +209,10 @@ def _on_paper(
     if side == "right":
         panel = (border[2] + GAP, border[1], border[2] + GAP + PANEL_RIGHT, border[3])
     elif side == "bottom":
-        foot, panel = None, (border[0], border[1] - GAP - PANEL_BOTTOM, border[2], border[1] - GAP)
-    top = (border[0], border[3], panel[2] if side == "right" and panel else border[2], border[3] + head)
+        wide = max(border[2] - border[0], min(width - 2 * margin, COLUMNS))
+        start = (border[0] + border[2] - wide) / 2
+        foot, panel = None, (start, border[1] - GAP - PANEL_BOTTOM, start + wide, border[1] - GAP)
+    top = (min(border[0], (panel or border)[0]), border[3], (panel or border)[2], border[3] + head)
     return Page(width, height, neatline, border, top, foot, panel, side, crs, bounds, scale)
 
 

@@ -34,7 +34,7 @@ class Entry:
 def wrapped(text: str, size: float, room: float, bold: bool = False) -> list[str]:
     """Break a text into lines that are not wider than `room` mm; a word that is wider stands alone, cut into pieces."""
     lines: list[str] = []
-    for word in text.split():
+    for word in filter(None, text.split(" ")):  # other spaces hold together what stands at their sides
         longer = f"{lines[-1]} {word}" if lines else word
         if lines and text_size(longer, size, bold)[0] <= room:
             lines[-1] = longer

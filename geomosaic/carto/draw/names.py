@@ -19,7 +19,7 @@ from geomosaic.carto.style import Label
 from geomosaic.types import FloatArray
 
 AGAIN = 80.0
-"""Least distance in mm at which the same name of the same layer is written again along lines."""
+"""Least distance in mm at which the same name of the same layer is written again along lines or in areas."""
 
 
 def place_names(page: Page, layers: Sequence[Overlay], placer: Placer) -> tuple[list[tuple[Placed, Label]], int]:
@@ -49,7 +49,7 @@ def place_names(page: Page, layers: Sequence[Overlay], placer: Placer) -> tuple[
             )
             for name in _merged(layer.names) if kind == "line" else layer.names:
                 spots = _spots(page, name, kind, label, radius)
-                if spots is None or (kind == "line" and _said(found, name.text, label, spots)):
+                if spots is None or (kind != "point" and _said(found, name.text, label, spots)):
                     continue
                 width, height = text_size(name.text, label.size, label.bold, label.italic)
                 placed = placer.place(name.text, width, height, spots)

@@ -106,8 +106,8 @@ def legend(parts: SheetParts) -> list[Entry]:
     line = frozenset({"line"})
     if parts.contours:
         shown: Sequence[tuple[bool, str, float]] = (
-            (True, f"Index contours, every {parts.interval * part.index:g} m", part.index_width),
-            (False, f"Contours, every {parts.interval:g} m", part.width),
+            (True, f"Index contours, every {parts.interval * part.index:g}\u00a0m", part.index_width),
+            (False, f"Contours, every {parts.interval:g}\u00a0m", part.width),
         )
         for main, text, width in shown:
             if any(c.index == main for c in parts.contours):

@@ -1,0 +1,184 @@
+"""Contours made smooth within a tolerance of height: all lines at once, vertex by vertex.
+
+Each round moves every vertex towards the mean of its neighbours (weights 1/4, 1/2, 1/4), by all, a half or a quarter of
+the way or not at all: as far as the surface stays within the tolerance of the contour's height at the vertex and on the
+way to its neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
+
+PASSES = 12
+"""Rounds of smoothing: about the influence of 2.5 cells to each side."""
+STEP = 0.5
+"""Distance of vertices, in cells."""
+
+
+def bilinear_at(values: AnyArray, col: FloatArray, row: FloatArray) -> FloatArray:
+    """Bilinear values at node coordinates, (0, 0) being the first node; NaN outside."""
+    rows, cols = values.shape
+    hair = 1e-6
+    inside = (col >= -hair) & (row >= -hair) & (col <= cols - 1 + hair) & (row <= rows - 1 + hair)
+    c, r = np.clip(np.nan_to_num(col), 0, cols - 1), np.clip(np.nan_to_num(row), 0, rows - 1)
+    i, j = np.minimum(c.astype(np.int64), cols - 2), np.minimum(r.astype(np.int64), rows - 2)
+    u, v = c - i, r - j
+    total = np.zeros(col.shape)
+    for du, across in ((0, 1 - u), (1, u)):
+        for dv, down in ((0, 1 - v), (1, v)):
+            weight = across * down
+            # A node without weight does not count, known or not. Weights are float64, whatever the heights are.
+            total += np.where(weight > 1e-9, weight * values[j + dv, i + du], 0.0)
+    return np.where(inside, total, np.nan)
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Many lines in one array of vertices: where each starts and ends, which are rings; level and line of each vertex."""
+
+    first: IntArray
+    last: IntArray
+    ring: BoolArray
+    level: FloatArray
+    line: IntArray
+
+    def tie(self, marks: BoolArray) -> None:
+        """A ring's first and last vertex are one."""
+        a, b = self.first[self.ring], self.last[self.ring]
+        marks[a] |= marks[b]
+        marks[b] = marks[a]
+
+
+def smooth(
+    values: AnyArray, lines: Sequence[FloatArray], levels: Sequence[float], tolerance: float
+) -> list[FloatArray]:
+    """Smooth contours without leaving the tolerance.
+
+    Parameters
+    ----------
+    values : array (rows, cols)
+        Heights at the nodes.
+    lines : sequence of array (N, 2)
+        Vertices in node coordinates (col, row); rings where the first is the last.
+    levels : sequence of float
+        One per line, metres.
+    tolerance : float
+        Metres.
+
+    Returns
+    -------
+    list of array (N', 2)
+        Vertices are half a cell apart. Ends of open lines stay, rings stay closed.
+    """
+    dense = [_densified(line, STEP) for line in lines]
+    if not dense:
+        return []
+    sizes = np.array([len(line) for line in dense])
+    last = np.cumsum(sizes) - 1
+    first = last - sizes + 1
+    ring = np.array([bool((line[0] == line[-1]).all()) and len(line) > 3 for line in dense])
+    all_ = _Lines(
+        first,
+        last,
+        ring,
+        np.repeat(np.asarray(levels, dtype=np.float64), sizes),
+        np.repeat(np.arange(len(dense)), sizes),
+    )
+    points = _onto_level(values, np.concatenate(dense), all_, tolerance)
+    for _ in range(PASSES):
+        step = _averaged(points, all_) - points
+        points = points + _allowed(values, points, step, all_, tolerance)[:, None] * step
+    return np.split(points, last[:-1] + 1)
+
+
+def _allowed(values: AnyArray, points: FloatArray, step: FloatArray, lines: _Lines, tolerance: float) -> FloatArray:
+    """Part of its step that each vertex may move."""
+    weight = np.ones(len(points))
+    for factor in (0.5, 0.5, 0.0):
+        bad = _beyond(values, points + weight[:, None] * step, lines, tolerance)
+        if not bad.any():
+            return weight
+        weight[bad] *= factor
+    # Where a neighbour was held back, the line between may have left the tolerance again.
+    for _ in range(20):
+        bad = _beyond(values, points + weight[:, None] * step, lines, tolerance) & (weight > 0)
+        if not bad.any():
+            return weight
+        weight[bad] = 0.0
+    weight[np.isin(lines.line, np.unique(lines.line[bad]))] = 0.0
+    return weight
+
+
+def _densified(nodes: FloatArray, step: float) -> FloatArray:
+    lengths = np.hypot(*np.diff(nodes, axis=0).T)
+    parts = [nodes[:1]]
+    for a, b, length in zip(nodes[:-1], nodes[1:], lengths, strict=True):
+        n = max(1, round(length / step))
+        parts.append(a + (b - a) * (np.arange(1, n + 1) / n)[:, None])
+    line = np.concatenate(parts)
+    line[-1] = nodes[-1]
+    return line
+
+
+def _onto_level(values: AnyArray, points: FloatArray, lines: _Lines, tolerance: float) -> FloatArray:
+    """Move vertices that miss their level by over half the tolerance along the slope: one step of Newton's method."""
+    h = 1e-4
+    col, row = points.T
+    miss = bilinear_at(values, col, row) - lines.level
+    slope = np.column_stack(
+        [
+            bilinear_at(values, col + h, row) - bilinear_at(values, col - h, row),
+            bilinear_at(values, col, row + h) - bilinear_at(values, col, row - h),
+        ]
+    ) / (2 * h)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shift = -miss[:, None] * slope / (slope**2).sum(axis=1)[:, None]
+        good = (np.abs(miss) > 0.5 * tolerance) & np.isfinite(shift).all(axis=1) & (np.hypot(*shift.T) < 0.5)
+        good[lines.first] = good[lines.last] = False
+        moved = np.where(good[:, None], points + shift, points)
+        better = np.abs(bilinear_at(values, *moved.T) - lines.level) < np.abs(miss)
+    out: FloatArray = np.where(better[:, None], moved, points)
+    return out
+
+
+def _averaged(points: FloatArray, lines: _Lines) -> FloatArray:
+    """Where vertices go: ends of open lines stay."""
+    target = points.copy()
+    target[1:-1] = 0.25 * points[:-2] + 0.5 * points[1:-1] + 0.25 * points[2:]
+    open_ends = np.concatenate([lines.first[~lines.ring], lines.last[~lines.ring]])
+    target[open_ends] = points[open_ends]
+    a, b = lines.first[lines.ring], lines.last[lines.ring]
+    target[a] = 0.25 * points[b - 1] + 0.5 * points[a] + 0.25 * points[a + 1]
+    target[b] = target[a]
+    return target
+
+
+def _beyond(values: AnyArray, points: FloatArray, lines: _Lines, tolerance: float) -> BoolArray:
+    """Vertices at which, or on a side of which, the surface leaves the tolerance: looked at four times per side.
+
+    Between those places it may differ by a little more, which the last tenth of the tolerance is for.
+    """
+    limit = 0.9 * tolerance
+    off: BoolArray = ~(np.abs(bilinear_at(values, *points.T) - lines.level) <= limit)
+    side = np.zeros(len(points) - 1, dtype=bool)
+    for share in (0.25, 0.5, 0.75):
+        between = points[:-1] + share * (points[1:] - points[:-1])
+        side |= ~(np.abs(bilinear_at(values, *between.T) - lines.level[:-1]) <= limit)
+    side[lines.last[:-1]] = False  # from one line to the next
+    off[:-1] |= side
+    off[1:] |= side
+    lines.tie(off)
+    return off
+
+
+def deviation(values: AnyArray, line: FloatArray, level: float) -> float:
+    """Largest difference between the surface along a line and a level, looked at eight times per side."""
+    steps = np.arange(8)[:, None, None] / 8
+    places = np.concatenate([(line[:-1] + steps * (line[1:] - line[:-1])).reshape(-1, 2), line[-1:]])
+    off = np.abs(bilinear_at(values, *places.T) - level)
+    return float(np.nanmax(off)) if np.isfinite(off).any() else 0.0
