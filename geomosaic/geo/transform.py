@@ -151,6 +151,6 @@ def _no_operation(source: CRS, target: CRS) -> InputError:
     if grids:
         return HeightDatumError(
             f"{what}: grid {' or '.join(grids)} is not installed",
-            mend="give the path of that grid file as the vertical datum, or name another where that is true",
+            mend="give the path of that geoid grid as the vertical datum, or name another where that is true",
         )
     return InputError(what, mend="check both coordinate reference systems, or give a geoid grid file")
