@@ -194,7 +194,7 @@ def test_scale_and_paper_follow() -> None:
         (Layout(), "EPSG:4326", "not projected"),
         (Layout(map=MapPart(bounds=(0.0, 0.0, 10.0, 10.0))), "EPSG:32633", "beside the picture"),
         (Layout(map=MapPart(bounds=(10.0, 0.0, 0.0, 10.0))), "EPSG:32633", "enclose no area"),
-        (Layout(sheet=SheetPart(paper="100x100")), "EPSG:32633", "no room for a map"),
+        (Layout(sheet=SheetPart(paper="100x100", panel="bottom")), "EPSG:32633", "no room for a map"),
         (Layout(sheet=SheetPart(paper="A4"), map=MapPart(500.0, AREA)), "EPSG:32633", "has room for"),
     ],
 )

@@ -19,6 +19,8 @@ HEAD = 15.0
 """Height in mm of the title's strip."""
 PANEL_RIGHT, PANEL_BOTTOM = 64.0, 62.0
 """Width of a panel at the right and height of one at the bottom, in mm."""
+LOWEST = 110.0
+"""Height in mm that a panel at the right takes where it can."""
 NARROWEST, COLUMNS = 140.0, 168.0
 """Width in mm from which a panel at the bottom has room for its three columns, and which they take where they can."""
 FOOT = 16.0
@@ -207,7 +209,9 @@ def _on_paper(
     foot: Box | None = (border[0], border[1] - FOOT, border[2], border[1])
     panel: Box | None = None
     if side == "right":
-        panel = (border[2] + GAP, border[1], border[2] + GAP + PANEL_RIGHT, border[3])
+        # Beside a low map the panel reaches further down: its contents do not get lower.
+        end = max(margin, min(border[1], border[3] - LOWEST))
+        panel = (border[2] + GAP, end, border[2] + GAP + PANEL_RIGHT, border[3])
     elif side == "bottom":
         wide = max(border[2] - border[0], min(width - 2 * margin, COLUMNS))
         start = (border[0] + border[2] - wide) / 2

@@ -39,7 +39,7 @@ def bilinear_at(values: AnyArray, col: FloatArray, row: FloatArray) -> FloatArra
 
 @dataclass(frozen=True)
 class _Lines:
-    """Many lines in one array of vertices: where each starts and ends, which are rings; level and line of vertices."""
+    """Many lines in one array of vertices: where each starts and ends, which are rings; level, line of each vertex."""
 
     first: IntArray
     last: IntArray
