@@ -177,6 +177,17 @@ def test_a_spline_through_points_that_need_one_of_them() -> None:
     assert np.abs(fit.leave_one_out[:4]).max() < 1e-6
 
 
+def test_many_points_hold_the_linearisation(monkeypatch: pytest.MonkeyPatch) -> None:
+    from geomosaic.adjust import omission
+
+    xy, colrow = noisy("projective", 41, 3)
+    closed = fit_control(builder("projective", xy, colrow), names(41), xy, colrow).leave_one_out
+    monkeypatch.setattr(omission, "FEW", 41)
+    refitted = fit_control(builder("projective", xy, colrow), names(41), xy, colrow).leave_one_out
+    difference = np.abs(closed - refitted).max()
+    assert 0.0 < difference < 0.002 * np.abs(refitted).max()
+
+
 def test_refits_of_many_points_are_a_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     """A model that passes through its points and has no closed form."""
     from types import SimpleNamespace

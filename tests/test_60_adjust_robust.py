@@ -149,3 +149,30 @@ def test_what_cannot_be_searched_is_refused() -> None:
         snoop(builder("affine", line, truth("affine", line)), names(9), line, truth("affine", line))
     with pytest.raises(InputError, match="between 0 and 1"):
         snoop(builder("affine", xy, colrow), names(12), xy, colrow, alpha=1.5)
+
+
+def test_signed_ranks_as_an_independent_implementation_has_them() -> None:
+    from scipy.stats import wilcoxon
+
+    from geomosaic.adjust.signed_rank import signed_rank_probability
+
+    random = np.random.default_rng(5)
+    for count in (6, 7, 20, 50, 51, 200):
+        for shift in (-0.2, 0.0, 0.4):
+            told = random.normal(shift, 1.0, count)
+            assert signed_rank_probability(told) == pytest.approx(
+                wilcoxon(told, alternative="greater").pvalue, rel=1e-9
+            )
+    tied = np.array([1.0, -1.0, 2.0, 2.0, 0.0, 3.0, -2.0, 4.0, 1.0])
+    expected = wilcoxon(tied, alternative="greater", method="asymptotic").pvalue
+    assert signed_rank_probability(tied) == pytest.approx(expected, rel=1e-9)
+
+
+def test_tails_as_an_independent_implementation_has_them() -> None:
+    from scipy.stats import chi2, f
+
+    from geomosaic.adjust.judge import probabilities
+
+    told = np.array([0.0, 0.5, 3.0, 20.0, 400.0, np.inf])
+    assert probabilities(told, 1.3, 17.0) == pytest.approx(f.sf(told / 1.3**2 / 2.0, 2, 17), rel=1e-9)
+    assert probabilities(told, 1.3, np.inf) == pytest.approx(chi2.sf(told / 1.3**2, 2), rel=1e-9)

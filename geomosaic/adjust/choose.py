@@ -10,6 +10,7 @@ import numpy as np
 
 from geomosaic.adjust.fit import ControlFit, fit_problem, total_rms
 from geomosaic.adjust.problem import Build, Problem, registry_build
+from geomosaic.adjust.signed_rank import signed_rank_probability
 from geomosaic.errors import GeomosaicError, SolveError
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import AnyArray, BoolArray, FloatArray
@@ -171,8 +172,6 @@ def _odd(lengths: Sequence[FloatArray]) -> BoolArray:
 
 def _gain(before: FloatArray, after: FloatArray, compared: BoolArray) -> float:
     """Probability by chance of errors (N,) so much smaller than those before; 1 where their RMS is not smaller."""
-    from scipy.stats import wilcoxon
-
     both = compared & np.isfinite(before) & np.isfinite(after)
     first, second = before[both], after[both]
     old, new = float(np.sqrt((first**2).mean())), float(np.sqrt((second**2).mean()))
@@ -181,7 +180,7 @@ def _gain(before: FloatArray, after: FloatArray, compared: BoolArray) -> float:
         return 1.0
     if both.sum() < FEW:
         return 0.0 if new < old / 3.0 else 1.0
-    return float(wilcoxon(first - second, alternative="greater").pvalue)
+    return signed_rank_probability(first - second)
 
 
 def _row(name: str, fit: ControlFit | str, compared: bool, gain: float, points: BoolArray) -> Candidate:

@@ -14,6 +14,8 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 
 MOST_REFITS = 200
 SAMPLE = 100
+FEW = 40
+"""Points up to which a model that is not linear is refitted; beyond, one of them bends it too little to matter."""
 
 
 @runtime_checkable
@@ -29,10 +31,9 @@ class HasOmission(Protocol):
 def leave_one_out(problem: Problem, model: SensorModel, residuals: FloatArray, found: Cofactors) -> FloatArray:
     """Errors of points under fits to all the others.
 
-    In closed form, (I − H_ii)⁻¹ v_i, where the model is linear in its parameters; by refits where it is not, and where
-    a point has no residual because the fit passes through it and the model has no closed form of its own. Of more than
-    200 points that would call for refits, models with redundancy keep the closed form of their linearisation, and of
-    the others 100 points, evenly drawn, are refitted.
+    In closed form, (I − H_ii)⁻¹ v_i, where the model is linear in its parameters, or more than 40 points hold its
+    linearisation; by refits where it is not, and where a point has no residual because the fit passes through it and
+    the model has no closed form of its own. Of more than 200 such points 100, evenly drawn, are refitted.
 
     Parameters
     ----------
@@ -56,7 +57,7 @@ def leave_one_out(problem: Problem, model: SensorModel, residuals: FloatArray, f
     inverse = found.checked
     errors: FloatArray = np.einsum("nij,nj->ni", inverse, residuals)
     closed: BoolArray = np.isfinite(errors.sum(axis=1))
-    if not is_linear(model, problem.xyz) and len(problem) <= MOST_REFITS:
+    if not is_linear(model, problem.xyz) and len(problem) <= FEW:
         closed[:] = False
     left = np.flatnonzero(~closed)
     errors[left] = np.nan

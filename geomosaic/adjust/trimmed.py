@@ -124,14 +124,11 @@ def trimmed_start(problem: Problem, seed: int = 0) -> RobustStart:
     # One point more than needed: a conformal fit of two cannot tell a mirrored image.
     size = min(needed + 1, half)
     samples = _samples(count, size, seed)
-    tried = []
-    for sample in samples:
-        found = _concentrate(problem, sample, half, 1)
-        if found is not None:
-            tried.append(found)
+    tried = _best(problem, samples, half)
     if not tried:
         raise SolveError("no sample of the control points determines the model", mend="spread the points")
-    tried.sort(key=lambda each: each[0])
+    # Most samples hold a blunder, and show it at once: only the better ones are worth the next fit.
+    tried = _best(problem, [chosen for _, chosen in tried[: max(BEST, len(tried) // 3)]], half)
     finished = [_concentrate(problem, each[1], half, STEPS) or each for each in tried[:BEST]]
     best = min(finished, key=lambda each: each[0])
     inliers, scale, freedom = _grow(problem, best[1], needed)
@@ -145,6 +142,12 @@ def _samples(count: int, size: int, seed: int) -> list[IntArray]:
         return [np.array(chosen, dtype=np.int64) for chosen in combinations(range(count), size)]
     random = np.random.default_rng(seed)
     return [random.choice(count, size, replace=False) for _ in range(wanted)]
+
+
+def _best(problem: Problem, samples: list[IntArray], half: int) -> list[tuple[float, IntArray]]:
+    """Concentrate samples; the best first."""
+    found = (_concentrate(problem, sample, half, 0) for sample in samples)
+    return sorted((each for each in found if each is not None), key=lambda each: each[0])
 
 
 def _lengths(problem: Problem, model: SensorModel) -> FloatArray:

@@ -36,10 +36,8 @@ def contradictions(control: ImageControl) -> list[Advice]:
     pixel = pixel_on_ground(control.colrow, ground)
     if pixel <= 0.0:
         return []
-    from scipy.spatial import cKDTree
-
     pixels = ground / pixel
-    close = cKDTree(control.colrow).query_pairs(SAME) | cKDTree(pixels).query_pairs(SAME)
+    close = set(_close(control.colrow)) | set(_close(pixels))
     found = []
     for first, second in sorted(close):
         image = float(np.hypot(*(control.colrow[first] - control.colrow[second])))
@@ -56,3 +54,15 @@ def contradictions(control: ImageControl) -> list[Advice]:
             what = f"{two} are the same measurement: it counts twice"
             found.append(Advice("repeated", "warning", what, names, "leave one of them out"))
     return found
+
+
+def _close(places: FloatArray) -> list[tuple[int, int]]:
+    """Pairs of places (N, 2) within SAME of each other: those whose first coordinates are that near, looked through."""
+    order = np.argsort(places[:, 0], kind="stable")
+    sorted_ = places[order]
+    count = np.searchsorted(sorted_[:, 0], sorted_[:, 0] + SAME, side="right") - np.arange(len(places)) - 1
+    first = np.repeat(np.arange(len(places)), count)
+    second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
+    near = np.hypot(*(sorted_[first] - sorted_[second]).T) <= SAME
+    pairs = np.sort(order[np.column_stack([first[near], second[near]])], axis=1)
+    return [(int(a), int(b)) for a, b in pairs]

@@ -139,6 +139,18 @@ def _points(points: Any, where: str) -> tuple[FloatArray, FloatArray, FloatArray
     """Map positions, image positions and weights of control points."""
     if not isinstance(points, Sequence) or isinstance(points, str) or not points:
         raise InputError("input 'points' is not a list of points", where=where)
+    table = _table(points, where)
+    return table[:, :2], table[:, 2:4], 1.0 / table[:, 4] ** 2
+
+
+def _table(points: Sequence[Any], where: str) -> FloatArray:
+    """x, y, col, row, sigma of points (N, 5): at once where nothing is wrong, one by one to say what is."""
+    try:
+        table = np.array([(*map(point.__getitem__, POINT), point.get("sigma", 1.0)) for point in points])
+        if table.dtype.kind in "fi" and np.isfinite(table).all() and (table[:, 4] > 0.0).all():
+            return table.astype(np.float64)
+    except (TypeError, ValueError, KeyError, AttributeError):
+        pass
     rows = []
     for index, point in enumerate(points, 1):
         if not isinstance(point, Mapping):
@@ -155,8 +167,7 @@ def _points(points: Any, where: str) -> tuple[FloatArray, FloatArray, FloatArray
         rows.append(_numbers(row, 5, f"points, number {index}", where))
         if rows[-1][4] <= 0.0:
             raise InputError(f"control point {index} has a sigma that is not greater than 0", where=where)
-    table = np.array(rows)
-    return table[:, :2], table[:, 2:4], 1.0 / table[:, 4] ** 2
+    return np.array(rows)
 
 
 def _coefficients(given: Any, kind: str, order: int, where: str) -> FloatArray:

@@ -11,7 +11,7 @@ from geomosaic.types import FloatArray
 from geomosaic_planar import spline
 from geomosaic_planar.projective import projective
 from geomosaic_planar.solve import conformal, linear
-from geomosaic_planar.terms import evaluate, least_points
+from geomosaic_planar.terms import article, evaluate, least_points
 
 NO_NODES = np.empty((0, 2))
 NO_NODES.setflags(write=False)
@@ -102,7 +102,7 @@ def fit_planar(
     label = f"{kind} of order {order}" if kind == "polynomial" else kind
     if count < needed:
         raise SolveError(
-            f"{count} control points do not determine a {label} transformation, which needs {needed}",
+            f"{count} control points do not determine {article(label)} {label} transformation, which needs {needed}",
             where=where,
             mend="add points or choose a simpler kind: conformal needs 2, affine and tps 3, projective 4",
         )
@@ -123,7 +123,7 @@ def fit_planar(
     elif kind == "projective":
         solved = projective(uv, image, root, where)
     else:
-        solved = linear(kind, order, uv, image, root, label, where)
+        solved = linear(order, uv, image, root, label, where)
     values, condition, cofactors = solved
     residuals = image - evaluate(kind, order, values, uv, handed)
     redundancy = 2 * count - len(values)

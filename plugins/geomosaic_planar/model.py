@@ -14,7 +14,7 @@ from geomosaic.types import FloatArray
 from geomosaic_planar import spline
 from geomosaic_planar.fit import NO_NODES, PlanarFit
 from geomosaic_planar.inverse import newton_inverse, projective_inverse
-from geomosaic_planar.terms import derivatives, evaluate, parameter_names
+from geomosaic_planar.terms import derivatives, evaluate, parameter_names, slopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ class PlanarModel:
     def _slopes(self, uv: FloatArray) -> FloatArray:
         if self.kind == "tps":
             return spline.slopes(self.nodes, self.coefficients, uv)
-        return derivatives(self.kind, self.order, self.values, uv, self.axes)[1]
+        return slopes(self.kind, self.order, self.values, uv, self.axes)
 
     def _shown(self, colrow: FloatArray) -> FloatArray:
         """Normalised ground (N, 2) of image points; NaN where there is none."""
@@ -161,7 +161,8 @@ class PlanarModel:
 
     def _handed(self, uv: FloatArray) -> str:
         """Handedness of the image's axes at a place (1, 2); that of a conformal map is part of its definition."""
-        determinant = float(np.linalg.det(self._slopes(uv)[0]))
+        (a, b), (c, d) = self._slopes(uv)[0]
+        determinant = float(a * d - b * c)
         if self.kind == "conformal" or not np.isfinite(determinant) or determinant == 0.0:
             return self.axes
         return "right" if determinant > 0.0 else "left"

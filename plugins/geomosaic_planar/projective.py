@@ -45,7 +45,8 @@ def _direct_linear(uv: FloatArray, image: FloatArray, root: FloatArray, where: s
     one = np.column_stack([np.ones(len(uv)), uv])
     zero = np.zeros_like(one)
     rows = np.vstack([np.hstack([one, zero, -q[:, :1] * one]), np.hstack([zero, one, -q[:, 1:] * one])])
-    _, singular, turned = np.linalg.svd(rows * np.tile(root, 2)[:, None])
+    # Four points give eight rows, and the ninth direction is the solution.
+    _, singular, turned = np.linalg.svd(rows * np.tile(root, 2)[:, None], full_matrices=len(rows) < 9)
     if singular[7] * WORST_CONDITION < singular[0]:
         raise SolveError(
             "the control points do not determine a projective transformation: three of four lie on a line, or too "

@@ -6,7 +6,7 @@ import numpy as np
 
 from geomosaic.errors import SolveError
 from geomosaic.types import FloatArray
-from geomosaic_planar.terms import AXES, derivatives, exponents, parameter_names
+from geomosaic_planar.terms import AXES, article, basis, derivatives
 
 WORST_CONDITION = 1e8
 SURE = 3.0
@@ -22,8 +22,8 @@ def least_squares(
     left, singular, turned = np.linalg.svd(design / length, full_matrices=False)
     if singular[-1] * WORST_CONDITION < singular[0]:
         raise SolveError(
-            f"the control points do not determine a {label} transformation: they lie on a line or curve, or too many "
-            "of them on one place",
+            f"the control points do not determine {article(label)} {label} transformation: they lie on a "
+            "line or curve, or too many of them on one place",
             where=where,
             mend="spread the points over the image, or choose a simpler kind",
         )
@@ -57,11 +57,11 @@ def conformal(
 
 
 def linear(
-    kind: str, order: int, uv: FloatArray, image: FloatArray, root: FloatArray, label: str, where: str | None
+    order: int, uv: FloatArray, image: FloatArray, root: FloatArray, label: str, where: str | None
 ) -> tuple[FloatArray, float, FloatArray]:
     """Affine and polynomial coefficients."""
     # Columns and rows share one design: solve it once for both.
-    terms = derivatives(kind, order, np.zeros(len(parameter_names(kind, order))), uv)[0][:, 0, : len(exponents(order))]
+    terms = basis(order, uv)
     solution, condition, cofactors = least_squares(terms * root[:, None], image * root[:, None], label, where)
     both = np.kron(np.eye(2), cofactors).astype(np.float64)
     return solution.T.ravel(), condition, both

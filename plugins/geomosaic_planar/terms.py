@@ -13,15 +13,22 @@ polynomial   col = Σ aᵢⱼ uⁱ vʲ, row = Σ bᵢⱼ uⁱ vʲ over i + j ≤
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
-from geomosaic.types import FloatArray
+from geomosaic.types import FloatArray, IntArray
 
 KINDS = ("conformal", "affine", "projective", "polynomial", "tps")
 AXES = ("left", "right")
 """Handedness of (col, row) as the ground is seen in them."""
 MAX_ORDER = 5
 SIGN = {"left": -1.0, "right": 1.0}
+
+
+def article(label: str) -> str:
+    """'an' before affine."""
+    return "an" if label.startswith("a") else "a"
 
 
 def exponents(order: int) -> list[tuple[int, int]]:
@@ -48,25 +55,46 @@ def least_points(kind: str, order: int) -> int:
     return -(-len(parameter_names(kind, order)) // 2)
 
 
+@cache
+def _indices(order: int) -> tuple[IntArray, IntArray]:
+    """Powers of u and of v of every term."""
+    i, j = np.array(exponents(order)).T
+    return i, j
+
+
+def _powers(order: int, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return 1, x, x², ... of u and of v, (order + 1, N) each."""
+    powers = np.ones((order + 1, 2, len(uv)))
+    for k in range(order):
+        np.multiply(powers[k], uv.T, out=powers[k + 1])
+    return powers[:, 0], powers[:, 1]
+
+
 def basis(order: int, uv: FloatArray) -> FloatArray:
     """Monomials (N, T) at (u, v) (N, 2)."""
-    u, v = uv.T
-    return np.column_stack([u**i * v**j for i, j in exponents(order)])
+    (i, j), (u, v) = _indices(order), _powers(order, uv)
+    terms: FloatArray = (u[i] * v[j]).T
+    return terms
 
 
 def basis_slopes(order: int, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Derivatives (N, T) of the monomials by u and by v."""
-    u, v = uv.T
-    zero = np.zeros_like(u)
-    by_u = np.column_stack([i * u ** (i - 1) * v**j if i else zero for i, j in exponents(order)])
-    by_v = np.column_stack([j * u**i * v ** (j - 1) if j else zero for i, j in exponents(order)])
-    return by_u, by_v
+    (i, j), (u, v) = _indices(order), _powers(order, uv)
+    by_u, by_v = i[:, None] * u[i - 1] * v[j], j[:, None] * u[i] * v[j - 1]
+    return by_u.T, by_v.T
+
+
+def slopes(kind: str, order: int, values: FloatArray, uv: FloatArray, axes: str = "left") -> FloatArray:
+    """Derivatives of (col, row) by (u, v), (N, 2, 2)."""
+    if kind not in ("affine", "polynomial"):
+        return derivatives(kind, order, values, uv, axes)[1]
+    return np.stack([by @ values.reshape(2, -1).T for by in basis_slopes(order, uv)], axis=2)
 
 
 def evaluate(kind: str, order: int, values: FloatArray, uv: FloatArray, axes: str = "left") -> FloatArray:
     """Image (N, 2) of normalised ground (N, 2); NaN for points that are not finite."""
-    u, v = np.where(np.isfinite(uv[:, :1]) & np.isfinite(uv[:, 1:]), uv, np.nan).T
-    uv = np.column_stack([u, v])
+    uv = np.where(np.isfinite(uv).all(axis=1, keepdims=True), uv, np.nan)
+    u, v = uv.T
     if kind == "conformal":
         a, b, tx, ty = values
         return np.column_stack([a * u - b * v + tx, SIGN[axes] * (a * v + b * u + ty)])
@@ -84,12 +112,11 @@ def derivatives(
     count = len(uv)
     u, v = uv.T
     by_values = np.zeros((count, 2, len(values)))
-    by_uv = np.empty((count, 2, 2))
     if kind == "conformal":
         (a, b), sign = values[:2], SIGN[axes]
         by_values[:, 0, 0], by_values[:, 0, 1], by_values[:, 0, 2] = u, -v, 1.0
         by_values[:, 1, 0], by_values[:, 1, 1], by_values[:, 1, 3] = sign * v, sign * u, sign
-        by_uv[:] = [[a, -b], [sign * b, sign * a]]
+        by_uv = np.tile(np.array([[a, -b], [sign * b, sign * a]]), (count, 1, 1))
         by_uv[~np.isfinite(uv).all(axis=1)] = np.nan
         return by_values, by_uv
     if kind == "projective":
@@ -100,11 +127,9 @@ def derivatives(
         by_values[:, 0, :3] = by_values[:, 1, 3:6] = terms
         by_values[:, :, 6:] = -image[:, :, None] * (uv / w)[:, None, :]
         by_values[np.isnan(w[:, 0])] = np.nan
-        by_uv[:] = (values[:6].reshape(2, 3)[:, 1:] - image[:, :, None] * values[6:]) / w[:, :, None]
+        by_uv = (values[:6].reshape(2, 3)[:, 1:] - image[:, :, None] * values[6:]) / w[:, :, None]
         return by_values, by_uv
     terms = basis(order, uv)
     size = terms.shape[1]
     by_values[:, 0, :size] = by_values[:, 1, size:] = terms
-    for axis, slopes in enumerate(basis_slopes(order, uv)):
-        by_uv[:, :, axis] = slopes @ values.reshape(2, -1).T
-    return by_values, by_uv
+    return by_values, slopes(kind, order, values, uv)
