@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.geo.crs import geographic, horizontal
+from geomosaic.geo.crs import horizontal, longitude_latitude_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.types import FloatArray
 
@@ -24,7 +24,7 @@ def area_of_use(crs: CRS) -> Area | None:
 def longitude_latitude(xy: FloatArray, crs: CRS) -> FloatArray:
     """Return degrees (N, 2) on the CRS's own datum; NaN where the projection has no such place."""
     flat = horizontal(crs)
-    degrees = Transform(flat, horizontal(geographic(flat)))(xy)
+    degrees = Transform(flat, longitude_latitude_crs(flat))(xy)
     degrees[np.abs(degrees[:, 1]) > 90.0] = np.nan
     degrees[np.abs(degrees[:, 0]) > 360.0] = np.nan
     return degrees

@@ -128,7 +128,7 @@ def with_heights(crs: CRS, heights: str, where: str | None = None) -> CRS:
     flat = horizontal(crs)
     key = heights.strip()
     if key.lower() == "ellipsoidal":
-        return flat.to_3d()
+        return _ellipsoidal(flat)
     if key.lower() == "egm96":
         key = EGM96
     if key.lower().endswith((".tif", ".gtx")):
@@ -213,9 +213,30 @@ def _with_axes(geodetic: CRS, name: str, axes: str) -> str:
 @lru_cache(maxsize=64)
 def geographic(crs: CRS) -> CRS:
     """Return longitude, latitude and ellipsoidal height in degrees and metres on the datum of `crs`."""
+    geodetic = _geodetic(crs)
+    if _in_degrees(geodetic):
+        return _ellipsoidal(geodetic)
+    return CRS.from_wkt(_with_axes(geodetic, geodetic.name, _DEGREES))
+
+
+def longitude_latitude_crs(crs: CRS) -> CRS:
+    """Return longitude and latitude in degrees on the datum of `crs`."""
+    geodetic = _geodetic(crs)
+    return geodetic if _in_degrees(geodetic) and not geodetic.is_geocentric else horizontal(geographic(crs))
+
+
+def _geodetic(crs: CRS) -> CRS:
     geodetic = horizontal(crs).geodetic_crs
     if geodetic is None:
         raise InputError(f"'{crs.name}' is not tied to the Earth")
-    if all(axis.unit_name == "degree" for axis in geodetic.axis_info):  # NTF, for one, counts in grads
-        return geodetic.to_3d()
-    return CRS.from_wkt(_with_axes(geodetic, geodetic.name, _DEGREES))
+    return geodetic
+
+
+def _in_degrees(geodetic: CRS) -> bool:
+    """Whether it counts so: NTF, for one, counts in grads."""
+    return all(axis.unit_name == "degree" for axis in geodetic.axis_info)
+
+
+@lru_cache(maxsize=64)
+def _ellipsoidal(flat: CRS) -> CRS:
+    return flat.to_3d()

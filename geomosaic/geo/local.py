@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS, Proj
 
-from geomosaic.geo.crs import geocentric, geographic, horizontal
+from geomosaic.geo.crs import geocentric, geographic, horizontal, longitude_latitude_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.types import FloatArray
 
@@ -46,7 +46,7 @@ def map_place(crs: CRS, x: float, y: float) -> MapPlace:
     holds for every projection, axis order and unit.
     """
     flat = horizontal(crs)
-    to_geographic = Transform(flat, horizontal(geographic(flat)))
+    to_geographic = Transform(flat, longitude_latitude_crs(flat))
     longitude, latitude = to_geographic(np.array([[x, y]]))[0]
     if not flat.is_projected:
         return MapPlace(float(longitude), float(latitude), 0.0, 1.0)

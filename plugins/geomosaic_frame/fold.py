@@ -9,7 +9,6 @@ the radius never shrinks again.
 from __future__ import annotations
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from geomosaic.types import FloatArray
 
@@ -43,33 +42,33 @@ def fold_radius(
     float
         R, or inf where the distortion never folds.
     """
-    n = Polynomial(_even(numerator)) * Polynomial([0.0, 1.0])
-    d = Polynomial(_even(denominator))
-    slope = n.deriv() * d - n * d.deriv()
-    loss = Polynomial([0.0, 6.0 * tangential + 2.0 * prism[0], 0.0, 4.0 * prism[1]])
-    turn = _first_root(slope - loss * d * d)
+    n, d = np.polymul(_even(numerator), [1.0, 0.0]), _even(denominator)
+    square = np.polymul(d, d)
+    slope = np.polysub(np.polymul(np.polyder(n), d), np.polymul(n, np.polyder(d)))
+    loss = np.array([4.0 * prism[1], 0.0, 6.0 * tangential + 2.0 * prism[0], 0.0])
+    turn = _first_root(np.polysub(slope, np.polymul(loss, square)))
     pole = _first_root(d)
     if pole < turn:
         return 0.99 * pole
     if not np.isfinite(turn):
         return float("inf")
-    before = [r for r in _roots(slope - (loss + LEAST_SLOPE) * d * d) if r < turn]
+    before = [r for r in _roots(np.polysub(slope, np.polymul(np.polyadd(loss, [LEAST_SLOPE]), square))) if r < turn]
     return max(before, default=turn)
 
 
 def _even(coefficients: tuple[float, ...]) -> FloatArray:
-    """Coefficients of r⁰, r¹, r², ... of 1 + c₁r² + c₂r⁴ + ..."""
+    """Coefficients of 1 + c₁r² + c₂r⁴ + ..., the highest first."""
     out = np.zeros(2 * len(coefficients) + 1)
     out[0], out[2::2] = 1.0, coefficients
-    return out
+    return out[::-1]
 
 
-def _roots(polynomial: Polynomial) -> list[float]:
+def _roots(polynomial: FloatArray) -> list[float]:
     """Positive real roots, ascending."""
-    roots = polynomial.trim().roots()
+    roots = np.roots(polynomial)
     real = np.real(roots[np.abs(np.imag(roots)) < 1e-9 * np.maximum(np.abs(roots), 1e-300)])
     return sorted(float(r) for r in real if r > 0.0)
 
 
-def _first_root(polynomial: Polynomial) -> float:
+def _first_root(polynomial: FloatArray) -> float:
     return next(iter(_roots(polynomial)), float("inf"))
