@@ -6,6 +6,9 @@ import numpy as np
 
 from geomosaic.types import AnyArray, ByteArray, Float32Array
 
+_BYTES = 257
+"""Bytes whose sum fits in sixteen bits."""
+
 
 def block_sum(values: AnyArray, size: int, dtype: type[np.generic]) -> AnyArray:
     """Sum blocks of size × size pixels of an array (rows, cols, ...); blocks at the end hold what is left.
@@ -14,10 +17,12 @@ def block_sum(values: AnyArray, size: int, dtype: type[np.generic]) -> AnyArray:
     block never depends on where the array was cut.
     """
     rows, cols = values.shape[:2]
-    tall = np.zeros((-(-rows // size), *values.shape[1:]), dtype=dtype)
-    for offset in range(min(size, rows)):
-        part = values[offset::size]
-        tall[: len(part)] += part
+    tall = np.empty((-(-rows // size), *values.shape[1:]), dtype=dtype)
+    whole = rows // size
+    narrow = np.uint16 if values.dtype == np.uint8 and size <= _BYTES else dtype
+    bands_of_rows = values[: whole * size].reshape(whole, size, *values.shape[1:])
+    tall[:whole] = np.add.reduce(bands_of_rows, axis=1, dtype=narrow)
+    tall[whole:] = np.add.reduce(values[whole * size :], axis=0, dtype=narrow)
     out = np.zeros((tall.shape[0], -(-cols // size), *values.shape[2:]), dtype=dtype)
     for offset in range(min(size, cols)):
         part = tall[:, offset::size]
