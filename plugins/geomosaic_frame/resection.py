@@ -15,6 +15,7 @@ from pyproj import CRS
 
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.crs import geocentric
+from geomosaic.geo.engineering import is_free
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.solve import Pose, Resection, correlations, dangerous_cylinder, poses, resect
 from geomosaic.types import FloatArray
@@ -153,7 +154,7 @@ def _photo(
         position = Transform(geocentric(crs), crs)(pose.centre[None])[0]
         axes = local_frame(crs, position, where).axes
         place = rigorous(crs, position, Attitude(rotation @ axes.T, "local"), where)
-    if not crs.is_geocentric and position[2] <= ground:
+    if not crs.is_geocentric and not is_free(crs) and position[2] <= ground:
         raise InputError("the camera would be below the ground", where=where)
     bending = bending_of(options, crs, position, ground, treatment, where)[0]
     return model_at(camera, place, crs, ground, options, (), bending, where)
@@ -222,8 +223,9 @@ def _words(one: Resection[FrameModel], crs: CRS) -> list[str]:
     unit = "m" if (name := one.model.parameters.units[0]) == "metre" else name
     place = ", ".join(f"{value:.2f}" for value in Transform(one.model.crs, crs)(one.model.centre[None])[0])
     length, angle = (", ".join(f"{s:.2g}" for s in part) for part in (one.sigmas[:3], one.sigmas[3:]))
+    about = " (along and about the image's x, its y and the camera's axis)" if is_free(crs) else ""
     return [
         f"resected from {count} points: {fit}; projection centre {place}",
-        f"sigmas of {', '.join(NAMES[:3])}: {length} {unit}; of {', '.join(NAMES[3:])}: {angle} deg; largest "
+        f"sigmas of {', '.join(NAMES[:3])}{about}: {length} {unit}; of {', '.join(NAMES[3:])}: {angle} deg; largest "
         f"correlation {rho[i, j]:+.3f}, of {NAMES[int(i)]} and {NAMES[int(j)]}",
     ]
