@@ -6,6 +6,7 @@ against its own formula to a thousandth of a pixel.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import rasterio
 from affine import Affine
+from rasterio.errors import NotGeoreferencedWarning
 
 SIZE = (400, 320)
 FOCAL = 420.0
@@ -52,7 +54,7 @@ class Pinhole:
 
 
 def first_crossing(
-    function: Callable[[np.ndarray], np.ndarray], camera: Pinhole, reach: float, steps: int = 400
+    function: Callable[[np.ndarray], np.ndarray], camera: Pinhole, reach: float, steps: int = 120
 ) -> np.ndarray:
     """Points (N, 3) where the rays of a camera first cross `function` = 0 downwards; NaN where they do not."""
     rays = camera.rays()
@@ -63,7 +65,7 @@ def first_crossing(
         new = np.isnan(low) & (before > 0) & (here <= 0)
         low[new], high[new] = reach * (i - 1) / steps, reach * i / steps
         before = here
-    for _ in range(50):
+    for _ in range(45):
         middle = (low + high) / 2
         outside = function(camera.centre + rays * middle[:, None]) > 0
         low, high = np.where(outside, middle, low), np.where(outside, high, middle)
@@ -74,8 +76,10 @@ def photograph(path: Path, points: np.ndarray) -> None:
     """Write points (N, 3) of all pixels as three bands, NaN where there is none."""
     bands = points.reshape(SIZE[1], SIZE[0], 3).astype(np.float32)
     profile = {"driver": "GTiff", "width": SIZE[0], "height": SIZE[1], "count": 3, "dtype": "float32"}
-    with rasterio.open(path, "w", **profile, nodata=float("nan"), transform=Affine.identity()) as sink:
-        sink.write(np.moveaxis(bands, -1, 0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "w", **profile, nodata=float("nan"), transform=Affine.identity()) as sink:
+            sink.write(np.moveaxis(bands, -1, 0))
 
 
 def exterior(path: Path, cameras: dict[str, Pinhole]) -> None:
