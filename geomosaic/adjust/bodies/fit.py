@@ -12,8 +12,10 @@ from geomosaic.errors import SolveError
 from geomosaic.types import FloatArray
 
 ROUNDS = 60
-SINGULAR = 1e-10
+SINGULAR = 1e-6
 """Least singular value, as a share of the largest, below which the points are said not to determine the body."""
+SMALLEST = 1e-8
+"""Sizes below this share of the points' spread (or this angle) are no body: points in line are on a pipe of none."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ def fit_body(kind: str, points: FloatArray, axis: FloatArray | None = None) -> F
     local = (known - middle) / spread  # lengths about one: steps and rounding are alike for all unknowns
     direction = None if axis is None or not held else np.asarray(axis, dtype=np.float64) / np.linalg.norm(axis)
     solved = [_adjusted(start, local, held) for start in starts(kind, local, direction)]
-    sound = [one for one in solved if one is not None]
+    sound = [one for one in solved if one is not None and (one.sizes > SMALLEST).all()]
     if not sound:
         raise SolveError(f"the points show no {kind}", mend=f"measure more of them, all over it; is it a {kind}?")
     shape = min(sound, key=lambda one: _squares(one, local))

@@ -74,4 +74,4 @@ class Cone:
 
     def to_dict(self) -> dict[str, Any]:
         """Kind and sizes as JSON values."""
-        return {"kind": self.kind, "half_angle": float(np.degrees(self.half_angle))}
+        return {"kind": self.kind, "half_angle_radians": self.half_angle}

@@ -161,6 +161,6 @@ def body_from_dict(state: dict[str, Any]) -> Body:
     if kind == "cylinder":
         return Cylinder(float(state["radius"]))
     if kind == "cone":
-        return Cone(float(np.radians(state["half_angle"])))
+        return Cone(float(state["half_angle_radians"]))
     across, along = state["semi_axes"]
     return Ellipsoid(float(across), float(along), str(state["projection"]))
