@@ -16,11 +16,11 @@ import rasterio
 from affine import Affine
 from rasterio.errors import NotGeoreferencedWarning
 
-SIZE = (400, 320)
-FOCAL = 420.0
-CAMERA = """focal_length_px = 420.0
-principal_point_px = [200.0, 160.0]
-size = [400, 320]
+SIZE = (320, 256)
+FOCAL = 336.0
+CAMERA = """focal_length_px = 336.0
+principal_point_px = [160.0, 128.0]
+size = [320, 256]
 """
 
 
@@ -54,7 +54,7 @@ class Pinhole:
 
 
 def first_crossing(
-    function: Callable[[np.ndarray], np.ndarray], camera: Pinhole, reach: float, steps: int = 120
+    function: Callable[[np.ndarray], np.ndarray], camera: Pinhole, reach: float, steps: int = 90
 ) -> np.ndarray:
     """Points (N, 3) where the rays of a camera first cross `function` = 0 downwards; NaN where they do not."""
     rays = camera.rays()

@@ -137,12 +137,13 @@ def test_what_each_projection_keeps(name: str) -> None:
 
 @pytest.mark.parametrize(("a", "c"), [(4.0, 4.0), (5.0, 3.0), (3.0, 5.0), (4.0, 4.0 + 1e-7)])
 def test_meridian_against_integrals(a: float, c: float) -> None:
+    def speed(t: float) -> float:
+        return float(np.hypot(a * np.sin(t), c * np.cos(t)))
+
     for latitude in (-1.2, -0.3, 0.0, 0.7, 1.5):
-        speed = lambda t: np.hypot(a * np.sin(t), c * np.cos(t))  # noqa: E731
         assert arc(np.array(latitude), a, c) == pytest.approx(quad(speed, 0.0, latitude)[0], abs=1e-10)
-        assert area(np.array(np.sin(latitude)), a, c) == pytest.approx(
-            quad(lambda t: speed(t) * np.cos(t), 0.0, latitude)[0], abs=1e-9
-        )
+        weighted = quad(lambda t: speed(t) * np.cos(t), 0.0, latitude)[0]
+        assert area(np.array(np.sin(latitude)), a, c) == pytest.approx(weighted, abs=1e-9)
     latitudes = np.linspace(-np.pi / 2, np.pi / 2, 101)
     assert np.abs(latitude_of_arc(arc(latitudes, a, c), a, c) - latitudes).max() < 1e-12
     assert np.abs(sine_of_area(area(np.sin(latitudes), a, c), a, c) - np.sin(latitudes)).max() < 1e-12

@@ -21,6 +21,7 @@ from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, refuse_existing
 from geomosaic.project.surface_file import SurfaceFile, read_surface
 from geomosaic.sensor.developed import DevelopedModel
+from geomosaic.sensor.registry import plugin
 from geomosaic.surface.developed.body import Axes
 from geomosaic.surface.developed.developed import Developed
 from geomosaic.surface.plane import Plane
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
     from geomosaic.product.mosaic import MosaicResult
     from geomosaic.product.options import MosaicOptions
     from geomosaic.product.ortho import OrthoResult
+
+UPWARDS = "upwards"
+"""Input of a sensor that must be told that a photo may look above the horizon."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +116,8 @@ def _in_frame(inputs: BlockInputs, found: SurfaceFile) -> BlockInputs:
     """The inputs with their positions in the surface's CRS, where they name none."""
     if inputs.dem is not None or inputs.height is not None:
         raise InputError("a DEM or a height has no part in a developed surface", mend="leave out --dem and --height")
+    if UPWARDS not in inputs.options and any(entry.name == UPWARDS for entry in plugin(inputs.sensor).inputs):
+        inputs = replace(inputs, options={**inputs.options, UPWARDS: True})
     if inputs.crs is not None or (inputs.angles in RECONSTRUCTIONS and is_free(found.crs)):
         return inputs
     return replace(inputs, crs=found.crs.to_wkt())

@@ -28,7 +28,7 @@ from geomosaic_frame.place import (
     undo_linear_alteration,
 )
 from geomosaic_frame.read import choice, flag, known_keys, need, number, numbers
-from geomosaic_frame.start import model_at
+from geomosaic_frame.start import looks_anywhere, model_at
 
 TREATMENTS = ("rigorous", "planar")
 
@@ -56,8 +56,9 @@ def build_frame(request: SensorRequest) -> FrameModel:
         return resect_photo(camera, _named(request), treatment, ground, options, tuple(notes), where)
     attitude = read_attitude(row, unit, where)
     crs = _crs(request, attitude)
+    anywhere = looks_anywhere(crs, options, where)
     position, attitude = _position(crs, row, attitude, camera, options, where)
-    if ground is not None and not crs.is_geocentric and not is_free(crs) and position[2] <= ground:
+    if ground is not None and not crs.is_geocentric and not anywhere and position[2] <= ground:
         raise InputError(
             f"the camera, at height {position[2]:.2f}, is not above the ground at {ground:.2f}",
             where=where,

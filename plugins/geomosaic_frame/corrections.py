@@ -47,9 +47,9 @@ def bending_of(
     refraction, curvature = flag(options, "refraction", where), flag(options, "curvature", where)
     if not refraction and not curvature:
         return Bending(), []
-    if is_free(crs):
+    if is_free(crs) or flag(options, "upwards", where):
         raise InputError(
-            "refraction and curvature are about photos of the Earth from above, not about a local frame",
+            "refraction and curvature are about photos from above, not about things in front of the camera",
             where=where,
             mend="leave them out",
         )

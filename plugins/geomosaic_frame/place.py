@@ -15,7 +15,6 @@ from pyproj import CRS
 
 from geomosaic.errors import GeomosaicError, HeightDatumError, InputError
 from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal, with_heights
-from geomosaic.geo.engineering import is_free
 from geomosaic.geo.local import LocalFrame, map_place
 from geomosaic.geo.rotation import r3
 from geomosaic.geo.transform import Transform
@@ -92,10 +91,6 @@ def planar(crs: CRS, position: FloatArray, attitude: Attitude, where: str) -> Pl
         units = " and ".join(sorted({axis.unit_name for axis in crs.axis_info}))
         raise InputError(f"'{crs.name}' mixes {units}", where=where, mend="use treatment = 'rigorous'")
     rotation = attitude.rotation
-    if is_free(crs):
-        # Level photos are as usual as others there, and omega, phi, kappa have no value where the camera looks along x:
-        # they count from the attitude given.
-        return Place(LocalFrame(crs, position, rotation), np.eye(3), float(position[2]))
     if attitude.frame == "local":
         rotation = rotation @ r3(convergence(crs, position))
     return Place(LocalFrame(crs, position, np.eye(3)), rotation, float(position[2]))

@@ -73,7 +73,7 @@ class Ellipsoid:
         return np.column_stack([radius * np.cos(theta), radius * np.sin(theta), self.along * sine + h * up])
 
     def coordinates(self, xyz: FloatArray) -> FloatArray:
-        """Body axes (N, 3) to developed (N, 3); NaN near the middle, and below the equator in a plan."""
+        """Body axes (N, 3) to developed (N, 3); NaN near the middle; no place below the equator in a plan."""
         x, y, z = np.asarray(xyz, dtype=np.float64).T
         p, theta = np.hypot(x, y), np.arctan2(y, x)
         latitude = self._latitude(p, z)
@@ -87,7 +87,7 @@ class Ellipsoid:
         radius = self._from_pole(latitude)
         if self.projection == "dome-plan":
             radius = np.where(latitude >= 0.0, radius, np.nan)
-        return np.column_stack([radius * np.cos(theta), radius * np.sin(theta), h + 0.0 * radius])
+        return np.column_stack([radius * np.cos(theta), radius * np.sin(theta), h])
 
     def normal(self, xyz: FloatArray) -> FloatArray:
         """Normals (N, 3)."""
