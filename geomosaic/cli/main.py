@@ -25,6 +25,7 @@ COMMANDS: dict[str, str] = {
     "georeference": "Place one image on the map by control points.",
     "ortho": "Rectify one image.",
     "mosaic": "Make one mosaic from images.",
+    "develop": "Draw photos of a facade, tower or dome on its developed surface.",
     "edges": "Join photos with control at their edges, and mosaic them.",
     "reproject": "Bring a georeferenced raster or vectors to another CRS.",
     "check": "Measure a map at check points.",

@@ -16,6 +16,7 @@ SMALLEST = {
     "georeference": 180,
     "mosaic": 170,
     "edges": 220,
+    "develop": 190,
     "run": 190,
     "demo": 450,
 }
@@ -27,6 +28,7 @@ LEAST = {
     "georeference": 370,
     "mosaic": 330,
     "edges": 340,
+    "develop": 390,
     "run": 460,
     "demo": 460,
 }

@@ -62,7 +62,9 @@ def _footprints(crs: CRS, outlines: list[Footprint], balance: Balance, pixels: l
     for band in range(balance.gain.shape[1]):
         columns[f"gain_{band + 1}"] = [float(value) for value in balance.gain[:, band]]
         columns[f"offset_{band + 1}"] = [float(value) for value in balance.offset[:, band]]
-    return Layer(crs, "Polygon", [outline.polygon for outline in outlines], columns)
+    shapes = [outline.polygon for outline in outlines]
+    kind = "Polygon" if all(shape.geom_type == "Polygon" for shape in shapes) else "MultiPolygon"
+    return Layer(crs, kind, shapes, columns)
 
 
 def _areas(crs: CRS, outlines: list[Footprint], shares: list[Any]) -> Layer:

@@ -41,8 +41,8 @@ GROUND = "ground_height"
 """Input of a sensor that is told how high the ground lies, where the user does not say it."""
 
 
-def build_block(inputs: BlockInputs) -> Block:
-    """Make the block.
+def build_block(inputs: BlockInputs, *, ground: bool = True) -> Block:
+    """Make the block; without its surface where no ground is looked for.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def build_block(inputs: BlockInputs) -> Block:
     photos, crs = photos_of(inputs)
     if crs is not None and not has_heights(crs) and any(photo.exterior for photo in photos):
         raise undeclared_positions(inputs, crs, photos)
-    surface = build_surface(inputs, crs, photos)
+    surface = build_surface(inputs, crs, photos) if ground else None
     control = _control(inputs, photos, crs)
     camera = read_camera(inputs.camera) if inputs.camera else None
     marks = read_fiducials(inputs.fiducials, [photo.name for photo in photos]) if inputs.fiducials else {}

@@ -8,6 +8,7 @@ from pathlib import Path
 from pyproj import CRS
 
 from geomosaic.errors import InputError
+from geomosaic.geo.engineering import is_free
 from geomosaic.project.exterior import RECONSTRUCTIONS, Exterior, read_exterior
 from geomosaic.project.frames import named
 from geomosaic.project.inputs import BlockInputs
@@ -56,5 +57,6 @@ def photos_of(inputs: BlockInputs) -> tuple[list[Photo], CRS | None]:
         return [Photo(path, info, None) for path, info in zip(inputs.images, infos, strict=True)], crs
     photos = [Photo(path, info, table.row(path.name)) for path, info in zip(inputs.images, infos, strict=True)]
     # The whole table: one image alone tells nothing of the unit, its neighbours do.
-    check_units(table, inputs.angle_unit, list(table.rows.values()), crs)
+    if crs is None or not is_free(crs):  # who walks round a thing turns with it, not along his way
+        check_units(table, inputs.angle_unit, list(table.rows.values()), crs)
     return photos, crs

@@ -9,6 +9,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
+from geomosaic.geo.engineering import is_free
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_frame.cameras import camera_of, tables
@@ -27,7 +28,7 @@ from geomosaic_frame.place import (
     undo_linear_alteration,
 )
 from geomosaic_frame.read import choice, flag, known_keys, need, number, numbers
-from geomosaic_frame.start import model_at
+from geomosaic_frame.start import looks_anywhere, model_at
 
 TREATMENTS = ("rigorous", "planar")
 
@@ -45,7 +46,7 @@ def build_frame(request: SensorRequest) -> FrameModel:
     table, row = tables(request)
     camera, notes = camera_of(table, request)
     unit = choice(options.get("angle_unit", "deg"), FULL_CIRCLE, "angle_unit", where)
-    treatment = choice(options.get("treatment", "rigorous"), TREATMENTS, "treatment", where)
+    treatment = choice(options.get("treatment", _usual(request.crs)), TREATMENTS, "treatment", where)
     ground = (
         number(options["ground_height"], "ground_height", where) if options.get("ground_height") is not None else None
     )
@@ -55,8 +56,9 @@ def build_frame(request: SensorRequest) -> FrameModel:
         return resect_photo(camera, _named(request), treatment, ground, options, tuple(notes), where)
     attitude = read_attitude(row, unit, where)
     crs = _crs(request, attitude)
+    anywhere = looks_anywhere(crs, options, where)
     position, attitude = _position(crs, row, attitude, camera, options, where)
-    if ground is not None and not crs.is_geocentric and position[2] <= ground:
+    if ground is not None and not crs.is_geocentric and not anywhere and position[2] <= ground:
         raise InputError(
             f"the camera, at height {position[2]:.2f}, is not above the ground at {ground:.2f}",
             where=where,
@@ -69,6 +71,11 @@ def build_frame(request: SensorRequest) -> FrameModel:
     bending, said = bending_of(options, crs, position, ground, treatment, where)
     notes += said or untold(camera, crs, position, ground, treatment)
     return model_at(camera, place, crs, ground, options, tuple(notes), bending, where)
+
+
+def _usual(crs: CRS | None) -> str:
+    """Treatment where none is given: a local frame that is nowhere on the Earth has but one."""
+    return "planar" if crs is not None and is_free(crs) else "rigorous"
 
 
 def _position(

@@ -10,6 +10,7 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic, horizontal
+from geomosaic.geo.engineering import is_free
 from geomosaic.geo.local import map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.types import FloatArray
@@ -46,6 +47,12 @@ def bending_of(
     refraction, curvature = flag(options, "refraction", where), flag(options, "curvature", where)
     if not refraction and not curvature:
         return Bending(), []
+    if is_free(crs) or flag(options, "upwards", where):
+        raise InputError(
+            "refraction and curvature are about photos from above, not about things in front of the camera",
+            where=where,
+            mend="leave them out",
+        )
     if curvature and treatment != "planar":
         raise InputError(
             "curvature corrects the planar treatment; the rigorous one has the Earth's curvature in its coordinates",
@@ -78,7 +85,7 @@ def bending_of(
 
 def untold(camera: Inside, crs: CRS, position: FloatArray, ground: float | None, treatment: str) -> list[str]:
     """What the corrections that were not asked for would be worth on film, where that is half a pixel or more."""
-    if not isinstance(camera, FilmCamera) or ground is None:
+    if not isinstance(camera, FilmCamera) or ground is None or is_free(crs):
         return []
     top, bottom = _metres(crs, position, ground)
     if not 0.0 <= bottom < top <= HIGHEST:

@@ -70,6 +70,12 @@ INPUTS = (
         default="false",
     ),
     SensorInput(
+        "upwards",
+        "true where the photo may look level or above the horizon, at a facade, a tower or a dome; in a local frame "
+        "that is always so",
+        default="false",
+    ),
+    SensorInput(
         "ground_height",
         "mean height of the ground under the photo, in the vertical datum of the positions",
         "m",

@@ -24,7 +24,7 @@ from geomosaic_frame.model import NAMES, FrameModel
 from geomosaic_frame.orientation import FLIP, Attitude
 from geomosaic_frame.place import local_frame, need_heights, planar, rigorous
 from geomosaic_frame.read import flag, known_keys, need, number, numbers, positive, table_of
-from geomosaic_frame.start import model_at
+from geomosaic_frame.start import looks_anywhere, model_at
 
 COLUMNS = ("x", "y", "z", "col", "row")
 WEAK = 50.0
@@ -133,7 +133,7 @@ def resect_photo(
     position = Transform(model.crs, crs)(model.centre[None])[0]
     said = bending_of(options, crs, position, ground, treatment, where)[1]
     told = said or untold(camera, crs, position, ground, treatment)
-    return replace(model, notes=(*notes, *told, *_words(best, crs)))
+    return replace(model, notes=(*notes, *told, *_words(best, crs, options)))
 
 
 def _photo(
@@ -153,7 +153,7 @@ def _photo(
         position = Transform(geocentric(crs), crs)(pose.centre[None])[0]
         axes = local_frame(crs, position, where).axes
         place = rigorous(crs, position, Attitude(rotation @ axes.T, "local"), where)
-    if not crs.is_geocentric and position[2] <= ground:
+    if not crs.is_geocentric and not looks_anywhere(crs, options, where) and position[2] <= ground:
         raise InputError("the camera would be below the ground", where=where)
     bending = bending_of(options, crs, position, ground, treatment, where)[0]
     return model_at(camera, place, crs, ground, options, (), bending, where)
@@ -209,7 +209,7 @@ def _warn_of_weakness(one: Resection[FrameModel], xyz: FloatArray, sigmas: Float
     )
 
 
-def _words(one: Resection[FrameModel], crs: CRS) -> list[str]:
+def _words(one: Resection[FrameModel], crs: CRS, options: Mapping[str, Any]) -> list[str]:
     count = len(one.residuals)
     rms = float(np.sqrt((one.residuals**2).sum(axis=1).mean()))
     fit = (
@@ -222,8 +222,9 @@ def _words(one: Resection[FrameModel], crs: CRS) -> list[str]:
     unit = "m" if (name := one.model.parameters.units[0]) == "metre" else name
     place = ", ".join(f"{value:.2f}" for value in Transform(one.model.crs, crs)(one.model.centre[None])[0])
     length, angle = (", ".join(f"{s:.2g}" for s in part) for part in (one.sigmas[:3], one.sigmas[3:]))
+    about = " (along and about the image's x, its y and the camera's axis)" if looks_anywhere(crs, options, "") else ""
     return [
         f"resected from {count} points: {fit}; projection centre {place}",
-        f"sigmas of {', '.join(NAMES[:3])}: {length} {unit}; of {', '.join(NAMES[3:])}: {angle} deg; largest "
+        f"sigmas of {', '.join(NAMES[:3])}{about}: {length} {unit}; of {', '.join(NAMES[3:])}: {angle} deg; largest "
         f"correlation {rho[i, j]:+.3f}, of {NAMES[int(i)]} and {NAMES[int(j)]}",
     ]

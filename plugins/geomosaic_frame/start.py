@@ -11,6 +11,8 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic
+from geomosaic.geo.engineering import is_free
+from geomosaic.geo.local import LocalFrame
 from geomosaic.geo.rotation import angles_of
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.parameters import Parameters
@@ -21,11 +23,13 @@ from geomosaic_frame.inside import Inside
 from geomosaic_frame.model import NAMES, FrameModel
 from geomosaic_frame.orientation import SYSTEMS
 from geomosaic_frame.place import Place
-from geomosaic_frame.read import known_keys, number, table_of
+from geomosaic_frame.read import flag, known_keys, number, table_of
 
 GROUPS = {"position": NAMES[:3], "angles": NAMES[3:]}
 FARTHEST = 20.0
 """Seed of a flat ray: at most this many flying heights away."""
+AHEAD = 10.0
+"""Metres to whatever a photo without control points shows in a local frame: where searches start."""
 GUESSED_HEIGHT = 100.0
 """Flying height above an unknown ground where height 0 lies above the camera."""
 
@@ -46,6 +50,11 @@ def _sigmas(options: Mapping[str, Any], where: str) -> FloatArray:
     return np.array([values[name] for name in NAMES])
 
 
+def looks_anywhere(crs: CRS, options: Mapping[str, Any], where: str) -> bool:
+    """Whether a photo may look above the horizon: it is told so, or its frame has none."""
+    return is_free(crs) or flag(options, "upwards", where)
+
+
 def model_at(
     camera: Inside,
     place: Place,
@@ -57,13 +66,18 @@ def model_at(
     where: str,
 ) -> FrameModel:
     """Make the model; a photo that looks at the sky is an error."""
+    anywhere = looks_anywhere(crs, options, where)
+    if anywhere:
+        # Omega, phi and kappa have no value where a camera looks along x: they count from the attitude given.
+        turned = LocalFrame(place.frame.crs, place.frame.origin, place.rotation @ place.frame.axes)
+        place = Place(turned, np.eye(3), place.height)
     values = np.array([0.0, 0.0, 0.0, *np.degrees(angles_of(place.rotation))])
     unit = "m" if place.frame.crs.is_geocentric else str(crs.axis_info[0].unit_name)
     units = (unit,) * 3 + ("deg",) * 3
     parameters = Parameters(NAMES, units, values, _sigmas(options, where), np.ones(6))
     x, y, z = place.frame.origin
     start = FrameModel(camera, place.frame, parameters, (float(x), float(y), float(z)), notes, bending)
-    dip = centre_dip(start)
+    dip = 90.0 if anywhere else centre_dip(start)
     if dip is None or not dip > 0.0:
         raise InputError(
             "the photo looks at the sky: its centre ray does not go below the horizon"
@@ -72,10 +86,31 @@ def model_at(
             mend=f"check the angle system ({', '.join(SYSTEMS)}), angle_unit, the direction of a matrix, and whether "
             f"a roll or omega near 180° turns the camera over",
         )
-    seed, distance = _ground_ahead(start, crs, place.height, ground)
+    seed, distance = (
+        _some_way_ahead(start, crs, options) if anywhere else _ground_ahead(start, crs, place.height, ground)
+    )
     focal = float(np.sqrt(camera.focal[0] * camera.focal[1]))
     steps = np.array([distance / focal] * 3 + [float(np.degrees(1.0 / focal))] * 3)
     return replace(start, parameters=replace(parameters, steps=steps), seed=seed)
+
+
+def _some_way_ahead(
+    model: FrameModel, crs: CRS, options: Mapping[str, Any]
+) -> tuple[tuple[float, float, float], float]:
+    """Point on the centre ray at the distance of the control points, else `AHEAD`, and that distance.
+
+    A facade is no ground to look for; searches only start there.
+    """
+    w, h = model.size
+    origin, direction = (a[0] for a in model.rays(np.array([[w / 2, h / 2]])))
+    points = options.get("points")
+    distance = AHEAD
+    if points:
+        known = np.array([[point[key] for key in ("x", "y", "z")] for point in points], dtype=np.float64)
+        known = known if model.crs == crs else Transform(crs, model.crs)(known)
+        distance = max(float(np.median(np.linalg.norm(known - origin, axis=1))), 1e-6)
+    x, y, z = origin + distance * direction
+    return (float(x), float(y), float(z)), distance
 
 
 def _ground_ahead(

@@ -1,0 +1,61 @@
+"""`geomosaic develop`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from geomosaic.cli.memory import note_memory
+from geomosaic.cli.mosaic import mosaic_flags
+from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack
+from geomosaic.cli.request import area, block_inputs, mosaic_options
+from geomosaic.cli.talk import answer, notes, progress
+from geomosaic.cli.words import mosaic_facts, mosaic_words, ortho_facts, ortho_words
+
+
+@click.command()
+@click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
+@click.option("--surface", type=FILE, required=True, help="Surface: plane, cylinder, cone, sphere, ellipsoid (TOML).")
+@click.option("--gcps", type=FILE, help="Control points that place the photos: id, x, y, z, image, col, row.")
+@click.option(
+    "--oblique",
+    type=click.FloatRange(0, 90, min_open=True, max_open=True),
+    default=80.0,
+    show_default=True,
+    metavar="DEGREES",
+    help="Largest angle between line of sight and normal that is drawn.",
+)
+@stack(image_options, output_options, mosaic_flags, machine_options)
+def command(
+    images: tuple[Path, ...],
+    surface: Path,
+    gcps: Path | None,
+    oblique: float,
+    output: Path,
+    as_json: bool,
+    **flags: Any,
+) -> None:
+    """Draw photos of a facade, a tower or a dome on its developed surface, in metres.
+
+    Positions and control points count in the frame of the surface file: a local Cartesian one, or
+    the CRS that it names. Several images make a mosaic.
+
+    \b
+    Example:
+      geomosaic develop tower1.jpg tower2.jpg --sensor frame --camera camera.toml \\
+        --gcps points.csv --surface tower.toml --res 0.01 -o tower.tif
+    """  # noqa: D301
+    from geomosaic.project.develop import make_developed
+
+    note_memory(flags["mem_limit"], flags["threads"])
+    with notes(), progress(as_json) as report:
+        inputs, wanted = block_inputs(images, flags, gcps), mosaic_options(flags, report)
+        done = make_developed(inputs, surface, area(flags), output, wanted, oblique)
+    told = list(done.notes)
+    if done.ortho is not None:
+        facts, words = ortho_facts(done.ortho), ortho_words(done.ortho).splitlines()[-2:]
+    elif done.mosaic is not None:
+        facts, words = mosaic_facts(done.mosaic), mosaic_words(done.mosaic).splitlines()
+    answer({**facts, "surface": done.facts, "notes": told}, "\n".join([*told, *words]), as_json)

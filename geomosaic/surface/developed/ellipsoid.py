@@ -1,0 +1,161 @@
+"""The ellipsoid of revolution, and the sphere: a dome, a tank. No development is true in all; five keep something each.
+
+| projection | u, v | keeps |
+|---|---|---|
+| equidistant | a·θ, arc of the meridian from the equator | lengths along meridians and along the equator |
+| equal-area | a·θ, q (`meridian`) | areas |
+| dome-equidistant | ρ·(cos θ, sin θ), ρ the arc from the pole | lengths along meridians: distances from the pole |
+| dome-equal-area | the same, ρ = √(2·a·(q(pole) − q)) | areas |
+| dome-plan | the same, ρ = a·cos β | the plan: what lies above one another is one place; upper half only |
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from geomosaic.surface.developed.body import Bounds, roots
+from geomosaic.surface.developed.meridian import arc, area, latitude_of_arc, sine_of_area
+from geomosaic.types import FloatArray
+
+PROJECTIONS = {
+    "equidistant": "lengths along meridians and the equator are true",
+    "equal-area": "areas are true",
+    "dome-equidistant": "lengths along meridians are true",
+    "dome-equal-area": "areas are true",
+    "dome-plan": "the plan is true",
+}
+"""Names, and what each keeps."""
+
+
+@dataclass(frozen=True)
+class Ellipsoid:
+    """An ellipsoid of revolution about z', centred at the origin; a sphere where both semi-axes are alike.
+
+    Attributes
+    ----------
+    across, along : float
+        Semi-axes across and along z', metres.
+    projection : str
+        One of `PROJECTIONS`.
+    """
+
+    across: float
+    along: float
+    projection: str
+
+    @property
+    def kind(self) -> str:
+        """'sphere' or 'ellipsoid'."""
+        return "sphere" if self.across == self.along else "ellipsoid"
+
+    @property
+    def domain(self) -> Bounds:
+        """Of the whole surface; a disc lies within its square."""
+        a, c = self.across, self.along
+        if not self.projection.startswith("dome"):
+            top = float(
+                arc(np.array(np.pi / 2), a, c) if self.projection == "equidistant" else area(np.array(1.0), a, c)
+            )
+            return -np.pi * a, -top, np.pi * a, top
+        low = 0.0 if self.projection == "dome-plan" else -np.pi / 2
+        reach = float(self._from_pole(np.array(low)))
+        return -reach, -reach, reach, reach
+
+    def point(self, uvh: FloatArray) -> FloatArray:
+        """Developed (N, 3) to body axes (N, 3); NaN beyond the poles or the rim."""
+        u, v, h = np.asarray(uvh, dtype=np.float64).T
+        theta, sine, cosine = self._place(u, v)
+        out, up = self._normal(sine, cosine)
+        radius = self.across * cosine + h * out
+        return np.column_stack([radius * np.cos(theta), radius * np.sin(theta), self.along * sine + h * up])
+
+    def coordinates(self, xyz: FloatArray) -> FloatArray:
+        """Body axes (N, 3) to developed (N, 3); NaN near the middle; no place below the equator in a plan."""
+        x, y, z = np.asarray(xyz, dtype=np.float64).T
+        p, theta = np.hypot(x, y), np.arctan2(y, x)
+        latitude = self._latitude(p, z)
+        out, up = self._normal(np.sin(latitude), np.cos(latitude))
+        h = (p - self.across * np.cos(latitude)) * out + (z - self.along * np.sin(latitude)) * up
+        a, c = self.across, self.along
+        if self.projection == "equidistant":
+            return np.column_stack([a * theta, arc(latitude, a, c), h])
+        if self.projection == "equal-area":
+            return np.column_stack([a * theta, area(np.sin(latitude), a, c), h])
+        radius = self._from_pole(latitude)
+        if self.projection == "dome-plan":
+            radius = np.where(latitude >= 0.0, radius, np.nan)
+        return np.column_stack([radius * np.cos(theta), radius * np.sin(theta), h])
+
+    def normal(self, xyz: FloatArray) -> FloatArray:
+        """Normals (N, 3)."""
+        x, y, z = np.asarray(xyz, dtype=np.float64).T
+        latitude, theta = self._latitude(np.hypot(x, y), z), np.arctan2(y, x)
+        out, up = self._normal(np.sin(latitude), np.cos(latitude))
+        return np.column_stack([out * np.cos(theta), out * np.sin(theta), up])
+
+    def meetings(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
+        """Distances (N, 2) along rays."""
+        axes = np.array([self.across, self.across, self.along])
+        o, d = origins / axes, directions / axes
+        return roots((d * d).sum(axis=1), (o * d).sum(axis=1), (o * o).sum(axis=1) - 1.0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Kind and sizes as JSON values."""
+        return {"kind": "ellipsoid", "semi_axes": [self.across, self.along], "projection": self.projection}
+
+    def _normal(self, sine: FloatArray, cosine: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Outward unit normal across and along the axis, at parametric latitudes."""
+        out, up = self.along * cosine, self.across * sine
+        length = np.hypot(out, up)
+        return out / length, up / length
+
+    def _place(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """θ, and sine and cosine of the parametric latitude, of developed places."""
+        a, c = self.across, self.along
+        if self.projection == "equidistant":
+            latitude = latitude_of_arc(v, a, c)
+            return u / a, np.sin(latitude), np.cos(latitude)
+        if self.projection == "equal-area":
+            sine = sine_of_area(v, a, c)
+            return u / a, sine, np.sqrt((1.0 - sine) * (1.0 + sine))
+        radius, theta = np.hypot(u, v), np.arctan2(v, u)
+        if self.projection == "dome-plan":
+            cosine = radius / a
+            with np.errstate(invalid="ignore"):
+                return theta, np.sqrt((1.0 - cosine) * (1.0 + cosine)), cosine
+        if self.projection == "dome-equidistant":
+            latitude = latitude_of_arc(float(arc(np.array(np.pi / 2), a, c)) - radius, a, c)
+            return theta, np.sin(latitude), np.cos(latitude)
+        sine = sine_of_area(float(area(np.array(1.0), a, c)) - radius**2 / (2.0 * a), a, c)
+        return theta, sine, np.sqrt((1.0 - sine) * (1.0 + sine))
+
+    def _from_pole(self, latitude: FloatArray) -> FloatArray:
+        """Radius in the development of a dome."""
+        a, c = self.across, self.along
+        if self.projection == "dome-plan":
+            return a * np.cos(latitude)
+        if self.projection == "dome-equidistant":
+            return arc(np.array(np.pi / 2), a, c) - arc(latitude, a, c)
+        left = np.maximum(area(np.array(1.0), a, c) - area(np.sin(latitude), a, c), 0.0)
+        radius: FloatArray = np.sqrt(2.0 * a * left)
+        return radius
+
+    def _latitude(self, p: FloatArray, z: FloatArray) -> FloatArray:
+        """Parametric latitude of the feet of points, by Newton's method on the distance from the meridian."""
+        a, c = self.across, self.along
+        latitude = np.arctan2(a * z, c * p)
+        if a == c:
+            return latitude
+        for _ in range(50):
+            sine, cosine = np.sin(latitude), np.cos(latitude)
+            value = (a * a - c * c) * sine * cosine - p * a * sine + z * c * cosine
+            slope = (a * a - c * c) * (cosine**2 - sine**2) - p * a * cosine - z * c * sine
+            with np.errstate(invalid="ignore", divide="ignore"):
+                step = np.clip(np.where(slope < 0.0, value / slope, np.nan), -0.5, 0.5)
+            latitude = np.clip(latitude - step, -np.pi / 2, np.pi / 2)
+            if not (np.abs(step) > 1e-15).any():
+                break
+        return latitude
