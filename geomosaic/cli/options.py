@@ -90,6 +90,12 @@ image_options = stack(
         "--matrix", type=click.Choice(["ground_to_image", "image_to_ground"]), help="Direction of rotation matrices."
     ),
     click.option(
+        "--trust-orientation",
+        "trusted",
+        is_flag=True,
+        help="Do not look whether the orientation can be meant.",
+    ),
+    click.option(
         "--option",
         "sensor_options",
         multiple=True,

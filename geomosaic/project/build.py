@@ -18,6 +18,7 @@ from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.project.camera import read_camera
 from geomosaic.project.corrections import read_corrections
+from geomosaic.project.doubts import check_orientation, looking_down
 from geomosaic.project.exterior import RECONSTRUCTIONS, Exterior
 from geomosaic.project.fiducials import read_fiducials
 from geomosaic.project.frames import DATUMS
@@ -30,6 +31,7 @@ from geomosaic.sensor.model import HasRays
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build as build_model
 from geomosaic.sensor.registry import plugin
+from geomosaic.sensor.sanity import SkyError
 from geomosaic.surface.model import Surface
 
 if TYPE_CHECKING:
@@ -58,9 +60,31 @@ def build_block(inputs: BlockInputs) -> Block:
         raise undeclared_positions(inputs, crs, photos)
     surface = build_surface(inputs, crs, photos)
     control = _control(inputs, photos, crs)
+
+    def build(read: BlockInputs, some: Sequence[Photo], frame: CRS | None) -> tuple[Scene, ...]:
+        return _scenes(read, some, frame, control, surface)
+
+    try:
+        scenes = build(inputs, photos, crs)
+    except SkyError as error:
+        mends = looking_down(inputs, photos, crs, build) if crs is not None else []
+        error.mend = f"all photos would look down if you {mends[0]}; else {error.mend}" if mends else error.mend
+        raise
+    check_orientation(inputs, photos, crs, (scenes, surface, control), build)
+    return Block(scenes, surface, control, crs)
+
+
+def _scenes(
+    inputs: BlockInputs,
+    photos: Sequence[Photo],
+    crs: CRS | None,
+    control: Sequence[ControlPoint],
+    surface: Surface | None,
+) -> tuple[Scene, ...]:
+    """Images with their models."""
     camera = read_camera(inputs.camera) if inputs.camera else None
     marks = read_fiducials(inputs.fiducials, [photo.name for photo in photos]) if inputs.fiducials else {}
-    scenes = tuple(
+    return tuple(
         Scene(
             photo.name,
             str(photo.path),
@@ -71,7 +95,6 @@ def build_block(inputs: BlockInputs) -> Block:
         )
         for photo in photos
     )
-    return Block(scenes, surface, control, crs)
 
 
 def _corrected(inputs: BlockInputs, photo: Photo, model: SensorModel) -> SensorModel:

@@ -71,6 +71,8 @@ class BlockInputs:
         'grid' or 'local', where the angles refer to another north than their system says.
     matrix : str, optional
         Direction of rotation matrices: 'ground_to_image' or 'image_to_ground'.
+    trusted : bool
+        Do not look whether the orientation can be meant.
     dem : Path, optional
         Digital elevation model.
     height : float, optional
@@ -101,6 +103,7 @@ class BlockInputs:
     angle_unit: str | None = None
     angle_frame: str | None = None
     matrix: str | None = None
+    trusted: bool = False
     dem: Path | None = None
     height: float | None = None
     dem_heights: str | None = None
@@ -113,11 +116,9 @@ class BlockInputs:
     def tables(self) -> tuple[Path, ...]:
         """Files that say how the images were taken."""
         ties = self.planar.ties if self.planar else None
-        own = (self.camera, self.exterior, self.control, ties, _grid(self.heights))
+        own = (self.camera, self.fiducials, self.exterior, self.control, ties, _grid(self.heights))
         grids = [corrections_file(self.corrections, image.name) for image in self.images] if self.corrections else []
         return (*(path for path in own if path), *dict.fromkeys(grids), *_named_in(self.options, self.base))
-        own = (self.camera, self.fiducials, self.exterior, self.control, _grid(self.heights))
-        return (*(path for path in own if path), *_named_in(self.options, self.base))
 
     @property
     def ground(self) -> tuple[Path, ...]:

@@ -80,6 +80,7 @@ class Project:
             angle_unit=s.exterior.angle_unit,
             angle_frame=s.exterior.angle_frame,
             matrix=s.exterior.matrix,
+            trusted=s.exterior.trusted,
             dem=self.file(s.dem.file) if s.dem else None,
             height=s.dem.height if s.dem else None,
             dem_heights=_datum(self.folder, s.dem.heights) if s.dem else None,

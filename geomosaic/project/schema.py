@@ -63,6 +63,7 @@ class ExteriorSection(Section):
     angle_unit: Literal["deg", "gon", "rad"] | None = None
     angle_frame: Literal["grid", "local"] | None = None
     matrix: Literal["ground_to_image", "image_to_ground"] | None = None
+    trusted: bool = False
 
 
 class DemSection(Section):

@@ -14,7 +14,7 @@ from geomosaic.geo.crs import geographic
 from geomosaic.geo.rotation import angles_of
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.parameters import Parameters
-from geomosaic.sensor.sanity import centre_dip
+from geomosaic.sensor.sanity import SkyError, centre_dip
 from geomosaic.types import FloatArray
 from geomosaic_frame.bending import Bending
 from geomosaic_frame.inside import Inside
@@ -65,7 +65,7 @@ def model_at(
     start = FrameModel(camera, place.frame, parameters, (float(x), float(y), float(z)), notes, bending)
     dip = centre_dip(start)
     if dip is None or not dip > 0.0:
-        raise InputError(
+        raise SkyError(
             "the photo looks at the sky: its centre ray does not go below the horizon"
             + (f" but {-dip:.1f}° above it" if dip is not None else ""),
             where=where,
