@@ -58,7 +58,7 @@ def build_block(inputs: BlockInputs) -> Block:
     photos, crs = photos_of(inputs)
     if crs is not None and not has_heights(crs) and any(photo.exterior for photo in photos):
         raise undeclared_positions(inputs, crs, photos)
-    surface = build_surface(inputs, crs, photos)
+    surface = build_surface(inputs, crs, photos, lambda: _moved_by_a_metre(inputs, photos, crs))
     control = _control(inputs, photos, crs)
 
     def build(read: BlockInputs, some: Sequence[Photo], frame: CRS | None) -> tuple[Scene, ...]:
@@ -72,6 +72,19 @@ def build_block(inputs: BlockInputs) -> Block:
         raise
     check_orientation(inputs, photos, crs, (scenes, surface, control), build)
     return Block(scenes, surface, control, crs)
+
+
+def _moved_by_a_metre(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS | None) -> float | None:
+    """Pixels that a metre of height moves the first image, whose model is its own; None where it cannot be said."""
+    from geomosaic.sensor.datum import pixels_per_metre
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            moved = pixels_per_metre(_scenes(inputs, photos[:1], crs, (), None)[0].model)
+    except InputError:
+        return None
+    return moved if np.isfinite(moved) else None
 
 
 def _scenes(
