@@ -95,7 +95,7 @@ def test_rpc_control(tmp_path: Path) -> None:
         registry.build("rpc", SensorRequest("one", rpc_rig.SIZE, options, CRS.from_epsg(4326), str(tmp_path)))
     metres, pixels = at_stake(caught.value)
     assert metres == pytest.approx(abs(undulation(CRS.from_epsg(4326), 12.3, 45.6)), abs=0.06)
-    moved = model.ground_to_image(ground + [0, 0, metres]) - image
+    moved = model.ground_to_image(ground + np.array([0, 0, metres])) - image
     assert pixels == pytest.approx(np.hypot(*moved.T).max(), rel=0.2)
 
 
@@ -116,5 +116,5 @@ def test_dem_under_a_scene_that_carries_its_own_model(tmp_path: Path) -> None:
     metres, pixels = at_stake(caught.value)
     assert metres == pytest.approx(abs(undulation(CRS.from_epsg(4326), 12.3, 45.6)), abs=0.2)
     ground = rpc_rig.ground(5)
-    moved = model.ground_to_image(ground + [0, 0, metres]) - model.ground_to_image(ground)
+    moved = model.ground_to_image(ground + np.array([0, 0, metres])) - model.ground_to_image(ground)
     assert pixels == pytest.approx(np.hypot(*moved.T).max(), rel=0.2)

@@ -117,6 +117,7 @@ class BlockInputs:
         """Files that say how the images were taken."""
         ties = self.planar.ties if self.planar else None
         own = (self.camera, self.fiducials, self.exterior, self.control, ties, _grid(self.heights))
+        own = (*own, *_beside(self.exterior, self.angles))
         grids = [corrections_file(self.corrections, image.name) for image in self.images] if self.corrections else []
         return (*(path for path in own if path), *dict.fromkeys(grids), *_named_in(self.options, self.base))
 
@@ -129,6 +130,19 @@ class BlockInputs:
 def _grid(heights: str | None) -> Path | None:
     """Path of a geoid grid, where a vertical datum is given as one."""
     return Path(heights) if heights and heights.lower().endswith((".tif", ".gtx")) else None
+
+
+def _beside(exterior: Path | None, angles: str) -> tuple[Path, ...]:
+    """Files of another program that are read with the one that is named."""
+    if exterior is None:
+        return ()
+    if angles == "colmap":
+        return (exterior.with_name("cameras.txt"), exterior.with_name("images.txt"))
+    ending = "_calibrated_camera_parameters.txt"
+    if angles == "pix4d" and exterior.name.endswith(ending):
+        offset = exterior.with_name(exterior.name.removesuffix(ending) + "_offset.xyz")
+        return (offset,) if offset.is_file() else ()
+    return ()
 
 
 def _named_in(value: Any, base: Path) -> tuple[Path, ...]:

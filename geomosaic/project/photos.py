@@ -8,7 +8,7 @@ from pathlib import Path
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.project.exterior import RECONSTRUCTIONS, Exterior, read_exterior
+from geomosaic.project.exterior import RECONSTRUCTIONS, SELF_PLACED, Exterior, read_exterior
 from geomosaic.project.frames import named
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.units import check_units
@@ -45,8 +45,9 @@ def photos_of(inputs: BlockInputs) -> tuple[list[Photo], CRS | None]:
     table = None
     if inputs.exterior is not None and inputs.angles not in RECONSTRUCTIONS:
         table = read_exterior(inputs.exterior, inputs.angles)
-    # OpenSfM's reference is on the ellipsoid of WGS 84, by its own definition; all others count from a named CRS.
-    if inputs.exterior is not None and crs is None and inputs.angles != "opensfm":
+    # OpenSfM's reference is on the ellipsoid of WGS 84, by its own definition; geocentric coordinates are told by their
+    # file or by the sensor's inputs; all others count from a named CRS.
+    if inputs.exterior is not None and crs is None and inputs.angles not in SELF_PLACED:
         raise InputError(
             "the positions have no CRS",
             where=str(inputs.exterior),
