@@ -195,7 +195,7 @@ def test_colmap_must_be_told_its_world(tmp_path: Path) -> None:
         build(file, "colmap", "one.jpg", ECEF, world="geocentric")
     with pytest.raises(HeightDatumError, match="vertical datum"):
         build(file, "colmap", "one.jpg", CRS.from_epsg(32633), world="map")
-    with pytest.raises(InputError, match="no image named 'three.jpg'"):
+    with pytest.raises(InputError, match=r"no image named 'three\.jpg'"):
         build(file, "colmap", "three.jpg", MAP, world="map")
 
 
@@ -271,9 +271,8 @@ def write_metashape(folder: Path, kind: str = "frame", component: bool = True, w
         matrix[:3, :3], matrix[:3, 3] = turn.T @ to_world, turn.T @ (place - (origin + 50.0)) / scale
         part = ' component_id="4"' if component else ""
         label = name.removesuffix(".jpg")
-        cameras.append(
-            f'<camera id="{number}" sensor_id="2"{part} label="{label}"><transform>{spaced(matrix)}</transform></camera>'
-        )
+        head = f'<camera id="{number}" sensor_id="2"{part} label="{label}">'
+        cameras.append(f"{head}<transform>{spaced(matrix)}</transform></camera>")
     transform = (
         f"<transform><rotation>{spaced(turn)}</rotation><translation>{spaced(origin + 50.0)}</translation>"
         f"<scale>{scale}</scale></transform>"
@@ -289,7 +288,7 @@ def write_metashape(folder: Path, kind: str = "frame", component: bool = True, w
         + f'<cameras><group id="0" label="strip">{cameras[0]}</group>{cameras[1]}'
         '<camera id="9" sensor_id="2" label="not aligned"/></cameras>'
         + ("" if component else transform)
-        + f"<reference>{wkt if wkt is not None else CRS.from_epsg(4326).to_wkt('WKT1_GDAL')}</reference></chunk></document>"
+        + f"<reference>{CRS.from_epsg(4326).to_wkt('WKT1_GDAL') if wkt is None else wkt}</reference></chunk></document>"
     )
     return folder / "cameras.xml"
 

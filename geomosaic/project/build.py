@@ -160,9 +160,12 @@ def _of_table(inputs: BlockInputs, row: Exterior) -> dict[str, Any]:
     """What the table says of an image, as inputs of the sensor: those it has, or all where it would refuse them all."""
     declared_too = {"frame": inputs.angle_frame, "matrix": inputs.matrix}
     extra = {name: word for name, word in declared_too.items() if word is not None}
+    system = inputs.angles
+    if system == "printed":  # the reader has made matrices of it
+        system, extra["matrix"] = "matrix", "ground_to_image"
     said = {
         "position": list(row.position),
-        "orientation": {"system": inputs.angles, **row.angles, **extra},
+        "orientation": {"system": system, **row.angles, **extra},
         "angle_unit": inputs.angle_unit or "deg",
     }
     known = {entry.name for entry in plugin(inputs.sensor).inputs}

@@ -73,6 +73,8 @@ def readings(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS) -> Iterator
 
 
 def _by_key(inputs: BlockInputs, photos: tuple[Photo, ...]) -> Iterator[Reading]:
+    if inputs.angles not in SYSTEMS:
+        return
     unit, north = inputs.angle_unit or "deg", inputs.angle_frame or NORTH.get(inputs.angles, "grid")
     if inputs.angles in HEADING:
         for other in TO_DEGREES:
@@ -120,12 +122,14 @@ def _by_column(inputs: BlockInputs, photos: tuple[Photo, ...]) -> Iterator[Readi
             ((-1.0, -1.0, 1.0), "the images turned by 180 degrees"),
             ((-1.0, 1.0, -1.0), "camera axes x left, y up, z forward"),
         ):
-            by_row = inputs.matrix == "ground_to_image"
+            by_row = inputs.angles == "printed" or inputs.matrix == "ground_to_image"
             lines = [str(i + 1) for i, sign in enumerate(signs) if sign < 0]
             where = f"{'rows' if by_row else 'columns'} {' and '.join(lines)} of the matrix"
             yield Reading(
                 what,
-                f"change the signs of {where} in {table}",
+                f"set axes to where these point, under [exterior.printed] ({what})"
+                if inputs.angles == "printed"
+                else f"change the signs of {where} in {table}",
                 inputs,
                 changed(lambda angles, signs=signs, by_row=by_row: _signed(angles, signs, by_row)),  # type: ignore[misc]
             )

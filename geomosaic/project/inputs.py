@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from geomosaic.project.names import corrections_file
+
+if TYPE_CHECKING:
+    from geomosaic.project.printed import Printed
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,8 @@ class BlockInputs:
         'grid' or 'local', where the angles refer to another north than their system says.
     matrix : str, optional
         Direction of rotation matrices: 'ground_to_image' or 'image_to_ground'.
+    printed : Printed, optional
+        How a printed list of orientations is to be read, with angles 'printed'.
     trusted : bool
         Do not look whether the orientation can be meant.
     dem : Path, optional
@@ -103,6 +108,7 @@ class BlockInputs:
     angle_unit: str | None = None
     angle_frame: str | None = None
     matrix: str | None = None
+    printed: Printed | None = None
     trusted: bool = False
     dem: Path | None = None
     height: float | None = None
@@ -117,9 +123,9 @@ class BlockInputs:
         """Files that say how the images were taken."""
         ties = self.planar.ties if self.planar else None
         own = (self.camera, self.fiducials, self.exterior, self.control, ties, _grid(self.heights))
-        own = (*own, *_beside(self.exterior, self.angles))
         grids = [corrections_file(self.corrections, image.name) for image in self.images] if self.corrections else []
-        return (*(path for path in own if path), *dict.fromkeys(grids), *_named_in(self.options, self.base))
+        others = _beside(self.exterior, self.angles)
+        return (*(path for path in own if path), *others, *dict.fromkeys(grids), *_named_in(self.options, self.base))
 
     @property
     def ground(self) -> tuple[Path, ...]:
