@@ -74,8 +74,8 @@ image_options = stack(
         "--angles",
         default="opk",
         show_default=True,
-        help="Angle system of the table: opk, pok, matrix, patb, rpy, dji; or whose file it is: opensfm, odm, "
-        "pix4d, metashape, colmap.",
+        help="Angle system of the table: opk, pok, matrix, patb, rpy, dji, opensfm, odm, pix4d, metashape, colmap, "
+        "printed.",
     ),
     click.option(
         "--angle-unit",

@@ -40,8 +40,8 @@ SYSTEM_NAMES: Mapping[str, str] = {
     "odm": "the same in map axes: the reconstruction.json that OpenDroneMap has brought to its UTM zone",
     "pix4d": "Pix4D's list of calibrated camera parameters, with its offset: camera, rotation and position in the map",
     "metashape": "cameras exported from Metashape: XML with the camera, geocentric unless it says otherwise; or text",
-    "printed": "a printed list, with columns, unit, sequence and axes as declared under [exterior.printed]",
     "colmap": "COLMAP's images.txt, with cameras.txt beside it; what its world is, is said by `world` of the sensor",
+    "printed": "a printed list, with columns, unit, sequence and axes as declared under [exterior.printed]",
 }
 
 RECONSTRUCTIONS = ("opensfm", "odm", "pix4d", "metashape", "colmap")
