@@ -74,7 +74,8 @@ image_options = stack(
         "--angles",
         default="opk",
         show_default=True,
-        help="Angle system of the table: opk, pok, matrix, patb, rpy, dji, opensfm, odm.",
+        help="Angle system of the table: opk, pok, matrix, patb, rpy, dji, opensfm, odm, pix4d, metashape, colmap, "
+        "printed.",
     ),
     click.option(
         "--angle-unit",
@@ -88,6 +89,12 @@ image_options = stack(
     ),
     click.option(
         "--matrix", type=click.Choice(["ground_to_image", "image_to_ground"]), help="Direction of rotation matrices."
+    ),
+    click.option(
+        "--trust-orientation",
+        "trusted",
+        is_flag=True,
+        help="Do not look whether the orientation can be meant.",
     ),
     click.option(
         "--option",

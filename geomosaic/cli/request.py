@@ -41,6 +41,7 @@ def block_inputs(
         angle_unit=flags["angle_unit"],
         angle_frame=flags["angle_frame"],
         matrix=flags["matrix"],
+        trusted=flags["trusted"],
         dem=flags["dem"],
         height=flags["height"],
         dem_heights=flags["dem_heights"],

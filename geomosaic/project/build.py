@@ -18,6 +18,7 @@ from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.project.camera import read_camera
 from geomosaic.project.corrections import read_corrections
+from geomosaic.project.doubts import check_orientation, looking_down
 from geomosaic.project.exterior import RECONSTRUCTIONS, Exterior
 from geomosaic.project.fiducials import read_fiducials
 from geomosaic.project.frames import DATUMS
@@ -30,6 +31,7 @@ from geomosaic.sensor.model import HasRays
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build as build_model
 from geomosaic.sensor.registry import plugin
+from geomosaic.sensor.sanity import SkyError
 from geomosaic.surface.model import Surface
 
 if TYPE_CHECKING:
@@ -56,11 +58,47 @@ def build_block(inputs: BlockInputs, *, ground: bool = True) -> Block:
     photos, crs = photos_of(inputs)
     if crs is not None and not has_heights(crs) and any(photo.exterior for photo in photos):
         raise undeclared_positions(inputs, crs, photos)
-    surface = build_surface(inputs, crs, photos) if ground else None
+    surface = build_surface(inputs, crs, photos, lambda: _moved_by_a_metre(inputs, photos, crs)) if ground else None
     control = _control(inputs, photos, crs)
+
+    def build(read: BlockInputs, some: Sequence[Photo], frame: CRS | None) -> tuple[Scene, ...]:
+        return _scenes(read, some, frame, control, surface)
+
+    try:
+        scenes = build(inputs, photos, crs)
+    except SkyError as error:
+        mends = looking_down(inputs, photos, crs, build) if crs is not None else []
+        error.mend = f"all photos would look down if you {mends[0]}; else {error.mend}" if mends else error.mend
+        raise
+    if ground:
+        check_orientation(inputs, photos, crs, (scenes, surface, control), build)
+    return Block(scenes, surface, control, crs)
+
+
+def _moved_by_a_metre(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS | None) -> float | None:
+    """Pixels that a metre of height moves the first image, whose model is its own; None where it cannot be said."""
+    from geomosaic.sensor.datum import pixels_per_metre
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            moved = pixels_per_metre(_scenes(inputs, photos[:1], crs, (), None)[0].model)
+    except InputError:
+        return None
+    return moved if np.isfinite(moved) else None
+
+
+def _scenes(
+    inputs: BlockInputs,
+    photos: Sequence[Photo],
+    crs: CRS | None,
+    control: Sequence[ControlPoint],
+    surface: Surface | None,
+) -> tuple[Scene, ...]:
+    """Images with their models."""
     camera = read_camera(inputs.camera) if inputs.camera else None
     marks = read_fiducials(inputs.fiducials, [photo.name for photo in photos]) if inputs.fiducials else {}
-    scenes = tuple(
+    return tuple(
         Scene(
             photo.name,
             str(photo.path),
@@ -71,7 +109,6 @@ def build_block(inputs: BlockInputs, *, ground: bool = True) -> Block:
         )
         for photo in photos
     )
-    return Block(scenes, surface, control, crs)
 
 
 def _corrected(inputs: BlockInputs, photo: Photo, model: SensorModel) -> SensorModel:
@@ -124,9 +161,12 @@ def _of_table(inputs: BlockInputs, row: Exterior) -> dict[str, Any]:
     """What the table says of an image, as inputs of the sensor: those it has, or all where it would refuse them all."""
     declared_too = {"frame": inputs.angle_frame, "matrix": inputs.matrix}
     extra = {name: word for name, word in declared_too.items() if word is not None}
+    system = inputs.angles
+    if system == "printed":  # the reader has made matrices of it
+        system, extra["matrix"] = "matrix", "ground_to_image"
     said = {
         "position": list(row.position),
-        "orientation": {"system": inputs.angles, **row.angles, **extra},
+        "orientation": {"system": system, **row.angles, **extra},
         "angle_unit": inputs.angle_unit or "deg",
     }
     known = {entry.name for entry in plugin(inputs.sensor).inputs}

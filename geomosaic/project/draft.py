@@ -22,6 +22,7 @@ from geomosaic.project.exterior import (
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.names import stem
 from geomosaic.project.needs import HEIGHTS, needs, undeclared_heights
+from geomosaic.project.programs import program_of
 from geomosaic.project.tables import read_table
 from geomosaic.project.understood import understood
 
@@ -74,6 +75,9 @@ def write_project(draft: Draft, *, overwrite: bool = False) -> None:
 
 def _system(table: Path) -> str | None:
     """Angle system whose columns a table has, omega-phi-kappa where none fits, for its error; None if nothing tells."""
+    program = program_of(table)
+    if program is not None:
+        return program
     if table.suffix.lower() == ".json":
         # OpenDroneMap keeps OpenSfM's own, under this name, beside the one that it has brought to its map.
         own = "reconstruction.topocentric.json"
@@ -89,7 +93,8 @@ def _angles(inputs: BlockInputs, read: str | None) -> list[str]:
     if read is None:
         return []
     if read in RECONSTRUCTIONS:
-        return [f"angle system: {read}, by the name of OpenDroneMap's reconstruction.topocentric.json"]
+        own = "the name of OpenDroneMap's reconstruction.topocentric.json"
+        return [f"angle system: {read}, by {own if read in ('opensfm', 'odm') else 'the name and the first lines'}"]
     others = [name for name, columns in SYSTEMS.items() if name != read and {*columns} == {*SYSTEMS[read]}]
     doubt = f"; the columns would also fit {', '.join(others)}: say --angles if so" if others else ""
     return [f"angle system: {read}, from the columns of the table{doubt}"]

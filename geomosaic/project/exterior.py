@@ -38,10 +38,17 @@ SYSTEM_NAMES: Mapping[str, str] = {
     "dji": "DJI gimbal yaw, pitch (-90 looks down), roll",
     "opensfm": "rotation and translation of an OpenSfM reconstruction.json, in east, north, up at its reference",
     "odm": "the same in map axes: the reconstruction.json that OpenDroneMap has brought to its UTM zone",
+    "pix4d": "Pix4D's list of calibrated camera parameters, with its offset: camera, rotation and position in the map",
+    "metashape": "cameras exported from Metashape: XML with the camera, geocentric unless it says otherwise; or text",
+    "colmap": "COLMAP's images.txt, with cameras.txt beside it; what its world is, is said by `world` of the sensor",
+    "printed": "a printed list, with columns, unit, sequence and axes as declared under [exterior.printed]",
 }
 
-RECONSTRUCTIONS = ("opensfm", "odm")
-"""Angle systems whose file is no table: the sensor reads camera and orientation from `reconstruction.json`."""
+RECONSTRUCTIONS = ("opensfm", "odm", "pix4d", "metashape", "colmap")
+"""Angle systems whose file is no table: the sensor reads camera and orientation from the file of another program."""
+
+SELF_PLACED = ("opensfm", "metashape", "colmap")
+"""Those of them that may say themselves what their coordinates are."""
 
 RECONSTRUCTION_SYSTEM = (
     "opensfm (OpenSfM's own, from its reference) or odm (OpenDroneMap's, brought to its map: needs crs and heights)"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,12 @@ OF_POSITIONS = "--heights (in a project: heights under [exterior])"
 OF_DEM = "--dem-heights (in a project: heights under [dem])"
 
 
-def build_surface(inputs: BlockInputs, crs: CRS | None, photos: Sequence[Photo] = ()) -> Surface | None:
+def build_surface(
+    inputs: BlockInputs,
+    crs: CRS | None,
+    photos: Sequence[Photo] = (),
+    of_model: Callable[[], float | None] = lambda: None,
+) -> Surface | None:
     """Make the surface of a DEM or of one height; None where neither is given.
 
     Parameters
@@ -33,12 +38,17 @@ def build_surface(inputs: BlockInputs, crs: CRS | None, photos: Sequence[Photo] 
         Of the positions; a height without a datum of its own takes theirs.
     photos : sequence of Photo
         For what an error says.
+    of_model : callable
+        Pixels that a metre of height moves the image, asked for an error about images without a table of positions.
     """
     if inputs.dem is not None and inputs.height is not None:
         raise InputError("a DEM and a height are both given", mend="give one of --dem and --height")
     if inputs.height is not None:
         from geomosaic.surface.plane import Plane
 
+        if crs is None and inputs.sensor not in ("planar", "frame"):
+            # Scenes that carry their own model need no CRS of positions: any will do to say where a height counts from.
+            crs = CRS.from_epsg(4326)
         if crs is None:
             raise InputError("a height needs a CRS", mend="name it: --exterior-crs, or crs under [exterior]")
         frame = declared(crs, inputs.dem_heights, "--dem-heights")
@@ -50,7 +60,7 @@ def build_surface(inputs: BlockInputs, crs: CRS | None, photos: Sequence[Photo] 
 
         info = inspect(inputs.dem)
         if inputs.dem_heights is None and info.crs is not None and not has_heights(info.crs):
-            raise _undeclared_dem(inputs.dem, crs, photos)
+            raise _undeclared_dem(inputs.dem, crs, photos, of_model)
         surface = Dem.open(inputs.dem, heights=inputs.dem_heights)
         try:
             Transform(surface.crs, geographic(surface.crs))
@@ -79,14 +89,17 @@ def undeclared_positions(inputs: BlockInputs, crs: CRS, photos: Sequence[Photo])
     return undeclared("the positions", str(inputs.exterior), OF_POSITIONS, crs, _place(photos), reach)
 
 
-def _undeclared_dem(path: Path, crs: CRS | None, photos: Sequence[Photo]) -> HeightDatumError:
+def _undeclared_dem(
+    path: Path, crs: CRS | None, photos: Sequence[Photo], of_model: Callable[[], float | None]
+) -> HeightDatumError:
     """Say what a DEM without a vertical datum could do at the first photo, else in its middle."""
     from geomosaic.surface.dem import Dem
 
     dem = Dem.open(path, heights="ellipsoidal")
     grid = dem.grid
     dem.close()
-    place, reach = grid.xy(np.array([[grid.width / 2, grid.height / 2]])), None
+    place = grid.xy(np.array([[grid.width / 2, grid.height / 2]]))
+    reach = None if any(photo.exterior for photo in photos) else of_model()
     if crs is not None and photos:
         under, ground = _as_written(path, crs, photos)
         place, reach = (under, _reach(photos, ground)) if math.isfinite(ground) else (place, None)

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from geomosaic.project.names import corrections_file
+
+if TYPE_CHECKING:
+    from geomosaic.project.printed import Printed
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,10 @@ class BlockInputs:
         'grid' or 'local', where the angles refer to another north than their system says.
     matrix : str, optional
         Direction of rotation matrices: 'ground_to_image' or 'image_to_ground'.
+    printed : Printed, optional
+        How a printed list of orientations is to be read, with angles 'printed'.
+    trusted : bool
+        Do not look whether the orientation can be meant.
     dem : Path, optional
         Digital elevation model.
     height : float, optional
@@ -101,6 +108,8 @@ class BlockInputs:
     angle_unit: str | None = None
     angle_frame: str | None = None
     matrix: str | None = None
+    printed: Printed | None = None
+    trusted: bool = False
     dem: Path | None = None
     height: float | None = None
     dem_heights: str | None = None
@@ -113,11 +122,10 @@ class BlockInputs:
     def tables(self) -> tuple[Path, ...]:
         """Files that say how the images were taken."""
         ties = self.planar.ties if self.planar else None
-        own = (self.camera, self.exterior, self.control, ties, _grid(self.heights))
+        own = (self.camera, self.fiducials, self.exterior, self.control, ties, _grid(self.heights))
         grids = [corrections_file(self.corrections, image.name) for image in self.images] if self.corrections else []
-        return (*(path for path in own if path), *dict.fromkeys(grids), *_named_in(self.options, self.base))
-        own = (self.camera, self.fiducials, self.exterior, self.control, _grid(self.heights))
-        return (*(path for path in own if path), *_named_in(self.options, self.base))
+        others = _beside(self.exterior, self.angles)
+        return (*(path for path in own if path), *others, *dict.fromkeys(grids), *_named_in(self.options, self.base))
 
     @property
     def ground(self) -> tuple[Path, ...]:
@@ -128,6 +136,19 @@ class BlockInputs:
 def _grid(heights: str | None) -> Path | None:
     """Path of a geoid grid, where a vertical datum is given as one."""
     return Path(heights) if heights and heights.lower().endswith((".tif", ".gtx")) else None
+
+
+def _beside(exterior: Path | None, angles: str) -> tuple[Path, ...]:
+    """Files of another program that are read with the one that is named."""
+    if exterior is None:
+        return ()
+    if angles == "colmap":
+        return (exterior.with_name("cameras.txt"), exterior.with_name("images.txt"))
+    ending = "_calibrated_camera_parameters.txt"
+    if angles == "pix4d" and exterior.name.endswith(ending):
+        offset = exterior.with_name(exterior.name.removesuffix(ending) + "_offset.xyz")
+        return (offset,) if offset.is_file() else ()
+    return ()
 
 
 def _named_in(value: Any, base: Path) -> tuple[Path, ...]:

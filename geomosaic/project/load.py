@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.project.camera import read_toml
 from geomosaic.project.inputs import BlockInputs, PlanarInputs
+from geomosaic.project.printed import Printed
 from geomosaic.project.schema import ProjectFile
 from geomosaic.project.tables import read_text
 from geomosaic.types import PathLike
@@ -80,6 +81,8 @@ class Project:
             angle_unit=s.exterior.angle_unit,
             angle_frame=s.exterior.angle_frame,
             matrix=s.exterior.matrix,
+            printed=self._printed,
+            trusted=s.exterior.trusted,
             dem=self.file(s.dem.file) if s.dem else None,
             height=s.dem.height if s.dem else None,
             dem_heights=_datum(self.folder, s.dem.heights) if s.dem else None,
@@ -88,6 +91,14 @@ class Project:
             bands=s.project.bands,
             planar=self._planar,
         )
+
+    @property
+    def _printed(self) -> Printed | None:
+        """How a printed list is to be read, where there is one."""
+        s = self.settings.exterior.printed
+        if s is None:
+            return None
+        return Printed(tuple(s.columns), s.axes, tuple(s.sequence), s.lines, s.skip)
 
     @property
     def _planar(self) -> PlanarInputs | None:

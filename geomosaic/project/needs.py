@@ -6,7 +6,7 @@ from pathlib import Path
 
 from geomosaic.errors import SensorError
 from geomosaic.geo.crs import has_heights
-from geomosaic.project.exterior import RECONSTRUCTION_SYSTEM, RECONSTRUCTIONS, undeclared_reconstruction
+from geomosaic.project.exterior import RECONSTRUCTION_SYSTEM, RECONSTRUCTIONS, SELF_PLACED, undeclared_reconstruction
 from geomosaic.project.frames import named
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.raster.info import inspect
@@ -38,9 +38,19 @@ def needs(inputs: BlockInputs) -> list[str]:
     undeclared = undeclared_reconstruction(inputs.exterior, inputs.angles)
     reconstruction = undeclared or inputs.angles in RECONSTRUCTIONS
     # What says itself what it counts from: OpenSfM's reconstructions, and scenes that carry their own model.
-    framed = undeclared or inputs.angles == "opensfm" or not _takes_positions(inputs)
+    framed = undeclared or inputs.angles in SELF_PLACED or not _takes_positions(inputs)
     if undeclared:
         found.append(f"the angle system of the reconstruction: [exterior] angles: {RECONSTRUCTION_SYSTEM}")
+    if inputs.angles == "colmap" and "world" not in inputs.options:
+        found.append(
+            "what COLMAP's world is: [sensor] world = 'map' (then also [exterior] crs and heights), 'geocentric' "
+            "(then [exterior] crs), or 'local' with reference = [longitude, latitude, altitude]"
+        )
+    if inputs.angles == "colmap" and inputs.options.get("world") in ("map", "geocentric"):
+        framed = False
+    of_text = inputs.angles == "metashape" and inputs.exterior is not None and inputs.exterior.suffix.lower() != ".xml"
+    if of_text:
+        framed, reconstruction = False, False
     if inputs.sensor == "frame" and inputs.camera is None and not reconstruction:
         found.append("the camera: [sensor] camera, a TOML file (see `geomosaic sensors frame`)")
     if inputs.sensor == "frame" and inputs.exterior is None and inputs.control is None:

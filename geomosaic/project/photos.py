@@ -9,7 +9,7 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.engineering import is_free
-from geomosaic.project.exterior import RECONSTRUCTIONS, Exterior, read_exterior
+from geomosaic.project.exterior import RECONSTRUCTIONS, SELF_PLACED, Exterior, ExteriorTable, read_exterior
 from geomosaic.project.frames import named
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.units import check_units
@@ -30,6 +30,20 @@ class Photo:
         return self.path.name
 
 
+def _table(inputs: BlockInputs, path: Path) -> ExteriorTable:
+    if inputs.angles != "printed":
+        return read_exterior(path, inputs.angles)
+    from geomosaic.project.printed import read_printed
+
+    if inputs.printed is None:
+        raise InputError(
+            "nothing says how the printed list is to be read",
+            where=str(path),
+            mend="say it in a project, under [exterior.printed]: columns, axes, sequence, lines, skip",
+        )
+    return read_printed(path, inputs.printed, inputs.angle_unit, inputs.matrix)
+
+
 def photos_of(inputs: BlockInputs) -> tuple[list[Photo], CRS | None]:
     """Look at the images and their rows of the orientation table; no pixel is read.
 
@@ -45,9 +59,10 @@ def photos_of(inputs: BlockInputs) -> tuple[list[Photo], CRS | None]:
     crs = named(inputs.crs, inputs.heights, "exterior CRS") if inputs.crs else None
     table = None
     if inputs.exterior is not None and inputs.angles not in RECONSTRUCTIONS:
-        table = read_exterior(inputs.exterior, inputs.angles)
-    # OpenSfM's reference is on the ellipsoid of WGS 84, by its own definition; all others count from a named CRS.
-    if inputs.exterior is not None and crs is None and inputs.angles != "opensfm":
+        table = _table(inputs, inputs.exterior)
+    # OpenSfM's reference is on the ellipsoid of WGS 84, by its own definition; geocentric coordinates are told by their
+    # file or by the sensor's inputs; all others count from a named CRS.
+    if inputs.exterior is not None and crs is None and inputs.angles not in SELF_PLACED:
         raise InputError(
             "the positions have no CRS",
             where=str(inputs.exterior),

@@ -53,6 +53,16 @@ class SensorSection(BaseModel):
         return dict(self.model_extra or {})
 
 
+class PrintedSection(Section):
+    """[exterior.printed]: how a printed list is to be read."""
+
+    columns: list[str] = Field(min_length=4)
+    axes: str
+    sequence: list[Literal["omega", "phi", "kappa"]] = Field(default_factory=list)
+    lines: Annotated[int, Field(ge=1, le=20)] = 1
+    skip: Annotated[int, Field(ge=0)] = 0
+
+
 class ExteriorSection(Section):
     """[exterior]."""
 
@@ -63,6 +73,14 @@ class ExteriorSection(Section):
     angle_unit: Literal["deg", "gon", "rad"] | None = None
     angle_frame: Literal["grid", "local"] | None = None
     matrix: Literal["ground_to_image", "image_to_ground"] | None = None
+    trusted: bool = False
+    printed: PrintedSection | None = None
+
+    @model_validator(mode="after")
+    def _told(self) -> ExteriorSection:
+        if (self.angles == "printed") != (self.printed is not None):
+            raise ValueError("angles = 'printed' and the table [exterior.printed] belong together")
+        return self
 
 
 class DemSection(Section):

@@ -5,11 +5,17 @@ from __future__ import annotations
 import numpy as np
 from pyproj import CRS
 
+from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.local import enu_axes
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import HasRays, SensorModel
 from geomosaic.types import FloatArray
+
+
+class SkyError(InputError):
+    """A photo of the ground that looks above the horizon."""
+
 
 ALIGNED = 10.0
 """Degrees within which an image axis follows the line of flight."""
@@ -66,7 +72,8 @@ def unit_suspicion(angles_deg: FloatArray, positions: FloatArray, crs: CRS | Non
         return None
     if np.abs(angles).max() <= np.pi + 1e-6 and _aligned(np.degrees(kappa), flight):
         return _sentence("radians", "rad")
-    if np.abs(angles).max() <= 400.0 and _aligned(0.9 * kappa, flight):
+    mounted = _aligned(kappa, flight + kappa[0] - flight[0])  # turned in its mount, by the same angle in every photo
+    if np.abs(angles).max() <= 400.0 and _aligned(0.9 * kappa, flight) and not mounted:
         return _sentence("gons", "gon")
     return None
 

@@ -9,6 +9,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
+from geomosaic.geo.crs import has_heights, with_heights
 from geomosaic.geo.engineering import is_free
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
@@ -19,6 +20,7 @@ from geomosaic_frame.inside import Inside
 from geomosaic_frame.model import FrameModel
 from geomosaic_frame.orientation import FULL_CIRCLE, Attitude, read_attitude
 from geomosaic_frame.place import (
+    from_geocentric,
     from_offset,
     from_topocentric,
     need_heights,
@@ -87,8 +89,15 @@ def _position(
         position = np.array(numbers(given, 3, "position", where))
         need_heights(crs, position, _reach(camera), where)
         return position, attitude
-    if "position" in options:
+    if options.get("position") is not None:
         raise InputError("position is given, but the orientation has its own", where=where, mend="leave it out")
+    if attitude.frame == "geocentric":
+        return from_geocentric(crs, attitude, where)
+    if attitude.frame == "map":
+        need_heights(crs, attitude.position, _reach(camera), where)
+        if crs.is_geocentric:
+            return from_geocentric(crs, attitude, where)
+        return attitude.position, Attitude(attitude.rotation, "grid")
     lla = np.array(numbers(need(row, "reference", where, "longitude, latitude, altitude"), 3, "reference", where))
     reference = of_longitude_latitude(crs, lla)
     need_heights(crs, reference, _reach(camera), where)
@@ -102,7 +111,12 @@ def _reach(camera: Inside) -> float:
 
 def _crs(request: SensorRequest, attitude: Attitude) -> CRS:
     if request.crs is not None:
-        return request.crs
+        # Geocentric positions say themselves how high they are.
+        ellipsoidal = attitude.frame == "geocentric" and not has_heights(request.crs)
+        return with_heights(request.crs, "ellipsoidal") if ellipsoidal else request.crs
+    if attitude.crs is not None:
+        crs: CRS = attitude.crs
+        return crs
     if attitude.frame == "topocentric":
         return CRS.from_epsg(4979)  # OpenSfM's own definition of its reference
     return _named(request)

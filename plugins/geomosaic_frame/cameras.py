@@ -12,12 +12,12 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic_frame.calibration import read_certificate
 from geomosaic_frame.camera import Camera
 from geomosaic_frame.film import FilmCamera
+from geomosaic_frame.foreign import READERS, read_foreign
 from geomosaic_frame.inside import Inside
 from geomosaic_frame.interior import KINDS
 from geomosaic_frame.marks import orient
-from geomosaic_frame.opensfm import read_shot
-from geomosaic_frame.orientation import DIRECTIONS, FRAMES
-from geomosaic_frame.read import choice, flag, known_keys, need, table_of
+from geomosaic_frame.orientation import DIRECTIONS, FRAMES, WORLDS
+from geomosaic_frame.read import choice, flag, known_keys, need, numbers, table_of
 
 FILM_OPTIONS = ("fiducials", "interior", "mirrored")
 
@@ -30,11 +30,12 @@ def tables(request: SensorRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]
     else:
         row = dict(table_of(need(options, "orientation", where, "system and angles"), "orientation", where))
     table = options.get("camera")
-    if row.get("system") in ("opensfm", "odm") and "reconstruction" in row:
+    if row.get("system") in READERS and "reconstruction" in row:
         known_keys(row, ("system", "reconstruction"), where)
         path = Path(request.base) / str(row["reconstruction"])
-        own, row = read_shot(path, request.image, str(row["system"]), where)
+        own, row = read_foreign(path, request.image, str(row["system"]), where)
         table = own if table is None else table
+        _place_world(row, options, where)
     if isinstance(table, str):
         table = _toml(Path(request.base) / table, f"{where}, camera")
     if table is None:
@@ -45,6 +46,28 @@ def tables(request: SensorRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]
         if options.get(option) is not None and row:
             row.setdefault(key, choice(options[option], words, option, where))
     return table_of(table, "camera", where), row
+
+
+def _place_world(row: dict[str, Any], options: Mapping[str, Any], where: str) -> None:
+    """Complete a pose with what the user says of its world, where its file does not say it or says it wrongly."""
+    system = str(row["system"])
+    if system in ("opensfm", "odm"):
+        return
+    if options.get("world") is not None:
+        row["world"] = choice(options["world"], WORLDS, "world", where)
+    elif system == "colmap":
+        raise InputError(
+            "COLMAP's files do not say what their world is",
+            where=where,
+            mend="say it under [sensor]: world = 'map' (the CRS that is named), 'geocentric', or 'local' with "
+            "reference = [longitude, latitude, altitude]",
+        )
+    row.setdefault("world", "map")
+    if options.get("reference") is not None:
+        row["reference"] = numbers(options["reference"], 3, "reference", where)
+    if options.get("offset") is not None:
+        shift = numbers(options["offset"], 3, "offset", where)
+        row["position"] = [a + b for a, b in zip(row["position"], shift, strict=True)]
 
 
 def _toml(path: Path, where: str) -> Mapping[str, Any]:

@@ -29,7 +29,8 @@ INPUTS = (
         "orientation",
         "table of system and its values: opk {omega, phi, kappa} = R3(kappa) R2(phi) R1(omega); pok {phi, omega, "
         "kappa}, phi first; matrix or patb {r11 ... r33, matrix}; rpy {roll, pitch, yaw}, aircraft; dji {gimbal_yaw, "
-        "gimbal_pitch, gimbal_roll}; opensfm or odm {rotation, translation, reference} or {reconstruction = file}. "
+        "gimbal_pitch, gimbal_roll}; opensfm or odm {rotation, translation, reference} or {reconstruction = file}; "
+        "colmap, pix4d or metashape {reconstruction = file}. "
         "frame = grid | local says whether angles refer to grid or true north",
         "angle_unit",
     ),
@@ -40,6 +41,14 @@ INPUTS = (
         "allow several places: position, roughly, chooses the nearest",
         "CRS, px",
     ),
+    SensorInput(
+        "world",
+        "what the coordinates in a file of COLMAP or Metashape are: map (the CRS that is named), geocentric, or local "
+        "(east, north, up at reference)",
+        default="COLMAP: to be given; Metashape: as its file says; Pix4D: map",
+    ),
+    SensorInput("reference", "origin of a local world: [longitude, latitude, altitude]", "deg, m"),
+    SensorInput("offset", "[x, y, z] to be added to the positions in a file of COLMAP or Metashape", "CRS", "0, 0, 0"),
     SensorInput("angle_unit", "unit of the angles: deg, gon or rad", default="deg"),
     SensorInput(
         "angle_frame",

@@ -11,10 +11,11 @@ from geomosaic_frame.distortion import Lens, NoDistortion
 from geomosaic_frame.fisheye import Fisheye
 from geomosaic_frame.polynomial import Brown, Rational
 from geomosaic_frame.read import choice, known_keys, need, number
+from geomosaic_frame.shear import sheared
 
 COEFFICIENTS = {
     "none": (),
-    "brown": ("k1", "k2", "k3", "p1", "p2"),
+    "brown": ("k1", "k2", "k3", "p1", "p2", "k4"),
     "opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4"),
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
@@ -29,14 +30,15 @@ def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -
     table : mapping
         `model`: 'none', 'brown', 'opencv' or 'fisheye'; its coefficients, 0 where not given; for 'brown' a
         `convention`: 'opencv' (default: without unit, y down, ideal to distorted) or 'photogrammetric' (mm, y up,
-        corrections added to the measured coordinates).
+        corrections added to the measured coordinates); `shear`: columns per row by which the axes of the sensor are
+        off the right angle, u + shear·v (Metashape's b2 over its focal length along columns).
     focal : float or None
         Focal length in mm where it is known.
     where : str
         Named in errors.
     """
     model = choice(need(table, "model", where, f"one of {', '.join(COEFFICIENTS)}"), COEFFICIENTS, "model", where)
-    known_keys(table, ("model", *COEFFICIENTS[model], *(("convention",) if model == "brown" else ())), where)
+    known_keys(table, ("model", *COEFFICIENTS[model], "shear", *(("convention",) if model == "brown" else ())), where)
     values = {key: number(table[key], key, where) for key in COEFFICIENTS[model] if key in table}
     convention = choice(table.get("convention", "opencv"), CONVENTIONS, "convention", where)
     if convention == "photogrammetric":
@@ -46,9 +48,11 @@ def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -
                 where=where,
                 mend="give focal_length in mm with sensor_size or pixel_size, or use convention = 'opencv'",
             )
-        k1, k2, k3, p1, p2 = (values.get(key, 0.0) for key in COEFFICIENTS["brown"])
+        k1, k2, k3, p1, p2, k4 = (values.get(key, 0.0) for key in COEFFICIENTS["brown"])
+        if k4 or table.get("shear"):
+            raise InputError("k4 and shear belong to the convention 'opencv'", where=where, mend="leave them out")
         return Corrections.photogrammetric((k1, k2, k3), (p1, p2), focal)
-    return _make(model, values)
+    return sheared(_make(model, values), number(table.get("shear", 0.0), "shear", where))
 
 
 def lens_from_dict(state: Mapping[str, Any]) -> Lens:
@@ -56,7 +60,8 @@ def lens_from_dict(state: Mapping[str, Any]) -> Lens:
     if state["model"] == "corrections":
         formula = {key: value for key, value in state["formula"].items() if key != "model"}
         return Corrections(Brown(**formula))
-    return _make(state["model"], {key: value for key, value in state.items() if key != "model"})
+    values = {key: value for key, value in state.items() if key not in ("model", "shear")}
+    return sheared(_make(state["model"], values), state.get("shear", 0.0))
 
 
 def _make(model: str, values: dict[str, float]) -> Lens:

@@ -136,6 +136,22 @@ def from_topocentric(crs: CRS, reference: FloatArray, attitude: Attitude, where:
     return position, Attitude(attitude.rotation @ base.axes @ here.axes.T, "local")
 
 
+def from_geocentric(crs: CRS, attitude: Attitude, where: str) -> tuple[FloatArray, Attitude]:
+    """Position in `crs` (3,) and attitude in 'local' of a photo oriented in geocentric axes."""
+    if attitude.position is None:
+        raise InputError("the orientation has no position", where=where)
+    earth = attitude.crs or geocentric(crs)
+    position = Transform(earth, crs)(attitude.position[None])[0]
+    if not 6.0e6 < np.linalg.norm(attitude.position) < 8.0e6:
+        raise InputError(
+            f"the camera is {np.linalg.norm(attitude.position) / 1000:.0f} km from the centre of the Earth",
+            where=where,
+            mend="the coordinates are not geocentric: say what they are, world = 'map' or 'local'",
+        )
+    here = local_frame(crs, position, where)
+    return position, Attitude(attitude.rotation @ here.axes.T, "local")
+
+
 def from_offset(crs: CRS, reference: FloatArray, attitude: Attitude, where: str) -> tuple[FloatArray, Attitude]:
     """Position in `crs` and attitude in 'grid' of a photo oriented in map axes about a reference (3,) in `crs`."""
     if attitude.position is None:

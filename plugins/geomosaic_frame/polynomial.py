@@ -204,6 +204,8 @@ class Brown(_Polynomial):
         Radial, of r², r⁴, r⁶.
     p1, p2 : float
         Tangential; p1 goes with 2xy in u.
+    k4 : float
+        Radial, of r⁸ (Metashape); 0 elsewhere.
     fold : float
         Ideal radius beyond which the distortion goes on linearly.
     """
@@ -213,15 +215,18 @@ class Brown(_Polynomial):
     k3: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
+    k4: float = 0.0
     fold: float = field(init=False, repr=False, compare=False, default=np.inf)
 
     def __post_init__(self) -> None:
-        self._prepare((self.k1, self.k2, self.k3), (), (self.p1, self.p2))
+        self._prepare((self.k1, self.k2, self.k3, self.k4), (), (self.p1, self.p2))
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
         values = asdict(self)
         values.pop("fold")
+        if not self.k4:
+            values.pop("k4")
         return {"model": "brown", **values}
 
 

@@ -16,7 +16,7 @@ from geomosaic.geo.local import LocalFrame
 from geomosaic.geo.rotation import angles_of
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.parameters import Parameters
-from geomosaic.sensor.sanity import centre_dip
+from geomosaic.sensor.sanity import SkyError, centre_dip
 from geomosaic.types import FloatArray
 from geomosaic_frame.bending import Bending
 from geomosaic_frame.inside import Inside
@@ -79,7 +79,7 @@ def model_at(
     start = FrameModel(camera, place.frame, parameters, (float(x), float(y), float(z)), notes, bending)
     dip = 90.0 if anywhere else centre_dip(start)
     if dip is None or not dip > 0.0:
-        raise InputError(
+        raise SkyError(
             "the photo looks at the sky: its centre ray does not go below the horizon"
             + (f" but {-dip:.1f}° above it" if dip is not None else ""),
             where=where,

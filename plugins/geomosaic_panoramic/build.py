@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import HeightDatumError, InputError, did_you_mean
-from geomosaic.geo.crs import has_heights, horizontal
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.geo.crs import horizontal
 from geomosaic.geo.local import LocalFrame, map_place
 from geomosaic.geo.transform import Transform
+from geomosaic.sensor.datum import need_heights
 from geomosaic.sensor.parameters import Parameters
 from geomosaic.sensor.plugin import SensorInput, SensorRequest
 from geomosaic_panoramic.geometry import KINDS, Scan
@@ -67,12 +69,7 @@ class PanoramicPlugin:
             raise InputError(
                 "sensor 'panoramic' needs the CRS of the position", where=where, mend="give --exterior-crs"
             )
-        if not has_heights(request.crs):
-            raise HeightDatumError(
-                "the height of the position has no vertical datum",
-                where=where,
-                mend="declare it with --heights: 'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid",
-            )
+        need_heights(request.crs, "the position", where, lambda crs: self.build(replace(request, crs=crs)))
         position = np.array(_numbers(options, "position", 3, where))
         frame = LocalFrame.at(request.crs, position)
         if not np.isfinite(frame.origin).all():
@@ -116,8 +113,6 @@ class PanoramicPlugin:
 
 def _seen(model: PanoramicModel, above: float) -> PanoramicModel:
     """The model with a seed in the middle of the image: where its line of sight comes down by the height."""
-    from dataclasses import replace
-
     middle = np.array([[model.size[0] / 2, model.size[1] / 2]])
     origins, directions = model.rays(middle)
     down = -(directions @ model.frame.axes.T)[0, 2]

@@ -12,6 +12,7 @@ import numpy as np
 from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
+from geomosaic.sensor.datum import need_heights
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
@@ -47,6 +48,9 @@ def build_pushbroom(request: SensorRequest) -> PushbroomModel:
     if options.get("refine", "points") not in ("points", "none"):
         raise InputError(f"refine = {options['refine']!r}", where=where, mend="choose from: points, none")
     metadata = _metadata(request)
+    if request.crs is not None and (control is not None or options.get("track") is not None):
+        whose = "the track" if control is None else "the control points"
+        need_heights(request.crs, whose, where, lambda crs: build_pushbroom(replace(request, crs=crs)))
     way = "metadata" if metadata else "track" if options.get("track") is not None else "points"
     _need_only(options, way, where)
     if metadata is not None:

@@ -10,7 +10,6 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import has_heights
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.model import PushbroomModel
@@ -78,19 +77,13 @@ def need_crs(request: SensorRequest) -> CRS:
     Raises
     ------
     InputError
-        There is none, or its heights are undeclared.
+        There is none.
     """
     if request.crs is None:
         raise InputError(
             "positions and control points have no CRS",
             where=request.image,
             mend="name one with a vertical datum, for example EPSG:32633 with heights = 'egm96'",
-        )
-    if not has_heights(request.crs):
-        raise InputError(
-            f"the heights of '{request.crs.name}' have no vertical datum",
-            where=request.image,
-            mend="declare the heights: 'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid",
         )
     crs: CRS = request.crs
     return crs

@@ -4,70 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from xml.etree.ElementTree import Element, ParseError, TreeBuilder
-from xml.parsers.expat import ExpatError, ParserCreate
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.sensor.plain_xml import parse as parse_plain
 from geomosaic.types import FloatArray
 
-_DEEPEST = 64
 _SKIPPED = frozenset({"Sensor_Calibration", "Image_Display"})
 """Parts of a DIMAP file that are long and say nothing of geometry."""
 
 
 def parse(data: bytes, where: str) -> Element:
-    """Parse XML; a document type, and with it every entity, is refused.
-
-    Raises
-    ------
-    InputError
-        No well-formed XML, one with a document type, or one nested too deep.
-    """
-    builder = TreeBuilder()
-    parser = ParserCreate()
-    parser.buffer_text = True
-    depth = skipping = 0
-
-    def refuse(*_: object) -> None:
-        raise InputError(
-            "the XML has a document type declaration, which may define entities; no metadata file needs one",
-            where=where,
-            mend="remove the <!DOCTYPE ...> if you trust the file",
-        )
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal depth, skipping
-        depth += 1
-        if depth > _DEEPEST:
-            raise InputError(f"the XML is nested more than {_DEEPEST} deep: this is no metadata file", where=where)
-        skipping += bool(skipping or tag in _SKIPPED)
-        if not skipping:
-            builder.start(tag, attributes)
-
-    def end(tag: str) -> None:
-        nonlocal depth, skipping
-        depth -= 1
-        if skipping:
-            skipping -= 1
-        else:
-            builder.end(tag)
-
-    def text(characters: str) -> None:
-        if not skipping:
-            builder.data(characters)
-
-    parser.StartDoctypeDeclHandler = refuse
-    parser.EntityDeclHandler = refuse
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
-    parser.CharacterDataHandler = text
-    try:
-        parser.Parse(data, True)
-        return builder.close()
-    except (ExpatError, ParseError, ValueError, LookupError, AssertionError) as error:
-        raise InputError(f"the XML is damaged ({error})", where=where, mend="get the file again") from error
+    """Parse the parts of a metadata file that say something of geometry; see `geomosaic.sensor.plain_xml`."""
+    return parse_plain(data, where, _SKIPPED)
 
 
 def find(element: Element, path: str, where: str) -> Element:

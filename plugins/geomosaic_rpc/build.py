@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError, SolveError, did_you_mean
-from geomosaic.geo.crs import has_heights
+from geomosaic.errors import GeomosaicWarning, InputError, SolveError, did_you_mean
 from geomosaic.geo.transform import Transform
+from geomosaic.sensor.datum import need_heights
 from geomosaic.sensor.plugin import SensorInput, SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import Rpc
@@ -143,12 +143,7 @@ def _refined(model: RpcModel, request: SensorRequest, kind: str) -> RpcModel:
         raise InputError("there are control points, but refine is 'none'", where=where, mend="leave one of them out")
     if request.crs is None:
         raise InputError("the control points have no CRS", where=where, mend="name it, e.g. EPSG:32633")
-    if not has_heights(request.crs):
-        raise HeightDatumError(
-            "the heights of the control points have no vertical datum",
-            where=where,
-            mend="declare it: 'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid",
-        )
+    need_heights(request.crs, "the control points", where, lambda _: model)
     names, ground, image, sigmas = _points(request.options["points"], where)
     try:
         found = refine(model, Transform(request.crs, WGS84)(ground), image, kind, sigmas)

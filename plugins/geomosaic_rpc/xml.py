@@ -2,58 +2,12 @@
 
 from __future__ import annotations
 
-from xml.etree.ElementTree import Element, ParseError, TreeBuilder
-from xml.parsers.expat import ExpatError, ParserCreate
+from xml.etree.ElementTree import Element
 
 from geomosaic.errors import InputError
+from geomosaic.sensor.plain_xml import parse
 from geomosaic_rpc.fields import FIRST_PIXEL, POLYNOMIALS, SCALARS, RpcFields, number, numbered
 from geomosaic_rpc.text import specification
-
-_DEEPEST = 64
-
-
-def parse(data: bytes, where: str) -> Element:
-    """Parse XML; a document type, and with it every entity, is refused.
-
-    Raises
-    ------
-    InputError
-        No well-formed XML, or one that defines entities.
-    """
-    builder = TreeBuilder()
-    parser = ParserCreate()
-
-    def refuse(*_: object) -> None:
-        raise InputError(
-            "the XML has a document type declaration, which may define entities; no RPC file needs one",
-            where=where,
-            mend="remove the <!DOCTYPE ...> if you trust the file",
-        )
-
-    depth = 0
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal depth
-        depth += 1
-        if depth > _DEEPEST:
-            raise InputError(f"the XML is nested more than {_DEEPEST} deep: this is no RPC file", where=where)
-        builder.start(tag, attributes)
-
-    def end(tag: str) -> None:
-        nonlocal depth
-        depth -= 1
-        builder.end(tag)
-
-    parser.StartDoctypeDeclHandler = refuse
-    parser.EntityDeclHandler = refuse
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
-    parser.CharacterDataHandler = builder.data
-    try:
-        parser.Parse(data, True)
-        return builder.close()
-    except (ExpatError, ParseError, ValueError, LookupError, AssertionError) as error:
-        raise InputError(f"the XML is damaged ({error})", where=where, mend="get the file again") from error
 
 
 def rpc_xml(data: bytes, where: str) -> RpcFields:

@@ -1,0 +1,26 @@
+"""Which program wrote a file of orientations, by its name and first lines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+FIRST = 4096
+"""Bytes that are looked at."""
+
+
+def program_of(path: Path) -> str | None:
+    """Angle system of a file of Pix4D, Metashape or COLMAP; None where it is none of them."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(FIRST).decode("utf-8", "replace").lower()
+    except OSError:
+        return None
+    if path.suffix.lower() == ".xml" and "<document" in start and "<chunk" in start:
+        return "metashape"
+    if "# photoid, x, y, z, omega, phi, kappa" in start:
+        return "metashape"
+    if "camera model m = k [r|-rt] x" in start or path.name.endswith("_calibrated_camera_parameters.txt"):
+        return "pix4d"
+    if path.name == "images.txt" and path.with_name("cameras.txt").is_file() and "qw, qx, qy, qz" in start:
+        return "colmap"
+    return None

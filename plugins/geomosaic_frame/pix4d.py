@@ -1,0 +1,126 @@
+"""Pix4D's `..._calibrated_camera_parameters.txt`: camera and orientation of every image.
+
+After a header that names them, each image has ten lines: name, width and height; K (3 × 3); radial distortion R1, R2,
+R3; tangential distortion T1, T2; position t; and the rotation R (3 × 3) of m = K [R | −R·t] X, whose camera axes are x
+right, y down, z forward. With x = X'/Z', y = Y'/Z' and r² = x² + y² ("How are the internal and external camera
+parameters defined", Pix4D),
+
+    x_d = x·(1 + R1·r² + R2·r⁴ + R3·r⁶) + 2·T1·x·y + T2·(r² + 2x²)
+    y_d = y·(1 + R1·r² + R2·r⁴ + R3·r⁶) + 2·T2·x·y + T1·(r² + 2y²)
+
+Pixels count from the outer corner of the upper-left pixel: a default principal point is half the size. t counts from
+`..._offset.xyz`, where there is one, in the map of the project.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomosaic.errors import InputError
+
+PARAMETERS = "_calibrated_camera_parameters.txt"
+OFFSET = "_offset.xyz"
+LAYOUT = (("K", 3, 3), ("radial distortion", 1, 3), ("tangential distortion", 1, 2), ("position", 1, 3), ("R", 3, 3))
+"""What follows the name of an image: lines and numbers in each."""
+
+Cameras = dict[str, tuple[dict[str, Any], dict[str, Any]]]
+
+
+def beside(path: Path, ending: str) -> Path | None:
+    """Another file of the same project, named alike but for its ending."""
+    if not path.name.endswith(PARAMETERS):
+        return None
+    other = path.with_name(path.name.removesuffix(PARAMETERS) + ending)
+    return other if other.is_file() else None
+
+
+def read_offset(text: str, where: str) -> tuple[float, ...]:
+    """Three numbers of `..._offset.xyz`."""
+    return tuple(_numbers(text, 3, "the offset", where))
+
+
+@lru_cache(maxsize=4)
+def read_pix4d(text: str, offset: tuple[float, ...] | None, where: str) -> Cameras:
+    """Read all images.
+
+    Parameters
+    ----------
+    text : str
+    offset : tuple of float or None
+        To be added to the positions.
+    where : str
+        File.
+
+    Returns
+    -------
+    dict
+        Name → camera table and orientation row.
+
+    Raises
+    ------
+    InputError
+        The header is missing, or an image is not complete; names the line.
+    """
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    last = next((i for i, (_, line) in enumerate(lines) if line.split()[:2] == ["camera", "model"]), None)
+    if last is None:
+        raise InputError(
+            "this is not Pix4D's list of calibrated camera parameters: its header is missing",
+            where=where,
+            mend=f"give the file PROJECT{PARAMETERS}; the list of omega, phi, kappa is read with angles = 'opk'",
+        )
+    body = lines[last + 1 :]
+    count = 1 + sum(rows for _, rows, _ in LAYOUT)
+    found: Cameras = {}
+    for first in range(0, len(body), count):
+        number = body[first][0]
+        part = [line for _, line in body[first : first + count]]
+        if len(part) < count:
+            raise InputError("the last image is not complete", where=f"{where}, line {number}")
+        name, size = _head(part[0], f"{where}, line {number}")
+        at, values = 1, {}
+        for what, rows, columns in LAYOUT:
+            values[what] = np.array(
+                [_numbers(line, columns, what, f"{where}, {name}") for line in part[at : at + rows]]
+            )
+            at += rows
+        k = values["K"]
+        if k[1, 0] or k[2, 0] or k[2, 1] or k[2, 2] != 1.0:
+            raise InputError("K is no camera matrix", where=f"{where}, {name}")
+        r1, r2, r3 = values["radial distortion"][0]
+        t1, t2 = values["tangential distortion"][0]
+        lens = {"model": "brown", "k1": r1, "k2": r2, "k3": r3, "p1": t1, "p2": t2, "shear": k[0, 1] / k[0, 0]}
+        camera = {
+            "size": list(size),
+            "focal_length_px": [k[0, 0], k[1, 1]],
+            "principal_point_px": [k[0, 2], k[1, 2]],
+            "distortion": lens,
+        }
+        position = values["position"][0] + (0.0 if offset is None else np.array(offset))
+        found[name] = (
+            camera,
+            {"system": "pix4d", "rotation": values["R"].ravel().tolist(), "position": position.tolist()},
+        )
+    return found
+
+
+def _head(line: str, where: str) -> tuple[str, tuple[int, int]]:
+    words = line.rsplit(maxsplit=2)
+    if len(words) != 3 or not (words[1].isdecimal() and words[2].isdecimal()):
+        raise InputError(f"'{line[:60]}' is not the name, width and height of an image", where=where)
+    return words[0], (int(words[1]), int(words[2]))
+
+
+def _numbers(line: str, count: int, what: str, where: str) -> list[float]:
+    try:
+        values = [float(word) for word in line.split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise InputError(f"{what} is '{line.strip()[:60]}', not {count} numbers", where=where)
+    return values

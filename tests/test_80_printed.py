@@ -1,0 +1,162 @@
+"""Printed lists: read as told, held against the printed matrix, and refused where not all is told."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from geomosaic.errors import InputError
+from geomosaic.geo.rotation import omega_phi_kappa
+from geomosaic.project.build import build_block
+from geomosaic.project.exterior import MATRIX
+from geomosaic.project.load import load_project
+from geomosaic.project.printed import Printed, read_printed
+from geomosaic.project.sample import copy_sample
+from geomosaic.types import FloatArray
+
+W, P, K = 3.0, -5.0, 70.0
+
+
+def about(axis: int, degrees: float) -> FloatArray:
+    """Turn of the axes, written out as in textbooks."""
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    i, j = [(1, 2), (2, 0), (0, 1)][axis]
+    m = np.eye(3)
+    m[i, i] = m[j, j] = c
+    m[i, j], m[j, i] = s, -s
+    return m
+
+
+def read(path: Path, text: str, unit: str | None = "gon", direction: str | None = None, **how: Any) -> FloatArray:
+    path.write_text(text)
+    table = read_printed(path, Printed(**{"axes": "right up", **how}), unit, direction)
+    row = table.row("101.tif")
+    assert row.position == (1000.0, 2000.0, 3000.0)
+    return np.array([row.angles[key] for key in MATRIX]).reshape(3, 3)
+
+
+ANGLES = ("image", "x", "y", "z", "omega", "phi", "kappa")
+
+
+@pytest.mark.parametrize(
+    ("sequence", "truth"),
+    [
+        (("omega", "phi", "kappa"), about(2, K) @ about(1, P) @ about(0, W)),
+        (("phi", "omega", "kappa"), about(2, K) @ about(0, W) @ about(1, P)),
+        (("kappa", "phi", "omega"), about(0, W) @ about(1, P) @ about(2, K)),
+    ],
+)
+def test_the_sequence_is_that_which_is_told(tmp_path: Path, sequence: tuple[str, ...], truth: FloatArray) -> None:
+    line = f"101 1000.0 2000.0 3000.0 {W / 0.9!r} {P / 0.9!r} {K / 0.9!r}\n"
+    found = read(tmp_path / "list", f"PROTOCOL 7\n\n{line}", columns=ANGLES, sequence=sequence, skip=1)
+    assert np.abs(found - truth).max() < 1e-14
+
+
+@pytest.mark.parametrize(
+    ("axes", "to_image"),
+    [
+        ("right up", np.eye(3)),
+        ("right down", np.diag([1.0, -1.0, -1.0])),
+        ("left down", np.diag([-1.0, -1.0, 1.0])),
+        ("up left", np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])),
+        ("down right", np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])),
+    ],
+)
+def test_the_axes_are_those_which_are_told(tmp_path: Path, axes: str, to_image: FloatArray) -> None:
+    """A matrix to other axes, four decimals and over three lines, as lists print it."""
+    m = omega_phi_kappa(*np.radians([W, P, K]))
+    rows = "\n".join(" ".join(f"{v:.7f}" for v in row) for row in (to_image @ m).T)
+    columns = ("image", "x", "y", "z", "-", *MATRIX)
+    text = f"101 1000.0 2000.0 3.0D+03 4711\n{rows}\n"
+    found = read(tmp_path / "list", text, None, "image_to_ground", columns=columns, axes=axes, lines=4)
+    assert np.abs(found - m).max() < 1e-6
+    assert np.abs(found @ found.T - np.eye(3)).max() < 1e-14
+
+
+def both(sense: float = 1.0) -> str:
+    m = about(2, K) @ about(0, W) @ about(1, P)
+    angles = " ".join(f"{sense * v:.5f}" for v in (W, P, K))
+    return f"101, 1000, 2000, 3000, {angles.replace(' ', ', ')}, " + ", ".join(f"{v:.6f}" for v in m.ravel()) + "\n"
+
+
+def test_angles_are_held_against_the_matrix(tmp_path: Path) -> None:
+    columns = (*ANGLES, *MATRIX)
+    right = {"columns": columns, "sequence": ("phi", "omega", "kappa")}
+    read(tmp_path / "list", both(), "deg", "ground_to_image", **right)
+    for how, unit, direction, mend in (
+        (
+            {**right, "sequence": ("omega", "phi", "kappa")},
+            "deg",
+            "ground_to_image",
+            "sequence = ['phi', 'omega', 'kappa']",
+        ),
+        (right, "deg", "image_to_ground", "the matrix of the other direction"),
+        (right, "gon", "ground_to_image", "check the unit"),
+    ):
+        with pytest.raises(InputError, match="disagree") as caught:
+            read(tmp_path / "list", both(), unit, direction, **how)
+        assert mend in str(caught.value.mend)
+    with pytest.raises(InputError, match="disagree") as caught:
+        read(tmp_path / "list", both(-1.0), "deg", "ground_to_image", **right)
+    assert "other sense" in str(caught.value.mend)
+
+
+@pytest.mark.parametrize(
+    ("how", "unit", "direction", "words"),
+    [
+        ({"columns": ANGLES}, "gon", None, "the sequence of the rotations is not told"),
+        ({"columns": ANGLES, "sequence": ("omega", "phi", "kappa")}, None, None, "the unit of the angles is not told"),
+        ({"columns": ("image", "x", "y", "z", *MATRIX)}, None, None, "the direction of the matrix is not told"),
+        ({"columns": ("image", "x", "y", "z")}, None, None, "neither omega, phi, kappa nor"),
+        ({"columns": (*ANGLES, "nu")}, None, None, "no column 'nu'"),
+        ({"columns": (*ANGLES, "x")}, None, None, "'x' is named twice"),
+        ({"columns": ("image", "x", *ANGLES[4:])}, None, None, "where y, z stand"),
+        ({"columns": ANGLES, "sequence": ("omega", "phi", "kappa"), "axes": "x y"}, "deg", None, "does not say where"),
+        ({"columns": ANGLES, "sequence": ("omega", "phi", "kappa"), "axes": "up down"}, "deg", None, "right angles"),
+        ({"columns": ANGLES, "sequence": ("omega", "phi", "kappa"), "lines": 2}, "deg", None, "where a record has"),
+        ({"columns": (*ANGLES, "-"), "sequence": ("omega", "phi", "kappa")}, "deg", None, "where a record has"),
+        ({"columns": ANGLES, "sequence": ("omega", "phi", "kappa"), "skip": 9}, "deg", None, "no record"),
+    ],
+)
+def test_what_is_not_told_is_asked_for(
+    tmp_path: Path, how: dict[str, Any], unit: str | None, direction: str | None, words: str
+) -> None:
+    with pytest.raises(InputError, match=words):
+        read(tmp_path / "list", "101 1000 2000 3000 1 2 3\n", unit, direction, **how)
+
+
+def test_a_project_with_a_printed_list_is_the_same_block(tmp_path: Path) -> None:
+    project = copy_sample(tmp_path / "sample")
+    folder = project.parent
+    rows = [line.split(",") for line in (folder / "exterior.csv").read_text().splitlines()[1:]]
+    gons = "\n".join(
+        " ".join([row[0].removesuffix(".jpg"), *row[1:4], *(repr(float(v) / 0.9) for v in row[4:])]) for row in rows
+    )
+    (folder / "bundle.lst").write_text(f"BUNDLE ADJUSTMENT\n{gons}\n")
+    text = project.read_text()
+    printed = 'file = "bundle.lst"\nangles = "printed"\nangle_unit = "gon"\n'
+    text = text.replace('file = "exterior.csv"\n', printed)
+    text = "\n".join(
+        line for line in text.splitlines() if not line.startswith(('angles = "opk"', 'angle_unit = "deg"'))
+    )
+    text = text.replace(
+        "[dem]",
+        '[exterior.printed]\ncolumns = ["image", "x", "y", "z", "omega", "phi", "kappa"]\n'
+        'sequence = ["omega", "phi", "kappa"]\naxes = "right up"\nskip = 1\n\n[dem]',
+        1,
+    )
+    original = build_block(load_project(project).inputs)
+    other = folder / "other.toml"
+    other.write_text(text)
+    block = build_block(load_project(other).inputs)
+    for a, b in zip(original.scenes, block.scenes, strict=True):
+        xyz = np.array([a.model.seed])
+        assert np.abs(a.model.ground_to_image(xyz) - b.model.ground_to_image(xyz)).max() < 1e-6
+    other.write_text(text.replace('axes = "right up"', 'axes = "left down"'))
+    with pytest.raises(InputError, match="cannot be meant: control points") as caught:
+        build_block(load_project(other).inputs)
+    assert "set axes to where these point" in str(caught.value.mend)
