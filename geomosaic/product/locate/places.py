@@ -16,7 +16,7 @@ from geomosaic.product.locate.ellipse import Ellipses, ellipses
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve import image_to_ground
 from geomosaic.surface.model import Surface
-from geomosaic.types import FloatArray
+from geomosaic.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ class Places:
     ellipses: Ellipses
 
     @property
-    def seen(self) -> FloatArray:
+    def seen(self) -> BoolArray:
         """Which points (N,) have a place."""
-        return np.asarray(np.isfinite(self.xyz).all(axis=1))
+        return np.asarray(np.isfinite(self.xyz).all(axis=1), dtype=np.bool_)
 
 
 def locate(model: SensorModel, surface: Surface | None, colrow: FloatArray, crs: CRS, certainty: Certainty) -> Places:

@@ -18,6 +18,8 @@ from geomosaic.types import BoolArray, FloatArray
 
 DEGREE = 111_000.0
 """Metres that a degree is about; it only chooses steps and tolerances."""
+TOLERANCE = 0.05
+"""Pixels' widths on the ground by which ground must be nearer to hide a place."""
 UNSEEN, HIDDEN, SEEN = 0, 1, 2
 """What becomes of a place: the model cannot show it or its height is unknown; ground stands before it; it is shown."""
 
@@ -84,7 +86,7 @@ class View:
     def look(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Image coordinates (N, 2) of places (N, 2) of the map, and what becomes of each (N,).
 
-        A place is hidden where its line of sight meets the surface more than a pixel's width nearer to the sensor.
+        A place is hidden where its line of sight meets the surface before it, by more than `TOLERANCE`.
         Places outside the frame are not examined: they count as seen.
         """
         ground = self.ground(xy)
@@ -107,9 +109,9 @@ class View:
         assert self.surface is not None
         first = image_to_ground(self.model, image, self.surface)
         apart = (first - ground) * metres_per_unit(self.surface.crs, ground)
-        tolerance = self.sampling * float(metres_per_unit(self.surface.crs, ground[:1])[0, 1])
+        tolerance = TOLERANCE * self.sampling * float(metres_per_unit(self.surface.crs, ground[:1])[0, 1])
         if self.surface.crs.is_geographic != self.crs.is_geographic:
-            tolerance = self.sampling * (1.0 if self.crs.is_projected else DEGREE)
+            tolerance = TOLERANCE * self.sampling * (1.0 if self.crs.is_projected else DEGREE)
         hidden: BoolArray = (np.linalg.norm(apart, axis=1) > tolerance) & (apart[:, 2] > 0.0)
         return hidden
 
