@@ -26,6 +26,7 @@ COMMANDS: dict[str, str] = {
     "mosaic": "Make one mosaic from images.",
     "edges": "Join photos with control at their edges, and mosaic them.",
     "reproject": "Bring a georeferenced raster or vectors to another CRS.",
+    "rpc": "Fit RPCs to any sensor, refine them, and write them.",
     "locate": "Find places on the ground from pixels, or draw map vectors into a photo.",
     "check": "Measure a map at check points.",
     "fiducials": "Find the fiducial marks of scanned films.",
