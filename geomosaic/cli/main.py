@@ -28,6 +28,8 @@ COMMANDS: dict[str, str] = {
     "develop": "Draw photos of a facade, tower or dome on its developed surface.",
     "edges": "Join photos with control at their edges, and mosaic them.",
     "reproject": "Bring a georeferenced raster or vectors to another CRS.",
+    "rpc": "Fit RPCs to any sensor, refine them, and write them.",
+    "locate": "Find places on the ground from pixels, or draw map vectors into a photo.",
     "check": "Measure a map at check points.",
     "fiducials": "Find the fiducial marks of scanned films.",
     "contours": "Draw contours of a DEM.",

@@ -18,13 +18,14 @@ from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import Rpc
 from geomosaic_rpc.find import OWN, Found, files_beside, find_rpc, own_rpc
 from geomosaic_rpc.model import KINDS, WGS84, RpcModel
+from geomosaic_rpc.power import RationalPower
 from geomosaic_rpc.read import read_rpc
 from geomosaic_rpc.refine import refine
 
 POINT = ("x", "y", "z", "col", "row")
 
 
-class RpcPlugin:
+class RpcPlugin(RationalPower):
     """Sensor 'rpc'."""
 
     name = "rpc"

@@ -11,7 +11,7 @@ from geomosaic.raster.rpc import write_rpc_tags
 from geomosaic.types import PathLike
 from geomosaic_rpc.coefficients import Rpc
 from geomosaic_rpc.fields import POLYNOMIALS, SCALARS
-from geomosaic_rpc.fit import fit_rpc
+from geomosaic_rpc.fit import RpcFit, fit_rpc
 from geomosaic_rpc.model import RpcModel
 
 _UNITS = {"LINE": "pixels", "SAMP": "pixels", "LAT": "degrees", "LONG": "degrees", "HEIGHT": "meters"}
@@ -26,8 +26,13 @@ def plain(model: RpcModel) -> Rpc:
     values = model.parameters.values
     if not values[2:].any():
         return model.rpc.moved(float(values[0]), float(values[1]))
+    return rewritten(model).model.rpc
+
+
+def rewritten(model: RpcModel) -> RpcFit:
+    """Fit a model with its corrections again, over the heights its RPC was made for."""
     middle, half = float(model.rpc.ground_offset[2]), abs(float(model.rpc.ground_scale[2]))
-    return fit_rpc(model, (middle - half, middle + half)).model.rpc
+    return fit_rpc(model, (middle - half, middle + half))
 
 
 def tags_of(rpc: Rpc) -> dict[str, str]:

@@ -1,0 +1,125 @@
+"""`geomosaic locate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from geomosaic.cli.options import FILE, debug_option, image_options, json_option, stack
+from geomosaic.cli.request import block_inputs
+from geomosaic.cli.talk import answer, notes
+from geomosaic.cli.values import map_crs, pairs
+
+locate_options = stack(
+    click.option("--pixel", "pixels", type=float, nargs=2, multiple=True, metavar="COL ROW", help="An image point."),
+    click.option("--layer", help="Layer of the vectors.  [default: the first]"),
+    click.option("--inverse", is_flag=True, help="Draw vectors of the map into the photo."),
+    click.option(
+        "--rows",
+        type=click.Choice(["down", "negative", "up"]),
+        help="How pixel coordinates count rows: down from the top, the same with a minus sign (as QGIS shows images "
+        "without georeference), or up from the bottom.  [default: down in tables; vectors need it]",
+    ),
+    click.option(
+        "--first-pixel",
+        type=click.Choice(["0.5", "0", "1"]),
+        default="0.5",
+        show_default=True,
+        help="What pixel coordinates call the centre of the first pixel.",
+    ),
+    click.option(
+        "--step",
+        type=click.FloatRange(0, min_open=True),
+        metavar="PIXELS",
+        help="Most pixels between vertices of digitized lines.  [default: their own vertices]",
+    ),
+    click.option("--mark-hidden", is_flag=True, help="Keep hidden parts in the drawing, marked.  [default: left out]"),
+    click.option("--gcps", type=FILE, help="Control points that place the image; the error follows from them too."),
+    click.option(
+        "--sigma",
+        "sigmas",
+        multiple=True,
+        callback=pairs,
+        metavar="NAME=VALUE",
+        help="Standard deviation of a parameter of the sensor, in its unit.",
+    ),
+    click.option("--sigma-px", type=click.FloatRange(0), metavar="PIXELS", help="Standard deviation of the pixels."),
+    click.option("--sigma-dem", type=click.FloatRange(0), metavar="METRES", help="Standard deviation of the heights."),
+    click.option("--src-crs", callback=map_crs, metavar="CRS", help="CRS of map vectors, instead of what they say."),
+    click.option("--dst-crs", callback=map_crs, metavar="CRS", help="CRS of the places.  [default: of the ground]"),
+    click.option("--dst-heights", metavar="DATUM", help="Vertical datum of the places.  [default: of the ground]"),
+    click.option("-o", "--output", type=FILE, help="GeoPackage, GeoJSON, FlatGeobuf or CSV to write."),
+    click.option("--overwrite", is_flag=True, help="Replace the output if it exists."),
+)
+
+
+@click.command()
+@click.argument("image", type=FILE)
+@click.argument("source", type=FILE, required=False)
+@stack(locate_options, image_options, json_option, debug_option)
+def command(image: Path, source: Path | None, inverse: bool, as_json: bool, **flags: Any) -> None:
+    """Find places on the ground from pixels of one image, or draw map vectors into it.
+
+    SOURCE is a table (id, col, row) or vectors digitized on the raw image; with --inverse vectors of the map.
+
+    \b
+    Examples:
+      geomosaic locate photo.tif --sensor frame --camera camera.toml \\
+        --exterior exterior.csv --exterior-crs EPSG:32633 --heights egm96 \\
+        --dem dem.tif --pixel 812.5 640 --sigma-px 0.5 --sigma-dem 2
+      geomosaic locate scene.tif roads.gpkg --inverse --sensor rpc \\
+        --dem dem.tif --dem-heights egm96 --rows negative -o roads-in-scene.gpkg
+    """  # noqa: D301
+    if bool(flags["pixels"]) == (source is not None):
+        raise click.UsageError("give either --pixel COL ROW or a file SOURCE")
+    if inverse and source is None:
+        raise click.UsageError("--inverse draws vectors of the map: name their file")
+    unfit = ("src_crs", "mark_hidden") if not inverse else ("dst_crs", "dst_heights", "sigma_px", "sigma_dem", "step")
+    for name in unfit:
+        if flags[name]:
+            raise click.UsageError(
+                f"--{name.replace('_', '-')} means nothing {'with' if inverse else 'without'} --inverse"
+            )
+    if inverse and flags["output"] is None:
+        raise click.UsageError("--inverse needs a file to write: -o")
+    import numpy as np
+
+    from geomosaic.project.monoplot import MonoplotInputs, draw_vectors, locate_pixels
+
+    inputs = MonoplotInputs(
+        block_inputs((image,), flags, flags["gcps"]),
+        source=source,
+        layer=flags["layer"],
+        pixels=np.array(flags["pixels"]) if flags["pixels"] else None,
+        rows=flags["rows"],
+        first=float(flags["first_pixel"]),
+        step=flags["step"],
+        crs=flags["src_crs"] if inverse else flags["dst_crs"],
+        heights=flags["dst_heights"],
+        sigmas={name: _sigma(name, text) for name, text in flags["sigmas"].items()},
+        sigma_px=flags["sigma_px"],
+        sigma_dem=flags["sigma_dem"],
+        hidden=flags["mark_hidden"],
+        output=flags["output"],
+        overwrite=flags["overwrite"],
+    )
+    from geomosaic.cli.locate_words import drawn_facts, drawn_words, located_facts, located_words
+
+    with notes():
+        if inverse:
+            drawn = draw_vectors(inputs)
+            answer(drawn_facts(drawn, flags["output"]), drawn_words(drawn, flags["output"]), as_json)
+        else:
+            found = locate_pixels(inputs)
+            answer(located_facts(found, flags["output"]), located_words(found, flags["output"]), as_json)
+
+
+def _sigma(name: str, text: str) -> float:
+    from geomosaic.cli.values import number
+
+    value = number(text)
+    if not value >= 0.0:
+        raise click.BadParameter(f"'{name}={text}' is no standard deviation; write a number of 0 or more")
+    return value

@@ -1,0 +1,110 @@
+"""`geomosaic rpc`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from geomosaic.cli.options import FILE, debug_option, image_options, json_option, stack
+from geomosaic.cli.request import block_inputs
+from geomosaic.cli.talk import answer, notes
+
+if TYPE_CHECKING:
+    from geomosaic.project.rational_refine import ImageRpc
+
+rpc_options = stack(
+    click.option(
+        "--height-range",
+        type=float,
+        nargs=2,
+        metavar="LOW HIGH",
+        help="Ellipsoidal heights in metres that an RPC is fitted to.  [default: those of the DEM under the image]",
+    ),
+    click.option("--refine", metavar="KIND", help="Correct RPCs: shift, drift (shift and drift) or affine."),
+    click.option("--gcps", type=FILE, help="Control points; those of role 'check' only judge."),
+    click.option("--ties", type=FILE, help="Tie points between the images: id, image, col, row."),
+    click.option("--fixed", multiple=True, metavar="IMAGE", help="Image that tie points leave as it is."),
+    click.option(
+        "--sigma-px",
+        type=click.FloatRange(0, min_open=True),
+        default=0.5,
+        show_default=True,
+        metavar="PIXELS",
+        help="Standard deviation of tie points.",
+    ),
+    click.option("--tags", is_flag=True, help="Write the RPC into the tags of the images (GeoTIFF), in place."),
+    click.option("--text", is_flag=True, help="Write IMAGE_RPC.TXT."),
+    click.option("--folder", type=FILE, help="Folder of the text files.  [default: beside the images]"),
+    click.option("--overwrite", is_flag=True, help="Replace an RPC that the image or the file has."),
+)
+
+
+@click.command()
+@click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
+@stack(rpc_options, image_options, json_option, debug_option)
+def command(images: tuple[Path, ...], as_json: bool, **flags: Any) -> None:
+    """Fit RPCs to images of any sensor, or refine those they have, and write them.
+
+    \b
+    Examples:
+      geomosaic rpc IMAGERY.TIF --sensor pushbroom --height-range 0 900 --text
+      geomosaic rpc scene.tif --refine shift --gcps gcps.csv --crs EPSG:32635 \\
+        --heights ellipsoidal --tags --overwrite
+      geomosaic rpc left.tif right.tif --refine shift --ties ties.csv --text --folder refined
+    """  # noqa: D301
+    from geomosaic.project.rational import SENSOR, RpcInputs, make_rpcs
+
+    if flags["sensor"] is None and not (flags["exterior"] or flags["camera"]):
+        flags["sensor"] = SENSOR
+    if flags["folder"] is not None and not flags["text"]:
+        raise click.UsageError("--folder is for the text files: add --text")
+    inputs = RpcInputs(
+        block_inputs(images, flags, flags["gcps"]),
+        heights=flags["height_range"] or None,
+        refine=flags["refine"],
+        ties=flags["ties"],
+        fixed=flags["fixed"],
+        sigma_px=flags["sigma_px"],
+        tags=flags["tags"],
+        text=flags["text"],
+        folder=flags["folder"],
+        overwrite=flags["overwrite"],
+    )
+    with notes():
+        made = make_rpcs(inputs)
+    facts = [
+        {"image": one.name, "how": one.how, **one.facts, "written": [str(path) for path in one.written]} for one in made
+    ]
+    answer({"images": facts}, "\n".join(line for one in made for line in _words(one)), as_json)
+
+
+def _words(one: ImageRpc) -> list[str]:
+    """Say what became of one image."""
+    facts = one.facts
+    lines = [f"{one.name}: RPC {one.how if one.how in ('fitted', 'as it came') else f'refined by {one.how}'}"]
+    if "fit_worst_px" in facts:
+        low, high = facts["heights_m"]
+        lines.append(
+            f"  fitted to ellipsoidal heights from {low:g} to {high:g} m: {facts['fit_rms_px']:.2g} px RMS, "
+            f"{facts['fit_worst_px']:.2g} px at most at {facts['fit_checks']} points between those of the fit"
+        )
+    if "rms_before_px" in facts:
+        lines.append(f"  residuals {facts['rms_before_px']:.3f} px RMS before, {facts['rms_after_px']:.3f} px after")
+        sigmas = facts["sigmas_px"]
+        lines += [
+            f"  {name} {value:+.3f} px" + (f", sigma {sigmas[name]:.3f}" if sigmas[name] is not None else "")
+            for name, value in facts["corrections_px"].items()
+        ]
+    if facts.get("left_out"):
+        left = facts["left_out"]
+        lines.append(f"  left out: {', '.join(left)}" if isinstance(left, list) else f"  {left} tie points left out")
+    if "checks" in facts:
+        lines.append(
+            f"  check points: {facts['check_rms_before_px']:.3f} px RMS before, {facts['check_rms_after_px']:.3f} px "
+            f"after ({facts['checks']})"
+        )
+    if "rewritten_worst_px" in facts:
+        lines.append(f"  corrections fitted into the coefficients within {facts['rewritten_worst_px']:.2g} px")
+    return lines + [f"  written: {path}" for path in one.written]

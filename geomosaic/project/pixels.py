@@ -1,0 +1,109 @@
+"""Pixels that someone measured in a photo: a table, or vectors digitized on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.product.locate.axes import ROWS, PixelAxes
+from geomosaic.product.vectors import READ
+from geomosaic.project.tables import read_table
+from geomosaic.raster.vector import read_layer
+from geomosaic.types import FloatArray
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+
+SAY_ROWS = "--rows down (rows count down from the top), negative (the same with a minus, as QGIS shows it) or up"
+
+
+@dataclass(frozen=True)
+class PixelPoints:
+    """Named image points: (col, row) (N, 2)."""
+
+    names: tuple[str, ...]
+    colrow: FloatArray
+
+
+def read_pixels(path: Path, axes: PixelAxes, size: tuple[int, int]) -> PixelPoints:
+    """Read a table with the columns col, row and optionally id.
+
+    Raises
+    ------
+    InputError
+        Names file and line.
+    """
+    table = read_table(path, "table of pixels", "id,col,row")
+    table.require("col", "row", what="pixels")
+    names, places = [], []
+    for number, row in enumerate(table, 1):
+        names.append(row.values.get("id", "").strip() or str(number))
+        places.append((row.number("col"), row.number("row")))
+    colrow = axes.colrow(np.array(places))
+    need_inside(colrow, size, str(path))
+    return PixelPoints(tuple(names), colrow)
+
+
+def read_digitized(path: Path, layer: str | None, axes: PixelAxes, size: tuple[int, int]) -> GeoDataFrame:
+    """Read vectors digitized on the raw photo; their coordinates become (col, row). A CRS they may have means nothing.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is empty, or its coordinates are no pixels of this image.
+    """
+    import shapely
+
+    frame = read_layer(path, layer)
+    frame = frame[~(frame.geometry.isna() | frame.geometry.is_empty)]
+    if not len(frame):
+        raise InputError("the layer has no features", where=str(path))
+    pixels = shapely.transform(shapely.force_2d(np.asarray(frame.geometry.values)), axes.colrow)
+    need_inside(shapely.get_coordinates(pixels), size, str(path))
+    return frame.set_geometry(pixels).set_crs(None, allow_override=True)
+
+
+def is_digitized(path: Path) -> bool:
+    """Whether a file's suffix is that of vectors, not of a table."""
+    return path.suffix.lower() in READ
+
+
+def need_inside(colrow: FloatArray, size: tuple[int, int], where: str) -> None:
+    """Refuse coordinates of which not one lies in the image, and say how they may be meant."""
+    inside = ((colrow >= -1.0) & (colrow <= np.array(size) + 1.0)).all(axis=1)
+    if inside.any():
+        return
+    (left, top), (right, bottom) = np.min(colrow, axis=0), np.max(colrow, axis=0)
+    fits = [
+        rows
+        for rows, low, high in (("negative", -bottom, -top), ("up", size[1] - bottom, size[1] - top))
+        if low >= -1.0 and high <= size[1] + 1.0
+    ]
+    hint = f"--rows {fits[0]} would bring them into it; " if fits else ""
+    raise InputError(
+        f"columns {left:.6g} to {right:.6g} and rows {top:.6g} to {bottom:.6g} are no pixels of this image of "
+        f"{size[0]} x {size[1]}",
+        where=where,
+        mend=f"{hint}say how rows are counted: {SAY_ROWS}; places on the map are drawn with --inverse",
+    )
+
+
+def axes_of(rows: str | None, first: float, size: tuple[int, int], path: Path | None) -> PixelAxes:
+    """How a file counts pixels; vectors must say it, tables of columns and rows count down unless they say otherwise.
+
+    Raises
+    ------
+    InputError
+        Vectors are read or written and nothing says where rows count to.
+    """
+    if rows is None and path is not None and is_digitized(path):
+        raise InputError(
+            "nothing says how the pixel coordinates of these vectors count rows", where=str(path), mend=SAY_ROWS
+        )
+    if rows is not None and rows not in ROWS:
+        raise InputError(f"rows are counted '{rows}'", mend=SAY_ROWS)
+    return PixelAxes(size[1], rows or "down", first)

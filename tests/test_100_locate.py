@@ -1,0 +1,252 @@
+"""The command `locate`: pixels and digitized vectors to the map, map vectors into the photo, and how it fails."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import geopandas
+import numpy as np
+import pytest
+import rasterio
+import shapely
+from affine import Affine
+from helpers import GROUND, Hills
+
+from geomosaic.cli.main import run
+from geomosaic.geo.transform import Transform
+from geomosaic.sensor import registry
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.surface.dem import Dem
+
+SIZE = (1000, 800)
+OPTIONS: dict[str, Any] = {
+    "camera": {"focal_length_px": 1000.0},
+    "position": [500000.0, 5500000.0, 1000.0],
+    "orientation": {"system": "opk", "omega": 3.0, "phi": -2.0, "kappa": 30.0},
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A photo without georeference, and a DEM of hills."""
+    base = tmp_path_factory.mktemp("locate")
+    profile = {"driver": "GTiff", "count": 1}
+    with rasterio.open(base / "photo.tif", "w", width=SIZE[0], height=SIZE[1], dtype="uint8", **profile) as file:
+        file.write(np.zeros(SIZE[::-1], np.uint8), 1)
+    x, y = np.meshgrid(498502.5 + 5.0 * np.arange(600), 5501497.5 - 5.0 * np.arange(600))
+    z = Hills().height(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)
+    grid = {"width": 600, "height": 600, "transform": Affine(5, 0, 498500, 0, -5, 5501500), "crs": 32633}
+    with rasterio.open(base / "dem.tif", "w", dtype="float64", **grid, **profile) as file:
+        file.write(z, 1)
+    return base
+
+
+def words(folder: Path, *more: str, sensor: bool = True) -> list[str]:
+    options = [word for name, value in OPTIONS.items() for word in ("--option", f"{name}={json.dumps(value)}")]
+    place = ["--sensor", "frame", "--crs", "EPSG:32633", "--heights", "ellipsoidal", *options] if sensor else []
+    ground = ["--dem", str(folder / "dem.tif"), "--dem-heights", "ellipsoidal"]
+    return ["locate", str(folder / "photo.tif"), *more, *place, *ground]
+
+
+def truth(folder: Path, xy: np.ndarray) -> np.ndarray:
+    """Where the photo shows places of the map."""
+    model = registry.build("frame", SensorRequest("photo", SIZE, OPTIONS, GROUND))
+    dem = Dem.open(folder / "dem.tif", heights="ellipsoidal")
+    ground = np.column_stack([xy, dem.height(xy)])
+    dem.close()
+    return model.ground_to_image(Transform(GROUND, model.crs)(ground))
+
+
+def asked(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+    assert run([*arguments, "--json"]) == 0, capsys.readouterr().err
+    answer: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return answer
+
+
+def test_pixels_of_the_command_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    xy = np.array([[500010.0, 5500020.0], [500200.0, 5499900.0]])
+    pixels = [word for c, r in truth(folder, xy).tolist() for word in ("--pixel", repr(c), repr(r))]
+    found = asked(capsys, *words(folder, *pixels))
+    assert np.allclose([[p["x"], p["y"]] for p in found["points"]], xy, atol=1e-5)
+    assert found["heights"] == "ellipsoidal"
+    assert found["error_of"] == []
+    assert found["points"][0]["semi_major_m"] is None
+    assert "takes no part" in found["notes"][0]
+    sigmas = [w for n in registry.plugin("frame").build(SensorRequest("p", SIZE, OPTIONS, GROUND)).parameters.names
+              for w in ("--sigma", f"{n}=0.01")]  # fmt: skip
+    more = asked(capsys, *words(folder, *pixels, "--sigma-px", "0.5", "--sigma-dem", "1", *sigmas))
+    assert more["error_of"] == ["measurement", "orientation", "surface"]
+    assert 0.5 < more["points"][0]["semi_minor_m"] < more["points"][0]["semi_major_m"] < 3.0
+    degrees = asked(capsys, *words(folder, *pixels, "--dst-crs", "EPSG:4326", "--dst-heights", "egm96"))
+    assert degrees["crs"] == "EPSG:4326"
+    assert 14.9 < degrees["points"][0]["x"] < 15.1
+    assert abs(degrees["points"][0]["z"] - found["points"][0]["z"]) > 30.0
+    assert run(words(folder, *pixels)) == 0
+    said = capsys.readouterr().out
+    assert "500010.000 5500020.000" in said
+    assert "heights: ellipsoidal" in said
+
+
+def test_a_table_and_its_count_of_pixels(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    xy = np.array([[500010.0, 5500020.0], [500200.0, 5499900.0]])
+    image = truth(folder, xy)
+    counts = {
+        ("down", "0.5"): image,
+        ("down", "0"): image - 0.5,
+        ("negative", "0.5"): image * [1, -1],
+        ("up", "0"): np.column_stack([image[:, 0] - 0.5, SIZE[1] - image[:, 1] - 0.5]),
+    }
+    for (rows, first), places in counts.items():
+        table = tmp_path / "pixels.csv"
+        lines = "\n".join(f"p{k},{c!r},{r!r}" for k, (c, r) in enumerate(places.tolist()))
+        table.write_text(f"id,col,row\n{lines}\n")
+        found = asked(capsys, *words(folder, str(table), "--rows", rows, "--first-pixel", first))
+        assert np.allclose([[p["x"], p["y"]] for p in found["points"]], xy, atol=1e-5), (rows, first)
+    out = tmp_path / "places.csv"
+    assert run(words(folder, str(table), "--rows", "up", "--first-pixel", "0", "--sigma-px", "1", "-o", str(out))) == 0
+    with out.open() as file:
+        rows_ = list(csv.DictReader(file))
+    assert [row["id"] for row in rows_] == ["p0", "p1"]
+    assert np.allclose([[float(r["x"]), float(r["y"])] for r in rows_], xy, atol=1e-5)
+    assert 0.5 < float(rows_[0]["semi_minor_m"]) < 2.0
+
+
+@pytest.mark.parametrize("suffix", [".gpkg", ".geojson"])
+def test_vectors_digitized_on_the_photo(folder: Path, tmp_path: Path, suffix: str) -> None:
+    """As QGIS shows a raw photo: y is minus the row. Attributes stay; heights come."""
+    xy = np.array([[499900.0, 5500000.0], [500100.0, 5500050.0], [500150.0, 5499900.0]])
+    line = shapely.LineString(truth(folder, xy) * [1, -1])
+    sky = shapely.LineString([(10.0, -10.0), (20.0, -20.0)])
+    frame = geopandas.GeoDataFrame({"name": ["path", "edge"]}, geometry=[line, sky])
+    source = tmp_path / f"digitized{suffix}"
+    with pytest.warns(UserWarning, match="crs"):
+        frame.to_file(source)
+    out = tmp_path / f"map{suffix}"
+    assert run(words(folder, str(source), "--rows", "negative", "--sigma-px", "0.5", "-o", str(out))) == 0
+    found = geopandas.read_file(out)
+    assert found["name"].tolist() == ["path", "edge"]
+    assert found.crs.to_2d().to_epsg() == 32633
+    assert found["heights"].tolist() == ["ellipsoidal"] * 2
+    coords = shapely.get_coordinates(found.geometry[0], include_z=True)
+    assert np.allclose(coords[:, :2], xy, atol=1e-4)
+    dem = Dem.open(folder / "dem.tif", heights="ellipsoidal")
+    assert np.allclose(coords[:, 2], dem.height(xy), atol=1e-3)
+    dem.close()
+    assert 0.3 < found["semi_major_m"][0] < 1.0
+    dense = tmp_path / "dense.csv"
+    assert run(words(folder, str(source), "--rows", "negative", "--step", "20", "-o", str(dense))) == 0
+    assert len(dense.read_text().splitlines()) > 15
+
+
+def test_map_vectors_into_the_photo_and_back(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A road far longer than the photo, a house, a lamp and a house elsewhere; QGIS's count of rows."""
+    road = shapely.LineString([(498600.0, 5499800.0), (501400.0, 5500300.0)])
+    house = shapely.box(500010, 5500010, 500040, 5500030)
+    shapes = [road, house, shapely.Point(499950.0, 5499950.0), shapely.box(498600, 5501300, 498650, 5501400)]
+    vectors = geopandas.GeoDataFrame({"what": ["road", "house", "lamp", "far"]}, geometry=shapes, crs=32633)
+    source = tmp_path / "map.gpkg"
+    vectors.to_file(source)
+    out = tmp_path / "drawn.gpkg"
+    more = (str(source), "--inverse", "--rows", "negative", "-o", str(out))
+    told = asked(capsys, *words(folder, *more))
+    assert (told["features"], told["drawn"], told["hidden"]) == (4, 3, 0)
+    drawn = geopandas.read_file(out)
+    assert drawn.crs is None or "ndefined" in drawn.crs.name
+    assert set(drawn["what"]) == {"road", "house", "lamp"}
+    y = shapely.get_coordinates(drawn.geometry)[:, 1]
+    assert ((y <= 0) & (y >= -SIZE[1])).all()
+    lamp = drawn[drawn["what"] == "lamp"].geometry.iloc[0]
+    assert np.allclose([lamp.x, -lamp.y], truth(folder, np.array([[499950.0, 5499950.0]]))[0], atol=1e-6)
+    corners = truth(folder, np.array(house.exterior.coords)) * [1, -1]
+    outline = drawn[drawn["what"] == "house"].geometry.iloc[0]
+    assert outline.geom_type == "Polygon"
+    assert max(outline.exterior.distance(shapely.Point(c)) for c in corners) < 0.05
+    # And back: what was drawn lies on the road again.
+    back = tmp_path / "back.gpkg"
+    assert run(words(folder, str(out), "--rows", "negative", "-o", str(back))) == 0
+    roads = geopandas.read_file(back)
+    roads = roads[roads["what"] == "road"]
+    places = shapely.get_coordinates(roads.geometry)
+    assert max(road.distance(shapely.Point(p)) for p in places) < 0.05
+    table = tmp_path / "drawn.csv"
+    assert run(words(folder, str(source), "--inverse", "--mark-hidden", "-o", str(table))) == 0
+    assert table.read_text().startswith("feature,piece,col,row,hidden\n")
+
+
+def test_shapefiles_in_another_crs(folder: Path, tmp_path: Path) -> None:
+    road = geopandas.GeoDataFrame(geometry=[shapely.LineString([(499900, 5500000), (500100, 5500050)])], crs=32633)
+    road.to_crs(4326).to_file(tmp_path / "road.shp")
+    out = tmp_path / "drawn.geojson"
+    assert run(words(folder, str(tmp_path / "road.shp"), "--inverse", "--rows", "down", "-o", str(out))) == 0
+    drawn = json.loads(out.read_text())["features"][0]["geometry"]["coordinates"]
+    assert np.allclose(drawn[0], truth(folder, np.array([[499900.0, 5500000.0]]))[0], atol=1e-4)
+
+
+def test_control_points_tell_the_error(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The photo is placed by resection; its orientation's covariance goes into the ellipse."""
+    rng = np.random.default_rng(2)
+    xy = rng.uniform([499750, 5499800], [500250, 5500200], (12, 2))
+    image = truth(folder, xy) + rng.normal(0, 0.3, (12, 2))
+    dem = Dem.open(folder / "dem.tif", heights="ellipsoidal")
+    z = dem.height(xy)
+    dem.close()
+    points = np.column_stack([xy, z, image]).tolist()
+    lines = [f"{i},{x!r},{y!r},{h!r},photo.tif,{c!r},{r!r},0.3" for i, (x, y, h, c, r) in enumerate(points)]
+    table = tmp_path / "gcps.csv"
+    table.write_text("id,x,y,z,image,col,row,sigma_px\n" + "\n".join(lines) + "\n")
+    given = ["--sensor", "frame", "--crs", "EPSG:32633", "--heights", "ellipsoidal", "--gcps", str(table)]
+    camera = ["--option", f"camera={json.dumps(OPTIONS['camera'])}"]
+    found = asked(capsys, *words(folder, "--pixel", "500", "400", *given, *camera, sensor=False))
+    assert found["error_of"] == ["orientation"]
+    assert "12 control points" in found["notes"][0]
+    assert 0.03 < found["points"][0]["semi_major_m"] < 1.0
+
+
+WRONG = {
+    "nothing": ([], 2, "either --pixel"),
+    "both": (["FILE", "--pixel", "1", "2"], 2, "either --pixel"),
+    "inverse without file": (["FILE", "--inverse"], 2, "-o"),
+    "sigma of nothing": (["--pixel", "1", "2", "--sigma", "omge=1"], 1, "did you mean 'omega'"),
+    "negative sigma": (["--pixel", "1", "2", "--sigma", "omega=-1"], 2, "standard deviation"),
+    "missing sigma": (["--pixel", "1", "2", "--sigma", "omega=0.1"], 1, "nothing says how well"),
+    "pixels far off": (["--pixel", "500000", "5500000"], 1, "no pixels of this image"),
+    "no such file": (["nothing.csv"], 1, "does not exist"),
+    "unknown suffix": (["--pixel", "1", "2", "-o", "OUT.xyz"], 1, "no format"),
+    "vectors without rows": (["FILE", "-o", "OUT.gpkg"], 1, "--rows"),
+    "map places as pixels": (["FILE", "--rows", "down", "-o", "OUT.gpkg"], 1, "--inverse"),
+    "drawing without rows": (["FILE", "--inverse", "-o", "OUT.gpkg"], 1, "--rows"),
+    "option of the other way": (["FILE", "--inverse", "--sigma-px", "1", "-o", "OUT.gpkg"], 2, "means nothing"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_input(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
+    given, code, said = WRONG[case]
+    vectors = geopandas.GeoDataFrame(geometry=[shapely.Point(500000.0, 5500000.0)], crs=32633)
+    vectors.to_file(tmp_path / "map.gpkg")
+    swapped = [w.replace("FILE", str(tmp_path / "map.gpkg")).replace("OUT", str(tmp_path / "out")) for w in given]
+    assert run(words(folder, *swapped)) == code
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_rows_of_the_wrong_sense_are_recognised(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "p.csv").write_text("id,col,row\na,100,-300\nb,200,-310\n")
+    assert run(words(folder, str(tmp_path / "p.csv"))) == 1
+    assert "--rows negative would bring them into it" in capsys.readouterr().err
+
+
+def test_heights_of_a_geoid_stay_in_the_file(folder: Path, tmp_path: Path) -> None:
+    """A compound CRS is kept whole by a GeoPackage; GeoJSON has the map's, and a column for the heights."""
+    for suffix in (".gpkg", ".geojson"):
+        out = tmp_path / f"places{suffix}"
+        assert run(words(folder, "--pixel", "500", "400", "--dst-heights", "egm96", "-o", str(out))) == 0
+        found = geopandas.read_file(out)
+        assert found["heights"].tolist() == ["EGM96 height"]
+        assert found.crs.is_compound == (suffix == ".gpkg")
+        assert found.geometry[0].z < -20.0
