@@ -76,7 +76,9 @@ def _scheme(flags: dict[str, Any]) -> Scheme:
 @click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it.")
 @click.option("--report", type=FILE, help="report.json of the project, for the accuracy statement.")
 @click.option("--dpi", type=click.IntRange(72, 2400), help="Resolution of the pictures.  [default: 300]")
-@click.option("--format", "suffix", type=click.Choice(["pdf", "png", "tif"]), default="pdf", show_default=True)
+@click.option(
+    "--format", "suffix", type=click.Choice(["pdf", "png", "tif", "mbtiles", "kmz"]), default="pdf", show_default=True
+)
 @click.option("-f", "--driver", type=click.Choice(["GTiff", "COG"]), default="GTiff", show_default=True, help="Of tif.")
 @click.option("--collar", is_flag=True, help="Write the whole page to tif, not the map alone.")
 @click.option("--world-file", is_flag=True, help="Write world files beside tif and png.")

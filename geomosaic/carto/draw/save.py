@@ -17,9 +17,11 @@ from geomosaic.errors import InputError, OutputError
 from geomosaic.geo.grid import Grid
 from geomosaic.raster.output import check_output, partial, remove, sync
 from geomosaic.raster.sink import RasterSink
+from geomosaic.raster.webtiles import write_web
 from geomosaic.types import ByteArray, FloatArray
 
-FORMATS = (".pdf", ".png", ".tif", ".tiff")
+WEB = (".mbtiles", ".kmz")
+FORMATS = (".pdf", ".png", ".tif", ".tiff", *WEB)
 MOST_PIXELS = 1 << 29
 """Pixels of a PNG or GeoTIFF that is drawn at once: an A0 sheet at 450 dpi."""
 
@@ -52,7 +54,9 @@ def check_format(path: Path) -> None:
     """
     if path.suffix.lower() not in FORMATS:
         raise InputError(
-            f"sheets are not written as '{path.suffix}'", where=str(path), mend="end the name in .pdf, .png or .tif"
+            f"sheets are not written as '{path.suffix}'",
+            where=str(path),
+            mend=f"use {', '.join(FORMATS)}",
         )
 
 
@@ -76,6 +80,8 @@ def write_sheet(
             where=str(path),
             mend="lower --dpi, or write a PDF",
         )
+    if suffix in WEB:
+        return _web(path, parts, pixels, dpi, overwrite=overwrite)
     if suffix.startswith(".tif"):
         return _geotiff(path, parts, pixels, dpi, files, overwrite=overwrite)
     canvas, told = draw_sheet(parts, pixels)
@@ -155,9 +161,35 @@ def _geotiff(
     path: Path, parts: SheetParts, pixels: Pixels, dpi: int, files: FileOptions, *, overwrite: bool
 ) -> list[str]:
     """Draw the map alone on pixels that fit the neatline, its vectors burned in; or the whole page with its collar."""
+    grid, drawn, valid, told = _drawn(parts, pixels, dpi, collar=files.collar)
+    driver, masked = files.driver, valid is not None
+    with RasterSink(path, grid, 3, "uint8", driver=driver, overwrite=overwrite, mask=masked) as sink:
+        for window in grid.window.split(2048, 512):
+            rows, cols = slice(window.row, window.stop_row), slice(window.col, window.stop_col)
+            part = None if valid is None else np.ascontiguousarray(valid[rows, cols])
+            sink.write(window, np.ascontiguousarray(drawn[rows, cols]), part)
+        sink.finish()
+    if files.world_file:
+        _world_file(path, grid)
+    return told
+
+
+def _web(path: Path, parts: SheetParts, pixels: Pixels, dpi: int, *, overwrite: bool) -> list[str]:
+    """Draw the map alone, for the web."""
+    grid, drawn, valid, told = _drawn(parts, pixels, dpi, collar=False)
+    alpha = np.ones(grid.shape, dtype=np.uint8) if valid is None else valid
+    title = parts.layout.sheet.title or "Map"
+    write_web(path, grid, np.dstack([drawn, 255 * alpha]), title=title, overwrite=overwrite)
+    return told
+
+
+def _drawn(
+    parts: SheetParts, pixels: Pixels, dpi: int, *, collar: bool
+) -> tuple[Grid, ByteArray, ByteArray | None, list[str]]:
+    """Draw: grid, pixels (rows, cols, 3), which of them are map (None where all are), and what had no room."""
     page = parts.page
     valid: ByteArray | None = None
-    if files.collar:
+    if collar:
         grid = page_grid(page, dpi)
         canvas, told = draw_sheet(parts, pixels)
     else:
@@ -171,16 +203,7 @@ def _geotiff(
     drawn = canvas.pixels(dpi)
     if drawn.shape[:2] != grid.shape:
         raise RuntimeError(f"{drawn.shape[:2]} pixels were drawn where {grid.shape} belong")
-    driver, masked = files.driver, valid is not None
-    with RasterSink(path, grid, 3, "uint8", driver=driver, overwrite=overwrite, mask=masked) as sink:
-        for window in grid.window.split(2048, 512):
-            rows, cols = slice(window.row, window.stop_row), slice(window.col, window.stop_col)
-            part = None if valid is None else np.ascontiguousarray(valid[rows, cols])
-            sink.write(window, np.ascontiguousarray(drawn[rows, cols]), part)
-        sink.finish()
-    if files.world_file:
-        _world_file(path, grid)
-    return told
+    return grid, drawn, valid, told
 
 
 def inside_ring(grid: Grid, ring: FloatArray) -> ByteArray:
