@@ -117,6 +117,8 @@ def commands_of_the_program() -> dict[str, set[str]]:
         found[name] = {
             option for item in command.params for option in (*item.opts, *item.secondary_opts) if option[0] == "-"
         }
+        for part in getattr(command, "commands", {}).values():
+            found[name] |= {option for item in part.params for option in item.opts if option[0] == "-"}
         found[name] |= {"--help", "-h"}
     return found
 

@@ -57,6 +57,8 @@ class Page:
         Left, bottom, right, top of the neatline in `crs`.
     scale : float
         Denominator.
+    outline : tuple of points, optional
+        Neatline in `crs` where it is no rectangle, not closed; `bounds` is the box around it.
     """
 
     width: float
@@ -70,6 +72,7 @@ class Page:
     crs: CRS
     bounds: Bounds
     scale: float
+    outline: tuple[tuple[float, float], ...] | None = None
 
     @property
     def mm_per_unit(self) -> float:
@@ -82,6 +85,11 @@ class Page:
         origin, corner = np.array(self.bounds[:2]), np.array(self.neatline[:2])
         moved: FloatArray = (points - origin) * self.mm_per_unit + corner
         return moved
+
+    @property
+    def outline_mm(self) -> FloatArray | None:
+        """The neatline on the page (N, 2), where it is no rectangle."""
+        return None if self.outline is None else self.to_page(np.array(self.outline))
 
     def to_map(self, mm: FloatArray) -> FloatArray:
         """Millimetres on the page (N, 2) to map coordinates (N, 2)."""

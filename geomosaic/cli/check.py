@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from geomosaic.cli.options import FILE, debug_option, json_option, stack
 from geomosaic.cli.points import control_options
+from geomosaic.cli.scale import Scale
 from geomosaic.cli.talk import answer, notes, say
+
+if TYPE_CHECKING:
+    from geomosaic.product.accuracy import MapCheck
 
 check_options = stack(
     click.option(
@@ -36,6 +40,11 @@ check_options = stack(
         help="Exit with 3 where the total RMS is larger, in pixels of the raster.",
     ),
     click.option(
+        "--map-scale",
+        type=Scale(),
+        help="Exit with 3 where the total RMS is larger than 0.3 mm at this scale; see `geomosaic plan product`.",
+    ),
+    click.option(
         "--max-rms-map",
         type=click.FloatRange(0, min_open=True),
         metavar="UNITS",
@@ -44,6 +53,22 @@ check_options = stack(
     json_option,
     debug_option,
 )
+
+
+def accuracy_of_scale(found: MapCheck, scale: float | None) -> list[tuple[str, float, float]]:
+    """Unit, total RMS and limit of a map at a scale: 0.3 mm on paper."""
+    if scale is None:
+        return []
+    from geomosaic.carto.nice import metres_per_unit
+    from geomosaic.errors import InputError
+    from geomosaic.plan.k28 import position_error
+
+    crs = found.grid.crs
+    if not crs.is_projected:
+        raise InputError(
+            "a map in degrees has no scale", where="--map-scale", mend="reproject the raster first, or use --max-rms"
+        )
+    return [("m", found.statistics.rms_total * metres_per_unit(crs), position_error(scale))]
 
 
 @click.command()
@@ -79,6 +104,7 @@ def command(raster: Path, points: Path, as_json: bool, **flags: Any) -> int:
     limits = (
         ("px", found.pixel_rms_total, flags["max_rms"]),
         (found.statistics.unit, found.statistics.rms_total, flags["max_rms_map"]),
+        *accuracy_of_scale(found, flags["map_scale"]),
     )
     failed = [(value, limit, unit) for unit, value, limit in limits if limit is not None and not value <= limit]
     answer({**check_facts(found), "passed": not failed}, check_words(found), as_json)

@@ -34,6 +34,8 @@ COMMANDS: dict[str, str] = {
     "fiducials": "Find the fiducial marks of scanned films.",
     "contours": "Draw contours of a DEM.",
     "sheet": "Make a map sheet: frame, grid, legend, vectors.",
+    "sheets": "Make, find and show the sheets of a series.",
+    "plan": "Calculate scales, scanning, relief, swath, coverage, control.",
     "sensors": "List sensors, or show the inputs of one.",
 }
 """Short help by command: `geomosaic --help` imports none of them."""

@@ -67,7 +67,18 @@ def _checked(read: Any, value: str | None) -> str | None:
 @click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it.")
 @click.option("--report", type=FILE, help="report.json of the project, for the accuracy statement.")
 @click.option("--dpi", type=click.IntRange(72, 2400), help="Resolution of the picture.  [default: 300]")
-@click.option("-o", "--output", type=FILE, required=True, help="File to write: .pdf, .png or .tif (the map alone).")
+@click.option(
+    "-o",
+    "--output",
+    type=FILE,
+    required=True,
+    help=".pdf or .png; the map alone: .tif, .mbtiles, .kmz.",
+)
+@click.option(
+    "-f", "--driver", type=click.Choice(["GTiff", "COG"]), default="GTiff", show_default=True, help="Of .tif."
+)
+@click.option("--collar", is_flag=True, help="Write the whole page to .tif, not the map alone.")
+@click.option("--world-file", is_flag=True, help="Write a world file beside .tif and .png.")
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 @json_option
 @debug_option

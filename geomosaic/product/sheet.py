@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from pyproj import CRS
 
 from geomosaic.carto.contours import Contour
 from geomosaic.carto.draw.canvas import drawing, missing_glyphs
-from geomosaic.carto.draw.save import check_format, write_sheet
+from geomosaic.carto.draw.save import FileOptions, check_format, write_sheet
 from geomosaic.carto.draw.sheet import SheetParts
 from geomosaic.carto.layout import GridPart, Layout
 from geomosaic.carto.lines import MapGrid, map_grid
@@ -21,6 +21,7 @@ from geomosaic.carto.notes import accuracy_words, blocks
 from geomosaic.carto.overlay import Overlay, overlay
 from geomosaic.carto.page import Box, Page, lay_out
 from geomosaic.carto.picture import picture, raster_grid
+from geomosaic.carto.series.neatline import SheetPlace
 from geomosaic.carto.style import Style, plain
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import geographic, horizontal, parse_crs
@@ -90,6 +91,8 @@ def make_sheet(
     dem: Path | None = None,
     dem_heights: str | None = None,
     report: Mapping[str, Any] | None = None,
+    series: SheetPlace | None = None,
+    files: FileOptions | None = None,
     overwrite: bool = False,
 ) -> SheetResult:
     """Make one sheet.
@@ -109,6 +112,10 @@ def make_sheet(
         Vertical datum of the DEM, where the file does not say it.
     report : mapping, optional
         A project's report, for the accuracy statement.
+    series : SheetPlace, optional
+        Place of the sheet in a series: its neatline, number and neighbours win over the layout.
+    files : FileOptions, optional
+        How rasters are written.
     overwrite : bool
         Replace an existing file.
 
@@ -120,9 +127,13 @@ def make_sheet(
     check_output(output, overwrite=overwrite)
     with Source(raster) as source:
         grid = raster_grid(source, str(raster))
+        if series is not None:
+            layout = of_series(layout, series)
         page = lay_out(layout, grid.crs, grid.bounds, str(raster))
+        if series is not None and len(series.ring) > 4:
+            page = replace(page, outline=tuple((float(x), float(y)) for x, y in series.ring))
         dpi = layout.sheet.dpi
-        parts = _parts(layout, page, vectors, dem, dem_heights, report)
+        parts = replace(_parts(layout, page, vectors, dem, dem_heights, report), series=series)
         _warn_of_glyphs(parts)
 
         def pixels(box: Box) -> ByteArray:
@@ -131,7 +142,7 @@ def make_sheet(
             return picture(source, grid, (left, bottom, right, top), (size[0], size[1]))
 
         with drawing():
-            told = write_sheet(output, parts, pixels, dpi, overwrite=overwrite)
+            told = write_sheet(output, parts, pixels, dpi, files or FileOptions(), overwrite=overwrite)
     for text in told:
         warnings.warn(text, GeomosaicWarning, stacklevel=2)
     intervals = tuple(None if grid_ is None else grid_.interval for grid_ in parts.grids)
@@ -140,6 +151,17 @@ def make_sheet(
         {layer.title: layer.count for layer in parts.layers}, parts.convergence,
         25.4 / (page.mm_per_unit * grid.resolution[0]),
     )  # fmt: skip
+
+
+def of_series(layout: Layout, series: SheetPlace) -> Layout:
+    """A layout with area, scale, number and series of a sheet of a series."""
+    sheet = replace(
+        layout.sheet,
+        number=series.name,
+        title=layout.sheet.title or series.series[:1].upper() + series.series[1:],
+    )
+    area = replace(layout.map, bounds=series.bounds, centre=None, scale=layout.map.scale or series.scale)
+    return replace(layout, sheet=sheet, map=area)
 
 
 def _parts(
@@ -198,8 +220,6 @@ def _layer(vector: VectorInput, page: Page, number: int) -> Overlay:
         geometries, columns, crs, style, title, page.crs, page.bounds, straight=2.0 / page.mm_per_unit, where=where
     )
     if vector.title and vector.title != made.title:
-        from dataclasses import replace
-
         made = replace(made, title=vector.title)
     for note in made.notes:
         warnings.warn(f"{where}: {note}", GeomosaicWarning, stacklevel=2)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from geomosaic.carto.draw.save import FileOptions
 from geomosaic.carto.entries import build
 from geomosaic.carto.layout import Layout, parse_scale
 from geomosaic.carto.style import BUILT_IN, Style, built_in, parse_style
@@ -64,9 +65,18 @@ def vector_input(text: str, base: Path = Path()) -> VectorInput:
     return VectorInput(base / path, layer or None, read_style(style, base, text) if style else None)
 
 
-def sheet_from_files(
-    raster: Path,
-    output: Path,
+@dataclass(frozen=True)
+class SheetInputs:
+    """What files and options say of a sheet, read: arguments of `make_sheet`."""
+
+    layout: Layout
+    layers: tuple[VectorInput, ...]
+    dem: Path | None
+    dem_heights: str | None
+    report: Mapping[str, Any] | None
+
+
+def sheet_inputs(
     *,
     layout: Path | None = None,
     scale: str | None = None,
@@ -80,12 +90,8 @@ def sheet_from_files(
     interval: float | None = None,
     dem_heights: str | None = None,
     report: Path | None = None,
-    overwrite: bool = False,
-) -> SheetResult:
-    """Make a sheet; what is given here wins over the layout file.
-
-    Parameters are those of `geomosaic sheet`; see `make_sheet` for what it raises.
-    """
+) -> SheetInputs:
+    """Read layout, styles and report; what is given here wins over the layout file."""
     plan = read_layout(layout) if layout is not None else Layout()
     base = layout.parent if layout is not None else Path()
     sheet = {"paper": paper, "orientation": orientation, "dpi": dpi, "title": title}
@@ -96,8 +102,6 @@ def sheet_from_files(
         map=replace(plan.map, **_given(area)),
         contours=replace(plan.contours, **_given({"interval": interval})),
     )
-    if layout is None and title is None:
-        plan = replace(plan, sheet=replace(plan.sheet, title=raster.stem.replace("_", " ")))
     layers = [
         VectorInput(
             base / part.file,
@@ -110,9 +114,30 @@ def sheet_from_files(
     layers += [vector_input(text) for text in vectors]
     dem = contours or (base / plan.contours.dem if plan.contours.dem else None)
     facts = _report(report) if report is not None else None
+    return SheetInputs(plan, tuple(layers), dem, dem_heights or plan.contours.heights or None, facts)
+
+
+def sheet_from_files(
+    raster: Path,
+    output: Path,
+    *,
+    layout: Path | None = None,
+    title: str | None = None,
+    driver: str = "GTiff",
+    collar: bool = False,
+    world_file: bool = False,
+    overwrite: bool = False,
+    **options: Any,
+) -> SheetResult:
+    """Make a sheet; what is given here wins over the layout file.
+
+    Parameters are those of `geomosaic sheet`; see `sheet_inputs` for `options` and `make_sheet` for what it raises.
+    """
+    named = title if title is not None or layout is not None else raster.stem.replace("_", " ")
+    found = sheet_inputs(layout=layout, title=named, **options)
     return make_sheet(
-        raster, output, plan, layers, dem=dem, dem_heights=dem_heights or plan.contours.heights or None, report=facts,
-        overwrite=overwrite,
+        raster, output, found.layout, found.layers, dem=found.dem, dem_heights=found.dem_heights, report=found.report,
+        files=FileOptions(driver, collar, world_file), overwrite=overwrite,
     )  # fmt: skip
 
 

@@ -90,11 +90,14 @@ class Canvas:
         self._clip: Any = None
 
     @contextmanager
-    def clipped(self, box: Box) -> Iterator[None]:
-        """Draw only inside a rectangle."""
-        from matplotlib.patches import Rectangle
+    def clipped(self, box: Box, ring: FloatArray | None = None) -> Iterator[None]:
+        """Draw only inside a rectangle, or inside a ring (N, 2)."""
+        from matplotlib.patches import Polygon, Rectangle
 
-        self._clip = Rectangle((box[0], box[1]), box[2] - box[0], box[3] - box[1], transform=self.axes.transData)
+        if ring is not None:
+            self._clip = Polygon(ring, closed=True, transform=self.axes.transData)
+        else:
+            self._clip = Rectangle((box[0], box[1]), box[2] - box[0], box[3] - box[1], transform=self.axes.transData)
         yield
         self._clip = None
 

@@ -42,7 +42,11 @@ def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None
 
 def draw_edge(canvas: Canvas, page: Page) -> None:
     """Neatline and border."""
-    canvas.rectangle(page.neatline, edge="#000000", width=NEATLINE)
+    outline = page.outline_mm
+    if outline is None:
+        canvas.rectangle(page.neatline, edge="#000000", width=NEATLINE)
+    else:
+        canvas.area([np.vstack([outline, outline[:1]])], None, edge="#000000", width=NEATLINE)
     canvas.rectangle(page.border, edge="#000000", width=BORDER)
 
 

@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from geomosaic.carto.draw.canvas import CAP, POINT, Canvas, text_size
+from geomosaic.carto.draw.neighbours import INDEX, draw_index
 from geomosaic.carto.draw.north import BLOCK, draw_north, north_words
 from geomosaic.carto.draw.scale import draw_scale
 from geomosaic.carto.draw.symbols import draw_swatch
 from geomosaic.carto.layout import Layout
 from geomosaic.carto.page import Box, Page
+from geomosaic.carto.series.neatline import SheetPlace
 from geomosaic.carto.style import Symbol
 
 SWATCH = 9.0
@@ -137,6 +139,7 @@ def draw_panel(
     entries: Sequence[Entry],
     blocks: Sequence[tuple[str, list[str]]],
     convergence: float,
+    series: SheetPlace | None = None,
 ) -> list[str]:
     """Everything in the panel and the foot; returns what had no room, in words."""
     told: list[str] = []
@@ -150,6 +153,9 @@ def draw_panel(
     pad = 3.0
     if page.side == "right":
         room = right - left - 2 * pad
+        if series is not None:
+            draw_index(canvas, series, (left + pad, bottom + pad, right - pad, bottom + pad + INDEX))
+            bottom += INDEX + pad
         need = _height(blocks, room)
         north = BLOCK if layout.north.show else 0.0
         floor = min(bottom + pad + need + north + 2.0, top - 40.0)
@@ -168,6 +174,9 @@ def draw_panel(
         y = draw_scale(canvas, page, layout, (cuts[1] + cuts[2]) / 2, top - pad, wide - 2.0)
         if layout.north.show:
             _north(canvas, cuts[1] + pad, cuts[2] - pad, y - 4.0, convergence, layout)
+        if series is not None:
+            draw_index(canvas, series, (cuts[2] + pad, bottom + pad, right - pad, bottom + pad + INDEX))
+            bottom += INDEX + pad
         fits = draw_blocks(canvas, blocks, (cuts[2] + pad, bottom + pad, right - pad, top - pad))
     if lost:
         told.append(f"the legend has no room for {lost} of {len(entries)} entries")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,32 @@ from geomosaic.errors import InputError, OutputError
 from geomosaic.geo.grid import Grid
 from geomosaic.raster.output import check_output, partial, remove, sync
 from geomosaic.raster.sink import RasterSink
+from geomosaic.raster.webtiles import write_web
+from geomosaic.types import ByteArray, FloatArray
 
-FORMATS = (".pdf", ".png", ".tif", ".tiff")
+WEB = (".mbtiles", ".kmz")
+FORMATS = (".pdf", ".png", ".tif", ".tiff", *WEB)
 MOST_PIXELS = 1 << 29
 """Pixels of a PNG or GeoTIFF that is drawn at once: an A0 sheet at 450 dpi."""
+
+
+@dataclass(frozen=True)
+class FileOptions:
+    """How rasters are written.
+
+    Attributes
+    ----------
+    driver : str
+        Of GeoTIFFs: 'GTiff' or 'COG'.
+    collar : bool
+        GeoTIFFs have the whole page instead of the map alone.
+    world_file : bool
+        Write a world file beside PNG and GeoTIFF: six lines with the affine of pixel centres.
+    """
+
+    driver: str = "GTiff"
+    collar: bool = False
+    world_file: bool = False
 
 
 def check_format(path: Path) -> None:
@@ -31,11 +54,15 @@ def check_format(path: Path) -> None:
     """
     if path.suffix.lower() not in FORMATS:
         raise InputError(
-            f"sheets are not written as '{path.suffix}'", where=str(path), mend="end the name in .pdf, .png or .tif"
+            f"sheets are not written as '{path.suffix}'",
+            where=str(path),
+            mend=f"use {', '.join(FORMATS)}",
         )
 
 
-def write_sheet(path: Path, parts: SheetParts, pixels: Pixels, dpi: int, *, overwrite: bool) -> list[str]:
+def write_sheet(
+    path: Path, parts: SheetParts, pixels: Pixels, dpi: int, files: FileOptions, *, overwrite: bool
+) -> list[str]:
     """Draw and write; returns what had no room, in words.
 
     Raises
@@ -53,8 +80,10 @@ def write_sheet(path: Path, parts: SheetParts, pixels: Pixels, dpi: int, *, over
             where=str(path),
             mend="lower --dpi, or write a PDF",
         )
+    if suffix in WEB:
+        return _web(path, parts, pixels, dpi, overwrite=overwrite)
     if suffix.startswith(".tif"):
-        return _geotiff(path, parts, pixels, dpi, overwrite=overwrite)
+        return _geotiff(path, parts, pixels, dpi, files, overwrite=overwrite)
     canvas, told = draw_sheet(parts, pixels)
     if suffix == ".pdf":
 
@@ -65,6 +94,8 @@ def write_sheet(path: Path, parts: SheetParts, pixels: Pixels, dpi: int, *, over
         _whole(path, write)
     else:
         _whole(path, lambda file: _png(file, canvas, dpi))
+        if files.world_file:
+            _world_file(path, page_grid(page, dpi))
     return told
 
 
@@ -104,20 +135,87 @@ def sheet_grid(page: Page, dpi: float) -> Grid:
     return Grid(page.crs, Affine(size, 0.0, page.bounds[0], 0.0, -size, page.bounds[3]), width, height)
 
 
-def _geotiff(path: Path, parts: SheetParts, pixels: Pixels, dpi: int, *, overwrite: bool) -> list[str]:
-    """Draw the map alone, with its vectors burned in, on pixels that fit the neatline."""
+def page_grid(page: Page, dpi: float) -> Grid:
+    """Pixels of the whole page at a print resolution, in the map's CRS: they start at its upper left corner."""
+    size = 25.4 / dpi / page.mm_per_unit
+    width, height = (max(1, round(v * dpi / 25.4)) for v in (page.width, page.height))
+    left, top = page.to_map(np.array([[0.0, page.height]]))[0].tolist()
+    return Grid(page.crs, Affine(size, 0.0, left, 0.0, -size, top), width, height)
+
+
+def _world_file(path: Path, grid: Grid) -> None:
+    """Write the affine of pixel centres: x size, two turns, y size, centre of the upper left pixel."""
+    t = grid.transform
+    values = (t.a, t.d, t.b, t.e, t.c + t.a / 2, t.f + t.e / 2)
+    suffix = path.suffix[:2] + path.suffix.rstrip("f")[-1] + "w"  # .png: .pgw, .tif and .tiff: .tfw
+    suffix = ".tfw" if path.suffix.lower().startswith(".tif") else suffix
+    text = "".join(f"{value + 0.0:.12g}\n" for value in values)
+    _whole(path.with_suffix(suffix), lambda file: _text(file, text))
+
+
+def _text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="ascii", newline="\n")
+
+
+def _geotiff(
+    path: Path, parts: SheetParts, pixels: Pixels, dpi: int, files: FileOptions, *, overwrite: bool
+) -> list[str]:
+    """Draw the map alone on pixels that fit the neatline, its vectors burned in; or the whole page with its collar."""
+    grid, drawn, valid, told = _drawn(parts, pixels, dpi, collar=files.collar)
+    driver, masked = files.driver, valid is not None
+    with RasterSink(path, grid, 3, "uint8", driver=driver, overwrite=overwrite, mask=masked) as sink:
+        for window in grid.window.split(2048, 512):
+            rows, cols = slice(window.row, window.stop_row), slice(window.col, window.stop_col)
+            part = None if valid is None else np.ascontiguousarray(valid[rows, cols])
+            sink.write(window, np.ascontiguousarray(drawn[rows, cols]), part)
+        sink.finish()
+    if files.world_file:
+        _world_file(path, grid)
+    return told
+
+
+def _web(path: Path, parts: SheetParts, pixels: Pixels, dpi: int, *, overwrite: bool) -> list[str]:
+    """Draw the map alone, for the web."""
+    grid, drawn, valid, told = _drawn(parts, pixels, dpi, collar=False)
+    alpha = np.ones(grid.shape, dtype=np.uint8) if valid is None else valid
+    title = parts.layout.sheet.title or "Map"
+    write_web(path, grid, np.dstack([drawn, 255 * alpha]), title=title, overwrite=overwrite)
+    return told
+
+
+def _drawn(
+    parts: SheetParts, pixels: Pixels, dpi: int, *, collar: bool
+) -> tuple[Grid, ByteArray, ByteArray | None, list[str]]:
+    """Draw: grid, pixels (rows, cols, 3), which of them are map (None where all are), and what had no room."""
     page = parts.page
-    grid = sheet_grid(page, dpi)
-    left, top = page.neatline[0], page.neatline[3]
-    area = (left, top - grid.height * 25.4 / dpi, left + grid.width * 25.4 / dpi, top)
-    canvas = Canvas(area)
-    told = draw_map(canvas, parts, pixels, area)
+    valid: ByteArray | None = None
+    if collar:
+        grid = page_grid(page, dpi)
+        canvas, told = draw_sheet(parts, pixels)
+    else:
+        grid = sheet_grid(page, dpi)
+        left, top = page.neatline[0], page.neatline[3]
+        area = (left, top - grid.height * 25.4 / dpi, left + grid.width * 25.4 / dpi, top)
+        canvas = Canvas(area)
+        told = draw_map(canvas, parts, pixels, area)
+        if page.outline is not None:
+            valid = inside_ring(grid, np.array(page.outline))
     drawn = canvas.pixels(dpi)
     if drawn.shape[:2] != grid.shape:
         raise RuntimeError(f"{drawn.shape[:2]} pixels were drawn where {grid.shape} belong")
-    with RasterSink(path, grid, 3, "uint8", driver="GTiff", overwrite=overwrite, mask=False) as sink:
-        for window in grid.window.split(2048, 512):
-            rows, cols = slice(window.row, window.stop_row), slice(window.col, window.stop_col)
-            sink.write(window, np.ascontiguousarray(drawn[rows, cols]))
-        sink.finish()
-    return told
+    return grid, drawn, valid, told
+
+
+def inside_ring(grid: Grid, ring: FloatArray) -> ByteArray:
+    """Pixels whose centres lie inside a ring of map coordinates (N, 2), as 1 and 0."""
+    place = grid.colrow(ring)
+    ahead = np.roll(place, -1, axis=0)
+    out = np.zeros(grid.shape, dtype=np.uint8)
+    centres = np.arange(grid.width) + 0.5
+    for row in range(grid.height):
+        y = row + 0.5
+        cut = (place[:, 1] <= y) != (ahead[:, 1] <= y)
+        a, b = place[cut], ahead[cut]
+        x = np.sort(a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0]))
+        out[row] = np.searchsorted(x, centres) % 2
+    return out

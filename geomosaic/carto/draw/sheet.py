@@ -10,6 +10,7 @@ from geomosaic.carto.draw.canvas import Canvas
 from geomosaic.carto.draw.frame import draw_edge, draw_grid, draw_labels
 from geomosaic.carto.draw.margin import Entry, draw_head, draw_panel
 from geomosaic.carto.draw.names import draw_heights, draw_names, place_heights, place_names
+from geomosaic.carto.draw.neighbours import draw_around
 from geomosaic.carto.draw.symbols import draw_contours, draw_overlay, kinds_of
 from geomosaic.carto.layout import Layout
 from geomosaic.carto.lines import MapGrid
@@ -17,6 +18,7 @@ from geomosaic.carto.notes import grid_words
 from geomosaic.carto.overlay import Overlay
 from geomosaic.carto.page import Box, Page
 from geomosaic.carto.place import Placer
+from geomosaic.carto.series.neatline import SheetPlace
 from geomosaic.carto.style import Line, Symbol
 from geomosaic.types import ByteArray
 
@@ -43,6 +45,8 @@ class SheetParts:
         Notes.
     convergence : float
         Degrees, at the centre.
+    series : SheetPlace, optional
+        The sheet's place in its series.
     """
 
     page: Page
@@ -53,13 +57,14 @@ class SheetParts:
     interval: float
     blocks: tuple[tuple[str, list[str]], ...]
     convergence: float
+    series: SheetPlace | None = None
 
 
 def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> list[str]:
     """Draw what is inside the neatline; returns what had no room, in words."""
     page, layout = parts.page, parts.layout
     told: list[str] = []
-    with canvas.clipped(area):
+    with canvas.clipped(area, page.outline_mm):
         canvas.rectangle(area, fill=layout.map.background)
         canvas.picture(pixels(area), area)
         if parts.contours:
@@ -87,9 +92,11 @@ def draw_sheet(parts: SheetParts, pixels: Pixels) -> tuple[Canvas, list[str]]:
     told = draw_map(canvas, parts, pixels, page.neatline)
     draw_labels(canvas, page, ((parts.grids[0], layout.grid), (parts.grids[1], layout.graticule)))
     draw_edge(canvas, page)
+    if parts.series is not None:
+        draw_around(canvas, page, parts.series)
     draw_head(canvas, page, layout)
     entries = legend(parts) if layout.legend.show else []
-    told += draw_panel(canvas, page, layout, entries, parts.blocks, parts.convergence)
+    told += draw_panel(canvas, page, layout, entries, parts.blocks, parts.convergence, parts.series)
     return canvas, told
 
 

@@ -1,0 +1,134 @@
+"""The international map 1:1 000 000 and its divisions down to 1:10 000, as Poland and the Soviet Union name them.
+
+Sheets 1:1 000 000 are 6° by 4°: letters from the equator, columns from 180° eastwards. Numbers and letters of the
+divisions run by rows from the upper left. Polish rules: regulation on the spatial reference system of 15 October 2012
+(Dz.U. 2012 poz. 1247), section 18; the Soviet ones differ in their letters and in 1:200 000 for 1:250 000.
+"""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+
+from geomosaic.carto.series.scheme import GridScheme
+from geomosaic.errors import InputError
+
+ROWS = "ABCDEFGHIJKLMNOPQRSTUV"
+LETTERS = {"latin": ("ABCD", "abcd"), "cyrillic": ("АБВГ", "абвг")}
+_FOURTH = {letter: k for alphabet in ("ABCD", "АБВГ") for k, letter in enumerate(alphabet)} | {"V": 2, "G": 3}
+"""V and G are В and Г in Latin letters."""
+ROMAN = ("I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX", "X")
+
+DIVISIONS: dict[int, tuple[tuple[int, str], ...]] = {
+    1_000_000: (),
+    500_000: ((2, "upper"),),
+    250_000: ((2, "upper"), (2, "lower")),
+    200_000: ((6, "roman"),),
+    100_000: ((12, "number"),),
+    50_000: ((12, "number"), (2, "upper")),
+    25_000: ((12, "number"), (2, "upper"), (2, "lower")),
+    10_000: ((12, "number"), (2, "upper"), (2, "lower"), (2, "number")),
+}
+"""By scale: into how many rows and columns each step divides, and how the parts are called."""
+
+
+def roman(number: int) -> str:
+    """Roman numeral from 1 to 99."""
+    tens, ones = divmod(number, 10)
+    head = ("", "X", "XX", "XXX", "XL", "L", "LX", "LXX", "LXXX", "XC")[tens]
+    return head + (ROMAN[ones - 1] if ones else "")
+
+
+def from_roman(text: str) -> int | None:
+    """Value of a Roman numeral from 1 to 99."""
+    return next((n for n in range(1, 100) if roman(n) == text.upper()), None)
+
+
+def international(
+    scale: int, *, crs: str = "EPSG:4326", letters: str = "latin", title: str = "", map_crs: str | None = None
+) -> GridScheme:
+    """Scheme of one scale.
+
+    Parameters
+    ----------
+    scale : int
+        One of `DIVISIONS`.
+    crs : str
+        Geographic; its datum is that of the edges.
+    letters : 'latin' or 'cyrillic'
+    title : str, optional
+    map_crs : str, optional
+        CRS of the sheets; '{zone}' in it takes the number of the UTM zone, '{zone:02d}' in two digits, and '{gauss}'
+        that of the Gauss-Krüger zone of 6°.
+
+    Raises
+    ------
+    InputError
+        The division has no such scale.
+    """
+    steps = DIVISIONS.get(scale)
+    if steps is None:
+        raise InputError(
+            f"the international division has no sheets 1:{scale}",
+            where="--scale",
+            mend=f"one of {', '.join(f'1:{s}' for s in DIVISIONS)}",
+        )
+    fine = 1
+    for parts, _ in steps:
+        fine *= parts
+
+    def name_of(col: int, row: int) -> str | None:
+        big, up = col // fine, row // fine
+        if not (0 <= big < 60 and 0 <= up < len(ROWS)):
+            return None
+        words = [ROWS[up], f"{big + 1:02d}"]
+        # Parts count southwards from the upper left.
+        across, down, rest = col % fine, fine - 1 - row % fine, fine
+        for parts, kind in steps:
+            rest //= parts
+            number = (down // rest) * parts + across // rest
+            across, down = across % rest, down % rest
+            words.append(_written(number, kind, letters))
+        return "-".join(words)
+
+    def place_of(name: str) -> tuple[int, int] | None:
+        words = re.findall(r"[0-9]+|[IVXL]{2,}|[^\W\d_]", name) if not steps or steps[0][1] != "roman" else None
+        if words is None:
+            words = [word for word in re.split(r"[-.\s]+", name) if word]
+        if len(words) != 2 + len(steps) or words[0].upper() not in ROWS or not words[1].isdigit():
+            return None
+        col, row = int(words[1]) - 1, ROWS.index(words[0].upper())
+        across = down = 0
+        for (parts, kind), word in zip(steps, words[2:], strict=True):
+            number = _read(word, kind)
+            if number is None or not 0 <= number < parts * parts:
+                return None
+            across, down = across * parts + number % parts, down * parts + number // parts
+        return col * fine + across, row * fine + fine - 1 - down
+
+    def own_crs(name: str) -> str | None:
+        zone = int(name.split("-")[1])
+        return None if map_crs is None else map_crs.format(zone=zone, gauss=(zone - 31) % 60 + 1)
+
+    example = name_of(33 * fine + fine // 2, 12 * fine + fine // 2) or ""
+    return GridScheme(
+        title or f"the international division 1:{scale}", crs, float(scale), (Fraction(-180), Fraction(0)),
+        (Fraction(6, fine), Fraction(4, fine)), False, name_of, place_of, example, own_crs,
+    )  # fmt: skip
+
+
+def _written(number: int, kind: str, letters: str) -> str:
+    if kind == "number":
+        return str(number + 1)
+    if kind == "roman":
+        return roman(number + 1)
+    return LETTERS[letters][kind == "lower"][number]
+
+
+def _read(word: str, kind: str) -> int | None:
+    if kind == "number":
+        return int(word) - 1 if word.isdigit() else None
+    if kind == "roman":
+        value = int(word) if word.isdigit() else from_roman(word)
+        return None if value is None else value - 1
+    return _FOURTH.get(word.upper())

@@ -1,0 +1,218 @@
+"""`geomosaic plan`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import click
+
+from geomosaic.cli.options import debug_option, json_option
+from geomosaic.cli.plan_tables import tables_command
+from geomosaic.cli.scale import Scale
+from geomosaic.cli.talk import answer
+from geomosaic.plan.quantities import QUANTITIES, Quantity, shown
+from geomosaic.plan.relations import TOPICS, Relation
+
+SUMMARIES = {
+    "photo": "Photo scale, flying height, enlargement, scanning resolution and pixels.",
+    "relief": "What errors of heights do to positions, and relief displacement.",
+    "accuracy": "Accuracy of a map on paper and on the ground.",
+    "swath": "Swath and ground cells of across-track scanners.",
+    "overlap": "Distances of exposures and strips, and overlaps.",
+}
+
+
+@click.group()
+def command() -> None:
+    """Calculate a photo flight, its scans and its maps.
+
+    Give what is known; everything that follows is printed with its formula, in whatever direction.
+
+    \b
+    Examples:
+      geomosaic plan photo --height 3000 --camera-constant 150 --ortho-scale 1:5000
+      geomosaic plan swath --field 90 --height 6000
+      geomosaic plan product --ortho-scale 1:10000 --camera-constant 150
+    """  # noqa: D301
+
+
+def _option(name: str, quantity: Quantity) -> click.Option:
+    kind: Any = Scale() if quantity.unit == "1:" else float
+    unit = {"1:": "1:N", "°": "DEGREES", "%": "PERCENT", "m": "METRES", "": "NUMBER", "µm": "MICRONS"}.get(
+        quantity.unit, quantity.unit.upper()
+    )
+    text = quantity.text[:1].upper() + quantity.text[1:] + "."
+    return click.Option([f"--{name.replace('_', '-')}", name], type=kind, metavar=unit, help=text)
+
+
+def _topic(name: str, relations: Sequence[Relation]) -> click.Command:
+    """Command of a group of formulas."""
+    wanted = list(dict.fromkeys(quantity for relation in relations for quantity in relation.names))
+    formulas = "\n".join(f"  {relation.formula}\n      {relation.source}" for relation in relations)
+
+    def call(as_json: bool, **given: float | None) -> None:
+        from geomosaic.plan.solve import derive
+
+        known = {key: value for key, value in given.items() if value is not None}
+        found = derive(relations, known)
+        facts = {
+            "given": known,
+            "derived": {item.name: item.value for item in found},
+            "formulas": {item.name: item.relation.formula for item in found},
+        }
+        width = max(len(QUANTITIES[item.name].text) for item in found)
+        lines = [
+            f"{QUANTITIES[item.name].text:<{width}}  {shown(item.name, item.value):>12}   {item.relation.formula}"
+            for item in found
+        ]
+        answer(facts, "\n".join(lines), as_json)
+
+    options: list[click.Parameter] = [_option(quantity, QUANTITIES[quantity]) for quantity in wanted]
+    made = click.Command(
+        name, params=options, callback=call, short_help=SUMMARIES[name],
+        help=f"{SUMMARIES[name]}\n\nGive what is known; what follows is printed.\n\n\b\nFormulas:\n{formulas}",
+    )  # fmt: skip
+    return debug_option(json_option(made))
+
+
+for _name, _relations in TOPICS.items():
+    command.add_command(_topic(_name, _relations))
+command.add_command(tables_command)
+
+
+@command.command("area")
+@click.option("--area", nargs=2, type=float, required=True, metavar="LENGTH WIDTH", help="Along and across, metres.")
+@click.option("--photo-scale", type=Scale(), required=True, help="Scale of the photo.")
+@click.option(
+    "--format-along", type=float, default=230.0, show_default=True, metavar="MM", help="Side along the strip."
+)
+@click.option("--format-across", type=float, default=230.0, show_default=True, metavar="MM", help="Side across it.")
+@click.option("--overlap", type=float, default=60.0, show_default=True, metavar="PERCENT", help="Along the strip.")
+@click.option("--sidelap", type=float, default=30.0, show_default=True, metavar="PERCENT", help="Of the strips.")
+@click.option("--mono", is_flag=True, help="Each place on one photo is enough, instead of on two.")
+@click.option("--ortho-pixel", type=float, metavar="METRES", help="Tell the size of the raster too.")
+@json_option
+@debug_option
+def area_command(area: tuple[float, float], ortho_pixel: float | None, mono: bool, as_json: bool, **flags: Any) -> None:
+    """Number of strips and photos that cover a rectangle.
+
+    \b
+    Formulas:
+      base = (1 - overlap/100) · format along · M_photo
+      spacing = (1 - sidelap/100) · format across · M_photo
+      strips = ⌈(width - format across · M_photo) / spacing⌉ + 1
+      photos in a strip = ⌈length / base⌉ + 1, with --mono ⌈(length - side) / base⌉ + 1
+    """  # noqa: D301
+    from geomosaic.plan.coverage import coverage, raster_size
+
+    found = coverage(*area, stereo=not mono, **flags)
+    facts: dict[str, Any] = {
+        "photos": found.photos, "strips": found.strips, "photos_in_strip": found.photos_in_strip,
+        "base": found.base, "spacing": found.spacing, "footprint": list(found.footprint),
+    }  # fmt: skip
+    lines = [
+        f"{found.photos} photos: {found.strips} strips of {found.photos_in_strip}",
+        f"exposures every {found.base:.6g} m, strips every {found.spacing:.6g} m, "
+        f"{found.footprint[0]:.6g} x {found.footprint[1]:.6g} m on a photo",
+    ]
+    if ortho_pixel is not None:
+        size = raster_size(*area, ortho_pixel)
+        facts["raster"] = list(size)
+        lines.append(f"raster of {size[0]} x {size[1]} pixels (columns across, rows along)")
+    answer(facts, "\n".join(lines), as_json)
+
+
+@command.command("control")
+@click.option("--model", default="affine", show_default=True, help="Model of the image.")
+@click.option("--points", type=click.IntRange(4), help="Show where so many points should lie.")
+@click.option("--photos", type=click.IntRange(1), help="Photos adjusted together, for the balance of the block.")
+@click.option("--ties", type=click.IntRange(0), default=0, help="Connections of two photos by a tie point.")
+@click.option("--control", type=click.IntRange(0), default=0, help="Measurements of control points in photos.")
+@json_option
+@debug_option
+def control_command(model: str, points: int | None, photos: int | None, ties: int, control: int, as_json: bool) -> None:
+    """Number and layout of control points.
+
+    \b
+    Sources:
+      Wolf, 9-3: roughly 8 to 15 per image, in the four corners and evenly between them
+      Jensen: 20 to begin with, where the worst are left out until the RMS is below a threshold
+      Wolf, 9-8: block: unknowns = photos · unknowns of the model; two equations for every
+      measurement of control and every connection; a point on n photos makes n (n - 1) / 2 connections
+    """  # noqa: D301
+    from geomosaic.plan.control import FOR_FILTERING, block_balance, control_layout, control_number
+
+    need = control_number(model)
+    low, high = need.recommended
+    facts: dict[str, Any] = {
+        "model": model, "unknowns": need.unknowns, "least": need.least, "recommended": list(need.recommended),
+        "for_filtering": FOR_FILTERING,
+    }  # fmt: skip
+    lines = [
+        f"{model}: {need.unknowns} unknowns, {need.least} points determine them",
+        f"{low} to {high} points per image are recommended, {max(FOR_FILTERING, high)} where bad ones are to be found",
+    ]
+    if points is not None:
+        places = control_layout(points)
+        facts["layout"] = places.round(4).tolist()
+        lines += ["shares of width and height, in the order in which to measure:"]
+        lines += [f"  {k:3d}  {x:.3f}  {y:.3f}" for k, (x, y) in enumerate(places.tolist(), 1)]
+    if photos is not None:
+        block = block_balance(photos, model, ties, control)
+        facts["block"] = {
+            "unknowns": block.unknowns, "tie_equations": block.tie_equations,
+            "control_equations": block.control_equations, "redundancy": block.redundancy,
+        }  # fmt: skip
+        lines.append(
+            f"{photos} photos: {block.unknowns} unknowns, {block.tie_equations} equations of ties and "
+            f"{block.control_equations} of control: redundancy {block.redundancy}"
+        )
+    answer(facts, "\n".join(lines), as_json)
+
+
+@command.command("product")
+@click.option("--ortho-scale", type=Scale(), required=True, help="Scale of the photo map.")
+@click.option("--camera-constant", type=float, required=True, metavar="MM", help="Camera constant of the photos.")
+@click.option(
+    "--film", type=click.Choice(["grey", "colour"]), default="colour", show_default=True, help="Of the photos."
+)
+@click.option("--ratio", type=float, help="K = M_photo / M_ortho.  [default: that of K-2.8]")
+@click.option("--position-error", type=float, metavar="METRES", help="Target.  [default: 0.3 mm on the map]")
+@click.option(
+    "--other-error", "other_errors", type=click.FloatRange(0), multiple=True, metavar="METRES",
+    help="An error of position that does not come from heights: orientation, identification.",
+)  # fmt: skip
+@click.option("--radius", type=float, default=140.0, show_default=True, metavar="MM", help="Largest r that is used.")
+@json_option
+@debug_option
+def product_command(as_json: bool, **flags: Any) -> None:
+    """From the quality of a photo map to what its inputs must be.
+
+    \b
+    Sources: K-2.8 (guidelines on orthophoto maps, 2001)
+      error of position 0.3 mm on the map; K by scale; scan >= 320 dpi · K
+      error of heights <= m_O · (140 mm / r) · (c / 150 mm); grid intervals by terrain
+      errors that are independent add as squares: m_O² = m_DTM² + other²
+    `geomosaic check --map-scale` holds the finished map against the same target.
+    """  # noqa: D301
+    from geomosaic.plan.product import requirements
+
+    found = requirements(**flags)
+    facts: Mapping[str, Any] = {
+        "requirements": [
+            {"name": r.name, "least": r.least, "most": r.most, "unit": r.unit, "source": r.source} for r in found
+        ]
+    }
+    width = max(len(r.text) for r in found)
+    lines = [f"{r.text:<{width}}  {_range(r.least, r.most, r.unit):<18}  {r.source}" for r in found]
+    answer(facts, "\n".join(lines), as_json)
+
+
+def _range(least: float | None, most: float | None, unit: str) -> str:
+    def one(value: float) -> str:
+        return f"1:{value:.0f}" if unit == "1:" else f"{value:.4g} {unit}"
+
+    if least is None:
+        return f"<= {one(most or 0.0)}"
+    return f">= {one(least)}" if most is None else f"{least:.4g} to {one(most)}"

@@ -1,0 +1,1 @@
+"""Enhancement for print: pure functions of arrays."""

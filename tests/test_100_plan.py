@@ -1,0 +1,89 @@
+"""`geomosaic plan` from the command line, and `geomosaic check` against its target."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from click.testing import CliRunner
+
+from geomosaic.cli.main import run
+from geomosaic.cli.plan import command
+from geomosaic.plan.relations import TOPICS
+
+
+def told(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
+    """The JSON of a run that works."""
+    assert run(["plan", *words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert isinstance(found, dict)
+    return found
+
+
+def test_topics(capsys: pytest.CaptureFixture[str]) -> None:
+    assert told(capsys, "swath", "--field", "90", "--height", "6000")["derived"]["swath"] == pytest.approx(12000)
+    found = told(capsys, "photo", "--photo-scale", "1:8000", "--ortho-scale", "1:2000")
+    assert found["derived"]["scan_dpi"] == pytest.approx(1280)
+    assert found["formulas"]["scan_dpi"].startswith("scan dpi >= 320 dpi")
+    assert told(capsys, "accuracy", "--position-error", "3", "--position-mm", "0.3")["derived"] == {
+        "ortho_scale": pytest.approx(10000)
+    }
+    area = told(capsys, "area", "--area", "10000", "8000", "--photo-scale", "1:10000", "--ortho-pixel", "0.5")
+    assert area["raster"] == [16000, 20000]
+    block = told(capsys, "control", "--model", "conformal", "--photos", "12", "--ties", "63", "--points", "5")
+    assert block["block"]["unknowns"] == 48
+    assert len(block["layout"]) == 5
+    tables = told(capsys, "tables")["tables"]
+    assert tables[2]["dem_error"]["300"]["35"] == pytest.approx(24.0)
+    names = [
+        item["name"]
+        for item in told(capsys, "product", "--ortho-scale", "1:5000", "--camera-constant", "150")["requirements"]
+    ]
+    assert "scan_dpi" in names
+
+
+def test_help_has_formula_and_source() -> None:
+    for name, relations in TOPICS.items():
+        text = CliRunner().invoke(command, [name, "--help"]).output
+        for relation in relations:
+            assert relation.formula in text
+            assert relation.source[:40] in text
+        for quantity in {q for relation in relations for q in relation.names}:
+            assert f"--{quantity.replace('_', '-')} " in text
+
+
+def test_words(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["plan", "tables", "--ortho-scale", "1:10000"]) == 0
+    text = capsys.readouterr().out
+    assert "80 cm grey (317 dpi), 100 cm colour (254 dpi)" in text
+    assert "24.0 m at r = 3.5 cm" in text
+    for words in (["control"], ["area", "--area", "1", "1", "--photo-scale", "1:1"], ["photo", "--scan-dpi", "254"]):
+        assert run(["plan", *words]) == 0
+    assert run(["plan", "photo", "--height", "3"]) == 1
+    assert "mend" in capsys.readouterr().err
+    assert run(["plan", "photo", "--photo-scale", "2:5"]) == 2
+    assert run(["plan", "photo", "--photo-scale", "1:0"]) == 2
+
+
+def test_check_holds_a_map_against_its_scale(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Points that lie 2 m off fail a map 1:5000 (1.5 m) and pass one 1:10 000 (3 m); feet are metres there."""
+    for crs, unit in (("EPSG:32633", 1.0), ("EPSG:2263", 0.3048006)):
+        at = (500_000.0, 5_500_000.0) if unit == 1.0 else (980_000.0, 200_000.0)
+        with rasterio.open(
+            tmp_path / "map.tif", "w", driver="GTiff", width=100, height=100, count=1, dtype="uint8", crs=crs,
+            transform=Affine(1 / unit, 0, at[0], 0, -1 / unit, at[1]),
+        ) as out:  # fmt: skip
+            out.write(np.full((1, 100, 100), 7, np.uint8))
+        rows = ["id,x,y,col,row"]
+        for k, (col, row) in enumerate([(10, 10), (90, 12), (50, 50), (12, 88)]):
+            rows.append(f"{k},{at[0] + (col + 2) / unit},{at[1] - row / unit},{col},{row}")
+        (tmp_path / "check.csv").write_text("\n".join(rows) + "\n")
+        words = ["check", str(tmp_path / "map.tif"), "--points", str(tmp_path / "check.csv"), "--crs", crs]
+        assert run([*words, "--map-scale", "1:10000"]) == 0
+        assert run([*words, "--map-scale", "1:5000"]) == 3
+        assert "limit 1.5 m" in capsys.readouterr().err

@@ -1,0 +1,285 @@
+"""Sheet schemes: published sheets and their edges, from a place to a sheet and back, neighbours, curved neatlines."""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+import pytest
+import shapely
+from pyproj import CRS, Geod, Transformer
+
+from geomosaic.carto.series.catalogue import SCHEMES, scheme
+from geomosaic.carto.series.international import DIVISIONS, from_roman, roman
+from geomosaic.carto.series.mgrs import Mgrs
+from geomosaic.carto.series.neatline import sheet_place, sheets_on
+from geomosaic.carto.series.regular import Polygons, regular
+from geomosaic.carto.series.scheme import DIRECTIONS, GridScheme, Scheme
+from geomosaic.errors import InputError
+
+
+def dms(degrees: float, minutes: float = 0.0, seconds: float = 0.0) -> float:
+    return degrees + minutes / 60 + seconds / 3600
+
+
+# Name, lower left and upper right corner (longitude, latitude), and a place on the sheet.
+# Divisions and letters: Dz.U. 2012 poz. 1247 section 18 (Poland). Towns lie on the sheets that bear their names.
+PUBLISHED: list[tuple[str, int, str, tuple[float, float], tuple[float, float], tuple[float, float]]] = [
+    # The international map: N-34 Warszawa, M-34, N-37 Moskva, O-36 Leningrad, M-33 Praha.
+    ("international", 1_000_000, "N-34", (18, 52), (24, 56), (21.01, 52.23)),
+    ("international", 1_000_000, "M-34", (18, 48), (24, 52), (19.94, 50.06)),
+    ("international", 1_000_000, "O-36", (30, 56), (36, 60), (30.32, 59.94)),
+    ("international", 1_000_000, "M-33", (12, 48), (18, 52), (14.42, 50.09)),
+    ("international", 500_000, "M-34-A", (18, 50), (21, 52), (19.94, 50.06)),
+    ("international", 250_000, "M-34-A-c", (18, 50), (dms(19, 30), 51), (19.0, 50.3)),
+    ("international", 200_000, "N-34-XV", (20, 54), (21, dms(54, 40)), (20.5, 54.35)),
+    # Soviet sheets 1:100 000: Moscow N-37-4, Leningrad O-36-1, Kiev M-36-50, Minsk N-35-80; N-37-144 is the last one.
+    ("soviet", 100_000, "N-37-4", (37.5, dms(55, 40)), (38, 56), (37.62, 55.75)),
+    ("soviet", 100_000, "O-36-1", (30, dms(59, 40)), (30.5, 60), (30.32, 59.94)),
+    ("soviet", 100_000, "M-36-50", (30.5, dms(50, 20)), (31, dms(50, 40)), (30.52, 50.45)),
+    ("soviet", 100_000, "N-35-80", (27.5, dms(53, 40)), (28, 54), (27.56, 53.9)),
+    ("soviet", 100_000, "N-37-144", (41.5, 52), (42, dms(52, 20)), (41.7, 52.1)),
+    # Poland: Warszawa-Zachód N-34-138 and -Wschód N-34-139, Kraków M-34-64, and the divisions of one sheet.
+    ("puwg1992", 100_000, "N-34-138", (20.5, 52), (21, dms(52, 20)), (20.9, 52.2)),
+    ("puwg1992", 100_000, "N-34-139", (21, 52), (21.5, dms(52, 20)), (21.1, 52.25)),
+    ("puwg1992", 100_000, "M-34-64", (19.5, 50), (20, dms(50, 20)), (19.94, 50.06)),
+    ("puwg1992", 50_000, "M-34-64-D", (19.75, 50), (20, dms(50, 10)), (19.94, 50.06)),
+    ("puwg1992", 25_000, "M-34-64-D-c", (19.75, 50), (dms(19, 52, 30), dms(50, 5)), (19.8, 50.02)),
+    ("puwg1992", 10_000, "M-34-64-D-c-3", (19.75, 50), (dms(19, 48, 45), dms(50, 2, 30)), (19.78, 50.02)),
+    # Germany: outermost sheets of TK 25, after the lexicon of geoinformatics of the University of Rostock (List or
+    # Ust on Sylt, Selfkant, Görlitz, Biberkopf), Utting am Ammersee and Regensburg, Mannheim-Nordost, München.
+    ("tk", 25_000, "0916", (dms(8, 20), 55), (dms(8, 30), dms(55, 6)), (8.42, 55.03)),
+    ("tk", 25_000, "4901", (dms(5, 50), 51), (6, dms(51, 6)), (5.8664, 51.051)),
+    ("tk", 25_000, "4855", (dms(14, 50), dms(51, 6)), (15, dms(51, 12)), (14.987, 51.155)),
+    ("tk", 25_000, "8727", (dms(10, 10), dms(47, 12)), (dms(10, 20), dms(47, 18)), (10.236, 47.27)),
+    ("tk", 25_000, "7932", (11, 48), (dms(11, 10), dms(48, 6)), (11.09, 48.03)),
+    ("tk", 25_000, "6938", (12, 49), (dms(12, 10), dms(49, 6)), (12.10, 49.01)),
+    ("tk", 25_000, "6417", (dms(8, 30), dms(49, 30)), (dms(8, 40), dms(49, 36)), (8.53, 49.52)),
+    ("tk", 25_000, "7835", (dms(11, 30), dms(48, 6)), (dms(11, 40), dms(48, 12)), (11.575, 48.137)),
+    ("tk", 50_000, "L 7934", (dms(11, 20), 48), (dms(11, 40), dms(48, 12)), (11.575, 48.137)),
+    ("tk", 50_000, "L 6516", (dms(8, 20), dms(49, 24)), (dms(8, 40), dms(49, 36)), (8.47, 49.49)),
+    ("tk", 100_000, "C 7934", (dms(11, 20), 48), (12, dms(48, 24)), (11.575, 48.137)),
+    ("tk", 200_000, "CC 7934", (dms(11, 20), 48), (dms(12, 40), dms(48, 48)), (11.575, 48.137)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "scale", "name", "low", "high", "place"), PUBLISHED, ids=lambda v: str(v))
+def test_published_sheets(
+    kind: str, scale: int, name: str, low: object, high: object, place: tuple[float, float]
+) -> None:
+    series = scheme(kind, scale)
+    assert isinstance(series, GridScheme)
+    assert series.cell(name) == pytest.approx((*low, *high), abs=1e-12)  # type: ignore[misc]
+    assert series.find(*place) == series.proper(name)
+    assert series.scale == scale
+
+
+# French sheets and towns on them: 2314 Paris, 2214 Versailles, 2043 Toulouse, 3145 Marseille, 2302 Dunkerque.
+@pytest.mark.parametrize(
+    ("name", "number", "place"),
+    [
+        ("XXIII-14", "2314 O", (2.35, 48.856)), ("XXII-14", "2214 O", (2.13, 48.80)),
+        ("XX-43", "2043 E", (1.444, 43.604)),
+        ("XXXI-45", "3145 O", (5.37, 43.296)), ("XXIII-2", "2302 O", (2.377, 51.034)),
+    ],
+)  # fmt: skip
+def test_french_sheets(name: str, number: str, place: tuple[float, float]) -> None:
+    large, small = scheme("ign", 50_000), scheme("ign", 25_000)
+    assert large.find(*place) == name
+    assert small.find(*place) == number
+    assert isinstance(large, GridScheme)
+    assert large.proper(number[:4]) == name
+    # In gons from Paris the edges are round.
+    gons = (np.array(large.cell(name)) - [2.337229167, 0, 2.337229167, 0]) / 0.9
+    assert np.abs(gons / 0.2 - np.round(gons / 0.2)).max() < 1e-6
+
+
+# Names that publications give for places (Honolulu 4Q FJ, Washington Monument 18S UJ 23480 06470,
+# Eiffel tower 31U DQ 48251 11932, Vienna 33U XP, Bergen in zone 32V, Longyearbyen in 33X).
+@pytest.mark.parametrize(
+    ("place", "name"),
+    [
+        ((-157.916861, 21.309444), "4QFJ"), ((-77.0352, 38.8895), "18SUJ2306"), ((2.2945, 48.8582), "31UDQ4811"),
+        ((16.3725, 48.2085), "33UXP"), ((5.32, 60.39), "32VKN"), ((15.63, 78.22), "33XWG"),
+    ],
+)  # fmt: skip
+def test_published_squares(place: tuple[float, float], name: str) -> None:
+    assert Mgrs(1000).find(*place).startswith(name)
+
+
+def test_squares_against_an_independent_library() -> None:
+    mgrs = pytest.importorskip("mgrs").MGRS()
+    random.seed(7)
+    for size, digits in ((100_000, 0), (10_000, 1), (1000, 2), (100, 3)):
+        squares = Mgrs(size)
+        for _ in range(250):
+            x, y = random.uniform(-180, 180), random.uniform(-80, 83.99)
+            assert squares.find(x, y) == mgrs.toMGRS(y, x, MGRSPrecision=digits).lstrip("0")
+
+
+ALL = [(kind, s) for kind in ("international", "puwg1992", "soviet") for s in DIVISIONS] + [
+    ("tk", s) for s in (25_000, 50_000, 100_000, 200_000)
+] + [("ign", 50_000), ("ign", 25_000)]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "scale"), ALL)
+def test_there_and_back(kind: str, scale: int) -> None:
+    """Every place lies on the sheet that is found for it; names and neighbours lead back; sheets tile the ground."""
+    series = scheme(kind, scale)
+    assert isinstance(series, GridScheme)
+    random.seed(scale)
+    for _ in range(60):
+        x, y = random.uniform(-3.5, 1.5) + (11 if kind != "ign" else 0), random.uniform(48.5, 50.9)
+        name = series.find(x, y)
+        left, bottom, right, top = series.cell(name)
+        assert left <= x < right
+        assert bottom <= y < top
+        assert series.proper(name.lower() if kind != "tk" else name) == name
+        opposite = dict(zip(DIRECTIONS, reversed(DIRECTIONS), strict=True))
+        around = series.neighbours(name)
+        assert len(around) == 8
+        for way, other in around.items():
+            assert series.neighbours(other)[opposite[way]] == name
+            east, north = DIRECTIONS[way]
+            assert series.cell(other)[:2] == pytest.approx(
+                (left + east * (right - left), bottom + north * (top - bottom))
+            )
+        assert series.find(left, bottom) == name  # on its own corner
+        assert series.find(right, top) == around["NE"]
+    box = (9.01, 48.01, 9.74, 48.52)
+    cells = [shapely.box(*series.cell(n)) for n in series.within(box)]
+    assert shapely.union_all(cells).contains(shapely.box(*box))
+    assert sum(c.area for c in cells) == pytest.approx(shapely.union_all(cells).area)
+
+
+def test_spellings() -> None:
+    polish, soviet = scheme("puwg1992", 10_000), scheme("soviet", 10_000)
+    for spelling in ("M-34-64-D-c-3", "M-34-064-D-c-3", "m-34-64-d-c-3", "M-34-64-Dc3", "M 34 64 D c 3"):
+        assert polish.proper(spelling) == "M-34-64-D-c-3"
+    assert soviet.proper("N-37-4-D-c-2") == "N-37-4-Г-в-2"
+    assert soviet.proper("N-37-4-G-v-2") == "N-37-4-Г-в-2"
+    assert soviet.proper("N-37-4-Г-в-2") == "N-37-4-Г-в-2"
+    assert soviet.map_crs("N-37-4-Г-в-2") == "EPSG:28407"
+    assert polish.map_crs("M-34-64-D-c-3") == "EPSG:2180"
+    assert scheme("international", 25_000).map_crs("M-33-47-A-a") == "EPSG:32633"
+    assert scheme("international", 200_000).proper("N-34-15") == "N-34-XV"
+    assert scheme("tk", 50_000).proper("L7934") == "L 7934"
+    assert Mgrs(1000).proper("31u dq 48 11") == "31UDQ4811"
+    assert [from_roman(roman(n)) for n in range(1, 100)] == list(range(1, 100))
+    assert (roman(49), roman(94), roman(36)) == ("XLIX", "XCIV", "XXXVI")
+
+
+@pytest.mark.parametrize(
+    ("series", "name"),
+    [
+        (scheme("puwg1992", 10_000), "M-34-64-D-c-5"), (scheme("puwg1992", 10_000), "M-34-145-D-c-1"),
+        (scheme("puwg1992", 10_000), "M-61-64-D-c-1"), (scheme("puwg1992", 10_000), "M-34-64-D-c"),
+        (scheme("puwg1992", 100_000), "M-34-64-D"), (scheme("tk", 50_000), "L 7835"), (scheme("tk", 50_000), "7934"),
+        (scheme("ign", 25_000), "2314"), (scheme("ign", 50_000), "2314 O"), (Mgrs(1000), "31UDQ48"), (Mgrs(), "31ODQ"),
+        (Mgrs(), "31UZQ"), (Mgrs(), "32XMA"), (Mgrs(), "31UDK"), (regular("EPSG:32633", (1000, 1000)), "A1"),
+    ],
+    ids=lambda v: v if isinstance(v, str) else "",
+)  # fmt: skip
+def test_no_such_sheet(series: Scheme, name: str) -> None:
+    with pytest.raises(InputError, match=name):
+        series.edges(name)
+
+
+def test_schemes_that_need_more() -> None:
+    for name in SCHEMES:
+        if name not in ("mgrs",):
+            with pytest.raises(InputError):
+                scheme(name)
+    for name, scale in (("tk", 10_000), ("ign", 100_000), ("international", 5000)):
+        with pytest.raises(InputError, match="1:"):
+            scheme(name, scale)
+    with pytest.raises(InputError, match="no scheme"):
+        scheme("puwg92", 10_000)
+    with pytest.raises(InputError, match="no sheet there"):
+        scheme("tk", 25_000).find(-30.0, 50.0)
+    with pytest.raises(InputError, match="no sheet there"):
+        scheme("puwg1992", 25_000).find(float("nan"), 50.0)
+    with pytest.raises(InputError, match="UTM ends"):
+        Mgrs().find(0, 85)
+
+
+def test_regular_grids() -> None:
+    series = regular("EPSG:32633", (600.0, 400.0), origin=(0.5, 0.0), scale=2000)
+    assert series.find(400_000, 5_500_000) == "C666-R13750"
+    assert series.cell("C666-R13750") == (399_600.5, 5_500_000.0, 400_200.5, 5_500_400.0)
+    assert series.find(-0.1, -0.1) == "C-1-R-1"
+    assert series.neighbours("c0-r0")["SW"] == "C-1-R-1"
+    # Tenths of a metre are tenths: no float creeps along the columns.
+    fine = regular("EPSG:32633", (0.1, 0.1))
+    assert fine.cell("C3-R7") == (0.3, 0.7, 0.4, 0.8)
+    assert fine.find(0.3, 0.7) == "C3-R7"
+
+
+def test_drawn_sheets() -> None:
+    rings = {
+        n: np.array([(x, y), (x + 10, y), (x + 10, y + 10), (x, y + 10)], dtype=float)
+        for n, x, y in (("a", 0, 0), ("b", 10, 0), ("c", 0, 10), ("far", 100, 100))
+    }
+    series = Polygons("drawn", "EPSG:32633", rings)
+    assert series.find(12, 3) == "b"
+    assert series.neighbours("a") == {"N": "c", "E": "b"}
+    assert list(series.within((11, 1, 12, 2))) == ["b"]
+    with pytest.raises(InputError, match="no sheet there"):
+        series.find(50, 50)
+    with pytest.raises(InputError, match="no sheet of"):
+        series.edges("d")
+
+
+def test_neatlines_are_curved() -> None:
+    """Every point of the neatline lies on its parallel or meridian, and the parallels bend away from their chords."""
+    crs = CRS("EPSG:2180")
+    place = sheet_place(scheme("puwg1992", 100_000), "M-34-64", crs)
+    back = Transformer.from_crs(crs, "EPSG:4258", always_xy=True)
+    lon, lat = back.transform(*place.ring.T)
+    on = np.minimum.reduce([np.abs(lon - 19.5), np.abs(lon - 20), np.abs(lat - 50), np.abs(lat - (50 + 1 / 3))])
+    assert on.max() < 1e-8
+    (left, low), (right, end) = place.corners[0], place.corners[1]
+    side = place.ring[:65]
+    chord = low + (side[:, 0] - left) / (right - left) * (end - low)
+    bend = np.abs(side[:, 1] - chord).max()
+    # Sagitta of a parallel: s² tan(lat) / 8R.
+    s = Geod(ellps="GRS80").inv(19.5, 50, 20, 50)[2]
+    assert bend == pytest.approx(s**2 * np.tan(np.radians(50)) / (8 * 6.38e6), rel=0.03)
+    # The scale of the pieces: chords of the 64 parts stay within 0.02 mm at the sheet's own scale.
+    assert bend / 64**2 / 100_000 * 1000 < 0.02
+    grown = sheet_place(scheme("puwg1992", 100_000), "M-34-64", crs, overlap=500.0)
+    assert shapely.Polygon(grown.ring).contains(shapely.Polygon(place.ring).buffer(499))
+    assert place.neighbours["E"] == "M-34-65"
+    # In UTM a square stays four corners.
+    assert len(sheet_place(Mgrs(1000), "33UXP0240", CRS("EPSG:32633")).ring) == 4
+
+
+def test_square_at_the_edge_of_a_zone() -> None:
+    """A square that the edge of the zone cuts ends there, the next begins there, and nothing is lost."""
+    squares = Mgrs(100_000)
+    name, other = squares.find(11.999, 49.5), squares.find(12.001, 49.5)
+    assert (name[:2], other[:2]) == ("32", "33")
+    assert squares.neighbours(name)["E"] == other
+    crs, ring = squares.edges(name)
+    lon = Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(*ring.T)[0]
+    assert lon.max() == pytest.approx(12.0, abs=1e-6)
+    box = (11.6, 49.3, 12.4, 49.7)
+    parts = [
+        shapely.Polygon(np.column_stack(Transformer.from_crs(c, "EPSG:4326", always_xy=True).transform(*r.T)))
+        for c, r in map(squares.edges, squares.within(box))
+    ]
+    assert shapely.union_all(parts).buffer(1e-3).contains(shapely.box(*box))
+    assert sum(p.area for p in parts) == pytest.approx(shapely.union_all(parts).area, rel=1e-3)
+
+
+def test_sheets_of_an_area() -> None:
+    """Those and only those that share ground with it."""
+    series, crs = scheme("puwg1992", 10_000), CRS("EPSG:2180")
+    bounds = sheet_place(series, "M-34-64-D-c-3", crs).bounds
+    middle = ((bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2)
+    inside = (middle[0] - 100, middle[1] - 100, middle[0] + 100, middle[1] + 100)
+    assert list(sheets_on(series, crs, inside)) == ["M-34-64-D-c-3"]
+    # Its bounding box reaches into its neighbours, for the sides are not upright.
+    assert set(sheets_on(series, crs, bounds)) > {"M-34-64-D-c-3"}
+    with pytest.raises(InputError):
+        list(sheets_on(series, CRS("EPSG:2180"), (1e9, 1e9, 2e9, 2e9)))
