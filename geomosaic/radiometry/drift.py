@@ -1,17 +1,18 @@
 """Hold back colour creep: corrections that add up from image to image are held back, those of single images are not.
 
-Overlaps observe differences. A small bias in each, say of light that falls off to one side, adds up along a strip: after
-fifty photos of half a per cent each the last is a quarter off, and no overlap shows it. What is known besides is that
-exposures vary from photo to photo, and a camera does not drift: **the mean correction of neighbouring images is none**,
-first of their gains, then of the level of their values: each neighbourhood keeps the mean of its own images. Neighbours are those within as few steps from overlap to
-overlap as bring `NEIGHBOURS` images together; in a smaller block this says nothing new, and changes nothing.
+Overlaps observe differences. A small bias in each, say of light that falls off to one side, adds up along a strip:
+after fifty photos of half a per cent each the last is a quarter off, and no overlap shows it. What is known besides is
+that exposures vary from photo to photo, and a camera does not drift: **the mean correction of neighbouring images is
+none**, first of their gains, then of the level of their values: each neighbourhood keeps the mean of its own images.
+Neighbours are those within as few steps from overlap to overlap as bring `NEIGHBOURS` images together; in a smaller
+block this says nothing new, and changes nothing.
 
 How firmly depends on how much exposures vary, s, the spread of single corrections about the mean of their neighbours
 (as a logarithm): a mean of eleven that vary by a fifth is known less well than one of a camera with a fixed exposure.
 
 Bound: the creep is a quantity x along the strip with x'' = x / L², L = `FIRM`·s / (standard deviation of the step from
 one photo to the next, 0.003 at best). A bias b of each step makes a creep of no more than b·L, however long the strip:
-for exposures that vary by a tenth 7 b, and what their means vary by themselves; 1.3 b for steady ones.
+for exposures that vary by a tenth 8 b, and what their means vary by themselves; b for steady ones.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from geomosaic.types import FloatArray, IntArray
 
 NEIGHBOURS = 11
 """Images whose mean correction is held."""
-FIRM = 0.2
-"""Standard deviation of that mean over the spread of single corrections: less than the mean of eleven independent ones has."""
-LEAST_SPREAD, MOST_SPREAD = 0.02, 0.3
+FIRM = 0.25
+"""Standard deviation of that mean over the spread of single corrections; the mean of eleven has about this."""
+LEAST_SPREAD, MOST_SPREAD = 0.01, 0.3
 """Between which the spread is believed."""
 MOST_NEIGHBOURS = 40
 """Of those, how many are taken at each step: every second, third ... of more."""
@@ -74,7 +75,7 @@ def pulls(near: list[IntArray], target: FloatArray, weight: float) -> FloatArray
 
 
 def _share(group: IntArray, weight: float) -> float:
-    """Of one image in the observation; neighbourhoods of many images repeat each other and creep less: they count as fewer."""
+    """Of one image in the observation. Neighbourhoods of many images repeat each other and creep less: they count less."""
     return weight / len(group) * min(1.0, NEIGHBOURS / len(group)) ** 3
 
 
