@@ -82,7 +82,7 @@ def test_a_camera_of_fixed_exposure_hardly_creeps_at_all() -> None:
     pairs = strip(0.01, 5.0, np.ones(PHOTOS), 5)
     free, held = (creep(level(np.ones(PHOTOS), solve(PHOTOS, 1, pairs, hold=hold))) for hold in (False, True))
     assert free > 0.15
-    assert held < 0.03, f"creep {held:.3f}, without the hold {free:.3f}"
+    assert held < 0.05, f"creep {held:.3f}, without the hold {free:.3f}"
 
 
 def test_small_groups_are_left_alone() -> None:

@@ -18,7 +18,7 @@ RADIAL = 3
 """Even powers of the radius: ρ², ρ⁴, ρ⁶ (D. B. Goldman, Vignette and exposure calibration, PAMI 32, 2010)."""
 TREND = 5
 """x, y, x² − y², 2xy and x² + y²: the view-angle trend up to second order."""
-SPANS = 8
+SPANS = 6
 """Intervals of the cubic splines of a hotspot across −1 … 1."""
 NODES = SPANS + 3
 SHARED = ("vignetting", "trend", "hotspot")

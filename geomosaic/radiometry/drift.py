@@ -75,7 +75,7 @@ def pulls(near: list[IntArray], target: FloatArray, weight: float) -> FloatArray
 
 
 def _share(group: IntArray, weight: float) -> float:
-    """Of one image in the observation. Neighbourhoods of many images repeat each other and creep less: they count less."""
+    """Of one image in it. Neighbourhoods of many images repeat each other and creep less; they count less."""
     return weight / len(group) * min(1.0, NEIGHBOURS / len(group)) ** 3
 
 
