@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from geomosaic.radiometry.choose import choose, solve_terms
-from geomosaic.radiometry.fields import Fields, Setting, solve_fields
+from geomosaic.radiometry.fields import Fields, solve_fields
 from geomosaic.radiometry.gain_offset import Overlap, solve
+from geomosaic.radiometry.steps import Setting
 from geomosaic.radiometry.views import Views, gather
 
 ROWS, COLS = 3, 5

@@ -30,12 +30,29 @@ mosaic_flags = stack(
     click.option("--cutlines", type=FILE, help="Areas with an image each, drawn by hand, that win over --seams."),
     click.option("--balance/--no-balance", default=True, show_default=True, help="Balance colours over the overlaps."),
     click.option(
-        "--histogram",
-        type=click.Choice(["overlap", "whole"]),
-        help="Match histograms instead: over what images share, one after the other, or over all that each shows.",
+        "--colour",
+        metavar="TERMS",
+        default="auto",
+        show_default=True,
+        help="What the balance solves: gain (and offset), and vignetting, trend, hotspot, gamma, dodging, with commas "
+        "between; or auto for what is warranted.",
     ),
+    click.option("--mask", type=FILE, help="Areas that say nothing of colours, as polygons: clouds, water."),
+    click.option(
+        "--histogram",
+        type=click.Choice(["overlap", "whole", "sequence"]),
+        help="Match histograms instead: over what images share, nearest first; over all that each shows; or each image "
+        "to the one before it.",
+    ),
+    click.option("--region", type=FILE, help="Areas that histograms are matched over, as polygons."),
     click.option("--master", metavar="NAME", help="Image that the others are matched to.  [default: shares most]"),
     click.option("--reference", type=FILE, help="Georeferenced raster that all are matched to, instead of a master."),
+    click.option("--reference-bidx", metavar="N,N", help="Bands of the reference that go with those of the images."),
+    click.option(
+        "--stretch",
+        metavar="LOW,HIGH",
+        help="Stretch the mosaic to 8 bits between these percentiles (2,98), or values (v100,v3000).",
+    ),
     click.option("--labels/--no-labels", default=True, show_default=True, help="Write the raster of source images."),
 )
 

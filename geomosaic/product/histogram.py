@@ -8,9 +8,10 @@ import numpy as np
 
 from geomosaic.block.footprint import Footprint, footprint
 from geomosaic.block.scene import Scene
-from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.product.balance import comparison_grid, thumbnail
+from geomosaic.product.colour import named
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo
 from geomosaic.product.photos import Photos
@@ -46,7 +47,7 @@ def match_histograms(
         With curves; its gains and offsets are what the curves do on the whole.
     """
     grid = comparison_grid(photos, CELLS)
-    chosen = _named(photos, master)
+    chosen = named(photos, master)
     pieces: list[Thumbnail] = []
     rendered = in_order(lambda i: _piece(photos, i, grid, options), range(len(photos)), options.threads, ahead=1)
     for done, (_, piece) in enumerate(rendered):
@@ -72,21 +73,6 @@ def match_histograms(
     before, after, pairs = _differences(pieces, curves)
     gain, offset = np.array([line[0] for line in lines]), np.array([line[1] for line in lines])
     return Balance(gain, offset, before, after, pairs, tuple(curves))
-
-
-def _named(photos: Photos, master: str | None) -> int | None:
-    names = [scene.name for scene in photos.block.scenes]
-    if master is None:
-        return None
-    stems = [name.rpartition(".")[0] or name for name in names]
-    if master not in names and stems.count(master) == 1:
-        return stems.index(master)
-    if master not in names:
-        hint = did_you_mean(master, names)
-        raise InputError(
-            f"no image is named '{master}'", where="--master", mend=f"{hint} name an image, or a raster".strip()
-        )
-    return names.index(master)
 
 
 def _piece(photos: Photos, index: int, grid: Grid, options: RenderOptions) -> Thumbnail:

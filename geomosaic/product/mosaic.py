@@ -16,8 +16,8 @@ from geomosaic.block.block import Block
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.product.balance import balance
 from geomosaic.product.blend import Blender, MosaicUnit, Seams, label_type
+from geomosaic.product.colour import colours
 from geomosaic.product.options import MosaicOptions
 from geomosaic.product.ortho import GeometryRecord, samples, tiles
 from geomosaic.product.photos import Photos
@@ -26,6 +26,7 @@ from geomosaic.product.records import write_item, write_vectors
 from geomosaic.product.reuse import LOSSLESS, Reuse
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.gain_offset import Balance, solve
+from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output
 from geomosaic.raster.sink import RasterSink
@@ -126,13 +127,13 @@ def mosaic(
         compiled = beside_it.submit(engine_for, 2 * samples(grid, outlines), render.resampling)
         with _Clock(seconds, "balance"):
             solved = _balanced(photos, options)
-        colours = solved.curves or [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
+        applied = solved.curves or [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
         with _Clock(seconds, "seams"):
             shapes = [outline.polygon for outline in outlines]
-            shares = _shares(photos, shapes, colours, options)
+            shares = _shares(photos, shapes, applied, options)
         seams = Seams(shares, shapes, feather / grid.resolution[0])
         ground, engine = Ground.under(grid, block.surface), compiled.result()
-        blender = Blender(photos, grid, ground, seams, colours, engine, render.resampling, render.tolerance)
+        blender = Blender(photos, grid, ground, seams, applied, engine, render.resampling, render.tolerance)
         if vectors is not None:
             beside_it.submit(prepare)
         reuse = _reuse(blender, output, labels, options)
@@ -165,10 +166,12 @@ def _balanced(photos: Photos, options: MosaicOptions) -> Balance:
         from geomosaic.product.histogram import match_histograms
 
         return match_histograms(photos, options.render, options.histogram, options.master, options.reference)
-    return balance(photos, options.render) if options.balance else solve(len(photos), photos.info.bands, [])
+    return colours(photos, options) if options.balance else solve(len(photos), photos.info.bands, [])
 
 
-def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve], options: MosaicOptions) -> list[Any]:
+def _shares(
+    photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve | Shade], options: MosaicOptions
+) -> list[Any]:
     """Who shows what."""
     if options.seams == "alike":
         from geomosaic.product.seams import alike_regions

@@ -21,6 +21,7 @@ import geomosaic
 from geomosaic.geo.grid import Window
 from geomosaic.product.blend import Blender, MosaicUnit
 from geomosaic.radiometry.curve import Curve
+from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.source import Source
 from geomosaic.seam.feather import halo, reduction
@@ -153,4 +154,6 @@ class Reuse:
 def _colour(colour: Any) -> bytes:
     if isinstance(colour, Curve):
         return b"".join(x.tobytes() + y.tobytes() for x, y in colour.knots)
+    if isinstance(colour, Shade):
+        return colour.digest()
     return bytes(colour.gain.tobytes() + colour.offset.tobytes())

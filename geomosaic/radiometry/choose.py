@@ -1,8 +1,8 @@
 """Which terms are warranted: those that make images agree where they were not asked.
 
-Each overlap is cut into eight bands; the odd ones are held back while the even ones are solved, and the other way round.
-A term is kept if it brings the held-back differences down by a given share. More parameters always fit better what they
-were fitted to; that they predict better must be earned.
+Each overlap is cut into eight bands; the odd ones are held back while the even ones are solved, and the other way
+round. A term is kept if it brings the held-back differences down by a given share. More parameters always fit better
+what they were fitted to; that they predict better must be earned.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.radiometry.fields import Fields, Setting, solve_fields
+from geomosaic.radiometry.fields import Fields, solve_fields
+from geomosaic.radiometry.steps import Setting
 from geomosaic.radiometry.views import Views
 from geomosaic.types import FloatArray
 

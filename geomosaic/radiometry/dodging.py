@@ -8,12 +8,14 @@ overlaps show, fades to nothing where there are none, and adds up to no creep.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from geomosaic.radiometry import bases
-from geomosaic.radiometry.fields import LEAST_SIGMA, Fields
+from geomosaic.radiometry.fields import Fields
 from geomosaic.radiometry.relation import BIWEIGHT, TO_SIGMA
+from geomosaic.radiometry.steps import LEAST_SIGMA
 from geomosaic.radiometry.views import Views
 from geomosaic.types import FloatArray
 
@@ -63,7 +65,7 @@ def dodge(fields: Fields, views: Views) -> Fields:
     return replace(fields, dodging=nets)
 
 
-def _diagonal(scale: FloatArray):  # type: ignore[no-untyped-def]
+def _diagonal(scale: FloatArray) -> Any:
     from scipy.sparse import diags
 
     return diags(1 / scale)

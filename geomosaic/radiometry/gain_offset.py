@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,11 @@ from geomosaic.radiometry import drift
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.relation import Relation, relate
 from geomosaic.types import AnyArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from geomosaic.radiometry.choose import Trial
+    from geomosaic.radiometry.fields import Fields
+    from geomosaic.radiometry.shade import Shade
 
 PRIOR_SIGMA = 1.0
 """Of the logarithm of a gain, and of an offset in mean grey values: a hint where overlaps say nothing, no more."""
@@ -62,8 +68,14 @@ class Balance:
         Root mean square difference over all overlaps without and with the correction; NaN without overlaps.
     overlaps : int
         Pairs of images used.
-    curves : tuple of Curve, optional
-        Of the images, where histograms were matched: they are what is applied then.
+    curves : tuple of Curve or Shade, optional
+        Of the images, where histograms were matched or light has fields: they are what is applied then.
+    fields : Fields, optional
+        Where light has fields, their parameters.
+    trials : tuple of Trial
+        Sets of terms that were tried.
+    notes : tuple of str
+        What was taken for granted, in words.
     """
 
     gain: FloatArray
@@ -71,7 +83,10 @@ class Balance:
     before: FloatArray
     after: FloatArray
     overlaps: int
-    curves: tuple[Curve, ...] | None = None
+    curves: tuple[Curve, ...] | tuple[Shade, ...] | None = None
+    fields: Fields | None = None
+    trials: tuple[Trial, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def solve(images: int, bands: int, overlaps: Sequence[Overlap], *, hold: bool = True) -> Balance:
@@ -163,7 +178,8 @@ def _level(
     """
     images, first, second = graph.images, graph.first, graph.second
     weight = PRIOR_SIGMA**2 / variance
-    pull = np.bincount(first, weight * difference, images) - np.bincount(second, weight * difference, images)
+    push = weight * difference
+    pull = np.asarray(np.bincount(first, push, images) - np.bincount(second, push, images), dtype=np.float64)
     diagonal = 1.0 + np.bincount(first, weight, images) + np.bincount(second, weight, images)
     each = np.arange(images)
     strength = 0.0 if sigma is None else PRIOR_SIGMA**2 / sigma**2
