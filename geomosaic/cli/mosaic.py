@@ -11,6 +11,7 @@ from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack
 from geomosaic.cli.request import area, block_inputs, mosaic_options, planar_inputs
 from geomosaic.cli.talk import answer, notes, progress
+from geomosaic.cli.values import band_numbers
 from geomosaic.cli.words import mosaic_facts, mosaic_words
 
 mosaic_flags = stack(
@@ -47,7 +48,13 @@ mosaic_flags = stack(
     click.option("--region", type=FILE, help="Areas that histograms are matched over, as polygons."),
     click.option("--master", metavar="NAME", help="Image that the others are matched to.  [default: shares most]"),
     click.option("--reference", type=FILE, help="Georeferenced raster that all are matched to, instead of a master."),
-    click.option("--reference-bidx", metavar="N,N", help="Bands of the reference that go with those of the images."),
+    click.option(
+        "--reference-bidx",
+        multiple=True,
+        callback=band_numbers,
+        metavar="NUMBERS",
+        help="Bands of the reference that go with those of the images.",
+    ),
     click.option(
         "--stretch",
         metavar="LOW,HIGH",

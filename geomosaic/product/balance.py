@@ -59,6 +59,16 @@ def without(piece: Thumbnail, grid: Grid, hidden: Sequence[Any]) -> Thumbnail:
     return piece
 
 
+def within(piece: Thumbnail, grid: Grid, region: Sequence[Any] | None) -> Thumbnail:
+    """Leave out cells whose centres lie in none of some areas; all stay where no areas are given."""
+    if region is None or piece.window.empty:
+        return piece
+    from geomosaic.raster.burn import burn
+
+    piece.valid[burn([(shape, 1) for shape in region], grid.crop(piece.window)) != 1] = 0
+    return piece
+
+
 def comparison_grid(photos: Photos, cells: int = CELLS) -> Grid:
     """Output grid coarsened until a footprint is about so many cells across."""
     areas = [np.prod(np.ptp(outline.ring, axis=0)) for outline in photos.outlines]

@@ -94,6 +94,8 @@ class Blender:
     engine: Engine
     resampling: str
     tolerance: float
+    dtype: str
+    """Of the output."""
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Render one block into its place in a unit."""

@@ -23,6 +23,11 @@ COLOUR = ("gain", "vignetting", "trend", "hotspot", "gamma", "dodging")
 SEAMS = ("nearest", "alike")
 
 
+def terms_of(text: str) -> tuple[str, ...]:
+    """Terms of the balance from words with commas between, in lower case."""
+    return tuple(word.strip().lower() for word in text.split(",") if word.strip())
+
+
 @dataclass(frozen=True)
 class RenderOptions:
     """What every raster product shares.
