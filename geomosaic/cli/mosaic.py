@@ -11,6 +11,7 @@ from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack
 from geomosaic.cli.request import area, block_inputs, mosaic_options, planar_inputs
 from geomosaic.cli.talk import answer, notes, progress
+from geomosaic.cli.values import band_numbers
 from geomosaic.cli.words import mosaic_facts, mosaic_words
 
 mosaic_flags = stack(
@@ -30,12 +31,35 @@ mosaic_flags = stack(
     click.option("--cutlines", type=FILE, help="Areas with an image each, drawn by hand, that win over --seams."),
     click.option("--balance/--no-balance", default=True, show_default=True, help="Balance colours over the overlaps."),
     click.option(
-        "--histogram",
-        type=click.Choice(["overlap", "whole"]),
-        help="Match histograms instead: over what images share, one after the other, or over all that each shows.",
+        "--colour",
+        metavar="TERMS",
+        default="auto",
+        show_default=True,
+        help="What the balance solves: gain (and offset), and vignetting, trend, hotspot, gamma, dodging, with commas "
+        "between; or auto for what is warranted.",
     ),
+    click.option("--mask", type=FILE, help="Areas that say nothing of colours, as polygons: clouds, water."),
+    click.option(
+        "--histogram",
+        type=click.Choice(["overlap", "whole", "sequence"]),
+        help="Match histograms instead: over what images share, nearest first; over all that each shows; or each image "
+        "to the one before it.",
+    ),
+    click.option("--region", type=FILE, help="Areas that histograms are matched over, as polygons."),
     click.option("--master", metavar="NAME", help="Image that the others are matched to.  [default: shares most]"),
     click.option("--reference", type=FILE, help="Georeferenced raster that all are matched to, instead of a master."),
+    click.option(
+        "--reference-bidx",
+        multiple=True,
+        callback=band_numbers,
+        metavar="NUMBERS",
+        help="Bands of the reference that go with those of the images.",
+    ),
+    click.option(
+        "--stretch",
+        metavar="LOW,HIGH",
+        help="Stretch the mosaic to 8 bits between these percentiles (2,98), or values (v100,v3000).",
+    ),
     click.option("--labels/--no-labels", default=True, show_default=True, help="Write the raster of source images."),
 )
 

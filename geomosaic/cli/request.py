@@ -108,7 +108,7 @@ def render_options(flags: Mapping[str, Any], progress: Progress | None) -> Rende
 
 def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> MosaicOptions:
     """Make the options of a mosaic."""
-    from geomosaic.product.options import MosaicOptions
+    from geomosaic.product.options import MosaicOptions, terms_of
     from geomosaic.project.make import reference_scene
 
     reference = flags["reference"]
@@ -119,7 +119,11 @@ def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> Mosai
         flags["labels"],
         histogram=flags["histogram"],
         master=flags["master"],
-        reference=None if reference is None else reference_scene(reference, flags["bands"]),
+        reference=None if reference is None else reference_scene(reference, flags["reference_bidx"] or flags["bands"]),
         seams=flags["seams"],
         cutlines=flags["cutlines"],
+        colour=terms_of(flags["colour"]),
+        mask=flags["mask"],
+        region=flags["region"],
+        stretch=flags["stretch"],
     )

@@ -51,6 +51,8 @@ def ortho_words(result: OrthoResult) -> str:
 
 def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
     """Plain values of a mosaic."""
+    from geomosaic.product.colour_facts import colour_facts
+
     companions = {"labels": result.labels, "vectors": result.vectors, "stac": result.item}
     return {
         "output": str(result.path),
@@ -63,6 +65,8 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
         "overlaps": result.balance.overlaps,
         "overlap_difference_before": [finite(v) for v in result.balance.before],
         "overlap_difference_after": [finite(v) for v in result.balance.after],
+        "colour": colour_facts(result.balance, None),
+        "stretch": None if result.stretch is None else vars(result.stretch),
         "feather": result.feather,
         "lattice_error_px": result.lattice_error,
         "tolerance_px": result.tolerance,
@@ -73,6 +77,8 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
 
 def mosaic_words(result: MosaicResult) -> str:
     """Say what was made, in a few lines."""
+    from geomosaic.product.colour_facts import said_of
+
     lines = [
         f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen, "
         f"{sum(1 for n in result.pixels if n)} of {len(result.pixels)} images used"
@@ -80,6 +86,9 @@ def mosaic_words(result: MosaicResult) -> str:
     if result.balance.overlaps:
         before, after = (rms(values.tolist()) for values in (result.balance.before, result.balance.after))
         lines.append(colour_words(result.balance.overlaps, before, after))
+        lines += said_of(result.balance)
+    if result.stretch is not None:
+        lines.append(f"stretched to 8 bits: {result.stretch.low:g} to {result.stretch.high:g} ({result.stretch.how})")
     lines.append(
         f"geometry within {result.lattice_error:.4f} px of the exact model (tolerance {result.tolerance:g} px), "
         f"{sum(result.seconds.values()):.1f} s"

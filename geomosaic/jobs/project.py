@@ -31,8 +31,8 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     reference, said_of_reference = with_companions(project, (against,) if against is not None else ())
     like = project.file(settings.mosaic.reference)
     master, said_of_master = with_companions(project, (like,) if like is not None else ())
-    cutlines = project.file(settings.mosaic.cutlines)
-    drawn = () if cutlines is None else (cutlines,)
+    said = (settings.mosaic.cutlines, settings.mosaic.mask, settings.mosaic.region)
+    drawn = tuple(file for name in said if (file := project.file(name)) is not None)
     tables = tuple(dict.fromkeys((*inputs.tables, *sensor_files(settings.sensor.name, project.images))))
     orientation: dict[str, Any] = {
         "sensor": settings.sensor.model_dump(mode="json"),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
@@ -9,7 +12,7 @@ from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo, pull
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
-from geomosaic.radiometry.gain_offset import Balance, solve
+from geomosaic.radiometry.gain_offset import Balance, Overlap, solve
 from geomosaic.radiometry.overlaps import Overlaps, Thumbnail
 from geomosaic.resample.engine import engine_for
 from geomosaic.resample.warp import Colour, value_range
@@ -27,15 +30,43 @@ MOST_SAMPLES = 3
 
 def balance(photos: Photos, options: RenderOptions) -> Balance:
     """Solve gain and offset of all photos over their overlaps."""
-    grid = comparison_grid(photos)
+    return solve(len(photos), photos.info.bands, meet(photos, options, comparison_grid(photos)))
+
+
+def meet(photos: Photos, options: RenderOptions, grid: Grid, hidden: Sequence[Any] = ()) -> list[Overlap]:
+    """Samples of all overlaps of the photos on a coarse grid, without what lies in the areas `hidden`."""
     low, high, whole = value_range(photos.info.dtype)
     windows = [grid.window_of(outline.bounds) for outline in photos.outlines]
     overlaps = Overlaps(windows, (low, high) if whole else None)
-    rendered = in_order(lambda i: _mean(photos, i, windows[i], grid), range(len(photos)), options.threads, ahead=1)
-    for done, (index, piece) in enumerate(rendered):
-        overlaps.add(index, piece)
+
+    def piece(index: int) -> Thumbnail:
+        return without(_mean(photos, index, windows[index], grid), grid, hidden)
+
+    rendered = in_order(piece, range(len(photos)), options.threads, ahead=1)
+    for done, (index, found) in enumerate(rendered):
+        overlaps.add(index, found)
         options.report(done + 1, len(photos), "balance")
-    return solve(len(photos), photos.info.bands, overlaps.found)
+    return overlaps.found
+
+
+def without(piece: Thumbnail, grid: Grid, hidden: Sequence[Any]) -> Thumbnail:
+    """Leave out cells whose centres lie in some areas."""
+    if not hidden or piece.window.empty:
+        return piece
+    from geomosaic.raster.burn import burn
+
+    piece.valid[burn([(shape, 1) for shape in hidden], grid.crop(piece.window)) == 1] = 0
+    return piece
+
+
+def within(piece: Thumbnail, grid: Grid, region: Sequence[Any] | None) -> Thumbnail:
+    """Leave out cells whose centres lie in none of some areas; all stay where no areas are given."""
+    if region is None or piece.window.empty:
+        return piece
+    from geomosaic.raster.burn import burn
+
+    piece.valid[burn([(shape, 1) for shape in region], grid.crop(piece.window)) != 1] = 0
+    return piece
 
 
 def comparison_grid(photos: Photos, cells: int = CELLS) -> Grid:

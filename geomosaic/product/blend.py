@@ -12,6 +12,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.photo import pull
 from geomosaic.product.photos import Photos
 from geomosaic.radiometry.curve import Curve
+from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.burn import burn
 from geomosaic.resample.engine import Engine
 from geomosaic.resample.warp import CELL, Colour, value_range
@@ -89,10 +90,12 @@ class Blender:
     grid: Grid
     below: Ground
     seams: Seams
-    colours: Sequence[Colour | Curve]
+    colours: Sequence[Colour | Curve | Shade]
     engine: Engine
     resampling: str
     tolerance: float
+    dtype: str
+    """Of the output."""
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Render one block into its place in a unit."""

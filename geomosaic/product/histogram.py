@@ -8,57 +8,69 @@ import numpy as np
 
 from geomosaic.block.footprint import Footprint, footprint
 from geomosaic.block.scene import Scene
-from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid
-from geomosaic.product.balance import comparison_grid, thumbnail
-from geomosaic.product.options import RenderOptions
+from geomosaic.product.areas import read_areas
+from geomosaic.product.balance import comparison_grid, thumbnail, within, without
+from geomosaic.product.colour import named
+from geomosaic.product.options import MosaicOptions, RenderOptions
 from geomosaic.product.photo import Photo
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.radiometry.histogram import common, match_overlaps, match_whole
+from geomosaic.radiometry.histogram import common, match_overlaps, match_sequence, match_whole
 from geomosaic.radiometry.overlaps import Thumbnail
 
 CELLS = 192
 """Cells across a footprint at which values are taken, one pixel each: ranks are then known to about a hundredth."""
 
 
-def match_histograms(
-    photos: Photos, options: RenderOptions, method: str, master: str | None, reference: Scene | None
-) -> Balance:
+def match_histograms(photos: Photos, options: MosaicOptions) -> Balance:
     """Match the images of a mosaic to one of them, or to a georeferenced raster.
 
     Parameters
     ----------
     photos : Photos
-    options : RenderOptions
-    method : str
-        'overlap' or 'whole'.
-    master : str, optional
-        Name of an image; unless given, the one that shares most with the others.
-    reference : Scene, optional
-        A georeferenced raster of the same bands and sample type, instead of a master.
+    options : MosaicOptions
+        Their `histogram` is 'overlap', 'whole' or 'sequence'; `master` the name of an image (unless given, the one that
+        shares most, or the first of a sequence), `reference` a georeferenced raster of the same bands and sample type
+        instead; only what lies in the areas `region` and not in the areas `mask` is looked at.
 
     Returns
     -------
     Balance
         With curves; its gains and offsets are what the curves do on the whole.
     """
+    method, master, reference, render = options.histogram, options.master, options.reference, options.render
+    region, hidden = (
+        None if path is None else read_areas(path, photos.grid.crs) for path in (options.region, options.mask)
+    )
     grid = comparison_grid(photos, CELLS)
-    chosen = _named(photos, master)
+    chosen = named(photos, master)
     pieces: list[Thumbnail] = []
-    rendered = in_order(lambda i: _piece(photos, i, grid, options), range(len(photos)), options.threads, ahead=1)
-    for done, (_, piece) in enumerate(rendered):
-        pieces.append(piece)
-        options.report(done + 1, len(photos), "histograms")
+
+    def looked_at(found: Thumbnail) -> Thumbnail:
+        return within(without(found, grid, hidden or ()), grid, region)
+
+    def piece(index: int) -> Thumbnail:
+        return looked_at(_piece(photos, index, grid))
+
+    rendered = in_order(piece, range(len(photos)), render.threads, ahead=1)
+    for done, (_, found) in enumerate(rendered):
+        pieces.append(found)
+        render.report(done + 1, len(photos), "histograms")
     if reference is not None:
-        target = _reference(photos, reference, grid, options)
+        target = looked_at(_reference(photos, reference, grid, render))
+    elif method == "sequence":
+        target = pieces[chosen or 0]
     else:
         target = pieces[_most_shared(pieces) if chosen is None else chosen]
     alone: list[int] = []
     if method == "whole":
         curves = match_whole(pieces, target)
+    elif method == "sequence":
+        curves = match_sequence(pieces, target, chosen or 0)
     else:
         curves, alone = match_overlaps(pieces, target)
     if alone:
@@ -74,22 +86,7 @@ def match_histograms(
     return Balance(gain, offset, before, after, pairs, tuple(curves))
 
 
-def _named(photos: Photos, master: str | None) -> int | None:
-    names = [scene.name for scene in photos.block.scenes]
-    if master is None:
-        return None
-    stems = [name.rpartition(".")[0] or name for name in names]
-    if master not in names and stems.count(master) == 1:
-        return stems.index(master)
-    if master not in names:
-        hint = did_you_mean(master, names)
-        raise InputError(
-            f"no image is named '{master}'", where="--master", mend=f"{hint} name an image, or a raster".strip()
-        )
-    return names.index(master)
-
-
-def _piece(photos: Photos, index: int, grid: Grid, options: RenderOptions) -> Thumbnail:
+def _piece(photos: Photos, index: int, grid: Grid) -> Thumbnail:
     window = grid.window_of(photos.outlines[index].bounds)
     with photos.using(index) as photo:
         return thumbnail(photo, photos.block.surface, grid, window, "nearest", photos.info.dtype)

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,8 +16,8 @@ from geomosaic.block.block import Block
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.product.balance import balance
 from geomosaic.product.blend import Blender, MosaicUnit, Seams, label_type
+from geomosaic.product.colour import colours
 from geomosaic.product.options import MosaicOptions
 from geomosaic.product.ortho import GeometryRecord, samples, tiles
 from geomosaic.product.photos import Photos
@@ -26,6 +26,7 @@ from geomosaic.product.records import write_item, write_vectors
 from geomosaic.product.reuse import LOSSLESS, Reuse
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.gain_offset import Balance, solve
+from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output
 from geomosaic.raster.sink import RasterSink
@@ -35,6 +36,9 @@ from geomosaic.resample.warp import Colour
 from geomosaic.seam.voronoi import regions
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import blocks
+
+if TYPE_CHECKING:
+    from geomosaic.product.stretch import Stretch
 
 FEATHER_PIXELS = 32
 
@@ -63,6 +67,8 @@ class MosaicResult:
         Per stage.
     reused, units : int
         Units of work whose pixels came from an earlier run, and all of them.
+    stretch : Stretch, optional
+        What was stretched to eight bits.
     """
 
     path: Path
@@ -80,6 +86,7 @@ class MosaicResult:
     seconds: dict[str, float]
     reused: int = 0
     units: int = 0
+    stretch: Stretch | None = None
 
 
 def beside(output: Path, what: str, suffix: str) -> Path:
@@ -126,13 +133,20 @@ def mosaic(
         compiled = beside_it.submit(engine_for, 2 * samples(grid, outlines), render.resampling)
         with _Clock(seconds, "balance"):
             solved = _balanced(photos, options)
-        colours = solved.curves or [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
+        plain = [Colour(gain, offset) for gain, offset in zip(solved.gain, solved.offset, strict=True)]
+        applied: Sequence[Colour | Curve | Shade] = solved.curves or plain
+        dtype, stretch = photos.info.dtype, None
+        if options.stretch is not None:
+            from geomosaic.product.stretch import DTYPE, stretched
+
+            with _Clock(seconds, "stretch"):
+                (applied, stretch), dtype = stretched(photos, render, applied, options.stretch), DTYPE
         with _Clock(seconds, "seams"):
             shapes = [outline.polygon for outline in outlines]
-            shares = _shares(photos, shapes, colours, options)
+            shares = _shares(photos, shapes, applied, options)
         seams = Seams(shares, shapes, feather / grid.resolution[0])
         ground, engine = Ground.under(grid, block.surface), compiled.result()
-        blender = Blender(photos, grid, ground, seams, colours, engine, render.resampling, render.tolerance)
+        blender = Blender(photos, grid, ground, seams, applied, engine, render.resampling, render.tolerance, dtype)
         if vectors is not None:
             beside_it.submit(prepare)
         reuse = _reuse(blender, output, labels, options)
@@ -155,7 +169,7 @@ def mosaic(
             reuse.save(output, labels)
     return MosaicResult(
         output, labels, vectors, item, grid, seen, pixels, solved, feather, record.error, render.tolerance,
-        record.scale, seconds, 0 if reuse is None else reuse.taken, len(tiles(grid, render.tile)),
+        record.scale, seconds, 0 if reuse is None else reuse.taken, len(tiles(grid, render.tile)), stretch,
     )  # fmt: skip
 
 
@@ -164,11 +178,13 @@ def _balanced(photos: Photos, options: MosaicOptions) -> Balance:
     if options.histogram is not None:
         from geomosaic.product.histogram import match_histograms
 
-        return match_histograms(photos, options.render, options.histogram, options.master, options.reference)
-    return balance(photos, options.render) if options.balance else solve(len(photos), photos.info.bands, [])
+        return match_histograms(photos, options)
+    return colours(photos, options) if options.balance else solve(len(photos), photos.info.bands, [])
 
 
-def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve], options: MosaicOptions) -> list[Any]:
+def _shares(
+    photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve | Shade], options: MosaicOptions
+) -> list[Any]:
     """Who shows what."""
     if options.seams == "alike":
         from geomosaic.product.seams import alike_regions
@@ -212,7 +228,7 @@ def _render(
         return made
 
     def computed(window: Window) -> MosaicUnit:
-        made = MosaicUnit.empty(window, info.bands, info.dtype, number)
+        made = MosaicUnit.empty(window, info.bands, blender.dtype, number)
         for block in blocks(window):
             blender.fill(block.intersection(grid.window), made)
         return made
@@ -220,7 +236,7 @@ def _render(
     with ExitStack() as stack:
         sink = stack.enter_context(
             RasterSink(
-                output, grid, info.bands, info.dtype, nodata=render.nodata, creation=render.creation,
+                output, grid, info.bands, blender.dtype, nodata=render.nodata, creation=render.creation,
                 descriptions=info.descriptions, tags={"GEOMOSAIC_IMAGES": str(number)}, driver=render.driver,
                 overwrite=render.overwrite, threads=render.threads,
             )

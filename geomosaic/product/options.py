@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geomosaic.block.scene import Scene
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, did_you_mean
 from geomosaic.resample.warp import RESAMPLING
 from geomosaic.sensor.lattice import BLOCK_WIDTH
 
@@ -18,8 +18,14 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, str], None]
 GIGABYTE = 1 << 30
-HISTOGRAMS = ("overlap", "whole")
+HISTOGRAMS = ("overlap", "whole", "sequence")
+COLOUR = ("gain", "vignetting", "trend", "hotspot", "gamma", "dodging")
 SEAMS = ("nearest", "alike")
+
+
+def terms_of(text: str) -> tuple[str, ...]:
+    """Terms of the balance from words with commas between, in lower case."""
+    return tuple(word.strip().lower() for word in text.split(",") if word.strip())
 
 
 @dataclass(frozen=True)
@@ -106,6 +112,14 @@ class MosaicOptions:
         Vector file of shares that a person has drawn: they win.
     memory : Memory, optional
         Where what was computed is remembered, so that a later run takes what has not changed.
+    colour : tuple of str
+        What the balance solves: ('auto',) for what is warranted, or terms of `COLOUR`; gain and offset are always.
+    mask : Path, optional
+        Vector file of areas that say nothing of colours: clouds, water.
+    region : Path, optional
+        Vector file of areas that histograms are matched over, instead of all.
+    stretch : str, optional
+        Stretch of the finished mosaic to eight bits, see `stretch.read`.
     """
 
     render: RenderOptions = field(default_factory=RenderOptions)
@@ -120,6 +134,10 @@ class MosaicOptions:
     seams: str = "nearest"
     cutlines: Path | None = None
     memory: Memory | None = None
+    colour: tuple[str, ...] = ("auto",)
+    mask: Path | None = None
+    region: Path | None = None
+    stretch: str | None = None
 
     def __post_init__(self) -> None:
         if self.feather is not None and not self.feather >= 0:
@@ -130,5 +148,13 @@ class MosaicOptions:
             raise InputError(
                 f"histograms cannot be matched by '{self.histogram}'", mend=f"one of {', '.join(HISTOGRAMS)}"
             )
-        if self.histogram is None and (self.master or self.reference):
-            raise InputError("a master is given, but histograms are not to be matched", mend="add --histogram overlap")
+        if self.histogram is None and not self.balance and (self.master or self.reference):
+            raise InputError("a master is given, but colours are not to be changed", mend="leave out --no-balance")
+        if self.region is not None and self.histogram is None:
+            raise InputError("a region is given, but histograms are not to be matched", mend="add --histogram whole")
+        if self.colour != ("auto",) and (not self.colour or set(self.colour) - set(COLOUR)):
+            wrong = sorted(set(self.colour) - set(COLOUR))
+            hint = did_you_mean(wrong[0], COLOUR) if wrong else ""
+            raise InputError(
+                f"colour has no term '{', '.join(wrong)}'", mend=f"{hint} auto, or some of {', '.join(COLOUR)}".strip()
+            )

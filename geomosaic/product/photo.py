@@ -12,6 +12,7 @@ from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.radiometry.curve import Curve
+from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.source import Source
 from geomosaic.resample.engine import Engine
 from geomosaic.resample.warp import CELL, Colour, value_range, warp
@@ -59,7 +60,7 @@ def pull(
     ground: BlockGround,
     resampling: str,
     tolerance: float,
-    colour: Colour | Curve,
+    colour: Colour | Curve | Shade,
     out: AnyArray,
     out_valid: ByteArray,
     need: ByteArray | None = None,
@@ -72,12 +73,20 @@ def pull(
     """
     if ground.unknown:
         return []
-    if isinstance(colour, Curve):
+    if not isinstance(colour, Colour):
         plain, seen = np.zeros(out.shape, dtype=_unrounded(out)), np.zeros_like(out_valid)
         same = Colour.identity(out.shape[2])
         used = pull(
             engine, photo, grid, ground, resampling, tolerance, same, plain, seen, need, most_samples, lattices
         )  # fmt: skip
+        if isinstance(colour, Shade):
+            window = ground.window
+            place = (*colour.at(window.col + 0.5, window.row + 0.5), 1 / colour.spacing[0], 1 / colour.spacing[1])
+            engine.shade(
+                plain, seen, colour.net, place, colour.dark, colour.curve, colour.reach, colour.offset,
+                *value_range(str(out.dtype)), out, out_valid,
+            )  # fmt: skip
+            return used
         here = seen > 0
         out[here], out_valid[here] = _rounded(colour(plain[here]), str(out.dtype)), 1
         return used

@@ -21,6 +21,7 @@ import geomosaic
 from geomosaic.geo.grid import Window
 from geomosaic.product.blend import Blender, MosaicUnit
 from geomosaic.radiometry.curve import Curve
+from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.source import Source
 from geomosaic.seam.feather import halo, reduction
@@ -69,7 +70,7 @@ class Reuse:
         info, grid = blender.photos.info, blender.grid
         self._base = "|".join(
             [
-                f"{geomosaic.__version__} {VERSION}", said, memory.ground, info.dtype, str(info.bands),
+                f"{geomosaic.__version__} {VERSION}", said, memory.ground, blender.dtype, str(info.bands),
                 grid.crs.to_wkt(), repr(tuple(grid.transform)), repr(grid.shape),
             ]
         )  # fmt: skip
@@ -90,7 +91,7 @@ class Reuse:
 
     def _open(self, output: Path, labels: Path) -> tuple[Source, Source] | None:
         found, info = (Source(str(output)), Source(str(labels))), self._blender.photos.info
-        if (found[0].info.bands, found[0].info.dtype) == (info.bands, info.dtype):
+        if (found[0].info.bands, found[0].info.dtype) == (info.bands, self._blender.dtype):
             return found
         for source in found:
             source.close()
@@ -152,5 +153,7 @@ class Reuse:
 
 def _colour(colour: Any) -> bytes:
     if isinstance(colour, Curve):
-        return b"".join(x.tobytes() + y.tobytes() for x, y in colour.knots)
+        return b"".join(x.tobytes() + y.tobytes() for x, y in colour.knots) + repr(colour.slope).encode()
+    if isinstance(colour, Shade):
+        return colour.digest()
     return bytes(colour.gain.tobytes() + colour.offset.tobytes())

@@ -13,6 +13,7 @@ from geomosaic.product.options import RenderOptions
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.radiometry.curve import Curve
+from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.burn import burn, traced
 from geomosaic.resample.warp import Colour
 from geomosaic.seam.voronoi import polygonal
@@ -28,7 +29,7 @@ MOST_CELLS = 40_000_000
 
 
 def alike_regions(
-    photos: Photos, outlines: Sequence[Any], colours: Sequence[Colour | Curve], options: RenderOptions
+    photos: Photos, outlines: Sequence[Any], colours: Sequence[Colour | Curve | Shade], options: RenderOptions
 ) -> list[Any]:
     """Each image's share of the ground, divided where neighbours look alike.
 
@@ -103,7 +104,7 @@ def _cost(
     first: IntArray,
     second: IntArray,
     marker: BoolArray,
-    colours: Sequence[Colour | Curve],
+    colours: Sequence[Colour | Curve | Shade],
     options: RenderOptions,
 ) -> FloatArray:
     """How different the first and the second image of each cell are."""
@@ -125,9 +126,16 @@ def _cost(
     return unlike(values[0], values[1], known[0] & known[1])
 
 
-def _view(photos: Photos, index: int, grid: Grid, window: Window, colour: Colour | Curve) -> tuple[AnyArray, BoolArray]:
+def _view(
+    photos: Photos, index: int, grid: Grid, window: Window, colour: Colour | Curve | Shade
+) -> tuple[AnyArray, BoolArray]:
     with photos.using(index) as photo:
         piece = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
     if isinstance(colour, Curve):
         return colour(piece.values), piece.valid > 0
+    if isinstance(colour, Shade):
+        factor = grid.resolution[0] / photos.grid.resolution[0]
+        cols = factor * np.arange(window.col + 0.5, window.stop_col, dtype=np.float64)
+        rows = factor * np.arange(window.row + 0.5, window.stop_row, dtype=np.float64)
+        return colour(piece.values, cols, rows), piece.valid > 0
     return piece.values * colour.gain + colour.offset, piece.valid > 0

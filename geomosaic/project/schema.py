@@ -134,17 +134,22 @@ class MosaicSection(Section):
 
     feather: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
     balance: bool = True
-    histogram: Literal["overlap", "whole"] | None = None
+    colour: str = "auto"
+    mask: FilePath | None = None
+    histogram: Literal["overlap", "whole", "sequence"] | None = None
+    region: FilePath | None = None
     master: str | None = None
     reference: FilePath | None = None
+    reference_bands: list[int] | None = None
+    stretch: str | None = None
     labels: bool = True
     seams: Literal["nearest", "alike"] = "nearest"
     cutlines: FilePath | None = None
 
     @model_validator(mode="after")
     def _matched(self) -> MosaicSection:
-        if self.histogram is None and (self.master or self.reference):
-            raise ValueError('a master or reference is of use with histogram = "overlap" or "whole" only')
+        if self.histogram is None and not self.balance and (self.master or self.reference):
+            raise ValueError("a master or reference is of use with balance or histogram only")
         return self
 
 

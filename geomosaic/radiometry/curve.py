@@ -12,15 +12,18 @@ from geomosaic.types import AnyArray, FloatArray
 
 @dataclass(frozen=True)
 class Curve:
-    """A rising curve per band: straight between its knots, of slope 1 beyond them.
+    """A rising curve per band: straight between its knots, of one slope beyond them.
 
     Attributes
     ----------
     knots : sequence of (x, y)
         One pair of arrays (K,) per band, x rising.
+    slope : float
+        Beyond them.
     """
 
     knots: Sequence[tuple[FloatArray, FloatArray]]
+    slope: float = 1.0
 
     @classmethod
     def identity(cls, bands: int) -> Curve:
@@ -33,7 +36,7 @@ class Curve:
         for band, (x, y) in enumerate(self.knots):
             plain = np.asarray(values[..., band], dtype=np.float64)
             beyond = np.minimum(plain - x[0], 0.0) + np.maximum(plain - x[-1], 0.0)
-            out[..., band] = np.interp(plain, x, y) + beyond
+            out[..., band] = np.interp(plain, x, y) + self.slope * beyond
         return out
 
     def line(self) -> tuple[FloatArray, FloatArray]:

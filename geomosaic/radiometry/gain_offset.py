@@ -5,20 +5,28 @@ log gᵢ − log gⱼ = log (s_j / s_i), and with the gains known one of a diffe
 where s and m are spread and mean of the overlap in each image. Both sets are adjusted over the graph of overlaps by
 weighted least squares (a levelling network: observations are differences), with weak prior observations log g = 0 and
 o = 0 of every image. The priors settle what differences cannot: the geometric mean of the gains is 1 and the mean of
-the offsets 0 in every group of connected images, and an image without overlaps stays as it is.
+the offsets 0 in every group of connected images, and an image without overlaps stays as it is. In groups of many images
+the mean correction of each neighbourhood is observed as well, so that nothing adds up from photo to photo: see `drift`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geomosaic.errors import SolveError
+from geomosaic.radiometry import drift
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.relation import Relation, relate
-from geomosaic.types import AnyArray, FloatArray
+from geomosaic.types import AnyArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from geomosaic.radiometry.choose import Trial
+    from geomosaic.radiometry.fields import Fields
+    from geomosaic.radiometry.shade import Shade
 
 PRIOR_SIGMA = 1.0
 """Of the logarithm of a gain, and of an offset in mean grey values: a hint where overlaps say nothing, no more."""
@@ -38,12 +46,15 @@ class Overlap:
         Numbers of the images.
     a, b : array (N, bands)
         Values in the first and in the second.
+    cells : int array (N, 2), optional
+        Column and row of each sample in the coarse grid that all images share.
     """
 
     first: int
     second: int
     a: AnyArray
     b: AnyArray
+    cells: AnyArray | None = None
 
 
 @dataclass(frozen=True)
@@ -57,8 +68,14 @@ class Balance:
         Root mean square difference over all overlaps without and with the correction; NaN without overlaps.
     overlaps : int
         Pairs of images used.
-    curves : tuple of Curve, optional
-        Of the images, where histograms were matched: they are what is applied then.
+    curves : tuple of Curve or Shade, optional
+        Of the images, where histograms were matched or light has fields: they are what is applied then.
+    fields : Fields, optional
+        Where light has fields, their parameters.
+    trials : tuple of Trial
+        Sets of terms that were tried.
+    notes : tuple of str
+        What was taken for granted, in words.
     """
 
     gain: FloatArray
@@ -66,14 +83,17 @@ class Balance:
     before: FloatArray
     after: FloatArray
     overlaps: int
-    curves: tuple[Curve, ...] | None = None
+    curves: tuple[Curve, ...] | tuple[Shade, ...] | None = None
+    fields: Fields | None = None
+    trials: tuple[Trial, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
-def solve(images: int, bands: int, overlaps: Sequence[Overlap]) -> Balance:
+def solve(images: int, bands: int, overlaps: Sequence[Overlap], *, hold: bool = True) -> Balance:
     """Solve gains and offsets of all images, band by band.
 
     An image without overlaps keeps gain 1 and offset 0. Clipped values are to be left out beforehand: they look too
-    much like the ground to be told from it.
+    much like the ground to be told from it. `hold` bounds the drift along strips, see `drift`.
 
     Raises
     ------
@@ -86,8 +106,9 @@ def solve(images: int, bands: int, overlaps: Sequence[Overlap]) -> Balance:
         return Balance(gain, offset, np.full(bands, np.nan), np.full(bands, np.nan), 0)
     first, second = np.array([(pair.first, pair.second) for pair in used]).T
     relations = [relate(pair.a, pair.b) for pair in used]
+    graph = _Graph.of(images, first, second, hold=hold)
     for band in range(bands):
-        gain[:, band], offset[:, band] = _solve_band(images, first, second, relations, band)
+        gain[:, band], offset[:, band] = _solve_band(graph, relations, band)
     if not (np.isfinite(gain).all() and np.isfinite(offset).all()):
         raise SolveError("the colour balance has no solution", mend="run with --no-balance")
     before, after, count = np.zeros(bands), np.zeros(bands), 0
@@ -100,39 +121,83 @@ def solve(images: int, bands: int, overlaps: Sequence[Overlap]) -> Balance:
     return Balance(gain, offset, np.sqrt(before / count), np.sqrt(after / count), len(used))
 
 
-def _solve_band(
-    images: int, first: AnyArray, second: AnyArray, relations: Sequence[Relation], band: int
-) -> tuple[FloatArray, FloatArray]:
+@dataclass(frozen=True)
+class _Graph:
+    """Which images overlap, and where corrections could creep."""
+
+    images: int
+    first: IntArray
+    second: IntArray
+    near: list[IntArray]
+    group: IntArray | None
+
+    @classmethod
+    def of(cls, images: int, first: IntArray, second: IntArray, *, hold: bool) -> _Graph:
+        near = drift.neighbourhoods(images, first, second) if hold else []
+        return cls(images, first, second, near, drift.groups(images, first, second) if near else None)
+
+
+def _solve_band(graph: _Graph, relations: Sequence[Relation], band: int) -> tuple[FloatArray, FloatArray]:
     def column(name: str) -> FloatArray:
         return np.array([getattr(relation, name)[band] for relation in relations])
 
+    first, second = graph.first, graph.second
     ratio, variance = column("log_ratio"), column("log_ratio_variance")
-    gain = np.exp(_level(images, first, second, ratio, variance + LEAST_SIGMA**2))
+    level = _level(graph, ratio, variance + LEAST_SIGMA**2)
+    sigma = drift.sigma(graph.near, level) if graph.near else None
+    if sigma is not None:
+        level = _level(graph, ratio, variance + LEAST_SIGMA**2, sigma)
+    gain = np.exp(level)
     mean_a, mean_b = gain[first] * column("mean_a"), gain[second] * column("mean_b")
     spread = gain[first] * column("spread_a") * gain[second] * column("spread_b")
     noise = 2 * spread * (1 - column("correlation")) / column("count")
     unit = max(1e-12, float(np.mean((np.abs(mean_a) + np.abs(mean_b)) / 2)))
     variance = noise / unit**2 + LEAST_SIGMA**2
-    return gain, unit * _level(images, first, second, (mean_b - mean_a) / unit, variance)
+    target = None
+    if graph.near:  # what gains do to the level of each image, offsets take back over neighbourhoods
+        sums = np.bincount(first, mean_a, graph.images) + np.bincount(second, mean_b, graph.images)
+        count = np.bincount(first, minlength=graph.images) + np.bincount(second, minlength=graph.images)
+        raised = (1 - 1 / gain) * sums / np.maximum(count, 1) / unit
+        assert graph.group is not None
+        target = (np.bincount(graph.group, raised) / np.bincount(graph.group))[graph.group] - raised
+    return gain, unit * _level(graph, (mean_b - mean_a) / unit, variance, sigma, target)
 
 
-def _level(images: int, first: AnyArray, second: AnyArray, difference: FloatArray, variance: FloatArray) -> FloatArray:
+def _level(
+    graph: _Graph,
+    difference: FloatArray,
+    variance: FloatArray,
+    sigma: float | None = None,
+    target: FloatArray | None = None,
+) -> FloatArray:
     """Least-squares values x of all images from observed differences x[first] − x[second] and the prior x = 0.
 
     The normal matrix is the weighted Laplacian of the graph plus the prior's weight on its diagonal. Rows of a
-    Laplacian sum to 0, so the values of every connected group do too.
+    Laplacian sum to 0, so the values of every connected group do too; where neighbourhoods are held they are made to.
+    The mean of a neighbourhood is held at that of `target`, 0 unless given, with the standard deviation `sigma`.
     """
+    images, first, second = graph.images, graph.first, graph.second
     weight = PRIOR_SIGMA**2 / variance
-    pull = np.bincount(first, weight * difference, images) - np.bincount(second, weight * difference, images)
+    push = weight * difference
+    pull = np.asarray(np.bincount(first, push, images) - np.bincount(second, push, images), dtype=np.float64)
     diagonal = 1.0 + np.bincount(first, weight, images) + np.bincount(second, weight, images)
     each = np.arange(images)
-    rows, cols = np.concatenate([first, second, each]), np.concatenate([second, first, each])
-    values = np.concatenate([-weight, -weight, diagonal])
+    strength = 0.0 if sigma is None else PRIOR_SIGMA**2 / sigma**2
+    held = drift.entries(graph.near if strength else [], strength)
+    if target is not None:
+        pull = pull + drift.pulls(graph.near, target, strength)
+    rows = np.concatenate([first, second, each, held[0]])
+    cols = np.concatenate([second, first, each, held[1]])
+    values = np.concatenate([-weight, -weight, diagonal, held[2]])
     if images <= MOST_DENSE:
         dense = np.zeros((images, images))
         np.add.at(dense, (rows, cols), values)
-        return np.asarray(np.linalg.solve(dense, pull))
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.linalg import spsolve
+        level = np.asarray(np.linalg.solve(dense, pull))
+    else:
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.linalg import spsolve
 
-    return np.asarray(spsolve(coo_matrix((values, (rows, cols)), shape=(images, images)).tocsc(), pull))
+        level = np.asarray(spsolve(coo_matrix((values, (rows, cols)), shape=(images, images)).tocsc(), pull))
+    if graph.group is not None:
+        level = level - (np.bincount(graph.group, level) / np.bincount(graph.group))[graph.group]
+    return level

@@ -82,6 +82,32 @@ def match_overlaps(pieces: Sequence[Thumbnail], master: Thumbnail) -> tuple[list
     return [curves.get(i, Curve.identity(bands)) for i in range(len(pieces))], alone
 
 
+def match_sequence(pieces: Sequence[Thumbnail], master: Thumbnail, first: int) -> list[Curve]:
+    """Bring each image to the one before it: those after `first` in their order, then those before it, backwards.
+
+    Two are matched over what both show, or, where they share too little, over all that each shows. `master` is the
+    first of the pieces, or a picture of its own, which the first is brought to.
+    """
+    bands = master.values.shape[2]
+    curves = [Curve.identity(bands) for _ in pieces]
+    if master is not pieces[first]:
+        curves[first] = _to(pieces[first], master, Curve.identity(bands))
+    for order in (range(first + 1, len(pieces)), range(first - 1, -1, -1)):
+        for i in order:
+            before = i - 1 if i > first else i + 1
+            curves[i] = _to(pieces[i], pieces[before], curves[before])
+    return curves
+
+
+def _to(piece: Thumbnail, other: Thumbnail, curve: Curve) -> Curve:
+    found = common(piece, other)
+    if found is None or len(found[0]) < LEAST_CELLS:
+        found = piece.values[piece.valid > 0], other.values[other.valid > 0]
+    if min(len(found[0]), len(found[1])) < LEAST_CELLS:
+        return Curve.identity(piece.values.shape[2])
+    return match(found[0], curve(found[1]))
+
+
 def common(one: Thumbnail, other: Thumbnail) -> tuple[AnyArray, AnyArray] | None:
     """Values (N, bands) of two images where both are known; None where they share nothing."""
     window = one.window.intersection(other.window)

@@ -105,8 +105,9 @@ def compare(
     if len(rows) < LEAST_CELLS:
         return None
     chosen = spread_out(len(rows))
-    a, b = (values[rows[chosen], cols[chosen]] for values in views)
-    return Overlap(first, second, a, b)
+    rows, cols = rows[chosen], cols[chosen]
+    a, b = (values[rows, cols] for values in views)
+    return Overlap(first, second, a, b, np.stack([cols + common.col, rows + common.row], axis=1))
 
 
 def spread_out(count: int) -> AnyArray:

@@ -18,6 +18,7 @@ class Engine:
     accumulate: Callable[..., None]
     finish: Callable[..., None]
     quick: Mapping[str, Callable[..., int]]
+    shade: Callable[..., None]
 
     def threads(self, most: int) -> int:
         """Threads that are worth starting: NumPy's small steps would only wait for each other."""
@@ -28,12 +29,12 @@ def numpy_engine() -> Engine:
     """Kernels in NumPy: nothing to start, slow on large jobs."""
     from geomosaic.resample import reference
 
-    return Engine(reference.coordinates, reference.sample, reference.accumulate, reference.finish, {})
+    return Engine(reference.coordinates, reference.sample, reference.accumulate, reference.finish, {}, reference.shade)
 
 
 def numba_engine() -> Engine:
     """Compiled kernels."""
-    from geomosaic.resample.kernels import blend, place, sample
+    from geomosaic.resample.kernels import blend, place, sample, shade
 
     return Engine(
         place.coordinates,
@@ -41,6 +42,7 @@ def numba_engine() -> Engine:
         blend.accumulate,
         blend.finish,
         {"bilinear": place.bilinear_rgb, "cubic": place.cubic_rgb},
+        shade.shade,
     )
 
 

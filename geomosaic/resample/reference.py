@@ -314,3 +314,39 @@ def finish(
 def _pixels(cells: AnyArray, shape: tuple[int, int]) -> AnyArray:
     """Whether each pixel lies in a wanted cell of 64 x 64."""
     return np.kron(cells > 0, np.ones((64, 64), dtype=bool))[: shape[0], : shape[1]]
+
+
+def shade(
+    values: AnyArray,
+    seen: AnyArray,
+    net: FloatArray,
+    place: tuple[float, float, float, float],
+    dark: FloatArray,
+    curve: FloatArray,
+    reach: float,
+    offset: FloatArray,
+    low: float,
+    high: float,
+    whole: bool,
+    out: AnyArray,
+    out_valid: AnyArray,
+) -> None:
+    """Correct the pixels that are seen by gains on a coarse net; see `kernels.shade`."""
+    height, width, bands = values.shape
+    v = np.minimum(np.maximum(place[1] + np.arange(height) * place[3], 0.0), net.shape[0] - 1.0)
+    u = np.minimum(np.maximum(place[0] + np.arange(width) * place[2], 0.0), net.shape[1] - 1.0)
+    j, i = np.minimum(v.astype(np.int64), net.shape[0] - 2), np.minimum(u.astype(np.int64), net.shape[1] - 2)
+    lines = net[j] + (net[j + 1] - net[j]) * (v - j)[:, None, None]
+    gain = lines[:, i] + (lines[:, i + 1] - lines[:, i]) * (u - i)[None, :, None]
+    plain = values.astype(np.float64) + dark
+    steps = curve.shape[1] - 1
+    if steps > 0:
+        at = np.maximum(plain * (steps / reach), 0.0)
+        step = np.minimum(at.astype(np.int64), steps - 1)
+        band = np.arange(bands)
+        first = curve[band, step]
+        plain = first + (curve[band, step + 1] - first) * (at - step)
+    exact = gain * plain + offset
+    here = seen > 0
+    out[here] = np.clip(np.floor(exact[here] + 0.5), low, high) if whole else exact[here]
+    out_valid[here] = 1

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from geomosaic.jobs.digest import digest_of, versions
 from geomosaic.jobs.facts import write_json
 from geomosaic.jobs.heard import heard
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Context, Machine
 from geomosaic.jobs.steps.restore import area_of, render_options, restore_block
+from geomosaic.product.colour_facts import colour_facts, picture
 from geomosaic.product.reuse import Memory
 from geomosaic.project.draft import relative
 from geomosaic.project.frames import describe
@@ -21,7 +24,9 @@ from geomosaic.project.make import plan, reference_scene
 def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
     """Write the mosaic and what goes with it."""
     from geomosaic.product.mosaic import mosaic as make
-    from geomosaic.product.options import MosaicOptions
+    from geomosaic.product.options import MosaicOptions, terms_of
+    from geomosaic.product.report.figures import data_uri
+    from geomosaic.raster.preview import png_bytes
 
     layout, wanted = Layout(project), project.settings.mosaic
     layout.mosaic.parent.mkdir(parents=True, exist_ok=True)
@@ -36,13 +41,19 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             wanted.labels,
             histogram=wanted.histogram,
             master=wanted.master,
-            reference=None if reference is None else reference_scene(reference, project.settings.project.bands),
+            reference=None
+            if reference is None
+            else reference_scene(reference, wanted.reference_bands or project.settings.project.bands),
             seams=wanted.seams,
             cutlines=project.file(wanted.cutlines),
             memory=_memory(project, context),
+            colour=terms_of(wanted.colour),
+            mask=project.file(wanted.mask),
+            region=project.file(wanted.region),
+            stretch=wanted.stretch,
         )
         result = make(block, grid, outlines, layout.mosaic, options)
-    facts = {
+    facts: dict[str, Any] = {
         "grid": {
             "crs": describe(grid.crs).partition("; heights")[0],
             "width": grid.width,
@@ -62,6 +73,8 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         "overlaps": result.balance.overlaps,
         "before": result.balance.before,
         "after": result.balance.after,
+        "colour": colour_facts(result.balance, [outline.name for outline in outlines]),
+        "stretch": None if result.stretch is None else vars(result.stretch),
         "images": [
             {
                 "name": outline.name,
@@ -80,6 +93,9 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         "units": result.units,
         "warnings": notes,
     }
+    drawn = picture(result.balance)
+    if drawn is not None:
+        facts["colour"]["picture"] = data_uri(png_bytes(drawn, np.ones(drawn.shape[:2], dtype=np.uint8)))
     write_json(layout.facts("mosaic"), facts)
     return {"pixels": result.valid_pixels, "lattice_error_px": result.lattice_error}
 
@@ -89,7 +105,8 @@ def _memory(project: Project, context: Context) -> Memory:
     layout, settings, digests = Layout(project), project.settings, context.digests
     scenes = [f"{digests[image]} {digests[model]}" for image, model in zip(project.images, layout.models, strict=True)]
     # Of all other files, those that only move seams or colours show in the seams and colours themselves.
-    elsewhere = {project.file(settings.mosaic.cutlines), project.file(settings.mosaic.reference)}
+    own_files = (settings.mosaic.cutlines, settings.mosaic.reference, settings.mosaic.mask, settings.mosaic.region)
+    elsewhere = {project.file(name) for name in own_files}
     own = {*project.images, *layout.models, *elsewhere}
     said = {
         "files": {relative(path, project.folder): digest for path, digest in digests.items() if path not in own},

@@ -1,0 +1,121 @@
+"""What light and lens do to an image, as sums of smooth functions of the place in it.
+
+Corrections are products, so their logarithms add up: log field = Σ βₖ·Bₖ(place). Places are given twice: in the image,
+from its centre in units of half its diagonal (so 1 in the corners), and on the ground, from the place that the image
+sees best, east and north, in units of half the footprint's diagonal. What belongs to the camera is a function of the
+first, what comes of sun and view of the second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from geomosaic.types import FloatArray, IntArray
+
+RADIAL = 3
+"""Even powers of the radius: ρ², ρ⁴, ρ⁶ (D. B. Goldman, Vignette and exposure calibration, PAMI 32, 2010)."""
+TREND = 5
+"""x, y, x² − y², 2xy and x² + y²: the view-angle trend up to second order."""
+SPANS = 6
+"""Intervals of the cubic splines of a hotspot across −1 … 1."""
+NODES = SPANS + 3
+SHARED = ("vignetting", "trend", "hotspot")
+"""Terms that images share; 'gamma' and 'dodging' are each image's own."""
+TERMS = (*SHARED, "gamma", "dodging")
+
+
+def width(terms: Collection[str], cameras: int) -> int:
+    """Number of shared functions."""
+    return (
+        RADIAL * cameras * ("vignetting" in terms) + TREND * ("trend" in terms) + NODES * NODES * ("hotspot" in terms)
+    )
+
+
+def shared(terms: Collection[str], cameras: int, camera: IntArray, image: FloatArray, view: FloatArray) -> FloatArray:
+    """Values (N, width) of the shared functions.
+
+    Parameters
+    ----------
+    terms : collection of str
+        Of `SHARED`.
+    cameras : int
+    camera : int array (N,)
+        Number of the camera; below 0 for what no camera of the block took, where all functions are 0.
+    image, view : array (N, 2)
+        Places in the image and on the ground, see above.
+    """
+    parts = [np.zeros((len(camera), 0))]
+    if "vignetting" in terms:
+        rho2 = (image**2).sum(axis=1)
+        radial = np.stack([rho2, rho2**2, rho2**3], axis=1)
+        own = camera[:, None] == np.arange(cameras)
+        parts.append((own[:, :, None] * radial[:, None, :]).reshape(len(camera), -1))
+    if "trend" in terms:
+        x, y = view.T
+        parts.append(np.stack([x, y, x**2 - y**2, 2 * x * y, x**2 + y**2], axis=1))
+    if "hotspot" in terms:
+        across, down = _splines(view[:, 0]), _splines(view[:, 1])
+        parts.append((down[:, :, None] * across[:, None, :]).reshape(len(camera), -1))
+    return np.where(camera[:, None] >= 0, np.concatenate(parts, axis=1), 0.0)
+
+
+def prior(terms: Collection[str], cameras: int) -> FloatArray:
+    """Normal matrix (width, width) of what is known beforehand: fields are no larger and no rougher than light makes.
+
+    Coefficients of falloff have a standard deviation of 1, those of a trend 0.3. Second differences of a hotspot's
+    nodes have 0.1, the nodes themselves 0.5.
+    """
+    size = width(terms, cameras)
+    normal, at = np.zeros((size, size)), 0
+    if "vignetting" in terms:
+        here = np.arange(at, at + RADIAL * cameras)
+        normal[here, here] = 1.0
+        at += len(here)
+    if "trend" in terms:
+        here = np.arange(at, at + TREND)
+        normal[here, here] = 1 / 0.3**2
+        at += TREND
+    if "hotspot" in terms:
+        normal[at:, at:] = np.eye(NODES * NODES) / 0.5**2 + roughness(NODES, NODES) / 0.1**2
+    return normal
+
+
+def roughness(rows: int, cols: int) -> FloatArray:
+    """Normal matrix of all second differences along rows and columns of a net of nodes, and twice the mixed ones."""
+    return np.asarray(
+        np.kron(np.eye(rows), _square(cols, 2))
+        + np.kron(_square(rows, 2), np.eye(cols))
+        + 2 * np.kron(_square(rows, 1), _square(cols, 1))
+    )
+
+
+def _square(count: int, order: int) -> FloatArray:
+    if count <= order:
+        return np.zeros((count, count))
+    rule = np.diff(np.eye(count), order, axis=0)
+    return np.asarray(rule.T @ rule)
+
+
+def _splines(t: FloatArray) -> FloatArray:
+    """Uniform cubic B-splines (N, NODES) over −1 … 1; places beyond count as the ends."""
+    at = np.clip((t + 1) / 2, 0.0, 1.0) * SPANS
+    first = np.minimum(at.astype(np.int64), SPANS - 1)
+    u = at - first
+    weights = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]) / 6
+    out = np.zeros((len(t), NODES))
+    rows = np.arange(len(t))
+    for k in range(4):
+        out[rows, first + k] = weights[k]
+    return out
+
+
+def hats(image: FloatArray, nodes: int) -> tuple[IntArray, FloatArray]:
+    """Numbers (N, 4) and weights (N, 4) of the nodes of a net of nodes × nodes over −1 … 1 that places lie between."""
+    at = np.clip((image + 1) / 2, 0.0, 1.0) * (nodes - 1)
+    first = np.minimum(at.astype(np.int64), nodes - 2)
+    (u, v), (col, row) = (at - first).T, first.T
+    number = np.stack([row * nodes + col, row * nodes + col + 1, (row + 1) * nodes + col, (row + 1) * nodes + col + 1])
+    weight = np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v])
+    return number.T, weight.T

@@ -1,0 +1,169 @@
+"""Normal equations of one band of the block's colour.
+
+The derivative of a difference D = c_a − c_b by the logarithm of a gain is taken as the mean M = (c_a + c_b) / 2 of both
+views: like the standardised major axis of `relation` it treats both alike, and noise, which M and D do not share, does
+not pull gains towards 0 (J. Riggs et al., Fitting straight lines when both variables are subject to error, Life Sci.
+22, 1978).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.radiometry import bases, drift
+from geomosaic.radiometry.views import Views
+from geomosaic.types import BoolArray, FloatArray, IntArray
+
+LEAST_SIGMA = 0.003
+"""With which one overlap is believed at best, as in `gain_offset`."""
+SIGMA_GAIN, SIGMA_DARK, SIGMA_GAMMA = 1.0, 0.1, 0.3
+"""Priors; of the dark offset in mean grey values."""
+MOST_DENSE = 1500
+"""Parameters of a band beyond which the normal equations are kept sparse."""
+LEAST_LIGHT = 1e-3
+"""Of the range: values after the dark offset are no less, so that powers exist."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is to be solved.
+
+    Attributes
+    ----------
+    images, cameras : int
+    camera : int array (images,)
+        Of each image; below 0 for one that no camera of the block took, whose values stay in proportion.
+    terms : frozenset of str
+        See `bases.TERMS`.
+    reach : float
+        R, the range of values.
+    """
+
+    images: int
+    cameras: int
+    camera: IntArray
+    terms: frozenset[str]
+    reach: float
+
+
+@dataclass(frozen=True)
+class Band:
+    """What one band is solved from."""
+
+    views: Views
+    setting: Setting
+    shared_a: FloatArray
+    shared_b: FloatArray
+    a: FloatArray
+    b: FloatArray
+    firm: BoolArray
+    near: list[IntArray]
+
+    def look(self, state: list[FloatArray]) -> tuple[FloatArray, FloatArray, list[FloatArray], list[FloatArray]]:
+        """Difference and mean of both views (P, K), and derivatives of each by its image's own parameters."""
+        gain, dark, gamma, shared = state
+        reach, shown, light, slope = self.setting.reach, [], [], []
+        for number, values, base in (
+            (self.views.first, self.a, self.shared_a),
+            (self.views.second, self.b, self.shared_b),
+        ):
+            factor = np.exp(gain[number][:, None] + base @ shared)
+            plain = np.maximum((values + dark[number][:, None]) / reach, LEAST_LIGHT)
+            power = gamma[number][:, None]
+            shown.append(factor * reach * plain**power)
+            slope.append(factor * power * plain ** (power - 1))
+            light.append(plain)
+        mean = (shown[0] + shown[1]) / 2
+        curve = mean * np.log((light[0] + light[1]) / 2)
+        return shown[0] - shown[1], mean, [mean, slope[0], curve], [-mean, -slope[1], -curve]
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Weights of what is known beforehand of each image's own parameters and of the shared ones."""
+
+    own: FloatArray
+    shared: FloatArray
+    rows: IntArray
+    cols: IntArray
+    held: FloatArray
+
+    @classmethod
+    def of(cls, band: Band) -> Prior:
+        """Weights for a band."""
+        setting, images = band.setting, band.setting.images
+        known = band.views.known
+        grey = float(np.abs(band.a[known]).mean() + np.abs(band.b[known]).mean()) / 2 if known.any() else 1.0
+        own = np.empty((3, images))
+        own[0], own[1] = SIGMA_GAIN**-2, (SIGMA_DARK * max(grey, 1e-12)) ** -2
+        own[2] = np.where(band.firm, 1e16, SIGMA_GAMMA**-2)
+        # Overlaps cannot tell a ramp of gains from a trend: held gains leave long ramps to the trend.
+        strength = (drift.FIRM * 0.1) ** -2
+        return cls(
+            own, bases.prior(setting.terms & set(bases.SHARED), setting.cameras), *drift.entries(band.near, strength)
+        )
+
+
+def change_of(
+    band: Band,
+    state: list[FloatArray],
+    prior: Prior,
+    weight: FloatArray,
+    difference: FloatArray,
+    mean: FloatArray,
+    by_a: list[FloatArray],
+    by_b: list[FloatArray],
+) -> list[FloatArray]:
+    """Changes of gain, dark, gamma and shared coefficients; parameters are ordered image by image, shared ones last."""
+    views, images = band.views, band.setting.images
+    kinds = 3 if not band.firm.all() else 2
+    size = state[3].size
+    first = views.first[:, None] * kinds + np.arange(kinds)
+    second = views.second[:, None] * kinds + np.arange(kinds)
+    number = np.concatenate([first, second], axis=1)  # (P, 2·kinds)
+    jacobian = np.stack([*by_a[:kinds], *by_b[:kinds]], axis=1)  # (P, 2·kinds, K)
+    weighted = jacobian * weight[:, None, :]
+    own = weighted @ jacobian.transpose(0, 2, 1)
+    total = images * kinds + size
+    rows, cols = (
+        np.broadcast_to(number[:, :, None], own.shape).ravel(),
+        np.broadcast_to(number[:, None, :], own.shape).ravel(),
+    )
+    values: FloatArray = own.ravel()
+    push = (weighted @ difference[..., None])[..., 0].ravel()
+    pull = -np.asarray(np.bincount(number.ravel(), push, total), dtype=np.float64)
+    at = np.arange(images * kinds).reshape(images, kinds)
+    beforehand = np.stack([state[0], state[1], state[2] - 1.0][:kinds], axis=1)
+    pull[at] -= prior.own[:kinds].T * beforehand
+    held = np.zeros(images)
+    np.add.at(held, prior.rows, prior.held * state[0][prior.cols])
+    pull[at[:, 0]] -= held
+    parts = [(rows, cols, values), (at.ravel(), at.ravel(), prior.own[:kinds].T.ravel())]
+    parts.append((prior.rows * kinds, prior.cols * kinds, prior.held))
+    if size:
+        across = mean[..., None] * (band.shared_a - band.shared_b)
+        flat = (weight[..., None] * across).reshape(-1, size)
+        both = flat.T @ across.reshape(-1, size) + prior.shared
+        pull[images * kinds :] = -(flat.T @ difference.ravel()) - prior.shared @ state[3]
+        mixed = weighted @ across  # (P, 2·kinds, size)
+        here = np.arange(images * kinds, total)
+        r, c = np.broadcast_to(number[:, :, None], mixed.shape).ravel(), np.broadcast_to(here, mixed.shape).ravel()
+        parts += [(r, c, mixed.ravel()), (c, r, mixed.ravel())]
+        parts.append((np.repeat(here, size), np.tile(here, size), both.ravel()))
+    change = _solution(total, parts, pull)
+    mine = change[: images * kinds].reshape(images, kinds)
+    bend = mine[:, 2] if kinds == 3 else np.zeros(images)
+    return [mine[:, 0], mine[:, 1], bend, change[images * kinds :]]
+
+
+def _solution(total: int, parts: list[tuple[IntArray, IntArray, FloatArray]], pull: FloatArray) -> FloatArray:
+    rows, cols, values = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    if total <= MOST_DENSE:
+        normal = np.bincount(rows * total + cols, values, total * total).reshape(total, total)
+        return np.asarray(np.linalg.solve(normal, pull))
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.linalg import spsolve
+
+    return np.asarray(spsolve(coo_matrix((values, (rows, cols)), shape=(total, total)).tocsc(), pull))

@@ -1,0 +1,44 @@
+"""Values corrected by gains on a coarse net, rounded and stored."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shade(values, seen, net, place, dark, curve, reach, offset, low, high, whole, out, out_valid):
+    """Correct the pixels that are seen; `place` is the node of pixel (0, 0) and nodes per pixel, across and down."""
+    height, width, bands = values.shape
+    node_rows, node_cols, _ = net.shape
+    u0, v0, du, dv = place
+    steps = curve.shape[1] - 1
+    scale = steps / reach
+    line = np.empty((node_cols, bands))
+    for k in range(height):
+        v = min(max(v0 + k * dv, 0.0), node_rows - 1.0)
+        j = min(int(v), node_rows - 2)
+        fv = v - j
+        for i in range(node_cols):
+            for m in range(bands):
+                line[i, m] = net[j, i, m] + (net[j + 1, i, m] - net[j, i, m]) * fv
+        for c in range(width):
+            if not seen[k, c]:
+                continue
+            u = min(max(u0 + c * du, 0.0), node_cols - 1.0)
+            i = min(int(u), node_cols - 2)
+            fu = u - i
+            for m in range(bands):
+                gain = line[i, m] + (line[i + 1, m] - line[i, m]) * fu
+                plain = np.float64(values[k, c, m]) + dark[m]
+                if steps > 0:
+                    at = max(plain * scale, 0.0)
+                    s = min(int(at), steps - 1)
+                    plain = curve[m, s] + (curve[m, s + 1] - curve[m, s]) * (at - s)
+                value = gain * plain + offset[m]
+                if whole:
+                    value = min(max(math.floor(value + 0.5), low), high)
+                out[k, c, m] = value
+            out_valid[k, c] = 1

@@ -1,0 +1,180 @@
+"""Known gain, offset, gamma, falloff and hotspot of every photo come back, but for what overlaps cannot tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from geomosaic.radiometry.choose import choose, solve_terms
+from geomosaic.radiometry.fields import Fields, solve_fields
+from geomosaic.radiometry.gain_offset import Overlap, solve
+from geomosaic.radiometry.steps import Setting
+from geomosaic.radiometry.views import Views, gather
+
+ROWS, COLS = 3, 5
+HALF = np.array([0.8, 0.6])  # of a footprint, in half diagonals
+STEP = np.array([0.64, 0.84])  # 60 % forward, 30 % side overlap
+R = 255.0
+
+
+def ground(xy: np.ndarray) -> np.ndarray:
+    """Radiance 15 .. 170 over the map, with detail everywhere."""
+    x, y = xy.T
+    wave = np.sin(7 * x + 2 * np.sin(3 * y)) + np.sin(5 * y - 4 * x) + np.sin(23 * x + 1) * np.sin(19 * y)
+    return np.asarray(85 + 23 * wave)[:, None] * np.array([1.1, 1.0, 0.9])
+
+
+class Cameras:
+    """What the photos of a block do to the light."""
+
+    def __init__(self, seed: int = 1, falloff: float = 0.0, hotspot: float = 0.0, bent: bool = False) -> None:
+        rng = np.random.default_rng(seed)
+        self.count = ROWS * COLS
+        self.centre = np.array([(c, r) for r in range(ROWS) for c in range(COLS)]) * STEP
+        self.gain = np.exp(rng.normal(0, 0.12, (self.count, 3)))
+        self.dark = rng.uniform(-4, 4, (self.count, 3))
+        self.gamma = np.exp(rng.normal(0, 0.25, (self.count, 3))) if bent else np.ones((self.count, 3))
+        self.falloff, self.hotspot = falloff, hotspot
+
+    def field(self, offset: np.ndarray) -> np.ndarray:
+        rho2 = (offset**2).sum(axis=1)
+        bump = np.exp(-((offset - (0.25, 0.3)) ** 2).sum(axis=1) / (2 * 0.25**2))
+        return np.asarray((1 - self.falloff * rho2 * (0.7 + 0.3 * rho2)) * (1 + self.hotspot * bump))[:, None]
+
+    def shown(self, index: int, xy: np.ndarray) -> np.ndarray:
+        """Value of the ground at map places."""
+        light = self.gain[index] * self.field(xy - self.centre[index]) * ground(xy)
+        return np.asarray(R * (light / R) ** (1 / self.gamma[index]) - self.dark[index])
+
+    def overlaps(self, samples: int = 500, noise: float = 0.0) -> list[Overlap]:
+        rng, pairs = np.random.default_rng(3), []
+        for i in range(self.count):
+            for j in range(i + 1, self.count):
+                low = np.maximum(self.centre[i], self.centre[j]) - HALF
+                high = np.minimum(self.centre[i], self.centre[j]) + HALF
+                if (high - low > 0.05).all():
+                    xy = rng.uniform(low, high, (samples, 2))
+                    xy = xy[np.lexsort(xy.T)]
+                    a, b = (self.shown(k, xy) + noise * rng.normal(size=(samples, 3)) for k in (i, j))
+                    pairs.append(Overlap(i, j, a, b, xy))
+        return pairs
+
+    def places(self, index: int, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return cells - self.centre[index], cells - self.centre[index]
+
+    def error(self, solved: Fields) -> np.ndarray:
+        """RMS of corrected values about true radiance, in parts of its mean, per band.
+
+        Without what overlaps cannot tell: a scale and an offset of all images, a gamma, and, where light changes across
+        footprints, a ramp over the block, which gains and a trend make alike.
+        """
+        rng, shown, true, where = np.random.default_rng(8), [], [], []
+        for i in range(self.count):
+            xy = self.centre[i] + rng.uniform(-HALF, HALF, (400, 2))
+            image, view = self.places(i, xy)
+            shown.append(solved.correct(i, self.shown(i, xy), image, view))
+            true.append(ground(xy))
+            where.append(xy)
+        out = []
+        for m in range(3):
+            x, y = np.concatenate(shown)[:, m], np.concatenate(true)[:, m]
+            same = [np.ones_like(x), x]
+            same += [x**2, x**3] if (self.gamma != 1).any() else []
+            same += [x * column for column in np.concatenate(where).T] if self.hotspot else []
+            fit = np.stack(same, axis=1)
+            out.append(np.sqrt(np.mean((fit @ np.linalg.lstsq(fit, y, rcond=None)[0] - y) ** 2)) / y.mean())
+        return np.array(out)
+
+
+def solved(cameras: Cameras, terms: set[str], noise: float = 0.0) -> tuple[Fields, Views]:
+    pairs = cameras.overlaps(noise=noise)
+    start = solve(cameras.count, 3, pairs)
+    views = gather(pairs, cameras.places, 15_000)
+    assert views is not None
+    setting = Setting(cameras.count, 1, np.zeros(cameras.count, dtype=np.int64), frozenset(terms), R)
+    return solve_fields(views, setting, start.gain, start.offset), views
+
+
+CASES = {
+    "gain and offset": ({}, set()),
+    "falloff": ({"falloff": 0.4}, {"vignetting"}),
+    "gamma": ({"bent": True}, {"gamma"}),
+    "hotspot": ({"hotspot": 0.25}, {"trend", "hotspot"}),
+    "all": ({"falloff": 0.4, "hotspot": 0.2, "bent": True}, {"vignetting", "trend", "hotspot", "gamma"}),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_known_cameras_come_back(name: str, noise: float) -> None:
+    given, terms = CASES[name]
+    cameras = Cameras(**given)
+    found, _ = solved(cameras, terms, noise)
+    plain, _ = solved(cameras, set(), noise)
+    error, before = cameras.error(found), cameras.error(plain)
+    assert (error < 0.01).all(), (
+        f"{np.round(100 * error, 3)} %, with gain and offset alone {np.round(100 * before, 2)} %"
+    )
+    if terms:
+        assert (before > 0.01).all(), f"{np.round(100 * before, 2)} %: the case shows nothing"
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted", "unwanted"),
+    [
+        ({}, set(), {"vignetting", "trend", "hotspot", "gamma", "dodging"}),
+        ({"falloff": 0.3}, {"vignetting"}, {"hotspot", "gamma", "dodging"}),
+        ({"hotspot": 0.25}, {"trend", "hotspot"}, {"gamma", "dodging"}),
+    ],
+)
+def test_what_is_not_there_is_not_chosen(given: dict[str, float], wanted: set[str], unwanted: set[str]) -> None:
+    cameras = Cameras(**given)  # type: ignore[arg-type]
+    pairs = cameras.overlaps(noise=2.0)
+    start = solve(cameras.count, 3, pairs)
+    views = gather(pairs, cameras.places, 8000)
+    assert views is not None
+    setting = Setting(cameras.count, 1, np.zeros(cameras.count, dtype=np.int64), frozenset(), R)
+    terms, trials = choose(views, setting, start.gain, start.offset)
+    said = [(trial.terms, round(trial.left, 4)) for trial in trials]
+    assert wanted <= terms, said
+    assert not unwanted & terms, said
+
+
+def test_dodging_takes_out_what_each_photo_has_of_its_own() -> None:
+    class Blotched(Cameras):
+        def shown(self, index: int, xy: np.ndarray) -> np.ndarray:
+            turn = 2 * np.pi * np.random.default_rng(index).random(2)
+            blot = np.sin(3 * (xy - self.centre[index]) + turn).prod(axis=1)
+            return np.asarray(super().shown(index, xy) * (1 + 0.1 * blot)[:, None])
+
+    cameras = Blotched()
+    pairs = cameras.overlaps(noise=1.0)
+    start = solve(cameras.count, 3, pairs)
+    views = gather(pairs, cameras.places)
+    assert views is not None
+    setting = Setting(cameras.count, 1, np.zeros(cameras.count, dtype=np.int64), frozenset({"dodging"}), R)
+    plain = solve_fields(views, setting, start.gain, start.offset)
+    found = solve_terms(views, setting, start.gain, start.offset)
+    before, after = cameras.error(plain), cameras.error(found)
+    assert (before > 0.035).all()
+    assert (after < 0.6 * before).all(), f"{before} before, {after} after"
+
+
+def test_a_cloud_and_moving_things_do_no_harm() -> None:
+    """A quarter of what one photo shows is a white cloud."""
+    cameras = Cameras(falloff=0.3)
+    clean = cameras.overlaps(noise=1.0)
+    cloudy = []
+    for pair in clean:
+        a, b = pair.a.copy(), pair.b.copy()
+        for values, index in ((a, pair.first), (b, pair.second)):
+            offset = pair.cells - cameras.centre[index]  # type: ignore[operator]
+            if index == 7:
+                values[np.hypot(*(offset - (0.2, 0.1)).T) < 0.4] = 240.0
+        cloudy.append(Overlap(pair.first, pair.second, a, b, pair.cells))
+    start = solve(cameras.count, 3, cloudy)
+    views = gather(cloudy, cameras.places)
+    assert views is not None
+    setting = Setting(cameras.count, 1, np.zeros(cameras.count, dtype=np.int64), frozenset({"vignetting"}), R)
+    error = cameras.error(solve_fields(views, setting, start.gain, start.offset))
+    assert (error < 0.015).all(), f"{np.round(100 * error, 2)} %"
