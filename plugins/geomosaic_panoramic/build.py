@@ -68,6 +68,7 @@ class PanoramicPlugin:
         SensorInput("ground_height", "mean height of the ground, in the vertical datum of the positions", "m", "0"),
         SensorInput("relative", "true: no place, only nominal numbers; the map is one of its own", default="false"),
         SensorInput("height_above_ground", "with relative: in place of a position", "m"),
+        SensorInput("drift", "with relative: angle of the nose to the right of the course", "deg", "0"),
         SensorInput("latitude", "with relative and an orbit: of the middle of the image, geodetic", "deg"),
     )
     model = PanoramicModel
@@ -92,7 +93,7 @@ class PanoramicPlugin:
         if not isinstance(relative, bool):
             raise InputError(f"input 'relative' is {relative!r}", where=where, mend="give true or false")
         if not relative:
-            extra = [name for name in ("height_above_ground", "latitude") if name in request.options]
+            extra = [name for name in ("height_above_ground", "latitude", "drift") if name in request.options]
             if extra:
                 raise InputError(f"input '{extra[0]}' is given without relative", where=where, mend="leave it out")
             return _placed(request)
@@ -113,10 +114,13 @@ def _without_place(request: SensorRequest) -> dict[str, Any]:
         raise InputError(
             f"height_above_ground is {above:g}, latitude {latitude:g}", where=where, mend="give metres and degrees"
         )
-    for name in ("relative", "height_above_ground", "latitude"):
+    drift = number(options, "drift", where, 0.0)
+    if "orbit" in options and "drift" in options:
+        raise InputError("input 'drift' is given together with 'orbit'", where=where, mend="leave one out")
+    for name in ("relative", "height_above_ground", "latitude", "drift"):
         options.pop(name, None)
     options |= {"position": [0.0, latitude, above], "ground_height": 0.0}
-    return options if "orbit" in options else {**options, "heading": 0.0, "north": "true"}
+    return options if "orbit" in options else {**options, "heading": 0.0, "course": -drift, "north": "true"}
 
 
 def _placed(request: SensorRequest) -> PanoramicModel:
@@ -254,7 +258,10 @@ def _inner(options: Mapping[str, Any], kind: str, beta: float, where: str) -> li
 
 def _seen(model: PanoramicModel, above: float) -> PanoramicModel:
     """The model with a seed in the middle of the image: where its line of sight comes down by the height."""
-    middle = np.array([[model.size[0] / 2, model.size[1] / 2]])
+    row = model.size[1] / 2
+    if model.scan.kind == "sweeps":  # in the middle of a sweep: at its border there are no derivatives
+        row = (np.floor(row / model.scan.sweeps.lines) + 0.5) * model.scan.sweeps.lines
+    middle = np.array([[model.size[0] / 2, row]])
     origins, directions = model.rays(middle)
     down = -(directions @ model.frame.axes.T)[0, 2]
     if down <= 0.05:

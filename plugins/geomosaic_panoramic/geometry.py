@@ -84,7 +84,8 @@ class Scan:
         return tau, body / np.linalg.norm(body, axis=1)[:, None]
 
     def _moments(self, track: Flight, beta: float, enu: FloatArray) -> FloatArray:
-        """When each point is seen: a secant on `_lead`, which is nearly a line in τ."""
+        """When each point is seen: a secant on `_lead`, which is nearly a line in τ; of sweeps only roughly."""
+        small, enough = (1e-3, 1e-2) if self.kind == "sweeps" else (SMALL, 1e-9)
         before, after = np.full(len(enu), -0.5), np.full(len(enu), 0.5)
         miss = self._lead(track, beta, enu, before)
         for _ in range(ROUNDS):
@@ -92,9 +93,9 @@ class Scan:
             slope = np.where(now == miss, np.inf, now - miss)  # settled: the step is 0
             step = np.clip(-now * (after - before) / slope, -FARTHEST, FARTHEST)
             before, miss, after = after, now, after + step
-            if not (np.abs(step) > SMALL * (1.0 + np.abs(after))).any():
+            if not (np.abs(step) > small * (1.0 + np.abs(after))).any():
                 break
-        settled = np.abs(self._lead(track, beta, enu, after)) <= 1e-9 * (1.0 + np.abs(after))
+        settled = np.abs(self._lead(track, beta, enu, after)) <= enough * (1.0 + np.abs(after))
         return np.where(settled, after, np.nan)
 
     def _lead(self, track: Flight, beta: float, enu: FloatArray, tau: FloatArray) -> FloatArray:

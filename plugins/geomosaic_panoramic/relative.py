@@ -7,6 +7,7 @@ satellite's is the ellipsoid, and x, y are distance and direction on it from the
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
@@ -62,8 +63,13 @@ class RelativeStrip:
 
     @property
     def seed(self) -> tuple[float, float, float]:
-        """The origin."""
-        return 0.0, 0.0, 0.0
+        """Where the strip's own lies in this map."""
+        place = np.array([self.model.seed])
+        east, north, _ = (self._from_map.inverse()(place) if self.curved else self.model.frame.to_enu(place))[
+            0
+        ].tolist()
+        c, s = math.cos(self.heading), math.sin(self.heading)
+        return c * east - s * north, s * east + c * north, 0.0
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -80,7 +86,7 @@ class RelativeStrip:
     @cached_property
     def _from_map(self) -> Transform:
         frame = self.model.frame
-        longitude, latitude, _ = Transform(frame.crs, geographic(frame.crs))(frame.origin[None])[0]
+        longitude, latitude, _ = Transform(frame.crs, geographic(frame.crs))(frame.origin[None])[0].tolist()
         base = geographic(frame.crs).ellipsoid
         shape = f"+a={base.semi_major_metre} +b={base.semi_minor_metre}" if base else "+ellps=WGS84"
         text = f"+proj=aeqd +lat_0={latitude!r} +lon_0={longitude!r} {shape} +units=m +type=crs"

@@ -70,32 +70,35 @@ class Sweeps:
     ) -> FloatArray:
         """Ground (N, 3) to image (N, 2); `near` (N,) is when each point lies in the plane of scan."""
         guess = np.floor(near + size[1] / self.lines / 2)
-        best = np.full((len(enu), 2), np.nan)
-        least = np.full(len(enu), np.inf)
-        for step in (0, -1, 1):
-            found, away = self._in_sweep(flight, size, side, inside, enu, guess + step)
-            closer = away < least
-            best[closer], least[closer] = found[closer], away[closer]
+        best, within = self._in_sweep(flight, size, side, inside, enu, guess)
+        for _ in range(2):  # the guess may be a sweep off, as the scanner moves while it sweeps
+            doubt = np.flatnonzero(np.abs(within) > 0.3 * self.lines)
+            if not len(doubt):
+                break
+            other = guess[doubt] + np.sign(within[doubt])
+            found, away = self._in_sweep(flight, size, side, inside, enu[doubt], other)
+            closer = np.abs(away) < np.abs(within[doubt])
+            best[doubt[closer]], within[doubt[closer]] = found[closer], away[closer]
+            guess[doubt[closer]] = other[closer]
         return best
 
     def _in_sweep(
         self, flight: Flight, size: tuple[int, int], side: int, inside: Inside, enu: FloatArray, sweep: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Image (N, 2) as a sweep (N,) sees it, and lines from its middle (N,); infinite where it does not."""
+        """Image (N, 2) as a sweep (N,) sees it, NaN where it does not, and lines from its middle (N,)."""
         (width, height), (beta, focal, motion) = size, inside
         direction, middle = self._direction(sweep), self._middle(sweep, height)
         share = np.zeros(len(enu))
         for _ in range(ROUNDS):  # the scan angle hardly changes within a sweep, so this converges at once
-            _, right, down = flight.to_body(enu, middle + self.active * share)
+            forward, right, down = flight.to_body(enu, middle + self.active * share)
             before, share = share, direction * np.arctan2(side * right, down) / (beta * width)
-            if not (np.abs(share - before) > 1e-15).any():
+            if not (np.abs(share - before) > 1e-12).any():
                 break
-        forward, right, down = flight.to_body(enu, middle + self.active * share)
         with np.errstate(divide="ignore", invalid="ignore"):
             within = focal * forward / np.hypot(right, down) + motion * share
         found = np.column_stack([width / 2 + direction * share * width, self.lines * (sweep + 0.5) + within])
-        seen = np.isfinite(found).all(axis=1) & (down > 0.0)
-        return found, np.where(seen, np.abs(within), np.inf)
+        found[~(np.isfinite(found).all(axis=1) & (down > 0.0))] = np.nan
+        return found, within
 
     def _direction(self, sweep: FloatArray) -> FloatArray:
         return np.where(sweep % 2 == 1, -1.0, 1.0) if self.both else np.ones(len(sweep))
