@@ -24,6 +24,7 @@ COMMANDS: dict[str, str] = {
     "status": "Show which steps of a project are stale, and why.",
     "georeference": "Place one image on the map by control points.",
     "ortho": "Rectify one image.",
+    "deskew": "Remove skew and tangential distortion of a scanned strip, without control.",
     "mosaic": "Make one mosaic from images.",
     "develop": "Draw photos of a facade, tower or dome on its developed surface.",
     "edges": "Join photos with control at their edges, and mosaic them.",

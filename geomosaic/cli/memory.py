@@ -12,6 +12,7 @@ from geomosaic.cli.values import size
 MEGABYTE = 1 << 20
 SMALLEST = {
     "ortho": 90,
+    "deskew": 90,
     "reproject": 90,
     "georeference": 180,
     "mosaic": 170,
@@ -24,6 +25,7 @@ SMALLEST = {
 measured. Nothing keeps a lower limit."""
 LEAST = {
     "ortho": 220,
+    "deskew": 220,
     "reproject": 220,
     "georeference": 370,
     "mosaic": 330,

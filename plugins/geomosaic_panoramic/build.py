@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pyproj import CRS
 
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import horizontal
@@ -16,10 +18,22 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.datum import need_heights
 from geomosaic.sensor.parameters import Parameters
 from geomosaic.sensor.plugin import SensorInput, SensorRequest
+from geomosaic_panoramic.curve import Poses
+from geomosaic_panoramic.flight import cover, declared_orbit, read_table, table_poses
 from geomosaic_panoramic.geometry import KINDS, Scan
 from geomosaic_panoramic.model import NAMES, PanoramicModel
+from geomosaic_panoramic.read import number, numbers, word
+from geomosaic_panoramic.relative import RelativeStrip
+from geomosaic_panoramic.sweeps import Sweeps
 
-PER_STEP = {"scanner": "line", "panoramic": "sweep"}
+PER_STEP = {"scanner": "line", "sweeps": "sweep", "panoramic": "sweep"}
+STRAIGHT = ("heading", "course", "rates", "advance", "v_over_h", "climb")
+"""Inputs of a straight flight, which a table or an orbit replaces."""
+OF_KIND = {
+    "focal_length": ("panoramic",), "pixel_size": ("panoramic",), "image_motion": ("sweeps", "panoramic"),
+    "lines_per_sweep": ("sweeps",), "directions": ("sweeps",), "active": ("sweeps",), "line_angle": ("sweeps",),
+}  # fmt: skip
+"""Inputs that mean something for some kinds only."""
 
 
 class PanoramicPlugin:
@@ -28,27 +42,39 @@ class PanoramicPlugin:
     name = "panoramic"
     summary = "airborne across-track scanners and panoramic cameras, with attitude and motion during the scan"
     inputs = (
-        SensorInput("kind", "scanner (a line is one moment) or panoramic (one sweep of a lens over the film)"),
+        SensorInput("kind", "scanner (a line is one moment), sweeps (several lines at once) or panoramic (one sweep)"),
         SensorInput("position", "x, y, z at the middle of the image, in the CRS of the positions"),
         SensorInput("heading", "direction of the nose, clockwise from north", "deg"),
         SensorInput("north", "grid or true: the north that heading and course count from", default="grid"),
         SensorInput("course", "direction of motion, clockwise from north", "deg", "heading"),
-        SensorInput("pitch", "nose up", "deg", "0"),
-        SensorInput("roll", "right wing down", "deg", "0"),
+        SensorInput("pitch", "nose up; with a track or an orbit of the scanner against the body", "deg", "0"),
+        SensorInput("roll", "right wing down; as pitch", "deg", "0"),
         SensorInput("rates", "heading, pitch, roll: change per line, or per sweep", "deg", "0, 0, 0"),
-        SensorInput("advance", "way over ground per line (scanner), or during the sweep (panoramic)", "m"),
+        SensorInput("advance", "way over ground per line (scanner) or per sweep", "m"),
         SensorInput("v_over_h", "angular speed instead of advance: V/H per line or sweep; needs ground_height", "rad"),
         SensorInput("climb", "change of height per line or sweep", "m", "0"),
+        SensorInput("track", "CSV file of a curved flight: time (s), x, y, z, heading, pitch, roll"),
+        SensorInput("orbit", "table of a satellite's orbit: inclination (deg), pass = ascending or descending"),
+        SensorInput("start_time", "time at the upper edge of the image, in the clock of the track", "s"),
+        SensorInput("period", "time of one line or sweep, with a track or an orbit", "s"),
         SensorInput("field_of_view", "angle of the whole sweep, all columns", "deg"),
+        SensorInput("lines_per_sweep", "sweeps: lines that are swept at once", default="16"),
+        SensorInput("directions", "sweeps: one, or both where every other sweep runs backwards", default="one"),
+        SensorInput("active", "sweeps: share of the period in which the ground is seen", default="1"),
+        SensorInput("line_angle", "sweeps: angle of one line along the flight", "deg", "field_of_view / columns"),
         SensorInput("focal_length", "panoramic: focal length", "mm"),
         SensorInput("pixel_size", "panoramic: pixel of the scanned film", "mm"),
-        SensorInput("image_motion", "panoramic: image motion compensation, shift of rows at 90° of scan", "px", "0"),
+        SensorInput("image_motion", "compensation: shift of rows at 90° of scan (panoramic), per sweep", "px", "0"),
         SensorInput("columns", "right or left: side of the flight that columns run to", default="right"),
         SensorInput("ground_height", "mean height of the ground, in the vertical datum of the positions", "m", "0"),
+        SensorInput("relative", "true: no place, only nominal numbers; the map is one of its own", default="false"),
+        SensorInput("height_above_ground", "with relative: in place of a position", "m"),
+        SensorInput("drift", "with relative: angle of the nose to the right of the course", "deg", "0"),
+        SensorInput("latitude", "with relative and an orbit: of the middle of the image, geodetic", "deg"),
     )
     model = PanoramicModel
 
-    def build(self, request: SensorRequest) -> PanoramicModel:
+    def build(self, request: SensorRequest) -> PanoramicModel | RelativeStrip:
         """Make the model of one image.
 
         Raises
@@ -58,62 +84,180 @@ class PanoramicPlugin:
         HeightDatumError
             The position has no vertical datum.
         """
-        where, options = request.image, request.options
+        where = request.image
         known = [entry.name for entry in self.inputs]
-        for key in options:
+        for key in request.options:
             if key not in known:
                 hint = did_you_mean(str(key), known)
                 raise InputError(f"sensor 'panoramic' has no input '{key}'", where=where, mend=hint or "see its inputs")
-        kind = _word(options, "kind", KINDS, where)
-        if request.crs is None:
-            raise InputError(
-                "sensor 'panoramic' needs the CRS of the position", where=where, mend="give --exterior-crs"
-            )
-        need_heights(request.crs, "the position", where, lambda crs: self.build(replace(request, crs=crs)))
-        position = np.array(_numbers(options, "position", 3, where))
-        frame = LocalFrame.at(request.crs, position)
-        if not np.isfinite(frame.origin).all():
-            raise InputError(f"position {position.tolist()} has no place in '{request.crs.name}'", where=where)
-        north = _word(options, "north", ("grid", "true"), where, "grid")
+        relative = request.options.get("relative", False)
+        if not isinstance(relative, bool):
+            raise InputError(f"input 'relative' is {relative!r}", where=where, mend="give true or false")
+        if not relative:
+            extra = [name for name in ("height_above_ground", "latitude", "drift") if name in request.options]
+            if extra:
+                raise InputError(f"input '{extra[0]}' is given without relative", where=where, mend="leave it out")
+            return _placed(request)
+        options = _without_place(request)
+        model = _placed(replace(request, options=options, crs=CRS.from_epsg(4979)))
+        return RelativeStrip(model, options["position"][2], "orbit" in options)
+
+
+def _without_place(request: SensorRequest) -> dict[str, Any]:
+    """Inputs at a nominal place, instead of those without one."""
+    where, options = request.image, dict(request.options)
+    for name in ("position", "heading", "north", "course", "track", "start_time", "ground_height"):
+        if name in options:
+            raise InputError(f"input '{name}' is given together with relative", where=where, mend="leave one out")
+    above = number(options, "height_above_ground", where)
+    latitude = number(options, "latitude", where, None if "orbit" in options else 0.0)
+    if above <= 0.0 or not -90.0 < latitude < 90.0:
+        raise InputError(
+            f"height_above_ground is {above:g}, latitude {latitude:g}", where=where, mend="give metres and degrees"
+        )
+    drift = number(options, "drift", where, 0.0)
+    if "orbit" in options and "drift" in options:
+        raise InputError("input 'drift' is given together with 'orbit'", where=where, mend="leave one out")
+    for name in ("relative", "height_above_ground", "latitude", "drift"):
+        options.pop(name, None)
+    options |= {"position": [0.0, latitude, above], "ground_height": 0.0}
+    return options if "orbit" in options else {**options, "heading": 0.0, "course": -drift, "north": "true"}
+
+
+def _placed(request: SensorRequest) -> PanoramicModel:
+    """Make the model at its place."""
+    where, options = request.image, request.options
+    kind = word(options, "kind", KINDS, where)
+    for name, kinds in OF_KIND.items():
+        if name in options and kind not in kinds:
+            raise InputError(f"{name} has no meaning for a {kind.removesuffix('s')}", where=where, mend="leave it out")
+    if request.crs is None:
+        raise InputError("sensor 'panoramic' needs the CRS of the position", where=where, mend="give --exterior-crs")
+    need_heights(request.crs, "the position", where, lambda crs: _placed(replace(request, crs=crs)))
+    scan = _scan(kind, request)
+    table, tau = _table(request, scan.periods)
+    if table is None:
+        position = np.array(numbers(options, "position", 3, where))
+    else:
+        position = np.array([np.interp(0.0, tau, table[:, i]) for i in (1, 2, 3)])
+    frame = LocalFrame.at(request.crs, position)
+    if not np.isfinite(frame.origin).all():
+        raise InputError(f"position {position.tolist()} has no place in '{request.crs.name}'", where=where)
+    ground = number(options, "ground_height", where, 0.0)
+    above = float(position[2] - ground)
+    if above <= 0.0:
+        raise InputError(f"the position is {-above:g} m below ground_height", where=where, mend="check both heights")
+    grid = word(options, "north", ("grid", "true"), where, "grid") == "grid"
+    poses: Poses | None = None
+    motion = np.zeros(12)
+    motion[7:9] = number(options, "pitch", where, 0.0), number(options, "roll", where, 0.0)
+    if table is not None:
+        poses = table_poses(table, tau, request.crs, frame, grid=grid)
+    elif "orbit" in options:
+        poses = declared_orbit(options, frame, scan.periods / 2, where)
+    else:
         turn = 0.0
-        if north == "grid" and horizontal(request.crs).is_projected:
+        if grid and horizontal(request.crs).is_projected:
             turn = map_place(request.crs, position[0], position[1]).convergence
-        heading = _number(options, "heading", where) + turn
-        course = math.radians(_number(options, "course", where, heading - turn) + turn)
-        ground = _number(options, "ground_height", where, 0.0)
-        above = position[2] - ground
-        if above <= 0.0:
-            raise InputError(
-                f"the position is {-above:g} m below ground_height", where=where, mend="check both heights"
-            )
-        advance = _advance(options, kind, above, where)
-        field = _number(options, "field_of_view", where)
-        limit = 170.0 if kind == "scanner" else 180.0
-        if not 0.0 < field < limit:
-            raise InputError(f"field_of_view is {field:g}", where=where, mend=f"give degrees between 0 and {limit:g}")
-        focal = _focal(options, kind, where)
-        motion = _number(options, "image_motion", where, 0.0)
-        side = 1 if _word(options, "columns", ("right", "left"), where, "right") == "right" else -1
-        values = np.array(
-            [
-                0.0, 0.0, 0.0,
-                advance * math.sin(course), advance * math.cos(course), _number(options, "climb", where, 0.0),
-                heading, _number(options, "pitch", where, 0.0), _number(options, "roll", where, 0.0),
-                *_numbers(options, "rates", 3, where, (0.0, 0.0, 0.0)),
-                field / request.size[0], focal, motion,
-            ][: len(NAMES[kind])]
-        )  # fmt: skip
-        seed = position.copy()
-        seed[2] = ground
-        x, y, z = Transform(request.crs, frame.crs)(seed[None])[0].tolist()
-        scan = Scan(kind, request.size, side)
-        parameters = _parameters(kind, request.size, values, above)
-        return _seen(PanoramicModel(scan, frame, parameters, (x, y, z)), above)
+        motion = _straight(options, kind, above, turn, where)
+    beta = _field(options, kind, where) / request.size[0]
+    values = np.array([*motion, beta, *_inner(options, kind, beta, where)])
+    seed = position.copy()
+    seed[2] = ground
+    x, y, z = Transform(request.crs, frame.crs)(seed[None])[0].tolist()
+    parameters = _parameters(kind, scan, values, above)
+    return _seen(PanoramicModel(scan, frame, parameters, (x, y, z), poses), above)
+
+
+def _scan(kind: str, request: SensorRequest) -> Scan:
+    where, options = request.image, request.options
+    side = 1 if word(options, "columns", ("right", "left"), where, "right") == "right" else -1
+    lines = number(options, "lines_per_sweep", where, 16.0)
+    both = word(options, "directions", ("one", "both"), where, "one") == "both"
+    active = number(options, "active", where, 1.0)
+    if lines < 1 or lines != round(lines) or not 0.0 < active <= 1.0:
+        raise InputError(
+            f"lines_per_sweep is {lines:g}, active {active:g}",
+            where=where,
+            mend="give a whole number of lines, and a share above 0, up to 1",
+        )
+    return Scan(kind, request.size, side, Sweeps(int(lines), both, active))
+
+
+def _table(request: SensorRequest, periods: float) -> tuple[np.ndarray | None, np.ndarray]:
+    """Rows of the track and their τ; none without a track. Refuses inputs that a track or an orbit replaces."""
+    where, options = request.image, request.options
+    curved = [name for name in ("track", "orbit") if name in options]
+    if not curved:
+        for name in ("start_time", "period"):
+            if name in options:
+                raise InputError(f"input '{name}' needs a track or an orbit", where=where, mend="leave it out")
+        return None, np.zeros(0)
+    taken = [name for name in (*curved[1:], *STRAIGHT) if name in options]
+    taken += [name for name in ("position",) if curved[0] == "track" and name in options]
+    if taken:
+        raise InputError(
+            f"input '{taken[0]}' is given together with '{curved[0]}'", where=where, mend="leave one of them out"
+        )
+    if curved[0] == "orbit":
+        return None, np.zeros(0)
+    if not isinstance(options["track"], str):
+        raise InputError(f"track = {options['track']!r} is not a file name", where=where)
+    start, period = number(options, "start_time", where), number(options, "period", where)
+    if period <= 0.0:
+        raise InputError(f"period is {period:g} s", where=where, mend="give the seconds of one line or sweep")
+    file = Path(request.base) / options["track"]
+    table = read_table(file, where)
+    tau = (table[:, 0] - start) / period - periods / 2
+    cover(tau, periods / 2, f"{where} ({file})")
+    return table, tau
+
+
+def _straight(options: Mapping[str, Any], kind: str, above: float, turn: float, where: str) -> np.ndarray:
+    """East, north, up, speeds, attitude and rates of a straight flight (12,); metres and degrees."""
+    heading = number(options, "heading", where) + turn
+    course = math.radians(number(options, "course", where, heading - turn) + turn)
+    advance = _advance(options, kind, above, where)
+    return np.array(
+        [
+            0.0, 0.0, 0.0,
+            advance * math.sin(course), advance * math.cos(course), number(options, "climb", where, 0.0),
+            heading, number(options, "pitch", where, 0.0), number(options, "roll", where, 0.0),
+            *numbers(options, "rates", 3, where, (0.0, 0.0, 0.0)),
+        ]
+    )  # fmt: skip
+
+
+def _field(options: Mapping[str, Any], kind: str, where: str) -> float:
+    field = number(options, "field_of_view", where)
+    limit = 180.0 if kind == "panoramic" else 170.0
+    if not 0.0 < field < limit:
+        raise InputError(f"field_of_view is {field:g}", where=where, mend=f"give degrees between 0 and {limit:g}")
+    return field
+
+
+def _inner(options: Mapping[str, Any], kind: str, beta: float, where: str) -> list[float]:
+    """Focal length and image motion in pixels; a scanner has none."""
+    if kind == "scanner":
+        return []
+    motion = number(options, "image_motion", where, 0.0)
+    if kind == "sweeps":
+        angle = number(options, "line_angle", where, beta)
+        if angle <= 0.0:
+            raise InputError(f"line_angle is {angle:g}", where=where, mend="give degrees above 0")
+        return [1.0 / math.radians(angle), motion]
+    focal, pixel = number(options, "focal_length", where), number(options, "pixel_size", where)
+    if focal <= 0.0 or pixel <= 0.0:
+        raise InputError("focal_length and pixel_size must be greater than 0", where=where, mend="give both in mm")
+    return [focal / pixel, motion]
 
 
 def _seen(model: PanoramicModel, above: float) -> PanoramicModel:
     """The model with a seed in the middle of the image: where its line of sight comes down by the height."""
-    middle = np.array([[model.size[0] / 2, model.size[1] / 2]])
+    row = model.size[1] / 2
+    if model.scan.kind == "sweeps":  # in the middle of a sweep: at its border there are no derivatives
+        row = (np.floor(row / model.scan.sweeps.lines) + 0.5) * model.scan.sweeps.lines
+    middle = np.array([[model.size[0] / 2, row]])
     origins, directions = model.rays(middle)
     down = -(directions @ model.frame.axes.T)[0, 2]
     if down <= 0.05:
@@ -122,17 +266,18 @@ def _seen(model: PanoramicModel, above: float) -> PanoramicModel:
     return replace(model, seed=(x, y, z))
 
 
-def _parameters(kind: str, size: tuple[int, int], values: np.ndarray, above: float) -> Parameters:
+def _parameters(kind: str, scan: Scan, values: np.ndarray, above: float) -> Parameters:
     """Steps move the image by about a pixel; the inside and the rates are held unless an adjustment frees them."""
-    beta = math.radians(values[12])
-    pixel, reach = above * beta, max(1.0, size[1] / 2 if kind == "scanner" else 0.5)
+    beta, size = math.radians(values[12]), scan.size
+    pixel, reach = above * beta, max(1.0, scan.periods / 2) if kind != "panoramic" else 0.5
     angle = math.degrees(beta)
     steps = [
         pixel, pixel, pixel, pixel / reach, pixel / reach, pixel / reach, angle, angle, angle, angle / reach,
         angle / reach, angle / reach, values[12] / size[0] * 2,
     ]  # fmt: skip
-    if kind == "panoramic":
-        steps += [values[13] / size[1] * 2, 1.0]
+    if kind != "scanner":
+        lines = size[1] if kind == "panoramic" else scan.sweeps.lines
+        steps += [values[13] / lines * 2, 1.0]
     free = math.inf
     sigmas = [free] * 3 + [free, free, 0.0] + [free] * 3
     sigmas += [0.0] * (len(values) - len(sigmas))
@@ -147,53 +292,11 @@ def _advance(options: Mapping[str, Any], kind: str, above: float, where: str) ->
     if "v_over_h" in options:
         if "ground_height" not in options:
             raise InputError("v_over_h needs the height above ground", where=where, mend="give ground_height")
-        advance = _number(options, "v_over_h", where) * above
+        advance = number(options, "v_over_h", where) * above
     else:
-        advance = _number(options, "advance", where, None if kind == "scanner" else 0.0)
-    if kind == "scanner" and advance <= 0.0:
-        raise InputError(f"the scanner advances by {advance:g} m per line", where=where, mend="give a positive advance")
+        advance = number(options, "advance", where, 0.0 if kind == "panoramic" else None)
+    if kind != "panoramic" and advance <= 0.0:
+        raise InputError(
+            f"the scanner advances by {advance:g} m per {PER_STEP[kind]}", where=where, mend="give a positive advance"
+        )
     return advance
-
-
-def _focal(options: Mapping[str, Any], kind: str, where: str) -> float:
-    """Focal length in pixels; a scanner has none."""
-    if kind == "scanner":
-        given = [name for name in ("focal_length", "pixel_size", "image_motion") if name in options]
-        if given:
-            raise InputError(f"{given[0]} has no meaning for a scanner", where=where, mend="leave it out")
-        return 0.0
-    focal, pixel = _number(options, "focal_length", where), _number(options, "pixel_size", where)
-    if focal <= 0.0 or pixel <= 0.0:
-        raise InputError("focal_length and pixel_size must be greater than 0", where=where, mend="give both in mm")
-    return focal / pixel
-
-
-def _word(options: Mapping[str, Any], name: str, words: Sequence[str], where: str, default: str | None = None) -> str:
-    word = options.get(name, default)
-    if word not in words:
-        said = f"input '{name}' is '{word}'" if name in options else f"input '{name}' is missing"
-        raise InputError(said, where=where, mend=f"{did_you_mean(str(word), words)} give {' or '.join(words)}".strip())
-    return str(word)
-
-
-def _number(options: Mapping[str, Any], name: str, where: str, default: float | None = None) -> float:
-    if name not in options and default is not None:
-        return default
-    return _numbers({name: [options[name]]} if name in options else {}, name, 1, where)[0]
-
-
-def _numbers(
-    options: Mapping[str, Any], name: str, count: int, where: str, default: Sequence[float] | None = None
-) -> list[float]:
-    given = options.get(name, default)
-    if given is None:
-        raise InputError(f"input '{name}' is missing", where=where, mend="see `geomosaic sensors panoramic`")
-    good = isinstance(given, Sequence) and not isinstance(given, str) and len(given) == count
-    try:
-        numbers = [float(value) for value in given] if good else []
-    except (TypeError, ValueError):
-        numbers = []
-    if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        noun = "a number" if count == 1 else f"{count} numbers"
-        raise InputError(f"input '{name}' is not {noun}: {given!r}", where=where)
-    return numbers

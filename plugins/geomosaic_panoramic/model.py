@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 from pyproj import CRS
@@ -12,14 +12,17 @@ from pyproj import CRS
 from geomosaic.geo.local import LocalFrame
 from geomosaic.sensor.parameters import Parameters
 from geomosaic.types import FloatArray
+from geomosaic_panoramic.curve import Curve, Poses
 from geomosaic_panoramic.geometry import Scan
-from geomosaic_panoramic.track import Track
+from geomosaic_panoramic.sweeps import Sweeps
+from geomosaic_panoramic.track import Flight, Track, Turn
 
 OUTSIDE = (
     "east", "north", "up", "speed_east", "speed_north", "speed_up", "heading", "pitch", "roll", "heading_rate",
     "pitch_rate", "roll_rate",
 )  # fmt: skip
-NAMES = {"scanner": (*OUTSIDE, "pixel_angle"), "panoramic": (*OUTSIDE, "pixel_angle", "focal", "motion")}
+INSIDE = ("pixel_angle", "focal", "motion")
+NAMES = {"scanner": (*OUTSIDE, "pixel_angle"), "sweeps": (*OUTSIDE, *INSIDE), "panoramic": (*OUTSIDE, *INSIDE)}
 """Parameters by kind."""
 
 
@@ -35,15 +38,18 @@ class PanoramicModel:
     parameters : Parameters
         east, north, up: offset from there in metres; speeds in metres, rates in degrees per line or sweep; heading from
         true north, pitch and roll in degrees; pixel_angle in degrees; focal length and image motion in pixels
-        (panoramic only).
+        (not of a scanner). With reported poses all but the last three are what comes on top of these.
     seed : tuple of float
         Ground point in `crs` near the middle of the image.
+    poses : Poses, optional
+        Of a curved flight; straight without.
     """
 
     scan: Scan
     frame: LocalFrame
     parameters: Parameters
     seed: tuple[float, float, float]
+    poses: Poses | None = None
 
     @property
     def crs(self) -> CRS:
@@ -56,10 +62,11 @@ class PanoramicModel:
         return self.scan.size
 
     @cached_property
-    def track(self) -> Track:
+    def track(self) -> Flight:
         """Motion and attitude."""
         v = self.parameters.values
-        return Track(v[:3], v[3:6], np.radians(v[6:9]), np.radians(v[9:12]))
+        turn = Turn(np.radians(v[6:9]), np.radians(v[9:12]))
+        return Track(v[:3], v[3:6], turn) if self.poses is None else Curve(self.poses, v[:3], v[3:6], turn)
 
     @property
     def _inner(self) -> tuple[float, float, float]:
@@ -105,11 +112,17 @@ class PanoramicModel:
             "steps": p.steps.tolist(),
             "units": list(p.units),
             "seed": list(self.seed),
+            "sweeps": self.scan.sweeps.to_dict(),
+            "poses": None if self.poses is None else self.poses.to_dict(),
         }
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild a model from `to_dict`."""
+        """Rebuild a model from `to_dict`, a strip without a place too."""
+        if "relative" in state:
+            from geomosaic_panoramic.relative import RelativeStrip
+
+            return cast(Self, RelativeStrip.from_dict(state))
         frame = LocalFrame(CRS.from_wkt(state["crs"]), np.array(state["origin"]), np.array(state["axes"]))
         sigmas = np.array([np.inf if s is None else s for s in state["sigmas"]])
         parameters = Parameters(
@@ -117,4 +130,6 @@ class PanoramicModel:
         )
         width, height = state["size"]
         x, y, z = state["seed"]
-        return cls(Scan(state["kind"], (width, height), state["side"]), frame, parameters, (x, y, z))
+        scan = Scan(state["kind"], (width, height), state["side"], Sweeps(**state.get("sweeps", {})))
+        poses = Poses.from_dict(state["poses"]) if state.get("poses") else None
+        return cls(scan, frame, parameters, (x, y, z), poses)

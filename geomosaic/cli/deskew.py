@@ -1,0 +1,59 @@
+"""`geomosaic deskew`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from geomosaic.cli.memory import note_memory
+from geomosaic.cli.options import FILE, band_option, machine_options, output_options, stack
+from geomosaic.cli.request import area, render_options, value
+from geomosaic.cli.talk import answer, notes, progress
+from geomosaic.cli.values import pairs
+from geomosaic.cli.words import ortho_facts, ortho_words
+
+
+@click.command()
+@click.argument("image", type=FILE)
+@stack(
+    band_option,
+    click.option(
+        "--option",
+        "sensor_options",
+        multiple=True,
+        callback=pairs,
+        metavar="NAME=VALUE",
+        help="Nominal numbers of the scanner; see `geomosaic sensors panoramic`.",
+    ),
+    click.option("--sensor", default="panoramic", show_default=True, help="Sensor that knows `relative`."),
+    output_options,
+    machine_options,
+)
+def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
+    """Remove skew and tangential distortion of a scanned strip, without control.
+
+    Nominal numbers of the flight are all it takes. The result is in relative metres, x across and y
+    ahead of the scanner: it has shape and scale, but no place and no north.
+
+    \b
+    Example:
+      geomosaic deskew strip.tif --option kind=scanner --option field_of_view=90 \\
+        --option height_above_ground=3000 --option v_over_h=0.00133 -o flat.tif
+    """  # noqa: D301
+    from geomosaic.errors import InputError
+    from geomosaic.project.inputs import BlockInputs
+    from geomosaic.project.make import make_ortho
+
+    if flags["dst_crs"] is not None:
+        raise InputError(
+            "--dst-crs is given, but a strip without a place lies in no CRS",
+            mend="leave it out, or use `geomosaic ortho` with a position",
+        )
+    options = {name: value(text) for name, text in flags["sensor_options"].items()} | {"relative": True}
+    inputs = BlockInputs((image,), flags["sensor"], options=options, bands=flags["bands"])
+    note_memory(flags["mem_limit"], flags["threads"])
+    with notes(), progress(as_json) as report:
+        result = make_ortho(inputs, area(flags), output, render_options(flags, report))
+    answer(ortho_facts(result), ortho_words(result), as_json)
