@@ -85,7 +85,7 @@ def area(flags: Mapping[str, Any]) -> Area:
     """Make the description of the output's place."""
     from geomosaic.project.make import Area
 
-    return Area(flags["dst_crs"], flags["res"], flags["bounds"])
+    return Area(flags["dst_crs"], flags["res"], flags["bounds"], like=flags.get("like"))
 
 
 def render_options(flags: Mapping[str, Any], progress: Progress | None) -> RenderOptions:
@@ -107,6 +107,7 @@ def render_options(flags: Mapping[str, Any], progress: Progress | None) -> Rende
 
 def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> MosaicOptions:
     """Make the options of a mosaic."""
+    from geomosaic.cli.merging import balanced, merging
     from geomosaic.product.options import MosaicOptions
     from geomosaic.project.make import reference_scene
 
@@ -114,11 +115,12 @@ def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> Mosai
     return MosaicOptions(
         render_options(flags, progress),
         flags["feather"],
-        flags["balance"],
+        balanced(flags),
         flags["labels"],
         histogram=flags["histogram"],
         master=flags["master"],
         reference=None if reference is None else reference_scene(reference, flags["bands"]),
         seams=flags["seams"],
         cutlines=flags["cutlines"],
+        **merging(flags),
     )

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,6 +35,9 @@ from geomosaic.resample.warp import Colour
 from geomosaic.seam.voronoi import regions
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import blocks
+
+if TYPE_CHECKING:
+    from geomosaic.product.rules import Ruler
 
 FEATHER_PIXELS = 32
 
@@ -108,6 +111,10 @@ def mosaic(
     MosaicResult
     """
     options = options or MosaicOptions()
+    if options.rule is not None:
+        from geomosaic.product.merge import merge
+
+        return merge(block, grid, outlines, output, options)
     render = options.render
     labels = beside(output, "-labels", ".tif") if options.labels else None
     vectors = beside(output, "", ".gpkg") if options.vectors else None
@@ -196,9 +203,9 @@ def _reuse(blender: Blender, output: Path, labels: Path | None, options: MosaicO
 
 
 def _render(
-    blender: Blender, output: Path, labels: Path | None, options: MosaicOptions, reuse: Reuse | None
+    blender: Blender | Ruler, output: Path, labels: Path | None, options: MosaicOptions, reuse: Reuse | None
 ) -> tuple[int, list[int], GeometryRecord]:
-    render, grid, info = options.render, blender.grid, blender.photos.info
+    render, grid, info = options.render, blender.grid, blender.info
     number = len(blender.photos)
     counts, record = np.zeros(number + 1, dtype=np.int64), GeometryRecord()
     units = tiles(grid, render.tile)

@@ -120,6 +120,9 @@ class MosaicOptions:
     seams: str = "nearest"
     cutlines: Path | None = None
     memory: Memory | None = None
+    rule: str | None = None
+    order: str = "list"
+    base: str | None = None
 
     def __post_init__(self) -> None:
         if self.feather is not None and not self.feather >= 0:

@@ -1,12 +1,14 @@
-"""The grid of a mosaic: of georeferenced images, the first one's own pixels, so that what lies on them is not resampled."""
+"""The grid of a mosaic: the first image's own pixels where it has any, so that what lies on them is not resampled."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from affine import Affine
+from pyproj import CRS
 
 from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
@@ -26,10 +28,15 @@ def plan_mosaic(scenes: Sequence[Scene], surface: Surface | None, area: Area) ->
     """Outlines of the images and the grid of their mosaic.
 
     Where the first image is georeferenced in the output's CRS, north up, and neither bounds nor another pixel size is
-    asked for, the grid is the first image's own, extended over all images.
+    asked for, the grid is the first image's own, extended over all images. Of images in degrees the mosaic is in
+    degrees, unless something else is asked for.
     """
+    if surface is None and area == Area():
+        first = inspect(scenes[0].path).crs
+        if first is not None and first.is_geographic and _own_grid(scenes[0], horizontal(first)) is not None:
+            area = replace(area, crs=horizontal(first).to_wkt())
     grid, outlines = plan(scenes, surface, area)
-    own = _own_grid(scenes[0], grid) if surface is None and area.bounds is None and area.like is None else None
+    own = _own_grid(scenes[0], grid.crs) if surface is None and area.bounds is None and area.like is None else None
     if own is None or not (area.resolution is None or _same_size(own, area.resolution)):
         return grid, outlines
     grid = _extended(own, outlines)
@@ -37,7 +44,7 @@ def plan_mosaic(scenes: Sequence[Scene], surface: Surface | None, area: Area) ->
     return grid, outlines
 
 
-def _own_grid(scene: Scene, output: Grid) -> Grid | None:
+def _own_grid(scene: Scene, output: CRS) -> Grid | None:
     """Grid of an image that lies as its file says, in the output's CRS and north up."""
     info = inspect(scene.path)
     t = info.transform
@@ -48,7 +55,7 @@ def _own_grid(scene: Scene, output: Grid) -> Grid | None:
     corners = np.array([[0.0, 0.0], [info.width, info.height]])
     place = grid.xy(corners)
     with np.errstate(invalid="ignore"):
-        elsewhere = not np.array_equal(Transform(crs, output.crs)(place), place)
+        elsewhere = not np.array_equal(Transform(crs, output)(place), place)
     if elsewhere:
         return None
     image = scene.model.ground_to_image(np.column_stack([place, np.zeros(2)]))
