@@ -9,6 +9,20 @@ import click
 
 from geomosaic.cli.options import FILE, stack
 
+
+def _width(ctx: click.Context, param: click.Parameter, value: str | None) -> Any:
+    """Width with its unit."""
+    if value is None:
+        return None
+    from geomosaic.errors import InputError
+    from geomosaic.product.blending import Width
+
+    try:
+        return Width.parse(value)
+    except InputError as error:
+        raise click.BadParameter(f"{error.what}; {error.mend}") from None
+
+
 merge_flags = stack(
     click.option(
         "--rule",
@@ -24,13 +38,41 @@ merge_flags = stack(
         help="Whose pixels come first: as given, by name, the finest, the newest.",
     ),
     click.option("--base", metavar="NAME", help="Image that is laid lowest, under all others."),
+    click.option(
+        "--blend",
+        type=click.Choice(["feather", "overlap", "multiband", "none"]),
+        default="feather",
+        show_default=True,
+        help="Blend across the seam, over all that images share, each band of frequency by itself, or not at all.",
+    ),
+    click.option(
+        "--feather",
+        callback=_width,
+        metavar="WIDTH",
+        help="Width of the blending: 20px, 5m, or a number of map units.  [default: 32px]",
+    ),
+    click.option(
+        "--ramp",
+        type=click.Choice(["linear", "smooth"]),
+        default="linear",
+        show_default=True,
+        help="Shape of the transition.",
+    ),
+    click.option(
+        "--limit/--no-limit",
+        default=None,
+        help="Do not blend what images show differently, such as cars.  [default: limit, with multiband]",
+    ),
     click.option("--like", type=FILE, metavar="RASTER", help="Take CRS, pixels and extent of this raster."),
 )
 
 
 def merging(flags: Mapping[str, Any]) -> dict[str, Any]:
     """What these options say, as fields of `MosaicOptions`."""
-    return {"rule": flags["rule"], "order": flags["order"], "base": flags["base"]}
+    from geomosaic.product.blending import Blending
+
+    blending = Blending(flags["blend"], flags["feather"], flags["ramp"], flags["limit"])
+    return {"rule": flags["rule"], "order": flags["order"], "base": flags["base"], "blending": blending}
 
 
 def balanced(flags: Mapping[str, Any]) -> bool:

@@ -16,17 +16,11 @@ from geomosaic.cli.words import mosaic_facts, mosaic_words
 
 mosaic_flags = stack(
     click.option(
-        "--feather",
-        type=click.FloatRange(0),
-        metavar="UNITS",
-        help="Width of seams in map units.  [default: 32 pixels]",
-    ),
-    click.option(
         "--seams",
-        type=click.Choice(["nearest", "alike"]),
+        type=click.Choice(["nearest", "alike", "order"]),
         default="nearest",
         show_default=True,
-        help="Seams halfway between what images see best, or where neighbours look most alike.",
+        help="Seams halfway between what images see best, where neighbours look most alike, or by --order.",
     ),
     click.option("--cutlines", type=FILE, help="Areas with an image each, drawn by hand, that win over --seams."),
     click.option(

@@ -114,7 +114,7 @@ def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> Mosai
     reference = flags["reference"]
     return MosaicOptions(
         render_options(flags, progress),
-        flags["feather"],
+        None,
         balanced(flags),
         flags["labels"],
         histogram=flags["histogram"],

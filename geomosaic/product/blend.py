@@ -100,6 +100,22 @@ class Blender:
         """Bands and sample type of the output."""
         return self.photos.info
 
+    @property
+    def reach(self) -> int:
+        """Output pixels beyond a block that its weights depend on."""
+        factor = reduction(self.seams.feather)
+        return (halo(self.seams.feather, factor) + 1) * factor
+
+    @property
+    def said(self) -> str:
+        """What else pixels depend on, the same for all blocks, as text."""
+        return ""
+
+    @property
+    def wide(self) -> bool:
+        """Whether images beside a block can change it."""
+        return False
+
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Render one block into its place in a unit."""
         near = self.photos.near(window)

@@ -18,7 +18,10 @@ from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.balance import balance
 from geomosaic.product.blend import Blender, MosaicUnit, Seams, label_type
+from geomosaic.product.blenders import blender_for
+from geomosaic.product.layers import by_rank, under
 from geomosaic.product.options import MosaicOptions
+from geomosaic.product.order import index_of, ordered
 from geomosaic.product.ortho import GeometryRecord, samples, tiles
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
@@ -38,8 +41,6 @@ from geomosaic.sensor.lattice import blocks
 
 if TYPE_CHECKING:
     from geomosaic.product.rules import Ruler
-
-FEATHER_PIXELS = 32
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ def mosaic(
     for path in (output, labels, vectors, item):
         if path is not None:  # before an hour's work, not behind it
             check_output(path, overwrite=render.overwrite)
-    feather = FEATHER_PIXELS * grid.resolution[0] if options.feather is None else options.feather
+    width = options.blending.pixels(grid, options.feather)
     seconds: dict[str, float] = {}
     photos = Photos(block, grid, outlines, render.memory_limit // 2)
     beside_it = ThreadPoolExecutor(1)
@@ -137,9 +138,9 @@ def mosaic(
         with _Clock(seconds, "seams"):
             shapes = [outline.polygon for outline in outlines]
             shares = _shares(photos, shapes, colours, options)
-        seams = Seams(shares, shapes, feather / grid.resolution[0])
+        seams = Seams(shares, shapes, width)
         ground, engine = Ground.under(grid, block.surface), compiled.result()
-        blender = Blender(photos, grid, ground, seams, colours, engine, render.resampling, render.tolerance)
+        blender = blender_for(options.blending, photos, grid, ground, seams, colours, engine, render)
         if vectors is not None:
             beside_it.submit(prepare)
         reuse = _reuse(blender, output, labels, options)
@@ -161,8 +162,8 @@ def mosaic(
         if reuse is not None and labels is not None:
             reuse.save(output, labels)
     return MosaicResult(
-        output, labels, vectors, item, grid, seen, pixels, solved, feather, record.error, render.tolerance,
-        record.scale, seconds, 0 if reuse is None else reuse.taken, len(tiles(grid, render.tile)),
+        output, labels, vectors, item, grid, seen, pixels, solved, width * grid.resolution[0], record.error,
+        render.tolerance, record.scale, seconds, 0 if reuse is None else reuse.taken, len(tiles(grid, render.tile)),
     )  # fmt: skip
 
 
@@ -181,6 +182,12 @@ def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve]
         from geomosaic.product.seams import alike_regions
 
         shares = alike_regions(photos, shapes, colours, options.render)
+    elif options.seams == "order":
+        shares = by_rank(shapes, ordered(photos.block.scenes, photos.outlines, options.order, options.base))
+    elif options.base is not None:
+        base = index_of(options.base, photos.block.scenes)
+        centres = [outline.centre for outline in photos.outlines]
+        shares = under(regions(shapes[:base] + shapes[base + 1 :], centres[:base] + centres[base + 1 :]), shapes, base)
     else:
         shares = regions(shapes, [outline.centre for outline in photos.outlines])
     if options.cutlines is None:
@@ -198,7 +205,7 @@ def _reuse(blender: Blender, output: Path, labels: Path | None, options: MosaicO
     if options.memory is None or labels is None or compression not in LOSSLESS:
         return None
     render = options.render
-    said = f"{render.resampling} {render.tolerance!r} {render.tile} {blender.seams.feather!r}"
+    said = f"{render.resampling} {render.tolerance!r} {render.tile} {blender.seams.feather!r} {blender.said}"
     return Reuse(options.memory, blender, output, labels, said)
 
 
