@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from geomosaic.cli.memory import note_memory
+from geomosaic.cli.merging import merge_flags
 from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack
 from geomosaic.cli.request import area, block_inputs, mosaic_options, planar_inputs
 from geomosaic.cli.talk import answer, notes, progress
@@ -16,20 +17,18 @@ from geomosaic.cli.words import mosaic_facts, mosaic_words
 
 mosaic_flags = stack(
     click.option(
-        "--feather",
-        type=click.FloatRange(0),
-        metavar="UNITS",
-        help="Width of seams in map units.  [default: 32 pixels]",
-    ),
-    click.option(
         "--seams",
-        type=click.Choice(["nearest", "alike"]),
+        type=click.Choice(["nearest", "alike", "order"]),
         default="nearest",
         show_default=True,
-        help="Seams halfway between what images see best, or where neighbours look most alike.",
+        help="Seams halfway between what images see best, where neighbours look most alike, or by --order.",
     ),
     click.option("--cutlines", type=FILE, help="Areas with an image each, drawn by hand, that win over --seams."),
-    click.option("--balance/--no-balance", default=True, show_default=True, help="Balance colours over the overlaps."),
+    click.option(
+        "--balance/--no-balance",
+        default=None,
+        help="Balance colours over the overlaps.  [default: balance, but not with --rule]",
+    ),
     click.option(
         "--colour",
         metavar="TERMS",
@@ -99,7 +98,7 @@ planar_flags = stack(
 
 @click.command()
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
-@stack(image_options, planar_flags, output_options, mosaic_flags, machine_options)
+@stack(image_options, planar_flags, output_options, merge_flags, mosaic_flags, machine_options)
 def command(images: tuple[Path, ...], output: Path, as_json: bool, **flags: Any) -> None:
     """Make one mosaic from raw or georeferenced images, each pixel resampled once.
 

@@ -86,7 +86,7 @@ def area(flags: Mapping[str, Any]) -> Area:
     """Make the description of the output's place."""
     from geomosaic.project.make import Area
 
-    return Area(flags["dst_crs"], flags["res"], flags["bounds"])
+    return Area(flags["dst_crs"], flags["res"], flags["bounds"], like=flags.get("like"))
 
 
 def render_options(flags: Mapping[str, Any], progress: Progress | None) -> RenderOptions:
@@ -108,14 +108,15 @@ def render_options(flags: Mapping[str, Any], progress: Progress | None) -> Rende
 
 def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> MosaicOptions:
     """Make the options of a mosaic."""
+    from geomosaic.cli.merging import balanced, merging
     from geomosaic.product.options import MosaicOptions, terms_of
     from geomosaic.project.make import reference_scene
 
     reference = flags["reference"]
     return MosaicOptions(
         render_options(flags, progress),
-        flags["feather"],
-        flags["balance"],
+        None,
+        balanced(flags),
         flags["labels"],
         histogram=flags["histogram"],
         master=flags["master"],
@@ -126,4 +127,5 @@ def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> Mosai
         mask=flags["mask"],
         region=flags["region"],
         stretch=flags["stretch"],
+        **merging(flags),
     )

@@ -67,7 +67,7 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
         "overlap_difference_after": [finite(v) for v in result.balance.after],
         "colour": colour_facts(result.balance, None),
         "stretch": None if result.stretch is None else vars(result.stretch),
-        "feather": result.feather,
+        "feather": finite(result.feather),
         "lattice_error_px": result.lattice_error,
         "tolerance_px": result.tolerance,
         "image_pixels_per_output_pixel": finite(result.scale),

@@ -14,6 +14,7 @@ from geomosaic.product.photos import Photos
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.burn import burn
+from geomosaic.raster.info import SourceInfo
 from geomosaic.resample.engine import Engine
 from geomosaic.resample.warp import CELL, Colour, value_range
 from geomosaic.seam.feather import halo, reduction, signed_distance, weights
@@ -96,6 +97,27 @@ class Blender:
     tolerance: float
     dtype: str
     """Of the output."""
+
+    @property
+    def info(self) -> SourceInfo:
+        """Bands and sample type of the output."""
+        return self.photos.info
+
+    @property
+    def reach(self) -> int:
+        """Output pixels beyond a block that its weights depend on."""
+        factor = reduction(self.seams.feather)
+        return (halo(self.seams.feather, factor) + 1) * factor
+
+    @property
+    def said(self) -> str:
+        """What else pixels depend on, the same for all blocks, as text."""
+        return ""
+
+    @property
+    def wide(self) -> bool:
+        """Whether images beside a block can change it."""
+        return False
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Render one block into its place in a unit."""
@@ -233,7 +255,7 @@ class Blender:
         centres = {i: np.hypot(*(np.array(self.photos.outlines[i].centre) - middle)) for i in near}
         for i in sorted(near, key=lambda i: (centres[i], i)):
             # Outlines are drawn through a hundred points and cut corners of high relief: the image itself is asked.
-            need = _cells(valid == 0).astype(np.uint8)
+            need = cells_of(valid == 0).astype(np.uint8)
             if not need.any():
                 break
             own, seen = np.zeros_like(values), np.zeros_like(valid)
@@ -268,7 +290,7 @@ class _Share:
         return need
 
 
-def _cells(mask: AnyArray) -> AnyArray:
+def cells_of(mask: AnyArray) -> AnyArray:
     """Cells of 64 × 64 pixels with any pixel of a mask."""
     rows, cols = -(-mask.shape[0] // CELL), -(-mask.shape[1] // CELL)
     padded = np.zeros((rows * CELL, cols * CELL), dtype=bool)

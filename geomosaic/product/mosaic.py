@@ -17,8 +17,11 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.blend import Blender, MosaicUnit, Seams, label_type
+from geomosaic.product.blenders import blender_for
 from geomosaic.product.colour import colours
+from geomosaic.product.layers import by_rank, under
 from geomosaic.product.options import MosaicOptions
+from geomosaic.product.order import index_of, ordered
 from geomosaic.product.ortho import GeometryRecord, samples, tiles
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
@@ -38,9 +41,8 @@ from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import blocks
 
 if TYPE_CHECKING:
+    from geomosaic.product.rules import Ruler
     from geomosaic.product.stretch import Stretch
-
-FEATHER_PIXELS = 32
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,10 @@ def mosaic(
     MosaicResult
     """
     options = options or MosaicOptions()
+    if options.rule is not None:
+        from geomosaic.product.merge import merge
+
+        return merge(block, grid, outlines, output, options)
     render = options.render
     labels = beside(output, "-labels", ".tif") if options.labels else None
     vectors = beside(output, "", ".gpkg") if options.vectors else None
@@ -123,7 +129,7 @@ def mosaic(
     for path in (output, labels, vectors, item):
         if path is not None:  # before an hour's work, not behind it
             check_output(path, overwrite=render.overwrite)
-    feather = FEATHER_PIXELS * grid.resolution[0] if options.feather is None else options.feather
+    width = options.blending.pixels(grid, options.feather)
     seconds: dict[str, float] = {}
     photos = Photos(block, grid, outlines, render.memory_limit // 2)
     beside_it = ThreadPoolExecutor(1)
@@ -144,9 +150,9 @@ def mosaic(
         with _Clock(seconds, "seams"):
             shapes = [outline.polygon for outline in outlines]
             shares = _shares(photos, shapes, applied, options)
-        seams = Seams(shares, shapes, feather / grid.resolution[0])
+        seams = Seams(shares, shapes, width)
         ground, engine = Ground.under(grid, block.surface), compiled.result()
-        blender = Blender(photos, grid, ground, seams, applied, engine, render.resampling, render.tolerance, dtype)
+        blender = blender_for(options.blending, photos, grid, ground, seams, applied, engine, render, dtype)
         if vectors is not None:
             beside_it.submit(prepare)
         reuse = _reuse(blender, output, labels, options)
@@ -168,8 +174,9 @@ def mosaic(
         if reuse is not None and labels is not None:
             reuse.save(output, labels)
     return MosaicResult(
-        output, labels, vectors, item, grid, seen, pixels, solved, feather, record.error, render.tolerance,
-        record.scale, seconds, 0 if reuse is None else reuse.taken, len(tiles(grid, render.tile)), stretch,
+        output, labels, vectors, item, grid, seen, pixels, solved, width * grid.resolution[0], record.error,
+        render.tolerance, record.scale, seconds, 0 if reuse is None else reuse.taken, len(tiles(grid, render.tile)),
+        stretch,
     )  # fmt: skip
 
 
@@ -190,6 +197,12 @@ def _shares(
         from geomosaic.product.seams import alike_regions
 
         shares = alike_regions(photos, shapes, colours, options.render)
+    elif options.seams == "order":
+        shares = by_rank(shapes, ordered(photos.block.scenes, photos.outlines, options.order, options.base))
+    elif options.base is not None:
+        base = index_of(options.base, photos.block.scenes)
+        centres = [outline.centre for outline in photos.outlines]
+        shares = under(regions(shapes[:base] + shapes[base + 1 :], centres[:base] + centres[base + 1 :]), shapes, base)
     else:
         shares = regions(shapes, [outline.centre for outline in photos.outlines])
     if options.cutlines is None:
@@ -207,14 +220,14 @@ def _reuse(blender: Blender, output: Path, labels: Path | None, options: MosaicO
     if options.memory is None or labels is None or compression not in LOSSLESS:
         return None
     render = options.render
-    said = f"{render.resampling} {render.tolerance!r} {render.tile} {blender.seams.feather!r}"
+    said = f"{render.resampling} {render.tolerance!r} {render.tile} {blender.seams.feather!r} {blender.said}"
     return Reuse(options.memory, blender, output, labels, said)
 
 
 def _render(
-    blender: Blender, output: Path, labels: Path | None, options: MosaicOptions, reuse: Reuse | None
+    blender: Blender | Ruler, output: Path, labels: Path | None, options: MosaicOptions, reuse: Reuse | None
 ) -> tuple[int, list[int], GeometryRecord]:
-    render, grid, info = options.render, blender.grid, blender.photos.info
+    render, grid, info = options.render, blender.grid, blender.info
     number = len(blender.photos)
     counts, record = np.zeros(number + 1, dtype=np.int64), GeometryRecord()
     units = tiles(grid, render.tile)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError, did_you_mean
+from geomosaic.product.blending import Blending
 from geomosaic.resample.warp import RESAMPLING
 from geomosaic.sensor.lattice import BLOCK_WIDTH
 
@@ -20,7 +21,7 @@ Progress = Callable[[int, int, str], None]
 GIGABYTE = 1 << 30
 HISTOGRAMS = ("overlap", "whole", "sequence")
 COLOUR = ("gain", "vignetting", "trend", "hotspot", "gamma", "dodging")
-SEAMS = ("nearest", "alike")
+SEAMS = ("nearest", "alike", "order")
 
 
 def terms_of(text: str) -> tuple[str, ...]:
@@ -107,9 +108,12 @@ class MosaicOptions:
     reference : Scene, optional
         Georeferenced raster that all images are matched to, instead of a master.
     seams : str
-        'nearest' halfway between the places that images see best; 'alike' where neighbours look most alike.
+        'nearest' halfway between the places that images see best; 'alike' where neighbours look most alike; 'order'
+        where the first of `order` that shows the ground ends.
     cutlines : Path, optional
         Vector file of shares that a person has drawn: they win.
+    blending : Blending
+        How images are blended across their seams.
     memory : Memory, optional
         Where what was computed is remembered, so that a later run takes what has not changed.
     colour : tuple of str
@@ -138,12 +142,16 @@ class MosaicOptions:
     mask: Path | None = None
     region: Path | None = None
     stretch: str | None = None
+    rule: str | None = None
+    order: str = "list"
+    base: str | None = None
+    blending: Blending = field(default_factory=Blending)
 
     def __post_init__(self) -> None:
         if self.feather is not None and not self.feather >= 0:
             raise InputError(f"a feather of {self.feather} is not a width", mend="give map units, 0 or more")
         if self.seams not in SEAMS:
-            raise InputError(f"no way to lay seams is named '{self.seams}'", mend=f"use {' or '.join(SEAMS)}")
+            raise InputError(f"no way to lay seams is named '{self.seams}'", mend=f"use one of {', '.join(SEAMS)}")
         if self.histogram not in (None, *HISTOGRAMS):
             raise InputError(
                 f"histograms cannot be matched by '{self.histogram}'", mend=f"one of {', '.join(HISTOGRAMS)}"
@@ -157,4 +165,9 @@ class MosaicOptions:
             hint = did_you_mean(wrong[0], COLOUR) if wrong else ""
             raise InputError(
                 f"colour has no term '{', '.join(wrong)}'", mend=f"{hint} auto, or some of {', '.join(COLOUR)}".strip()
+            )
+        if self.rule is not None and self.stretch is not None:
+            raise InputError(
+                f"rule '{self.rule}' keeps values as they are: nothing is stretched",
+                mend="leave out --stretch, or --rule",
             )

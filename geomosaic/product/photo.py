@@ -11,6 +11,7 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
+from geomosaic.product.aligned import Offset, copied, is_identity, offset_on
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.source import Source
@@ -25,15 +26,24 @@ from geomosaic.types import AnyArray, ByteArray
 
 @dataclass(frozen=True)
 class Photo:
-    """A scene with its open image, its way from the map to the image, and its footprint."""
+    """A scene with its open image, its way from the map to the image, and its footprint.
+
+    `scale` brings its values to those of the other images; `offset` tells how its pixels are numbered in `grid`, where
+    they are pixels of it.
+    """
 
     scene: Scene
     source: Source
     mapper: MapToImage
     footprint: Footprint
+    scale: float = 1.0
+    grid: Grid | None = None
+    offset: Offset | None = None
 
     @classmethod
-    def open(cls, scene: Scene, surface: Surface | None, grid: Grid, footprint: Footprint, memory: int) -> Photo:
+    def open(
+        cls, scene: Scene, surface: Surface | None, grid: Grid, footprint: Footprint, memory: int, scale: float = 1.0
+    ) -> Photo:
         """Open the image and check that it is the one the model was made for."""
         source = Source(scene.path, nodata=scene.nodata, bands=scene.bands, memory_limit=memory)
         info = source.info
@@ -45,7 +55,8 @@ class Photo:
                 mend="give the camera and orientation that belong to this image",
             )
         crs = None if surface is None else surface.crs
-        return cls(scene, source, MapToImage.between(grid.crs, crs, scene.model), footprint)
+        mapper = MapToImage.between(grid.crs, crs, scene.model)
+        return cls(scene, source, mapper, footprint, scale, grid, offset_on(grid, mapper, footprint))
 
     def touches(self, bounds: Bounds) -> bool:
         """Whether the footprint's bounds meet these."""
@@ -90,6 +101,10 @@ def pull(
         here = seen > 0
         out[here], out_valid[here] = _rounded(colour(plain[here]), str(out.dtype)), 1
         return used
+    if photo.scale != 1.0:
+        colour = Colour(colour.gain * photo.scale, colour.offset)
+    if photo.offset is not None and grid is photo.grid and is_identity(colour):
+        return copied(photo.source, photo.offset, ground.window, out, out_valid, need)
     if lattices is None:
         lattices = build(photo.mapper, grid, ground, tolerance)
     patch = ground.patch if photo.mapper.uses_heights else None

@@ -24,7 +24,6 @@ from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.source import Source
-from geomosaic.seam.feather import halo, reduction
 
 VERSION = 1
 """Raised when the code gives other pixels."""
@@ -102,13 +101,11 @@ class Reuse:
         import shapely
 
         blender = self._blender
-        feather = blender.seams.feather
-        factor = reduction(feather)
-        reach = (halo(feather, factor) + 1) * factor
+        reach = blender.reach
         around = Window(window.col - reach, window.row - reach, window.width + 2 * reach, window.height + 2 * reach)
         frame = shapely.box(*blender.grid.crop(around).bounds)
         digest = hashlib.sha256(f"{self._base}|{window}".encode())
-        for i in blender.photos.near(window):
+        for i in blender.photos.near(around if blender.wide else window):
             outline = blender.photos.outlines[i]
             digest.update(f"|{i} {self._memory.scenes[i]} {outline.centre!r}".encode())
             digest.update(_colour(blender.colours[i]))

@@ -132,12 +132,13 @@ def reference_scene(path: Path, bands: Sequence[int] | None) -> Scene:
 def make_mosaic(inputs: BlockInputs, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
     """Make a mosaic of all images of `inputs`."""
     from geomosaic.product.mosaic import beside, mosaic
+    from geomosaic.project.mosaic_grid import plan_mosaic
 
     named = (("-labels", ".tif", options.labels), ("", ".gpkg", options.vectors), ("", ".stac.json", options.stac))
     for file in (output, *(beside(output, mark, suffix) for mark, suffix, wanted in named if wanted)):
         refuse_existing(file, options.render.overwrite, inputs)
     block = build_block(inputs)
-    grid, outlines = plan(block.scenes, block.surface, area)
+    grid, outlines = plan_mosaic(block.scenes, block.surface, area)
     return mosaic(block, grid, outlines, output, options)
 
 

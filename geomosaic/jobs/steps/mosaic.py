@@ -18,7 +18,8 @@ from geomosaic.product.reuse import Memory
 from geomosaic.project.draft import relative
 from geomosaic.project.frames import describe
 from geomosaic.project.load import Project
-from geomosaic.project.make import plan, reference_scene
+from geomosaic.project.make import reference_scene
+from geomosaic.project.mosaic_grid import plan_mosaic
 
 
 def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
@@ -32,7 +33,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     layout.mosaic.parent.mkdir(parents=True, exist_ok=True)
     with heard() as notes:
         block = restore_block(project)
-        grid, outlines = plan(block.scenes, block.surface, area_of(project))
+        grid, outlines = plan_mosaic(block.scenes, block.surface, area_of(project))
         reference = project.file(wanted.reference)
         options = MosaicOptions(
             render_options(project, machine, context.progress),
@@ -123,7 +124,7 @@ def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str,
 
     layout = Layout(project)
     block = restore_block(project)
-    grid, outlines = plan(block.scenes, block.surface, area_of(project))
+    grid, outlines = plan_mosaic(block.scenes, block.surface, area_of(project))
     options = render_options(project, machine, context.progress)
     (project.output / "orthos").mkdir(parents=True, exist_ok=True)
     errors = []

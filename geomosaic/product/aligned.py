@@ -1,0 +1,121 @@
+"""Images whose pixels are pixels of the output: they are copied, to the bit, and not resampled."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geomosaic.block.footprint import Footprint
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.raster.source import Source
+from geomosaic.resample.warp import CELL, Colour
+from geomosaic.sensor.lattice import FIRST_STEP, Lattice
+from geomosaic.sensor.mapper import MapToImage
+from geomosaic.types import AnyArray, ByteArray
+
+NEAR = 0.01
+"""Pixels that an image may lie beside the grid: below what its geotransform can mean, and half the usual tolerance."""
+_PLACES = 5
+
+Offset = tuple[int, int]
+"""Columns and rows: image pixel = output pixel + offset."""
+
+
+def offset_on(grid: Grid, mapper: MapToImage, footprint: Footprint) -> Offset | None:
+    """Where an image's pixels are pixels of the grid, how they are numbered there; None where they are not.
+
+    The image positions of 5 × 5 places over the footprint must all differ from the places' own by the same whole
+    numbers, within `NEAR`.
+    """
+    if mapper.uses_heights:
+        return None
+    left, bottom, right, top = footprint.bounds
+    x, y = np.meshgrid(np.linspace(left, right, _PLACES), np.linspace(bottom, top, _PLACES))
+    xy = np.column_stack([x.ravel(), y.ravel()])
+    apart = mapper(xy, np.zeros(len(xy))) - grid.colrow(xy)
+    if not np.isfinite(apart).all():
+        return None
+    whole = np.round(apart[0])
+    if (np.abs(apart - whole) > NEAR).any():
+        return None
+    return int(whole[0]), int(whole[1])
+
+
+def is_identity(colour: Colour) -> bool:
+    """Whether a correction leaves all values as they are."""
+    return bool((colour.gain == 1.0).all() and (colour.offset == 0.0).all())
+
+
+def copied(
+    source: Source,
+    offset: Offset,
+    window: Window,
+    out: AnyArray,
+    out_valid: ByteArray,
+    need: ByteArray | None,
+) -> list[Lattice]:
+    """Copy the pixels of a block; what is not wanted, or not valid, stays as it is.
+
+    Parameters
+    ----------
+    source : Source
+    offset : (columns, rows)
+        See `offset_on`.
+    window : Window
+        The block, in output pixels.
+    out : array (rows, cols, bands)
+        Of the block.
+    out_valid : uint8 array (rows, cols)
+        Set to 1 where the image is seen.
+    need : uint8 array (rows / 64, cols / 64), optional
+        Cells of 64 × 64 pixels that are wanted.
+
+    Returns
+    -------
+    list of Lattice
+        The exact way to the image; empty where the block does not see it.
+    """
+    wanted = window
+    if need is not None:
+        rows, cols = np.nonzero(need.any(axis=1))[0], np.nonzero(need.any(axis=0))[0]
+        if not len(rows):
+            return []
+        first_col, first_row = window.col + int(cols[0]) * CELL, window.row + int(rows[0]) * CELL
+        size = int(cols[-1] - cols[0] + 1) * CELL, int(rows[-1] - rows[0] + 1) * CELL
+        wanted = Window(first_col, first_row, *size).intersection(window)
+    image = Window(-offset[0], -offset[1], source.info.width, source.info.height)
+    part = wanted.intersection(image)
+    if part.empty:
+        return []
+    values, valid = source.read(Window(part.col + offset[0], part.row + offset[1], part.width, part.height))
+    inside = (
+        slice(part.row - window.row, part.stop_row - window.row),
+        slice(part.col - window.col, part.stop_col - window.col),
+    )
+    mask = None if need is None or need.all() else _pixels(need)[inside]
+    if valid is not None:
+        mask = valid > 0 if mask is None else mask & (valid > 0)
+    if mask is None:
+        out[inside], out_valid[inside] = values, 1
+    else:
+        np.copyto(out[inside], values, where=mask[..., None])
+        out_valid[inside][mask] = 1
+    return [_exact(window, offset)]
+
+
+def _pixels(need: ByteArray) -> AnyArray:
+    return np.repeat(np.repeat(need > 0, CELL, axis=0), CELL, axis=1)
+
+
+def _exact(window: Window, offset: Offset) -> Lattice:
+    """The lattice of an image that needs none."""
+    step = FIRST_STEP
+    rows, cols = -(-window.height // step), -(-window.width // step)
+    nodes = np.zeros((rows + 1, cols + 1, 8))
+    nodes[..., 0] = window.col + offset[0] + step * np.arange(cols + 1)
+    nodes[..., 4] = (window.row + offset[1] + step * np.arange(rows + 1))[:, None]
+    bounds = (
+        float(window.col + offset[0]), float(window.row + offset[1]),
+        float(window.stop_col + offset[0]), float(window.stop_row + offset[1]),
+    )  # fmt: skip
+    seen = np.ones((rows, cols), dtype=np.bool_)
+    return Lattice(window, step, nodes, np.zeros((rows + 1, cols + 1, 2)), 0.0, 0.0, 0.0, bounds, 1.0, seen)

@@ -1,0 +1,80 @@
+"""A mosaic by rule, without seams: what `rio merge` does, for images of any CRS and pixel size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from geomosaic.block.block import Block
+from geomosaic.block.footprint import Footprint
+from geomosaic.geo.grid import Grid
+from geomosaic.product.mosaic import MosaicResult, _balanced, _Clock, _render, beside
+from geomosaic.product.options import MosaicOptions
+from geomosaic.product.order import ordered
+from geomosaic.product.ortho import samples
+from geomosaic.product.photos import Photos
+from geomosaic.product.records import write_item
+from geomosaic.product.rules import LABELLED, Ruler, check_rule, output_info
+from geomosaic.radiometry.curve import Curve
+from geomosaic.radiometry.shade import Shade
+from geomosaic.raster.checksum import sha256
+from geomosaic.raster.output import check_output
+from geomosaic.resample.engine import engine_for
+from geomosaic.resample.warp import Colour
+from geomosaic.sensor.ground import Ground
+
+
+def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, options: MosaicOptions) -> MosaicResult:
+    """Lay images together by `options.rule`.
+
+    Parameters
+    ----------
+    block : Block
+    grid : Grid
+        The output.
+    outlines : list of Footprint
+        One per scene, in the output map.
+    output : Path
+    options : MosaicOptions
+        Its seams and blending play no part.
+
+    Returns
+    -------
+    MosaicResult
+        Under other rules than first and last, `pixels` counts for each image the pixels that no image before it shows.
+    """
+    rule, render = options.rule or "", options.render
+    check_rule(rule)
+    order = ordered(block.scenes, outlines, options.order, None)
+    if options.base is not None:  # lowest: the last of what is laid first to last, the first of what is laid over it
+        with_base = ordered(block.scenes, outlines, options.order, options.base)
+        order = with_base if rule != "last" else [with_base[-1], *with_base[:-1]]
+    labels = beside(output, "-labels", ".tif") if options.labels and rule in LABELLED else None
+    item = beside(output, "", ".stac.json") if options.stac and not grid.crs.is_engineering else None
+    for path in (output, labels, item):
+        if path is not None:
+            check_output(path, overwrite=render.overwrite)
+    seconds: dict[str, float] = {}
+    photos = Photos(block, grid, outlines, render.memory_limit // 2)
+    try:
+        with _Clock(seconds, "balance"):
+            solved = _balanced(photos, options)
+        plain = [Colour(gain, offset) for gain, offset in zip(solved.gain, solved.offset, strict=True)]
+        colours: Sequence[Colour | Curve | Shade] = solved.curves or plain
+        ground = Ground.under(grid, block.surface)
+        engine = engine_for(samples(grid, outlines), render.resampling)
+        info = output_info(photos.info, rule)
+        ruler = Ruler(photos, grid, ground, colours, engine, render.resampling, render.tolerance, rule, order, info)
+        with _Clock(seconds, "mosaic"):
+            seen, pixels, record = _render(ruler, output, labels, options, None)
+    finally:
+        photos.close()
+    with _Clock(seconds, "records"):
+        if item is not None:
+            images, shapes = [Path(scene.path) for scene in block.scenes], [outline.polygon for outline in outlines]
+            sums = {output: sha256(output)}
+            write_item(item, output, labels, None, grid, shapes, images, sums, overwrite=render.overwrite)
+    return MosaicResult(
+        output, labels, None, item, grid, seen, pixels, solved, 0.0, record.error, render.tolerance, record.scale,
+        seconds,
+    )  # fmt: skip

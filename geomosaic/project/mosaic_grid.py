@@ -1,0 +1,80 @@
+"""The grid of a mosaic: the first image's own pixels where it has any, so that what lies on them is not resampled."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from affine import Affine
+from pyproj import CRS
+
+from geomosaic.block.footprint import Footprint
+from geomosaic.block.scene import Scene
+from geomosaic.geo.crs import horizontal
+from geomosaic.geo.grid import Grid
+from geomosaic.geo.transform import Transform
+from geomosaic.product.extent import check_size
+from geomosaic.project.make import Area, plan
+from geomosaic.raster.info import inspect
+from geomosaic.surface.model import Surface
+
+_HAIR = 1e-3
+"""Pixels that an image may reach beyond a pixel's edge without asking for another pixel."""
+
+
+def plan_mosaic(scenes: Sequence[Scene], surface: Surface | None, area: Area) -> tuple[Grid, list[Footprint]]:
+    """Outlines of the images and the grid of their mosaic.
+
+    Where the first image is georeferenced in the output's CRS, north up, and neither bounds nor another pixel size is
+    asked for, the grid is the first image's own, extended over all images. Of images in degrees the mosaic is in
+    degrees, unless something else is asked for.
+    """
+    if surface is None and area == Area():
+        first = inspect(scenes[0].path).crs
+        if first is not None and first.is_geographic and _own_grid(scenes[0], horizontal(first)) is not None:
+            area = replace(area, crs=horizontal(first).to_wkt())
+    grid, outlines = plan(scenes, surface, area)
+    own = _own_grid(scenes[0], grid.crs) if surface is None and area.bounds is None and area.like is None else None
+    if own is None or not (area.resolution is None or _same_size(own, area.resolution)):
+        return grid, outlines
+    grid = _extended(own, outlines)
+    check_size(grid)
+    return grid, outlines
+
+
+def _own_grid(scene: Scene, output: CRS) -> Grid | None:
+    """Grid of an image that lies as its file says, in the output's CRS and north up."""
+    info = inspect(scene.path)
+    t = info.transform
+    if scene.sensor != "planar" or t is None or info.crs is None or t.b or t.d or t.a <= 0 or t.e >= 0:
+        return None
+    crs = horizontal(info.crs)
+    grid = Grid(crs, t, info.width, info.height)
+    corners = np.array([[0.0, 0.0], [info.width, info.height]])
+    place = grid.xy(corners)
+    with np.errstate(invalid="ignore"):
+        elsewhere = not np.array_equal(Transform(crs, output)(place), place)
+    if elsewhere:
+        return None
+    image = scene.model.ground_to_image(np.column_stack([place, np.zeros(2)]))
+    return grid if np.abs(image - corners).max() < _HAIR else None
+
+
+def _same_size(grid: Grid, resolution: float) -> bool:
+    return all(math.isclose(size, resolution, rel_tol=1e-9) for size in grid.resolution)
+
+
+def _extended(grid: Grid, outlines: Sequence[Footprint]) -> Grid:
+    """The same pixels, as many as cover all outlines."""
+    ends = []
+    for outline in outlines:
+        left, bottom, right, top = outline.bounds
+        ends.append(grid.colrow(np.array([[left, top], [right, bottom]])))
+    each = np.array(ends)
+    col, row = (int(v) for v in np.floor(each[:, 0].min(axis=0) + _HAIR))
+    stop_col, stop_row = (int(v) for v in np.ceil(each[:, 1].max(axis=0) - _HAIR))
+    t = grid.transform
+    corner = Affine(t.a, 0.0, t.c + col * t.a, 0.0, t.e, t.f + row * t.e)
+    return Grid(grid.crs, corner, max(1, stop_col - col), max(1, stop_row - row))

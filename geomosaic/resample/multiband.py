@@ -1,0 +1,180 @@
+"""Blending by differences: what is to be added to each image, so that it meets its neighbours without a step.
+
+Every image but one, the base, is described by its difference from the base, D = image − base. Where the images' own
+shares meet, the mosaic is
+
+    mosaic = own image + (blend of the differences − own difference)
+
+which is the usual weighted mean of the images, or the usual sum of Laplacian bands (Burt and Adelson, 1983), since
+both are linear. Written like this, equal images give no correction at all, to the bit; missing pixels need no care
+but that differences are known only where both images show the ground; and where the images show different things - a
+car that has moved, a house that leans the other way - the difference is no measure of colour: it is taken as unknown,
+and what the surroundings say is used, so that nothing of the other image shines through.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.resample.pyramid import Steps, ascend, descend, filled
+from geomosaic.types import AnyArray, BoolArray, IntArray
+
+REACH = 5
+"""Levels over which unknown differences are taken from their surroundings: about 32 pixels."""
+ROUNDS = 3
+TOLERATED = 3.0
+"""Differences so many times as large as the noise count half."""
+
+
+@dataclass(frozen=True)
+class View:
+    """What an image shows of a window.
+
+    Attributes
+    ----------
+    values : array (rows, cols, bands)
+    valid : bool array (rows, cols)
+    """
+
+    values: AnyArray
+    valid: BoolArray
+
+
+def differences(views: Sequence[View], label: IntArray, noise: float | None, by: Steps) -> list[AnyArray | None]:
+    """Difference of each image from a common base, known everywhere.
+
+    The base is the image with the largest share. An image that does not meet it is compared with those that do.
+
+    Parameters
+    ----------
+    views : sequence of View
+        Rows and columns are multiples of 2 ** `REACH`.
+    label : int array (rows, cols)
+        Position in `views` of the image that each pixel belongs to; −1 where none.
+    noise : float, optional
+        Usual difference of two images of the same ground, in values; unless given, all differences are believed.
+    by : Steps
+
+    Returns
+    -------
+    list of float32 array (rows, cols, bands) or None
+        None for the base, and for images that meet no other.
+    """
+    count = np.bincount(label[label >= 0].ravel(), minlength=len(views))
+    base = int(np.argmax(count))
+    kind = views[base].values.dtype
+    exact = np.float32 if kind.itemsize < 4 or kind == np.float32 else np.float64
+    known = views[base].valid.copy()
+    ground = np.where(known[..., None], views[base].values, 0).astype(exact)
+    found: list[AnyArray | None] = [None] * len(views)
+    left = [i for i in range(len(views)) if i != base]
+    while left:
+        shared = [np.count_nonzero(known & views[i].valid) for i in left]
+        if not max(shared):
+            break
+        i = left.pop(int(np.argmax(shared)))
+        view, both = views[i], known & views[i].valid
+        raw = np.where(both[..., None], view.values - ground, 0).astype(np.float32)
+        certain = both[..., None].astype(np.float32)
+        if noise is not None:
+            certain = believed(raw, certain, noise, by)
+        found[i] = apart = raw if (certain == 1).all() else filled(by, raw, certain, REACH)
+        new = view.valid & ~known
+        if left and new.any():  # ground that the next image may be compared with
+            np.copyto(ground, view.values - apart, where=new[..., None])
+            known |= new
+    return found
+
+
+def believed(apart: AnyArray, certain: AnyArray, noise: float, by: Steps) -> AnyArray:
+    """Certainty (rows, cols, 1) of differences: little where they stand out from their surroundings.
+
+    Measured at half the resolution: a difference stands out by its distance from the mean difference within about 32
+    pixels, root mean square over bands and some pixels around. The mean is taken again with the new certainties.
+    """
+    small, weight = by.reduce(apart * certain), by.reduce(certain)
+    small = small / np.maximum(weight, np.float32(1e-6))
+    trusted = weight
+    limit = np.float32((TOLERATED * max(noise, 1e-6)) ** 2)
+    for _ in range(ROUNDS):
+        mean = _mean(small, trusted, by)
+        square = ((small - mean) ** 2).mean(axis=2, keepdims=True, dtype=np.float32) * np.minimum(weight, 1)
+        square = ascend(by, by.reduce(by.reduce(square)), 2)
+        trusted = weight / (np.float32(1.0) + (square / limit) ** 2)
+    share = trusted / np.maximum(weight, np.float32(1e-6))
+    return certain * by.expand(np.minimum(share, np.float32(1.0)))
+
+
+def _mean(values: AnyArray, weight: AnyArray, by: Steps) -> AnyArray:
+    """Weighted mean over about 16 samples around."""
+    levels = REACH - 1
+    total, sums = descend(by, values * weight, levels)[-1], descend(by, weight, levels)[-1]
+    return ascend(by, total / np.maximum(sums, np.float32(1e-6)), levels)
+
+
+def in_bands(apart: Sequence[AnyArray | None], label: IntArray, levels: int, by: Steps) -> AnyArray | None:
+    """Blend of the differences in bands of frequency: each across the seam as wide as its own wavelength.
+
+    Parameters
+    ----------
+    apart : sequence of float32 array (rows, cols, bands) or None
+    label : int array (rows, cols)
+    levels : int
+        The coarsest band is blended over about 2 ^ (levels + 1) pixels.
+    by : Steps
+
+    Returns
+    -------
+    float32 array (rows, cols, bands), or None where no image differs
+    """
+    sums: list[AnyArray] = []
+    for i, own in enumerate(apart):
+        if own is None:
+            continue
+        gauss = descend(by, own, levels)
+        shares = descend(by, (label == i)[..., None].astype(np.float32), levels)
+        for level in range(levels + 1):
+            band = gauss[level] if level == levels else gauss[level] - by.expand(gauss[level + 1])
+            band *= shares[level]
+            if len(sums) <= level:
+                sums.append(band)
+            else:
+                sums[level] += band
+    if not sums:
+        return None
+    out = sums[-1]
+    for band in sums[-2::-1]:
+        out = by.expand(out)
+        out += band
+    return out
+
+
+def by_weights(apart: Sequence[AnyArray | None], weights: Sequence[AnyArray]) -> AnyArray | None:
+    """Blend of the differences by weights (rows, cols) that sum to one."""
+    out: AnyArray | None = None
+    for own, weight in zip(apart, weights, strict=True):
+        if own is not None:
+            part = own * weight[..., None]
+            out = part if out is None else out + part
+    return out
+
+
+def corrected(
+    views: Sequence[View], apart: Sequence[AnyArray | None], blend: AnyArray | None, label: IntArray
+) -> AnyArray:
+    """Own value of each pixel and its correction, not rounded (rows, cols, bands); zero where no image is."""
+    kind = views[0].values.dtype
+    exact = np.float32 if kind.itemsize < 4 or kind == np.float32 else np.float64
+    out = np.zeros(views[0].values.shape, dtype=exact)
+    for i, view in enumerate(views):
+        own = (label == i)[..., None]
+        np.copyto(out, view.values, where=own)
+        difference = apart[i]
+        if difference is not None:
+            np.subtract(out, difference, out=out, where=own)
+    if blend is not None:
+        np.add(out, blend, out=out, where=(label >= 0)[..., None])
+    return out

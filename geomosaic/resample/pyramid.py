@@ -1,0 +1,102 @@
+"""Image pyramids in NumPy: twins of the compiled steps, and what is made of steps of either kind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.types import AnyArray
+
+Step = Callable[[AnyArray], AnyArray]
+
+
+@dataclass(frozen=True)
+class Steps:
+    """One step down and one up; arrays (rows, cols, bands) of float32, of even size where they go down."""
+
+    reduce: Step
+    expand: Step
+
+
+def steps(*, compiled: bool) -> Steps:
+    """Compiled steps, or NumPy's where there is too little to do to wait for a compiler; both give the same bytes."""
+    if not compiled:
+        return Steps(reduce, expand)
+    from geomosaic.resample.kernels import pyramid
+
+    return Steps(pyramid.reduce, pyramid.expand)
+
+
+def reduce(fine: AnyArray) -> AnyArray:
+    """Half the size, see `kernels.pyramid.reduce`."""
+    return _halved(_halved(fine, 0), 1)
+
+
+def expand(coarse: AnyArray) -> AnyArray:
+    """Twice the size, see `kernels.pyramid.expand`."""
+    return _doubled(_doubled(coarse, 0), 1)
+
+
+def _halved(values: AnyArray, axis: int) -> AnyArray:
+    size = values.shape[axis]
+    middle = np.arange(0, size, 2)
+
+    def tap(by: int) -> AnyArray:
+        return values.take(np.clip(middle + by, 0, size - 1), axis=axis)
+
+    return (
+        (tap(-2) + tap(2)) * np.float32(0.0625) + (tap(-1) + tap(1)) * np.float32(0.25) + tap(0) * np.float32(0.375)
+    )  # fmt: skip
+
+
+def _doubled(values: AnyArray, axis: int) -> AnyArray:
+    size = values.shape[axis]
+    before = values.take(np.maximum(np.arange(size) - 1, 0), axis=axis)
+    after = values.take(np.minimum(np.arange(size) + 1, size - 1), axis=axis)
+    even = (before + after) * np.float32(0.125) + values * np.float32(0.75)
+    odd = (values + after) * np.float32(0.5)
+    shape = list(values.shape)
+    shape[axis] *= 2
+    joined: AnyArray = np.stack([even, odd], axis=axis + 1).reshape(shape)
+    return joined
+
+
+def descend(by: Steps, values: AnyArray, levels: int) -> list[AnyArray]:
+    """The values and so many smaller versions of them."""
+    pyramid = [values]
+    for _ in range(levels):
+        pyramid.append(by.reduce(pyramid[-1]))
+    return pyramid
+
+
+def ascend(by: Steps, values: AnyArray, levels: int) -> AnyArray:
+    """The values, expanded so many times."""
+    for _ in range(levels):
+        values = by.expand(values)
+    return values
+
+
+def filled(by: Steps, values: AnyArray, certainty: AnyArray, levels: int) -> AnyArray:
+    """Values where they are certain, and where they are not, what their surroundings say.
+
+    Normalised convolution (Knutsson and Westin, 1993) over a pyramid: means of certain values descend with their
+    certainty, and what a level does not know it takes from the next coarser one.
+
+    Parameters
+    ----------
+    by : Steps
+    values : float32 array (rows, cols, bands)
+        Finite everywhere; what is uncertain does not matter.
+    certainty : float32 array (rows, cols, 1)
+        0 to 1.
+    levels : int
+        Reach: beyond about 2 ^ levels samples from anything certain, values fade to 0.
+    """
+    sums, weights = descend(by, values * certainty, levels), descend(by, certainty, levels)
+    one, least = np.float32(1.0), np.float32(1e-6)
+    out = sums[-1] / np.maximum(weights[-1], least)
+    for total, weight in zip(sums[-2::-1], weights[-2::-1], strict=True):
+        out = total + (one - weight) * by.expand(out)
+    return out

@@ -1,0 +1,258 @@
+"""Blending: no step where images agree, weights that sum to one, no ghosts, the bands of Burt and Adelson."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import mosaic_rig as rig
+import numpy as np
+import pytest
+from scipy.ndimage import convolve1d
+
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import parse_crs
+from geomosaic.geo.grid import Grid
+from geomosaic.product.blending import Blending, Width
+from geomosaic.resample import pyramid
+
+PLACES = [(0, 0), (180, 40), (60, 190)]
+SIZE = (330, 420)
+KINDS = [
+    Blending(),
+    Blending(ramp="smooth"),
+    Blending(limit=True),
+    Blending("overlap"),
+    Blending("overlap", Width(40, "px"), "smooth"),
+    Blending("multiband", limit=False),
+    Blending("multiband"),
+    Blending("none"),
+]
+
+
+def pieces(
+    folder: Path,
+    ground: np.ndarray,
+    nodata: float | None = None,
+    places: list[tuple[int, int]] = PLACES,
+    size: tuple[int, int] = SIZE,
+) -> list[Path]:
+    """Images of one ground, each its own cut of it."""
+    return [
+        rig.write(folder / f"{i}.tif", ground[row : row + size[0], col : col + size[1]], col, row, nodata=nodata)
+        for i, (col, row) in enumerate(places)
+    ]
+
+
+@pytest.mark.parametrize("blending", KINDS, ids=str)
+@pytest.mark.parametrize("dtype", ["uint8", "float32"])
+def test_equal_images_leave_no_trace(tmp_path: Path, blending: Blending, dtype: str) -> None:
+    ground = rig.scene(530, 610).astype(dtype)
+    rig.run(pieces(tmp_path, ground), tmp_path / "out.tif", blending=blending)
+    made, valid = rig.read(tmp_path / "out.tif")
+    off = np.abs(made[valid].astype(float) - ground[: made.shape[0], : made.shape[1]][valid].astype(float))
+    # A weighted mean in 32 bits ends in the last of them; differences that are nothing end in nothing.
+    assert off.max() <= (0 if dtype == "uint8" or not blending.plain else 1e-4)
+
+
+@pytest.mark.parametrize("blending", [kind for kind in KINDS if not kind.limits], ids=str)
+def test_weights_sum_to_one(tmp_path: Path, blending: Blending) -> None:
+    """Mosaics of one image that is 1 and others that are 0 are the weights."""
+    total: np.ndarray | float = 0.0
+    for own in range(len(PLACES)):
+        files = [
+            rig.write(tmp_path / f"{i}.tif", np.full((*SIZE, 1), float(i == own), dtype=np.float32), col, row)
+            for i, (col, row) in enumerate(PLACES)
+        ]
+        rig.run(files, tmp_path / "out.tif", blending=blending)
+        values, valid = rig.read(tmp_path / "out.tif")
+        assert values[valid].max() > 0.99
+        total = total + values[..., 0].astype(np.float64)
+    assert np.abs(total[valid] - 1).max() < 1e-6
+
+
+def test_the_step_at_a_seam(tmp_path: Path) -> None:
+    """Two flat images that differ by 20."""
+    files = [
+        rig.write(tmp_path / "a.tif", np.full((200, 500, 1), 100, np.uint8)),
+        rig.write(tmp_path / "b.tif", np.full((200, 500, 1), 120, np.uint8), 300),
+    ]
+    steps = {}
+    for name, blending in {
+        "none": Blending("none"),
+        "feather": Blending("feather", Width(40, "px")),
+        "limited": Blending("feather", Width(40, "px"), limit=True),
+        "smooth": Blending("feather", Width(40, "px"), "smooth"),
+        "overlap": Blending("overlap"),
+        "multiband": Blending("multiband", Width(32, "px")),
+    }.items():
+        rig.run(files, tmp_path / "out.tif", blending=blending)
+        values, _ = rig.read(tmp_path / "out.tif")
+        along = values[100, :, 0].astype(int)
+        assert along[0] == 100
+        assert along[-1] == 120
+        steps[name] = np.abs(np.diff(along)).max()
+    assert steps == {"none": 20, "feather": 1, "limited": 1, "smooth": 1, "overlap": 2, "multiband": 1}
+
+
+def laplacian_blend(images: list[np.ndarray], masks: list[np.ndarray], levels: int) -> np.ndarray:
+    """Burt and Adelson (1983), of whole images, written down plainly."""
+    taps = np.array([1, 4, 6, 4, 1]) / 16
+
+    def smooth(values: np.ndarray, kernel: np.ndarray) -> np.ndarray:
+        return convolve1d(convolve1d(values, kernel, axis=0, mode="nearest"), kernel, axis=1, mode="nearest")
+
+    def down(values: np.ndarray) -> np.ndarray:
+        return smooth(values, taps)[::2, ::2]
+
+    def up(values: np.ndarray) -> np.ndarray:
+        wide = np.zeros((2 * values.shape[0], 2 * values.shape[1], values.shape[2]))
+        wide[::2, ::2] = values
+        return smooth(wide, 2 * taps)
+
+    bands: list[np.ndarray | float] = [0.0] * (levels + 1)
+    for image, mask in zip(images, masks, strict=True):
+        value, weight = image.astype(np.float64), mask[..., None].astype(np.float64)
+        for level in range(levels + 1):
+            smaller = down(value)
+            bands[level] = bands[level] + weight * (value if level == levels else value - up(smaller))
+            value, weight = smaller, down(weight)
+    out = bands[-1]
+    for band in bands[-2::-1]:
+        out = up(out) + band
+    return np.asarray(out)
+
+
+def test_bands_are_those_of_whole_images(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    ground = rig.scene(1100, 1700, bands=2)
+    places, size = [(0, 0), (200, 100)], (1000, 1500)
+    cuts = []
+    for i, (col, row) in enumerate(places):
+        cut = ground[row : row + size[0], col : col + size[1]]
+        cut = cut * (1.0, 1.15)[i] + rng.normal(0, 4, cut.shape) + 12 * i * np.sin(np.arange(size[1]) / 90)[:, None]
+        cuts.append(cut.astype(np.float32))
+    files = [rig.write(tmp_path / f"{i}.tif", cuts[i], *place) for i, place in enumerate(places)]
+    rig.run(files, tmp_path / "out.tif", blending=Blending("multiband", Width(32, "px"), limit=False))
+    made, _ = rig.read(tmp_path / "out.tif")
+    labels = rig.read(tmp_path / "out-labels.tif")[0][..., 0]
+    top, left, bottom, right = 128, 224, 992, 1472  # both images show it, and it starts at whole cells of all levels
+    both = [
+        cut[top - row : bottom - row, left - col : right - col] for cut, (col, row) in zip(cuts, places, strict=True)
+    ]
+    label = labels[top:bottom, left:right]
+    expected = laplacian_blend(both, [label == 1, label == 2], 5)
+    inner = slice(128, -128), slice(128, -128)
+    mine = made[top:bottom, left:right]
+    assert {1, 2} == set(np.unique(label[inner]))
+    assert np.abs(both[0] - both[1])[inner].max() > 30
+    assert np.abs(mine - expected)[inner].max() < 2e-3
+
+
+def test_steps_of_both_engines_are_the_same() -> None:
+    values = np.random.default_rng(4).normal(100, 40, (64, 96, 3)).astype(np.float32)
+    compiled, plain = pyramid.steps(compiled=True), pyramid.steps(compiled=False)
+    small = plain.reduce(values)
+    assert small.dtype == np.float32
+    assert np.array_equal(compiled.reduce(values), small)
+    assert np.array_equal(compiled.expand(small), plain.expand(small))
+    assert np.allclose(plain.expand(plain.reduce(np.ones_like(values))), 1, atol=1e-6)
+
+
+@pytest.mark.parametrize("blending", [Blending("multiband"), Blending("overlap"), Blending(limit=True)], ids=str)
+def test_tiles_and_threads_do_not_matter(tmp_path: Path, blending: Blending) -> None:
+    rng = np.random.default_rng(8)
+    ground = rig.scene(700, 2500)
+    files = []
+    for i, (col, row) in enumerate([(0, 0), (800, 100), (1400, 0)]):
+        cut = ground[row : row + 600, col : col + 1100] + rng.normal(0, 5, (600, 1100, 3)) + 9 * i
+        files.append(rig.write(tmp_path / f"{i}.tif", cut.clip(1, 255).astype(np.uint8), col, row, nodata=0))
+    made = set()
+    for threads, tile in ((1, 2048), (3, 1024), (2, 3072)):
+        rig.run(files, tmp_path / "out.tif", blending=blending, threads=threads, tile=tile)
+        made.add(hashlib.sha256((tmp_path / "out.tif").read_bytes()).hexdigest())
+    assert len(made) == 1
+
+
+def with_car(folder: Path) -> tuple[list[Path], np.ndarray, list[np.ndarray]]:
+    """Two images, one colour step of 10, and a car of 12 x 24 pixels that only the first shows, on the seam."""
+    rng = np.random.default_rng(6)
+    ground = rig.scene(300, 900)
+    cuts = []
+    for i, col in enumerate((0, 300)):
+        cut = ground[:, col : col + 600] + rng.normal(0, 3, (300, 600, 3)) + 10 * i
+        if i == 0:
+            cut[140:152, 438:462] = 250
+        cuts.append(cut.clip(1, 255).astype(np.uint8))
+    files = [rig.write(folder / f"{i}.tif", cut, 300 * i) for i, cut in enumerate(cuts)]
+    wide = [np.pad(cut, ((0, 0), ((300 * i), 300 - 300 * i), (0, 0))).astype(float) for i, cut in enumerate(cuts)]
+    return files, ground, wide
+
+
+def test_what_moved_leaves_no_ghost(tmp_path: Path) -> None:
+    """Every pixel of the car is the car, or the ground below it - not something between the two."""
+    files, _, images = with_car(tmp_path)
+    car = slice(142, 150), slice(440, 460)
+
+    def between(blending: Blending) -> float:
+        rig.run(files, tmp_path / "out.tif", blending=blending)
+        made = rig.read(tmp_path / "out.tif")[0].astype(float)
+        # Of a pixel's way from the ground to the car, how far it is from the nearer end; the step of 10 is no ghost.
+        apart = images[0][car] - images[1][car]
+        share = (made[car] - images[1][car]) / apart
+        return float(np.median(np.minimum(np.abs(share), np.abs(1 - share)), axis=2).max())
+
+    assert between(Blending("feather", Width(60, "px"))) > 0.3
+    assert between(Blending("multiband", Width(32, "px"), limit=False)) > 0.2
+    for blending in (Blending("feather", Width(60, "px"), limit=True), Blending("multiband", Width(32, "px"))):
+        assert between(blending) < 0.12
+
+
+def test_limits_do_not_stop_the_blending_of_colour(tmp_path: Path) -> None:
+    """Away from the car the step of 10 is blended as if there were no limit."""
+    files, _, _ = with_car(tmp_path)
+    made = []
+    for limit in (True, False):
+        rig.run(files, tmp_path / "out.tif", blending=Blending("multiband", Width(32, "px"), limit=limit))
+        made.append(rig.read(tmp_path / "out.tif")[0].astype(float))
+    assert np.abs(made[0] - made[1])[:90].mean() < 0.15
+
+
+@pytest.mark.parametrize("kind", ["multiband", "feather"])
+def test_the_edge_of_what_is_known_is_a_seam_too(tmp_path: Path, kind: str) -> None:
+    """A slanted border of nodata, as orthos have: no step and no dark halo along it."""
+    rows, cols = np.mgrid[0:400, 0:600]
+    one = np.full((400, 600, 1), 100, dtype=np.uint8)
+    two = np.where(cols + 0.35 * rows > 170, 120, 0).astype(np.uint8)[..., None]
+    files = [rig.write(tmp_path / "a.tif", one, nodata=0), rig.write(tmp_path / "b.tif", two, 100, 0, nodata=0)]
+    rig.run(files, tmp_path / "out.tif", blending=Blending(kind, Width(32, "px"), limit=True), order="list")
+    values, valid = rig.read(tmp_path / "out.tif")
+    assert valid.all()
+    inner = values[40:-40, :590, 0].astype(int)
+    assert inner.min() >= 99
+    assert inner.max() <= 121
+    assert np.abs(np.diff(inner, axis=1)).max() <= 2
+
+
+@pytest.mark.parametrize(("dtype", "bands"), [("uint16", 1), ("int16", 5), ("float64", 2)])
+def test_any_sample_type_and_number_of_bands(tmp_path: Path, dtype: str, bands: int) -> None:
+    ground = (rig.scene(530, 610, bands=bands) * 37 - (1000 if dtype == "int16" else 0)).astype(dtype)
+    for blending in (Blending("multiband"), Blending("overlap", ramp="smooth")):
+        rig.run(pieces(tmp_path, ground), tmp_path / "out.tif", blending=blending)
+        made, valid = rig.read(tmp_path / "out.tif")
+        assert made.dtype == dtype
+        assert np.array_equal(made[valid], ground[: made.shape[0], : made.shape[1]][valid])
+
+
+def test_widths_have_units() -> None:
+    def grid(crs: str, size: float) -> Grid:
+        return Grid.from_bounds(parse_crs(crs), (10.0, 40.0, 10.0 + 100 * size, 40.0 + 100 * size), size, snap=False)
+
+    assert Width.parse("20px").pixels(grid("EPSG:32633", 0.25)) == 20
+    assert Width.parse("5m").pixels(grid("EPSG:32633", 0.25)) == 20
+    assert Width.parse("5").pixels(grid("EPSG:2154", 0.5)) == 10
+    assert Width.parse("5 m").pixels(grid("EPSG:2263", 1.0)) == pytest.approx(5 / 0.3048, rel=1e-5)
+    metre = Width.parse("111.2m").pixels(grid("EPSG:4326", 0.001))  # of a pixel of 111.2 m by 85.2 m
+    assert metre == pytest.approx(1 / np.sqrt(np.cos(np.radians(40.05))), rel=1e-3)
+    with pytest.raises(InputError, match="'wide' is not a width"):
+        Width.parse("wide")
