@@ -11,6 +11,7 @@ from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack
 from geomosaic.cli.request import area, block_inputs, mosaic_options, planar_inputs
 from geomosaic.cli.talk import answer, notes, progress
+from geomosaic.cli.values import pairs
 from geomosaic.cli.words import mosaic_facts, mosaic_words
 
 mosaic_flags = stack(
@@ -22,12 +23,25 @@ mosaic_flags = stack(
     ),
     click.option(
         "--seams",
-        type=click.Choice(["nearest", "alike"]),
+        type=click.Choice(["nearest", "halve", "alike"]),
         default="nearest",
         show_default=True,
-        help="Seams halfway between what images see best, or where neighbours look most alike.",
+        help="Seams halfway between what images see best, halving overlaps, or where neighbours look most alike.",
+    ),
+    click.option("--follow", type=FILE, multiple=True, help="Roads and rivers that --seams alike runs along."),
+    click.option(
+        "--avoid", type=FILE, multiple=True, help="Areas, such as buildings, that --seams alike keeps out of."
+    ),
+    click.option(
+        "--seam-weight",
+        "seam_weights",
+        multiple=True,
+        callback=pairs,
+        metavar="NAME=VALUE",
+        help="What counts how much for --seams alike, such as heights=5.",
     ),
     click.option("--cutlines", type=FILE, help="Areas with an image each, drawn by hand, that win over --seams."),
+    click.option("--exclude", multiple=True, metavar="NAME", help="Image that is to show nothing."),
     click.option("--balance/--no-balance", default=True, show_default=True, help="Balance colours over the overlaps."),
     click.option(
         "--histogram",

@@ -32,7 +32,8 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     like = project.file(settings.mosaic.reference)
     master, said_of_master = with_companions(project, (like,) if like is not None else ())
     cutlines = project.file(settings.mosaic.cutlines)
-    drawn = () if cutlines is None else (cutlines,)
+    layers = project.files([*settings.mosaic.follow, *settings.mosaic.avoid])
+    drawn = (*(() if cutlines is None else (cutlines,)), *layers)
     tables = tuple(dict.fromkeys((*inputs.tables, *sensor_files(settings.sensor.name, project.images))))
     orientation: dict[str, Any] = {
         "sensor": settings.sensor.model_dump(mode="json"),
@@ -68,7 +69,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             {**orientation, **place, **blend},
             (*images, *ground, *master, *drawn, *layout.models),
             (*rasters, layout.facts("mosaic")),
-            version=2,
+            version=3,
         ),
     ]
     if every_ortho:

@@ -18,6 +18,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.balance import balance
 from geomosaic.product.blend import Blender, MosaicUnit, Seams, label_type
+from geomosaic.product.edits import numbers_of, retouched
 from geomosaic.product.options import MosaicOptions
 from geomosaic.product.ortho import GeometryRecord, samples, tiles
 from geomosaic.product.photos import Photos
@@ -109,6 +110,8 @@ def mosaic(
     """
     options = options or MosaicOptions()
     render = options.render
+    from shapely import Polygon
+
     labels = beside(output, "-labels", ".tif") if options.labels else None
     vectors = beside(output, "", ".gpkg") if options.vectors else None
     # A map of its own lies nowhere on the Earth, which a STAC item would have to say.
@@ -126,9 +129,12 @@ def mosaic(
         compiled = beside_it.submit(engine_for, 2 * samples(grid, outlines), render.resampling)
         with _Clock(seconds, "balance"):
             solved = _balanced(photos, options)
-        colours = solved.curves or [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
+        solved_colours = solved.curves or [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
+        names = [outline.name for outline in outlines]
+        colours, out = retouched(solved_colours, names, options.retouch), numbers_of(options.exclude, names, "left out")
+        photos.leave_out(out)
         with _Clock(seconds, "seams"):
-            shapes = [outline.polygon for outline in outlines]
+            shapes = [Polygon() if i in out else outline.polygon for i, outline in enumerate(outlines)]
             shares = _shares(photos, shapes, colours, options)
         seams = Seams(shares, shapes, feather / grid.resolution[0])
         ground, engine = Ground.under(grid, block.surface), compiled.result()
@@ -171,9 +177,15 @@ def _balanced(photos: Photos, options: MosaicOptions) -> Balance:
 def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve], options: MosaicOptions) -> list[Any]:
     """Who shows what."""
     if options.seams == "alike":
+        from geomosaic.product.seam_layers import read_seam_layers
         from geomosaic.product.seams import alike_regions
 
-        shares = alike_regions(photos, shapes, colours, options.render)
+        layers = read_seam_layers(options.follow, options.avoid, photos.grid.crs)
+        shares = alike_regions(photos, shapes, colours, options.render, options.seam_weights, layers)
+    elif options.seams == "halve":
+        from geomosaic.product.seams import halved_regions
+
+        shares = halved_regions(photos, shapes)
     else:
         shares = regions(shapes, [outline.centre for outline in photos.outlines])
     if options.cutlines is None:
@@ -182,7 +194,7 @@ def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve]
     from geomosaic.seam.cutlines import with_cutlines
 
     names = [outline.name for outline in photos.outlines]
-    return with_cutlines(shares, read_cutlines(options.cutlines, names, photos.grid.crs))
+    return with_cutlines(shares, read_cutlines(options.cutlines, names, shapes, photos.grid.crs))
 
 
 def _reuse(blender: Blender, output: Path, labels: Path | None, options: MosaicOptions) -> Reuse | None:

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
+from geomosaic.product.edits import Retouch
 from geomosaic.resample.warp import RESAMPLING
+from geomosaic.seam.cost import SeamWeights
 from geomosaic.sensor.lattice import BLOCK_WIDTH
 
 if TYPE_CHECKING:
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int, str], None]
 GIGABYTE = 1 << 30
 HISTOGRAMS = ("overlap", "whole")
-SEAMS = ("nearest", "alike")
+SEAMS = ("nearest", "halve", "alike")
 
 
 @dataclass(frozen=True)
@@ -101,9 +103,18 @@ class MosaicOptions:
     reference : Scene, optional
         Georeferenced raster that all images are matched to, instead of a master.
     seams : str
-        'nearest' halfway between the places that images see best; 'alike' where neighbours look most alike.
+        'nearest' halfway between the places that images see best; 'halve' where the edges of two are equally far;
+        'alike' where seams cost least.
+    seam_weights : SeamWeights
+        What counts how much for 'alike'.
+    follow, avoid : tuple of Path
+        Vector files of roads and rivers that seams of 'alike' follow, and of areas that they keep out of.
     cutlines : Path, optional
         Vector file of shares that a person has drawn: they win.
+    exclude : tuple of str
+        Names of images that show nothing; they still take part in the balance, so that the others keep their colours.
+    retouch : mapping of str to Retouch
+        Changes of single images' colours, after the balance.
     memory : Memory, optional
         Where what was computed is remembered, so that a later run takes what has not changed.
     """
@@ -118,7 +129,12 @@ class MosaicOptions:
     master: str | None = None
     reference: Scene | None = None
     seams: str = "nearest"
+    seam_weights: SeamWeights = field(default_factory=SeamWeights)
+    follow: tuple[Path, ...] = ()
+    avoid: tuple[Path, ...] = ()
     cutlines: Path | None = None
+    exclude: tuple[str, ...] = ()
+    retouch: Mapping[str, Retouch] = field(default_factory=dict)
     memory: Memory | None = None
 
     def __post_init__(self) -> None:
@@ -126,6 +142,10 @@ class MosaicOptions:
             raise InputError(f"a feather of {self.feather} is not a width", mend="give map units, 0 or more")
         if self.seams not in SEAMS:
             raise InputError(f"no way to lay seams is named '{self.seams}'", mend=f"use {' or '.join(SEAMS)}")
+        if self.seams != "alike" and (self.follow or self.avoid or self.seam_weights != SeamWeights()):
+            raise InputError(
+                f"seams that are laid '{self.seams}' heed no roads, areas or weights", mend="lay them 'alike'"
+            )
         if self.histogram not in (None, *HISTOGRAMS):
             raise InputError(
                 f"histograms cannot be matched by '{self.histogram}'", mend=f"one of {', '.join(HISTOGRAMS)}"

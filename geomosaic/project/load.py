@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,6 +60,10 @@ class Project:
     def file(self, path: str | None) -> Path | None:
         """Resolve a path of the project file."""
         return None if path is None else self.folder / path
+
+    def files(self, paths: Sequence[str]) -> tuple[Path, ...]:
+        """Resolve paths of the project file."""
+        return tuple(self.folder / path for path in paths)
 
     @property
     def inputs(self) -> BlockInputs:

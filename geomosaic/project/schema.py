@@ -111,6 +111,32 @@ class OutputSection(Section):
     orthos: bool = False
 
 
+Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Part = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+
+
+class SeamWeightsSection(Section):
+    """[mosaic.seam_weights]: what is not given has its default, see `seam.cost.SeamWeights`."""
+
+    length: Positive | None = None
+    colour: Weight | None = None
+    gradient: Weight | None = None
+    texture: Weight | None = None
+    angle: Weight | None = None
+    edge: Weight | None = None
+    heights: Weight | None = None
+    avoid: Weight | None = None
+    follow: Part | None = None
+    reach: Part | None = None
+
+
+class RetouchSection(Section):
+    """[mosaic.retouch."photo_07.jpg"]: a change of one photo's colour after the balance."""
+
+    gain: Positive = 1.0
+    offset: Finite = 0.0
+
+
 class MosaicSection(Section):
     """[mosaic]."""
 
@@ -120,8 +146,13 @@ class MosaicSection(Section):
     master: str | None = None
     reference: FilePath | None = None
     labels: bool = True
-    seams: Literal["nearest", "alike"] = "nearest"
+    seams: Literal["nearest", "halve", "alike"] = "nearest"
+    seam_weights: SeamWeightsSection = Field(default_factory=lambda: SeamWeightsSection())
+    follow: list[FilePath] = Field(default_factory=list)
+    avoid: list[FilePath] = Field(default_factory=list)
     cutlines: FilePath | None = None
+    exclude: list[str] = Field(default_factory=list)
+    retouch: dict[str, RetouchSection] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _matched(self) -> MosaicSection:

@@ -20,8 +20,10 @@ from geomosaic.project.make import plan, reference_scene
 
 def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
     """Write the mosaic and what goes with it."""
+    from geomosaic.product.edits import Retouch
     from geomosaic.product.mosaic import mosaic as make
     from geomosaic.product.options import MosaicOptions
+    from geomosaic.seam.cost import SeamWeights
 
     layout, wanted = Layout(project), project.settings.mosaic
     layout.mosaic.parent.mkdir(parents=True, exist_ok=True)
@@ -38,7 +40,12 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             master=wanted.master,
             reference=None if reference is None else reference_scene(reference, project.settings.project.bands),
             seams=wanted.seams,
+            seam_weights=SeamWeights(**wanted.seam_weights.model_dump(exclude_none=True)),
+            follow=project.files(wanted.follow),
+            avoid=project.files(wanted.avoid),
             cutlines=project.file(wanted.cutlines),
+            exclude=tuple(wanted.exclude),
+            retouch={name: Retouch(own.gain, own.offset) for name, own in wanted.retouch.items()},
             memory=_memory(project, context),
         )
         result = make(block, grid, outlines, layout.mosaic, options)
@@ -90,6 +97,7 @@ def _memory(project: Project, context: Context) -> Memory:
     scenes = [f"{digests[image]} {digests[model]}" for image, model in zip(project.images, layout.models, strict=True)]
     # Of all other files, those that only move seams or colours show in the seams and colours themselves.
     elsewhere = {project.file(settings.mosaic.cutlines), project.file(settings.mosaic.reference)}
+    elsewhere |= {*project.files(settings.mosaic.follow), *project.files(settings.mosaic.avoid)}
     own = {*project.images, *layout.models, *elsewhere}
     said = {
         "files": {relative(path, project.folder): digest for path, digest in digests.items() if path not in own},

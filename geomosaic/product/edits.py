@@ -1,0 +1,62 @@
+"""What a person changes after having looked: photos left out, the colour of one photo touched up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.radiometry.curve import Curve
+from geomosaic.resample.warp import Colour
+
+
+@dataclass(frozen=True)
+class Retouch:
+    """Change of one image's corrected values: value · gain + offset, the same for all bands."""
+
+    gain: float = 1.0
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.gain) and self.gain > 0 and np.isfinite(self.offset)):
+            raise InputError(
+                f"a photo is to be touched up by gain {self.gain} and offset {self.offset}",
+                mend="give a positive gain, and an offset in grey values",
+            )
+
+
+def numbers_of(wanted: Sequence[str], names: Sequence[str], what: str) -> set[int]:
+    """Numbers of images that an edit names.
+
+    Raises
+    ------
+    InputError
+        A name that no image has.
+    """
+    for name in wanted:
+        if name not in names:
+            hint = did_you_mean(name, names) or "name an image"
+            raise InputError(f"'{name}' is {what}, which is no image of this mosaic", mend=hint)
+    return {names.index(name) for name in wanted}
+
+
+def retouched(
+    colours: Sequence[Colour | Curve], names: Sequence[str], edits: Mapping[str, Retouch]
+) -> list[Colour | Curve]:
+    """Corrections of all images, some of them touched up. The balance itself is not solved anew: others stay."""
+    numbers_of(list(edits), list(names), "to be touched up")
+    return [_changed(own, edits[name]) if name in edits else own for name, own in zip(names, colours, strict=True)]
+
+
+def _changed(own: Colour | Curve, edit: Retouch) -> Colour | Curve:
+    if isinstance(own, Curve):
+        # A curve goes on with slope 1 beyond its knots; two knots far out carry the gain on.
+        knots = []
+        for x, y in own.knots:
+            far = 1e6 * max(1.0, float(np.abs(x).max()))
+            wide = np.concatenate([[x[0] - far], x, [x[-1] + far]])
+            knots.append((wide, np.concatenate([[y[0] - far], y, [y[-1] + far]]) * edit.gain + edit.offset))
+        return Curve(knots)
+    return Colour(own.gain * edit.gain, own.offset * edit.gain + edit.offset)
