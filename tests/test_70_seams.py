@@ -205,3 +205,42 @@ def test_an_image_that_is_left_out_shows_nothing(tell, quiet, tmp_path):
     with rasterio.open(out.with_name("out-labels.tif")) as labels:
         assert np.unique(labels.read(1)).tolist() == [0, 1]
         assert (labels.read(1) == 1).sum() == WIDTH * HEIGHT
+
+
+def test_marks_and_borders_of_film_are_never_used(tell, quiet, tmp_path):
+    marked = []
+    for number, file in enumerate(quiet):
+        with rasterio.open(file) as dataset:
+            values, profile = dataset.read(), dataset.profile
+        values[:, :30], values[:, -30:], values[:, :, :30], values[:, :, -30:] = 255, 255, 255, 255  # the border
+        values[:, 180:240, 30:60] = 255  # a clock
+        marked.append(tmp_path / f"film{number}.tif")
+        with rasterio.open(marked[-1], "w", **profile) as dataset:
+            dataset.write(values)
+    for seams in ("nearest", "alike"):
+        out = tmp_path / f"{seams}.tif"
+        words = ("--res", 1, "--margin", 31, "--seams", seams, "-o", out)
+        assert tell("mosaic", *marked, *words)[0] == 0
+        with rasterio.open(out) as mosaic:
+            assert mosaic.height == HEIGHT - 62
+            left, shown = mosaic.read()[:, :, :40], mosaic.read()[:, :, 40:]
+        assert (left == 255).any()  # the clock, which the margin does not cut off
+        assert shown.max() < 250
+    table = tmp_path / "usable.csv"
+    corners = [(31, 31), (569, 31), (569, 389), (31, 389), (31, 245), (65, 245), (65, 175), (31, 175)]
+    table.write_text("image,col,row\n" + "".join(f"*,{c},{r}\n" for c, r in corners))
+    out = tmp_path / "polygon.tif"
+    assert tell("mosaic", *marked, "--res", 1, "--usable", table, "-o", out)[0] == 0
+    with rasterio.open(out) as mosaic:
+        assert mosaic.read().max() < 250
+        assert mosaic.dataset_mask()[150, 5] == 0
+    for text, said in (
+        ("image,col,row\n*,1,1\n*,9,9\n", "has 2 corners"),
+        ("image,col,row\n*,1,1\n*,9,9\n*,9,1\n*,1,9\n", "crosses itself"),
+        ("image,col,row\n*,-9,-9\n*,-5,-9\n*,-5,-1\n", "lies outside of 'film0.tif'"),
+    ):
+        table.write_text(text)
+        code, _, err = tell("mosaic", *marked, "--res", 1, "--usable", table, "-o", tmp_path / "bad.tif")
+        assert (code, said in err) == (1, True), err
+    code, _, err = tell("mosaic", *marked, "--res", 1, "--margin", 300, "-o", tmp_path / "bad.tif")
+    assert (code, "leaves nothing" in err) == (1, True)

@@ -48,6 +48,8 @@ def block_inputs(
         control=control,
         bands=flags["bands"],
         planar=planar,
+        margin=None if flags.get("margin") is None else (flags["margin"],) * 4,
+        usable=flags.get("usable"),
     )
 
 

@@ -34,6 +34,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     cutlines = project.file(settings.mosaic.cutlines)
     layers = project.files([*settings.mosaic.follow, *settings.mosaic.avoid])
     drawn = (*(() if cutlines is None else (cutlines,)), *layers)
+    usable = () if inputs.usable is None else (inputs.usable,)
     tables = tuple(dict.fromkeys((*inputs.tables, *sensor_files(settings.sensor.name, project.images))))
     orientation: dict[str, Any] = {
         "sensor": settings.sensor.model_dump(mode="json"),
@@ -43,6 +44,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         "planar": settings.planar.model_dump(mode="json") if settings.planar else None,
         "nodata": settings.project.nodata,
         "bands": settings.project.bands,
+        "margin": settings.project.margin,
         **plugin_versions(settings.sensor.name),
         **said_of_images,
         **said_of_ground,
@@ -67,7 +69,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             "mosaic",
             partial(mosaic, project, machine),
             {**orientation, **place, **blend},
-            (*images, *ground, *master, *drawn, *layout.models),
+            (*images, *ground, *master, *drawn, *usable, *layout.models),
             (*rasters, layout.facts("mosaic")),
             version=3,
         ),
@@ -78,7 +80,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
                 "orthos",
                 partial(orthos, project, machine),
                 {**orientation, **place},
-                (*images, *ground, *layout.models),
+                (*images, *ground, *usable, *layout.models),
                 every_ortho,
             )
         )

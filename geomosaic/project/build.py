@@ -25,6 +25,7 @@ from geomosaic.project.ground import OF_POSITIONS, build_surface, height_below, 
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.names import corrections_file
 from geomosaic.project.photos import Photo, photos_of
+from geomosaic.project.usable import with_usable
 from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.model import HasRays
 from geomosaic.sensor.plugin import SensorRequest
@@ -71,7 +72,7 @@ def build_block(inputs: BlockInputs) -> Block:
         )
         for photo in photos
     )
-    return Block(scenes, surface, control, crs)
+    return Block(with_usable(inputs, scenes), surface, control, crs)
 
 
 def _corrected(inputs: BlockInputs, photo: Photo, model: SensorModel) -> SensorModel:

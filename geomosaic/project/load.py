@@ -91,6 +91,8 @@ class Project:
             nodata=s.project.nodata,
             bands=s.project.bands,
             planar=self._planar,
+            margin=_sides(s.project.margin),
+            usable=self.file(s.project.usable),
         )
 
     @property
@@ -100,6 +102,11 @@ class Project:
         if s is None:
             return None
         return PlanarInputs(s.kind, s.model, self.file(s.ties), s.scale, s.azimuth, s.rectify)
+
+
+def _sides(margin: float | tuple[float, float, float, float] | None) -> tuple[float, float, float, float] | None:
+    """Pixels at the left, top, right and bottom."""
+    return (margin,) * 4 if isinstance(margin, int | float) else margin
 
 
 def _datum(folder: Path, heights: str | None) -> str | None:

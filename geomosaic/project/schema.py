@@ -22,6 +22,9 @@ Band = Annotated[int, Field(ge=1)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
+Pixels = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
 class Section(BaseModel):
     """A table of the project file; unknown keys are errors."""
 
@@ -35,6 +38,8 @@ class ProjectSection(Section):
     images: list[FilePath] = Field(min_length=1)
     nodata: float | None = None
     bands: Annotated[tuple[Band, ...], Field(min_length=1)] | None = None
+    margin: Pixels | tuple[Pixels, Pixels, Pixels, Pixels] | None = None
+    usable: FilePath | None = None
 
 
 class SensorSection(BaseModel):

@@ -102,7 +102,7 @@ def _memory(project: Project, context: Context) -> Memory:
     said = {
         "files": {relative(path, project.folder): digest for path, digest in digests.items() if path not in own},
         "dem": settings.dem.model_dump(mode="json") if settings.dem else None,
-        "project": settings.project.model_dump(mode="json", include={"bands", "nodata"}),
+        "project": settings.project.model_dump(mode="json", include={"bands", "nodata", "margin"}),
         "versions": versions(),
     }
     return Memory(project.state / "mosaic-units.json", scenes, digest_of(said))
