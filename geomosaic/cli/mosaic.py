@@ -41,6 +41,9 @@ mosaic_flags = stack(
         help="What counts how much for --seams alike, such as heights=5.",
     ),
     click.option("--cutlines", type=FILE, help="Areas with an image each, drawn by hand, that win over --seams."),
+    click.option(
+        "--seam-quality/--no-seam-quality", default=False, show_default=True, help="Judge seams piece by piece."
+    ),
     click.option("--margin", type=click.FloatRange(0), metavar="PIXELS", help="Border of every image not to be used."),
     click.option("--usable", type=FILE, help="Polygons beyond which images are not to be used: image, col, row."),
     click.option("--exclude", multiple=True, metavar="NAME", help="Image that is to show nothing."),

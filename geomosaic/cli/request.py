@@ -142,5 +142,6 @@ def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> Mosai
         follow=flags["follow"],
         avoid=flags["avoid"],
         cutlines=flags["cutlines"],
+        seam_quality=flags["seam_quality"],
         exclude=flags["exclude"],
     )

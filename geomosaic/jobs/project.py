@@ -70,7 +70,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             partial(mosaic, project, machine),
             {**orientation, **place, **blend},
             (*images, *ground, *master, *drawn, *usable, *layout.models),
-            (*rasters, layout.facts("mosaic")),
+            (*rasters, layout.facts("mosaic"), layout.places),
             version=3,
         ),
     ]
@@ -98,7 +98,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             {"name": project.name},
             (
                 project.path, *images, *tables, *ground, *reference, *rasters, *every_ortho,
-                *(layout.facts(name) for name in ("orient", "mosaic", "check")),
+                *(layout.facts(name) for name in ("orient", "mosaic", "check")), layout.places,
             ),
             (layout.report, layout.report_json),
         ),

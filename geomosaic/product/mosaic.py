@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.product.records import write_item, write_vectors
 from geomosaic.product.reuse import LOSSLESS, Reuse
+from geomosaic.product.seam_quality import SeamPlace, SeamQuality, judge_seams, worst_places
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
@@ -33,11 +34,16 @@ from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.vector import prepare
 from geomosaic.resample.engine import engine_for
 from geomosaic.resample.warp import Colour
+from geomosaic.seam.lines import Segment, segments
 from geomosaic.seam.voronoi import regions
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import blocks
 
 FEATHER_PIXELS = 32
+SEGMENT = 512
+"""Pixels: length of the pieces of seams that are judged."""
+MOST_SEGMENTS = 400
+"""Pieces of about equal length beyond which they are made longer."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,12 @@ class MosaicResult:
         Per stage.
     reused, units : int
         Units of work whose pixels came from an earlier run, and all of them.
+    parts : list of Segment
+        Seamlines in pieces.
+    quality : list of SeamQuality
+        Of each piece, where it was asked for.
+    places : list of SeamPlace
+        The worst of them.
     """
 
     path: Path
@@ -81,6 +93,9 @@ class MosaicResult:
     seconds: dict[str, float]
     reused: int = 0
     units: int = 0
+    parts: list[Segment] = field(default_factory=list)
+    quality: list[SeamQuality] = field(default_factory=list)
+    places: list[SeamPlace] = field(default_factory=list)
 
 
 def beside(output: Path, what: str, suffix: str) -> Path:
@@ -144,6 +159,13 @@ def mosaic(
         reuse = _reuse(blender, output, labels, options)
         with _Clock(seconds, "mosaic"):
             seen, pixels, record = _render(blender, output, labels, options, reuse)
+        pixel = grid.resolution[0]
+        parts, quality, places = segments(shares, pixel, SEGMENT * pixel), [], []
+        if options.seam_quality:
+            with _Clock(seconds, "seam quality"):
+                parts = segments(shares, pixel, max(SEGMENT * pixel, sum(p.line.length for p in parts) / MOST_SEGMENTS))
+                quality = judge_seams(blender, parts, render)
+                places = worst_places(blender, parts, quality, output)
     finally:
         if reuse is not None:
             reuse.close()
@@ -152,7 +174,7 @@ def mosaic(
     with _Clock(seconds, "records"), ThreadPoolExecutor(1) as beside_it:
         checksum = beside_it.submit(sha256, output)
         if vectors is not None:
-            write_vectors(vectors, grid, outlines, shares, solved, pixels, overwrite=render.overwrite)
+            write_vectors(vectors, grid, outlines, shares, solved, pixels, parts, quality, overwrite=render.overwrite)
         if item is not None:
             images = [Path(scene.path) for scene in block.scenes]
             sums = {output: checksum.result()}
@@ -162,6 +184,7 @@ def mosaic(
     return MosaicResult(
         output, labels, vectors, item, grid, seen, pixels, solved, feather, record.error, render.tolerance,
         record.scale, seconds, 0 if reuse is None else reuse.taken, len(tiles(grid, render.tile)),
+        parts, quality, places,
     )  # fmt: skip
 
 

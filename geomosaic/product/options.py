@@ -111,6 +111,8 @@ class MosaicOptions:
         Vector files of roads and rivers that seams of 'alike' follow, and of areas that they keep out of.
     cutlines : Path, optional
         Vector file of shares that a person has drawn: they win.
+    seam_quality : bool
+        Judge the seams piece by piece.
     exclude : tuple of str
         Names of images that show nothing; they still take part in the balance, so that the others keep their colours.
     retouch : mapping of str to Retouch
@@ -133,6 +135,7 @@ class MosaicOptions:
     follow: tuple[Path, ...] = ()
     avoid: tuple[Path, ...] = ()
     cutlines: Path | None = None
+    seam_quality: bool = False
     exclude: tuple[str, ...] = ()
     retouch: Mapping[str, Retouch] = field(default_factory=dict)
     memory: Memory | None = None

@@ -180,6 +180,7 @@ def _text(path: Path, inputs: BlockInputs, read: bool) -> str:
         "# max_check_rms_px = 1.0",
         '# reference = "reference.tif"',
         "# max_registration_px = 1.0",
+        "# max_seam_mismatch_px = 2.0",
     ]
     return "\n".join(lines) + "\n"
 

@@ -156,6 +156,7 @@ class MosaicSection(Section):
     follow: list[FilePath] = Field(default_factory=list)
     avoid: list[FilePath] = Field(default_factory=list)
     cutlines: FilePath | None = None
+    seam_quality: bool = True
     exclude: list[str] = Field(default_factory=list)
     retouch: dict[str, RetouchSection] = Field(default_factory=dict)
 
@@ -172,6 +173,7 @@ class QualitySection(Section):
     max_control_rms_px: Positive | None = None
     max_check_rms_px: Positive | None = None
     max_lattice_error_px: Positive | None = None
+    max_seam_mismatch_px: Positive | None = None
     max_registration_px: Positive | None = None
     reference: FilePath | None = None
 

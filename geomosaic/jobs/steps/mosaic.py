@@ -23,6 +23,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     from geomosaic.product.edits import Retouch
     from geomosaic.product.mosaic import mosaic as make
     from geomosaic.product.options import MosaicOptions
+    from geomosaic.product.report.seams import place_pictures, seam_facts
     from geomosaic.seam.cost import SeamWeights
 
     layout, wanted = Layout(project), project.settings.mosaic
@@ -44,11 +45,13 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             follow=project.files(wanted.follow),
             avoid=project.files(wanted.avoid),
             cutlines=project.file(wanted.cutlines),
+            seam_quality=wanted.seam_quality,
             exclude=tuple(wanted.exclude),
             retouch={name: Retouch(own.gain, own.offset) for name, own in wanted.retouch.items()},
             memory=_memory(project, context),
         )
         result = make(block, grid, outlines, layout.mosaic, options)
+    judged = seam_facts(result.parts, result.quality, [outline.name for outline in outlines])
     facts = {
         "grid": {
             "crs": describe(grid.crs).partition("; heights")[0],
@@ -86,7 +89,9 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         "reused": result.reused,
         "units": result.units,
         "warnings": notes,
+        "seam_quality": judged,
     }
+    write_json(layout.places, place_pictures(result.places, judged["rows"] if judged else []))
     write_json(layout.facts("mosaic"), facts)
     return {"pixels": result.valid_pixels, "lattice_error_px": result.lattice_error}
 
