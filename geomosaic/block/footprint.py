@@ -85,7 +85,7 @@ def footprint(scene: Scene, surface: Surface | None, crs: CRS) -> Footprint:
     model = scene.model
     width, height = model.size
     centre = np.array([[width / 2, height / 2]])
-    border = _border(width, height)
+    border = _border(width, height) if scene.usable is None else _around(scene.usable, width, height)
     ground = _ground(scene, np.vstack([centre + _STEPS, border]), surface, crs)
     if np.isnan(ground[:3]).any():
         found = _some_ground(scene, surface, crs)
@@ -137,6 +137,16 @@ def _border(width: int, height: int) -> FloatArray:
     # A hair inside, so that the outline belongs to the image.
     ring: FloatArray = (np.vstack(sides) - 0.5) * (1 - 1e-9) + 0.5
     return ring * np.array([width, height], dtype=np.float64)
+
+
+def _around(usable: tuple[tuple[float, float], ...], width: int, height: int) -> FloatArray:
+    """Places along the border of the usable part, within the image."""
+    import shapely
+
+    ring = shapely.Polygon(usable).intersection(shapely.box(0, 0, width, height))
+    ring = max(shapely.get_parts(ring), key=lambda part: part.area).exterior
+    places: FloatArray = shapely.get_coordinates(shapely.segmentize(ring, ring.length / (4 * SIDE)))[:-1]
+    return places
 
 
 def _ground(scene: Scene, colrow: FloatArray, surface: Surface | None, crs: CRS) -> FloatArray:

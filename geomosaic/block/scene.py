@@ -24,6 +24,8 @@ class Scene:
         Value of missing pixels, in place of what the file says.
     bands : tuple of int, optional
         Bands to use, counted from 1, in this order; all but alpha unless given.
+    usable : tuple of (col, row), optional
+        Corners of the part of the image that may be used, in order: no fiducial marks, no border of the film.
     """
 
     name: str
@@ -32,3 +34,4 @@ class Scene:
     model: SensorModel
     nodata: float | None = None
     bands: tuple[int, ...] | None = None
+    usable: tuple[tuple[float, float], ...] | None = None

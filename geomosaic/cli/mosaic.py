@@ -12,18 +12,37 @@ from geomosaic.cli.merging import merge_flags
 from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack
 from geomosaic.cli.request import area, block_inputs, mosaic_options, planar_inputs
 from geomosaic.cli.talk import answer, notes, progress
-from geomosaic.cli.values import band_numbers
+from geomosaic.cli.values import band_numbers, pairs
 from geomosaic.cli.words import mosaic_facts, mosaic_words
 
 mosaic_flags = stack(
     click.option(
         "--seams",
-        type=click.Choice(["nearest", "alike", "order"]),
+        type=click.Choice(["nearest", "halve", "alike", "order"]),
         default="nearest",
         show_default=True,
-        help="Seams halfway between what images see best, where neighbours look most alike, or by --order.",
+        help="Seams halfway between what images see best, halving overlaps, where neighbours look most alike, or by "
+        "--order.",
+    ),
+    click.option("--follow", type=FILE, multiple=True, help="Roads and rivers that --seams alike runs along."),
+    click.option(
+        "--avoid", type=FILE, multiple=True, help="Areas, such as buildings, that --seams alike keeps out of."
+    ),
+    click.option(
+        "--seam-weight",
+        "seam_weights",
+        multiple=True,
+        callback=pairs,
+        metavar="NAME=VALUE",
+        help="What counts how much for --seams alike, such as heights=5.",
     ),
     click.option("--cutlines", type=FILE, help="Areas with an image each, drawn by hand, that win over --seams."),
+    click.option(
+        "--seam-quality/--no-seam-quality", default=False, show_default=True, help="Judge seams piece by piece."
+    ),
+    click.option("--margin", type=click.FloatRange(0), metavar="PIXELS", help="Border of every image not to be used."),
+    click.option("--usable", type=FILE, help="Polygons beyond which images are not to be used: image, col, row."),
+    click.option("--exclude", multiple=True, metavar="NAME", help="Image that is to show nothing."),
     click.option(
         "--balance/--no-balance",
         default=None,

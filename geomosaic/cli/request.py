@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from geomosaic.product.options import MosaicOptions, RenderOptions
     from geomosaic.project.inputs import BlockInputs, PlanarInputs
     from geomosaic.project.make import Area
+    from geomosaic.seam.cost import SeamWeights
 
 
 def block_inputs(
@@ -48,6 +49,8 @@ def block_inputs(
         control=control,
         bands=flags["bands"],
         planar=planar,
+        margin=None if flags.get("margin") is None else (flags["margin"],) * 4,
+        usable=flags.get("usable"),
     )
 
 
@@ -106,6 +109,21 @@ def render_options(flags: Mapping[str, Any], progress: Progress | None) -> Rende
     )
 
 
+def seam_weights(given: Mapping[str, str]) -> SeamWeights:
+    """Make the weights of seams, where some are given."""
+    from geomosaic.errors import InputError, did_you_mean
+    from geomosaic.seam.cost import SeamWeights
+
+    known = SeamWeights.__dataclass_fields__
+    for name, text in given.items():
+        if name not in known:
+            hint = did_you_mean(name, list(known)) or f"one of {', '.join(known)}"
+            raise InputError(f"no seam weight is named '{name}'", mend=hint)
+        if not isinstance(value(text), int | float):
+            raise InputError(f"the seam weight '{name}' is '{text}'", mend="give a number")
+    return SeamWeights(**{name: float(value(text)) for name, text in given.items()})
+
+
 def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> MosaicOptions:
     """Make the options of a mosaic."""
     from geomosaic.cli.merging import balanced, merging
@@ -122,7 +140,12 @@ def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> Mosai
         master=flags["master"],
         reference=None if reference is None else reference_scene(reference, flags["reference_bidx"] or flags["bands"]),
         seams=flags["seams"],
+        seam_weights=seam_weights(flags["seam_weights"]),
+        follow=flags["follow"],
+        avoid=flags["avoid"],
         cutlines=flags["cutlines"],
+        seam_quality=flags["seam_quality"],
+        exclude=flags["exclude"],
         colour=terms_of(flags["colour"]),
         mask=flags["mask"],
         region=flags["region"],

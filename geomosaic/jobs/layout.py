@@ -57,6 +57,11 @@ class Layout:
         """The report for programs."""
         return self.project.output / "report.json"
 
+    @property
+    def places(self) -> Path:
+        """Pictures of the worst places on seams, for the report."""
+        return self.project.state / "facts" / "seam-places.json"
+
     def facts(self, step: str) -> Path:
         """What a step found, for the steps after it."""
         return self.project.state / "facts" / f"{step}.json"

@@ -32,7 +32,9 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     like = project.file(settings.mosaic.reference)
     master, said_of_master = with_companions(project, (like,) if like is not None else ())
     said = (settings.mosaic.cutlines, settings.mosaic.mask, settings.mosaic.region)
-    drawn = tuple(file for name in said if (file := project.file(name)) is not None)
+    layers = project.files([*settings.mosaic.follow, *settings.mosaic.avoid])
+    drawn = (*(file for name in said if (file := project.file(name)) is not None), *layers)
+    usable = () if inputs.usable is None else (inputs.usable,)
     tables = tuple(dict.fromkeys((*inputs.tables, *sensor_files(settings.sensor.name, project.images))))
     orientation: dict[str, Any] = {
         "sensor": settings.sensor.model_dump(mode="json"),
@@ -42,6 +44,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         "planar": settings.planar.model_dump(mode="json") if settings.planar else None,
         "nodata": settings.project.nodata,
         "bands": settings.project.bands,
+        "margin": settings.project.margin,
         **plugin_versions(settings.sensor.name),
         **said_of_images,
         **said_of_ground,
@@ -66,9 +69,9 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             "mosaic",
             partial(mosaic, project, machine),
             {**orientation, **place, **blend},
-            (*images, *ground, *master, *drawn, *layout.models),
-            (*rasters, layout.facts("mosaic")),
-            version=2,
+            (*images, *ground, *master, *drawn, *usable, *layout.models),
+            (*rasters, layout.facts("mosaic"), layout.places),
+            version=3,
         ),
     ]
     if every_ortho:
@@ -77,7 +80,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
                 "orthos",
                 partial(orthos, project, machine),
                 {**orientation, **place},
-                (*images, *ground, *layout.models),
+                (*images, *ground, *usable, *layout.models),
                 every_ortho,
             )
         )
@@ -95,7 +98,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             {"name": project.name},
             (
                 project.path, *images, *tables, *ground, *reference, *rasters, *every_ortho,
-                *(layout.facts(name) for name in ("orient", "mosaic", "check")),
+                *(layout.facts(name) for name in ("orient", "mosaic", "check")), layout.places,
             ),
             (layout.report, layout.report_json),
         ),

@@ -12,12 +12,14 @@ from pyproj import CRS
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.transform import Transform
+from geomosaic.product.seam_layers import AREAS, check_area
 from geomosaic.raster.vector import layer_names, read_layer
+from geomosaic.seam.voronoi import polygonal
 
 LAYER, IMAGE = "seams", "image"
 
 
-def read_cutlines(path: Path, names: Sequence[str], crs: CRS) -> dict[int, Any]:
+def read_cutlines(path: Path, names: Sequence[str], outlines: Sequence[Any], crs: CRS) -> dict[int, Any]:
     """Shares by number of their image, in the output map.
 
     The layer is that which a mosaic writes: polygons with the name of an image each. Polygons of one image are joined.
@@ -28,13 +30,21 @@ def read_cutlines(path: Path, names: Sequence[str], crs: CRS) -> dict[int, Any]:
         Vector file with a layer `seams`, or with one layer.
     names : sequence of str
         Of the images.
+    outlines : sequence of Polygon
+        Footprints in the output map; empty for images that are left out, whose shares do not count.
     crs : CRS
         Of the output.
+
+    Returns
+    -------
+    dict of int to Polygon or MultiPolygon
+        Each within its footprint: beyond it the image has nothing to show.
 
     Raises
     ------
     InputError
-        No such layer or column, a geometry that is no area, a name that no image has.
+        No such layer or column, a geometry that is no area or crosses itself, a name that no image has, an area that
+        its image does not show at all.
     """
     import shapely
 
@@ -56,7 +66,18 @@ def read_cutlines(path: Path, names: Sequence[str], crs: CRS) -> dict[int, Any]:
             )
         if geometry is None or geometry.is_empty:
             continue
-        if geometry.geom_type not in ("Polygon", "MultiPolygon"):
+        if geometry.geom_type not in AREAS:
             raise InputError(f"row {row} is a {geometry.geom_type}, not an area", where=where, mend="draw polygons")
-        found.setdefault(list(names).index(name), []).append(shapely.make_valid(shapely.transform(geometry, move)))
+        check_area(geometry, f"row {row}", where)
+        number = list(names).index(name)
+        own, moved = outlines[number], shapely.make_valid(shapely.transform(shapely.force_2d(geometry), move))
+        if own.is_empty:
+            continue
+        if not moved.intersects(own):
+            raise InputError(
+                f"row {row} lies outside of what '{name}' shows",
+                where=where,
+                mend="draw within its footprint; or is this the file of another block?",
+            )
+        found.setdefault(number, []).append(polygonal(moved.intersection(own)))
     return {number: shapely.union_all(np.array(parts, dtype=object)) for number, parts in found.items()}

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from geomosaic.block.block import Block
 from geomosaic.block.footprint import Footprint
 from geomosaic.geo.grid import Grid
+from geomosaic.product.corrections import corrections
 from geomosaic.product.mosaic import MosaicResult, _balanced, _Clock, _render, beside
 from geomosaic.product.options import MosaicOptions
 from geomosaic.product.order import ordered
@@ -15,12 +15,9 @@ from geomosaic.product.ortho import samples
 from geomosaic.product.photos import Photos
 from geomosaic.product.records import write_item
 from geomosaic.product.rules import LABELLED, Ruler, check_rule, output_info
-from geomosaic.radiometry.curve import Curve
-from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output
 from geomosaic.resample.engine import engine_for
-from geomosaic.resample.warp import Colour
 from geomosaic.sensor.ground import Ground
 
 
@@ -59,12 +56,12 @@ def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, opt
     try:
         with _Clock(seconds, "balance"):
             solved = _balanced(photos, options)
-        plain = [Colour(gain, offset) for gain, offset in zip(solved.gain, solved.offset, strict=True)]
-        colours: Sequence[Colour | Curve | Shade] = solved.curves or plain
         ground = Ground.under(grid, block.surface)
         engine = engine_for(samples(grid, outlines), render.resampling)
         info = output_info(photos.info, rule)
-        ruler = Ruler(photos, grid, ground, colours, engine, render.resampling, render.tolerance, rule, order, info)
+        ruler = Ruler(
+            photos, grid, ground, corrections(solved), engine, render.resampling, render.tolerance, rule, order, info
+        )
         with _Clock(seconds, "mosaic"):
             seen, pixels, record = _render(ruler, output, labels, options, None)
     finally:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,30 +18,34 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.blend import Blender, MosaicUnit, Seams, label_type
 from geomosaic.product.blenders import blender_for
 from geomosaic.product.colour import colours
-from geomosaic.product.layers import by_rank, under
+from geomosaic.product.corrections import corrections
+from geomosaic.product.edits import numbers_of, retouched
 from geomosaic.product.options import MosaicOptions
-from geomosaic.product.order import index_of, ordered
 from geomosaic.product.ortho import GeometryRecord, samples, tiles
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.product.records import write_item, write_vectors
 from geomosaic.product.reuse import LOSSLESS, Reuse
-from geomosaic.radiometry.curve import Curve
+from geomosaic.product.seam_quality import SeamPlace, SeamQuality, judge_seams, worst_places
+from geomosaic.product.shares import shares_of
 from geomosaic.radiometry.gain_offset import Balance, solve
-from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.vector import prepare
 from geomosaic.resample.engine import engine_for
-from geomosaic.resample.warp import Colour
-from geomosaic.seam.voronoi import regions
+from geomosaic.seam.lines import Segment, segments
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import blocks
 
 if TYPE_CHECKING:
     from geomosaic.product.rules import Ruler
     from geomosaic.product.stretch import Stretch
+
+SEGMENT = 512
+"""Pixels: length of the pieces of seams that are judged."""
+MOST_SEGMENTS = 400
+"""Pieces of about equal length beyond which they are made longer."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,12 @@ class MosaicResult:
         Units of work whose pixels came from an earlier run, and all of them.
     stretch : Stretch, optional
         What was stretched to eight bits.
+    parts : list of Segment
+        Seamlines in pieces.
+    quality : list of SeamQuality
+        Of each piece, where it was asked for.
+    places : list of SeamPlace
+        The worst of them.
     """
 
     path: Path
@@ -89,6 +98,9 @@ class MosaicResult:
     reused: int = 0
     units: int = 0
     stretch: Stretch | None = None
+    parts: list[Segment] = field(default_factory=list)
+    quality: list[SeamQuality] = field(default_factory=list)
+    places: list[SeamPlace] = field(default_factory=list)
 
 
 def beside(output: Path, what: str, suffix: str) -> Path:
@@ -122,6 +134,8 @@ def mosaic(
 
         return merge(block, grid, outlines, output, options)
     render = options.render
+    from shapely import Polygon
+
     labels = beside(output, "-labels", ".tif") if options.labels else None
     vectors = beside(output, "", ".gpkg") if options.vectors else None
     # A map of its own lies nowhere on the Earth, which a STAC item would have to say.
@@ -139,17 +153,19 @@ def mosaic(
         compiled = beside_it.submit(engine_for, 2 * samples(grid, outlines), render.resampling)
         with _Clock(seconds, "balance"):
             solved = _balanced(photos, options)
-        plain = [Colour(gain, offset) for gain, offset in zip(solved.gain, solved.offset, strict=True)]
-        applied: Sequence[Colour | Curve | Shade] = solved.curves or plain
+        names = [outline.name for outline in outlines]
+        applied = retouched(corrections(solved), names, options.retouch)
         dtype, stretch = photos.info.dtype, None
         if options.stretch is not None:
             from geomosaic.product.stretch import DTYPE, stretched
 
             with _Clock(seconds, "stretch"):
                 (applied, stretch), dtype = stretched(photos, render, applied, options.stretch), DTYPE
+        out = numbers_of(options.exclude, names, "left out")
+        photos.leave_out(out)
         with _Clock(seconds, "seams"):
-            shapes = [outline.polygon for outline in outlines]
-            shares = _shares(photos, shapes, applied, options)
+            shapes = [Polygon() if i in out else outline.polygon for i, outline in enumerate(outlines)]
+            shares = shares_of(photos, shapes, applied, options)
         seams = Seams(shares, shapes, width)
         ground, engine = Ground.under(grid, block.surface), compiled.result()
         blender = blender_for(options.blending, photos, grid, ground, seams, applied, engine, render, dtype)
@@ -158,6 +174,13 @@ def mosaic(
         reuse = _reuse(blender, output, labels, options)
         with _Clock(seconds, "mosaic"):
             seen, pixels, record = _render(blender, output, labels, options, reuse)
+        pixel = grid.resolution[0]
+        parts, quality, places = segments(shares, pixel, SEGMENT * pixel), [], []
+        if options.seam_quality:
+            with _Clock(seconds, "seam quality"):
+                parts = segments(shares, pixel, max(SEGMENT * pixel, sum(p.line.length for p in parts) / MOST_SEGMENTS))
+                quality = judge_seams(blender, parts, render)
+                places = worst_places(blender, parts, quality, output)
     finally:
         if reuse is not None:
             reuse.close()
@@ -166,7 +189,7 @@ def mosaic(
     with _Clock(seconds, "records"), ThreadPoolExecutor(1) as beside_it:
         checksum = beside_it.submit(sha256, output)
         if vectors is not None:
-            write_vectors(vectors, grid, outlines, shares, solved, pixels, overwrite=render.overwrite)
+            write_vectors(vectors, grid, outlines, shares, solved, pixels, parts, quality, overwrite=render.overwrite)
         if item is not None:
             images = [Path(scene.path) for scene in block.scenes]
             sums = {output: checksum.result()}
@@ -176,7 +199,7 @@ def mosaic(
     return MosaicResult(
         output, labels, vectors, item, grid, seen, pixels, solved, width * grid.resolution[0], record.error,
         render.tolerance, record.scale, seconds, 0 if reuse is None else reuse.taken, len(tiles(grid, render.tile)),
-        stretch,
+        stretch, parts, quality, places,
     )  # fmt: skip
 
 
@@ -187,31 +210,6 @@ def _balanced(photos: Photos, options: MosaicOptions) -> Balance:
 
         return match_histograms(photos, options)
     return colours(photos, options) if options.balance else solve(len(photos), photos.info.bands, [])
-
-
-def _shares(
-    photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve | Shade], options: MosaicOptions
-) -> list[Any]:
-    """Who shows what."""
-    if options.seams == "alike":
-        from geomosaic.product.seams import alike_regions
-
-        shares = alike_regions(photos, shapes, colours, options.render)
-    elif options.seams == "order":
-        shares = by_rank(shapes, ordered(photos.block.scenes, photos.outlines, options.order, options.base))
-    elif options.base is not None:
-        base = index_of(options.base, photos.block.scenes)
-        centres = [outline.centre for outline in photos.outlines]
-        shares = under(regions(shapes[:base] + shapes[base + 1 :], centres[:base] + centres[base + 1 :]), shapes, base)
-    else:
-        shares = regions(shapes, [outline.centre for outline in photos.outlines])
-    if options.cutlines is None:
-        return shares
-    from geomosaic.product.cutlines import read_cutlines
-    from geomosaic.seam.cutlines import with_cutlines
-
-    names = [outline.name for outline in photos.outlines]
-    return with_cutlines(shares, read_cutlines(options.cutlines, names, photos.grid.crs))
 
 
 def _reuse(blender: Blender, output: Path, labels: Path | None, options: MosaicOptions) -> Reuse | None:

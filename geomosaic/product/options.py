@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.product.blending import Blending
+from geomosaic.product.edits import Retouch
 from geomosaic.resample.warp import RESAMPLING
+from geomosaic.seam.cost import SeamWeights
 from geomosaic.sensor.lattice import BLOCK_WIDTH
 
 if TYPE_CHECKING:
@@ -21,7 +23,7 @@ Progress = Callable[[int, int, str], None]
 GIGABYTE = 1 << 30
 HISTOGRAMS = ("overlap", "whole", "sequence")
 COLOUR = ("gain", "vignetting", "trend", "hotspot", "gamma", "dodging")
-SEAMS = ("nearest", "alike", "order")
+SEAMS = ("nearest", "halve", "alike", "order")
 
 
 def terms_of(text: str) -> tuple[str, ...]:
@@ -108,10 +110,20 @@ class MosaicOptions:
     reference : Scene, optional
         Georeferenced raster that all images are matched to, instead of a master.
     seams : str
-        'nearest' halfway between the places that images see best; 'alike' where neighbours look most alike; 'order'
-        where the first of `order` that shows the ground ends.
+        'nearest' halfway between the places that images see best; 'halve' where the edges of two are equally far;
+        'alike' where seams cost least; 'order' where the first of `order` that shows the ground ends.
+    seam_weights : SeamWeights
+        What counts how much for 'alike'.
+    follow, avoid : tuple of Path
+        Vector files of roads and rivers that seams of 'alike' follow, and of areas that they keep out of.
     cutlines : Path, optional
         Vector file of shares that a person has drawn: they win.
+    seam_quality : bool
+        Judge the seams piece by piece.
+    exclude : tuple of str
+        Names of images that show nothing; they still take part in the balance, so that the others keep their colours.
+    retouch : mapping of str to Retouch
+        Changes of single images' colours, after the balance.
     blending : Blending
         How images are blended across their seams.
     memory : Memory, optional
@@ -136,7 +148,13 @@ class MosaicOptions:
     master: str | None = None
     reference: Scene | None = None
     seams: str = "nearest"
+    seam_weights: SeamWeights = field(default_factory=SeamWeights)
+    follow: tuple[Path, ...] = ()
+    avoid: tuple[Path, ...] = ()
     cutlines: Path | None = None
+    seam_quality: bool = False
+    exclude: tuple[str, ...] = ()
+    retouch: Mapping[str, Retouch] = field(default_factory=dict)
     memory: Memory | None = None
     colour: tuple[str, ...] = ("auto",)
     mask: Path | None = None
@@ -152,6 +170,10 @@ class MosaicOptions:
             raise InputError(f"a feather of {self.feather} is not a width", mend="give map units, 0 or more")
         if self.seams not in SEAMS:
             raise InputError(f"no way to lay seams is named '{self.seams}'", mend=f"use one of {', '.join(SEAMS)}")
+        if self.seams != "alike" and (self.follow or self.avoid or self.seam_weights != SeamWeights()):
+            raise InputError(
+                f"seams that are laid '{self.seams}' heed no roads, areas or weights", mend="lay them 'alike'"
+            )
         if self.histogram not in (None, *HISTOGRAMS):
             raise InputError(
                 f"histograms cannot be matched by '{self.histogram}'", mend=f"one of {', '.join(HISTOGRAMS)}"

@@ -45,7 +45,7 @@ class Photo:
         cls, scene: Scene, surface: Surface | None, grid: Grid, footprint: Footprint, memory: int, scale: float = 1.0
     ) -> Photo:
         """Open the image and check that it is the one the model was made for."""
-        source = Source(scene.path, nodata=scene.nodata, bands=scene.bands, memory_limit=memory)
+        source = Source(scene.path, nodata=scene.nodata, bands=scene.bands, memory_limit=memory, usable=scene.usable)
         info = source.info
         if (info.width, info.height) != tuple(scene.model.size):
             raise InputError(

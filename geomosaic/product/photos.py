@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from threading import Lock, Thread, current_thread
@@ -67,6 +67,11 @@ class Photos:
     def near(self, window: Window) -> list[int]:
         """Numbers of the photos whose footprint's bounds meet a window."""
         return [i for i, own in enumerate(self.windows) if not own.intersection(window).empty]
+
+    def leave_out(self, numbers: Iterable[int]) -> None:
+        """Show nothing of some photos from now on."""
+        for index in numbers:
+            self.windows[index] = Window(0, 0, 0, 0)
 
     def passed(self, row: int) -> None:
         """Close what ends above an output row that is done."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,12 @@ from geomosaic.errors import OutputError
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
+from geomosaic.product.seam_quality import SeamQuality
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output, partial, remove
 from geomosaic.raster.vector import Layer, write_layers
+from geomosaic.seam.lines import Segment
 
 STAC_EXTENSIONS = (
     "https://stac-extensions.github.io/projection/v2.0.0/schema.json",
@@ -37,14 +39,19 @@ def write_vectors(
     shares: list[Any],
     balance: Balance,
     pixels: list[int],
+    parts: Sequence[Segment],
+    quality: Sequence[SeamQuality],
     *,
     overwrite: bool,
 ) -> None:
-    """Write a GeoPackage with the layers `footprints`, `seams` (areas) and `seamlines` (what divides them)."""
+    """Write a GeoPackage with the layers `footprints`, `seams` (areas) and `seamlines` (what divides them).
+
+    An image keeps its `label`, a piece of a seam its `id`, as long as the images of the block stay the same.
+    """
     layers = {
         "footprints": _footprints(grid.crs, outlines, balance, pixels),
         "seams": _areas(grid.crs, outlines, shares),
-        "seamlines": _lines(grid, outlines, shares),
+        "seamlines": _lines(grid, outlines, parts, quality),
     }
     write_layers(path, layers, overwrite=overwrite)
 
@@ -73,23 +80,19 @@ def _areas(crs: CRS, outlines: list[Footprint], shares: list[Any]) -> Layer:
     return Layer(crs, "MultiPolygon", [shares[i] for i in kept], columns)
 
 
-def _lines(grid: Grid, outlines: list[Footprint], shares: list[Any]) -> Layer:
-    import shapely
-
-    # A hair of width finds the common edge although the two were cut in floating point.
-    hair = 1e-5 * grid.resolution[0]
-    tree = shapely.STRtree(shares)
-    first, second, lines = [], [], []
-    for i, share in enumerate(shares):
-        for j in sorted(int(k) for k in tree.query(share, predicate="dwithin", distance=hair)):
-            if j <= i or shares[j].is_empty or share.is_empty:
-                continue
-            line = share.boundary.intersection(shares[j].buffer(hair))
-            if line.length > 100 * hair:
-                first.append(outlines[i].name)
-                second.append(outlines[j].name)
-                lines.append(shapely.line_merge(line) if line.geom_type != "LineString" else line)
-    return Layer(grid.crs, "MultiLineString", lines, {"first": first, "second": second})
+def _lines(grid: Grid, outlines: list[Footprint], parts: Sequence[Segment], quality: Sequence[SeamQuality]) -> Layer:
+    names = [outline.name for outline in outlines]
+    first, second = [names[part.first] for part in parts], [names[part.second] for part in parts]
+    columns: dict[str, list[Any]] = {
+        "id": [f"{a}|{b}|{part.number}" for a, b, part in zip(first, second, parts, strict=True)],
+        "first": first,
+        "second": second,
+        "length": [float(part.line.length) for part in parts],
+    }
+    if quality:
+        for name in ("step_before", "step_after", "difference", "mismatch", "shift_col", "shift_row", "correlation"):
+            columns[name] = [float(getattr(one, name)) for one in quality]
+    return Layer(grid.crs, "MultiLineString", [part.line for part in parts], columns)
 
 
 def write_item(

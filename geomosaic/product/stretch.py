@@ -9,18 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.product.balance import comparison_grid, thumbnail
+from geomosaic.product.corrections import Correction, corrected, then
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
-from geomosaic.radiometry.curve import Curve
-from geomosaic.radiometry.shade import Shade
-from geomosaic.resample.warp import Colour
 from geomosaic.types import FloatArray
 
 DTYPE = "uint8"
@@ -58,8 +56,8 @@ def read(text: str) -> tuple[bool, float, float]:
 
 
 def stretched(
-    photos: Photos, options: RenderOptions, applied: Sequence[Colour | Curve | Shade], text: str
-) -> tuple[list[Colour | Curve | Shade], Stretch]:
+    photos: Photos, options: RenderOptions, applied: Sequence[Correction], text: str
+) -> tuple[list[Correction], Stretch]:
     """Corrections with the stretch in them."""
     values, low, high = read(text)
     how = "values" if values else f"percentiles {low:g} and {high:g}"
@@ -69,35 +67,19 @@ def stretched(
         raise InputError(f"all of the mosaic is {low:g}: it cannot be stretched", mend="leave out --stretch")
     gain = (HIGHEST - LOWEST) / (high - low)
     offset = LOWEST - gain * low
-    return [_then(colour, gain, offset) for colour in applied], Stretch(low, high, how)
+    return [then(colour, gain, offset) for colour in applied], Stretch(low, high, how)
 
 
-def _then(colour: Colour | Curve | Shade, gain: float, offset: float) -> Colour | Curve | Shade:
-    if isinstance(colour, Shade):
-        bands = len(colour.dark)
-        return colour.then(np.full(bands, gain), np.full(bands, offset))
-    if isinstance(colour, Curve):
-        return replace(colour, knots=[(x, y * gain + offset) for x, y in colour.knots], slope=colour.slope * gain)
-    return Colour(colour.gain * gain, colour.offset * gain + offset)
-
-
-def _shown(photos: Photos, options: RenderOptions, applied: Sequence[Colour | Curve | Shade]) -> FloatArray:
+def _shown(photos: Photos, options: RenderOptions, applied: Sequence[Correction]) -> FloatArray:
     """Corrected values of all images on a coarse grid, all bands together."""
     grid = comparison_grid(photos)
-    factor = grid.resolution[0] / photos.grid.resolution[0]
 
     def piece(index: int) -> FloatArray:
         window = grid.window_of(photos.outlines[index].bounds)
         with photos.using(index) as photo:
             found = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
-        colour, seen = applied[index], found.valid > 0
-        if isinstance(colour, Shade):
-            cols = factor * np.arange(window.col + 0.5, window.stop_col, dtype=np.float64)
-            rows = factor * np.arange(window.row + 0.5, window.stop_row, dtype=np.float64)
-            return np.asarray(colour(found.values, cols, rows)[seen].ravel())
-        if isinstance(colour, Curve):
-            return np.asarray(colour(found.values[seen]).ravel())
-        return np.asarray((found.values[seen] * colour.gain + colour.offset).ravel())
+        values = corrected(applied[index], found.values, window, grid, photos.grid)
+        return np.asarray(values[found.valid > 0].ravel())
 
     parts = [part for _, part in in_order(piece, range(len(photos)), options.threads, ahead=1)]
     values = np.concatenate(parts) if parts else np.zeros(0)

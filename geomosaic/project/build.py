@@ -26,6 +26,7 @@ from geomosaic.project.ground import OF_POSITIONS, build_surface, height_below, 
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.names import corrections_file
 from geomosaic.project.photos import Photo, photos_of
+from geomosaic.project.usable import with_usable
 from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.model import HasRays
 from geomosaic.sensor.plugin import SensorRequest
@@ -72,7 +73,7 @@ def build_block(inputs: BlockInputs, *, ground: bool = True) -> Block:
         raise
     if ground:
         check_orientation(inputs, photos, crs, (scenes, surface, control), build)
-    return Block(scenes, surface, control, crs)
+    return Block(with_usable(inputs, scenes), surface, control, crs)
 
 
 def _moved_by_a_metre(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS | None) -> float | None:

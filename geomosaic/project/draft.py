@@ -179,13 +179,16 @@ def _text(path: Path, inputs: BlockInputs, read: bool) -> str:
         '# master = "photo_07.tif"    # image all are brought to; or: reference = "ortho.tif"',
         '# stretch = "2,98"           # to 8 bits, between these percentiles',
         '# seams = "alike"            # seams where neighbours look most alike; "nearest" unless given',
+        '# follow = ["roads.gpkg"]    # what such seams run along; avoid = ["buildings.gpkg"]: what they keep out of',
         '# cutlines = "mine.gpkg"     # shares drawn by hand: they win',
+        '# exclude = ["photo_07.tif"] # images that are to show nothing',
         "# feather = 10.0             # width of seams in map units; 32 pixels unless given",
         "",
         "[quality]                    # exit code 3 where one fails",
         "# max_check_rms_px = 1.0",
         '# reference = "reference.tif"',
         "# max_registration_px = 1.0",
+        "# max_seam_mismatch_px = 2.0",
     ]
     return "\n".join(lines) + "\n"
 

@@ -92,6 +92,10 @@ class BlockInputs:
         Bands of the images to use, counted from 1, in this order; all but alpha unless given.
     planar : PlanarInputs, optional
         Where the photos are placed together by plane transformations.
+    margin : tuple of float, optional
+        Pixels at the left, top, right and bottom of every image that are not to be used.
+    usable : Path, optional
+        Table of polygons in image coordinates, beyond which images are not to be used.
     """
 
     images: tuple[Path, ...]
@@ -117,12 +121,14 @@ class BlockInputs:
     nodata: float | None = None
     bands: tuple[int, ...] | None = None
     planar: PlanarInputs | None = None
+    margin: tuple[float, float, float, float] | None = None
+    usable: Path | None = None
 
     @property
     def tables(self) -> tuple[Path, ...]:
         """Files that say how the images were taken."""
         ties = self.planar.ties if self.planar else None
-        own = (self.camera, self.fiducials, self.exterior, self.control, ties, _grid(self.heights))
+        own = (self.camera, self.fiducials, self.exterior, self.control, ties, self.usable, _grid(self.heights))
         grids = [corrections_file(self.corrections, image.name) for image in self.images] if self.corrections else []
         others = _beside(self.exterior, self.angles)
         return (*(path for path in own if path), *others, *dict.fromkeys(grids), *_named_in(self.options, self.base))

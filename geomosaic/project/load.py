@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,6 +62,10 @@ class Project:
         """Resolve a path of the project file."""
         return None if path is None else self.folder / path
 
+    def files(self, paths: Sequence[str]) -> tuple[Path, ...]:
+        """Resolve paths of the project file."""
+        return tuple(self.folder / path for path in paths)
+
     @property
     def inputs(self) -> BlockInputs:
         """The block the project describes."""
@@ -90,6 +94,8 @@ class Project:
             nodata=s.project.nodata,
             bands=s.project.bands,
             planar=self._planar,
+            margin=_sides(s.project.margin),
+            usable=self.file(s.project.usable),
         )
 
     @property
@@ -107,6 +113,11 @@ class Project:
         if s is None:
             return None
         return PlanarInputs(s.kind, s.model, self.file(s.ties), s.scale, s.azimuth, s.rectify)
+
+
+def _sides(margin: float | tuple[float, float, float, float] | None) -> tuple[float, float, float, float] | None:
+    """Pixels at the left, top, right and bottom."""
+    return (margin,) * 4 if isinstance(margin, int | float) else margin
 
 
 def _datum(folder: Path, heights: str | None) -> str | None:

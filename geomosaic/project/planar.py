@@ -17,6 +17,7 @@ from geomosaic.project.photos import Photo, photos_of
 from geomosaic.project.planar_facts import chain_facts, growth_facts, joint_facts, single_facts
 from geomosaic.project.planar_tables import read_block
 from geomosaic.project.planar_words import placement_words
+from geomosaic.project.usable import with_usable
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build
 
@@ -172,7 +173,8 @@ def _map(inputs: BlockInputs, wanted: PlanarInputs) -> CRS:
 def _scene(inputs: BlockInputs, photo: Photo, transform: PlanarTransform, crs: CRS) -> Scene:
     request = SensorRequest(photo.name, photo.info.size, transform.options(), crs, str(inputs.base))
     model = build("planar", request)
-    return Scene(photo.name, str(photo.path), "planar", model, inputs.nodata, inputs.bands)
+    scene = Scene(photo.name, str(photo.path), "planar", model, inputs.nodata, inputs.bands)
+    return with_usable(inputs, [scene])[0]
 
 
 def _unused(block: PlanarBlock) -> list[str]:

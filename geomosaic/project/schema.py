@@ -22,6 +22,9 @@ Band = Annotated[int, Field(ge=1)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
+Pixels = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
 class Section(BaseModel):
     """A table of the project file; unknown keys are errors."""
 
@@ -35,6 +38,8 @@ class ProjectSection(Section):
     images: list[FilePath] = Field(min_length=1)
     nodata: float | None = None
     bands: Annotated[tuple[Band, ...], Field(min_length=1)] | None = None
+    margin: Pixels | tuple[Pixels, Pixels, Pixels, Pixels] | None = None
+    usable: FilePath | None = None
 
 
 class SensorSection(BaseModel):
@@ -129,6 +134,32 @@ class OutputSection(Section):
     orthos: bool = False
 
 
+Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Part = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+
+
+class SeamWeightsSection(Section):
+    """[mosaic.seam_weights]: what is not given has its default, see `seam.cost.SeamWeights`."""
+
+    length: Positive | None = None
+    colour: Weight | None = None
+    gradient: Weight | None = None
+    texture: Weight | None = None
+    angle: Weight | None = None
+    edge: Weight | None = None
+    heights: Weight | None = None
+    avoid: Weight | None = None
+    follow: Part | None = None
+    reach: Part | None = None
+
+
+class RetouchSection(Section):
+    """[mosaic.retouch."photo_07.jpg"]: a change of one photo's colour after the balance."""
+
+    gain: Positive = 1.0
+    offset: Finite = 0.0
+
+
 class MosaicSection(Section):
     """[mosaic]."""
 
@@ -143,8 +174,14 @@ class MosaicSection(Section):
     reference_bands: list[int] | None = None
     stretch: str | None = None
     labels: bool = True
-    seams: Literal["nearest", "alike"] = "nearest"
+    seams: Literal["nearest", "halve", "alike"] = "nearest"
+    seam_weights: SeamWeightsSection = Field(default_factory=lambda: SeamWeightsSection())
+    follow: list[FilePath] = Field(default_factory=list)
+    avoid: list[FilePath] = Field(default_factory=list)
     cutlines: FilePath | None = None
+    seam_quality: bool = True
+    exclude: list[str] = Field(default_factory=list)
+    retouch: dict[str, RetouchSection] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _matched(self) -> MosaicSection:
@@ -159,6 +196,7 @@ class QualitySection(Section):
     max_control_rms_px: Positive | None = None
     max_check_rms_px: Positive | None = None
     max_lattice_error_px: Positive | None = None
+    max_seam_mismatch_px: Positive | None = None
     max_registration_px: Positive | None = None
     reference: FilePath | None = None
 

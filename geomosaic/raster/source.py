@@ -16,6 +16,7 @@ from geomosaic.geo.grid import Window
 from geomosaic.raster.environment import environment
 from geomosaic.raster.info import SourceInfo, describe, inspect, open_raster
 from geomosaic.raster.shrink import block_mean
+from geomosaic.raster.usable import Usable
 from geomosaic.raster.validity import combine, missing_by_value, usable_nodata
 from geomosaic.raster.whole import InMemory, OnDisk
 from geomosaic.types import AnyArray, ByteArray, PathLike
@@ -45,6 +46,8 @@ class Source:
         Bytes that the source may hold between reads.
     scratch : Path, optional
         Folder for a scratch copy; the system's temporary folder by default.
+    usable : sequence of (col, row), optional
+        Corners of a polygon; pixels whose centre lies outside of it are not valid.
 
     Raises
     ------
@@ -62,6 +65,7 @@ class Source:
         bands: Sequence[int] | None = None,
         memory_limit: int = 512 << 20,
         scratch: Path | None = None,
+        usable: Sequence[tuple[float, float]] | None = None,
     ) -> None:
         self._path = str(path)
         self._local = threading.local()
@@ -70,6 +74,7 @@ class Source:
         self._whole: InMemory | OnDisk | None = None
         self._memory_limit = memory_limit
         self._scratch = scratch
+        self._usable = None if usable is None else Usable(usable)
         with environment(), open_raster(path) as dataset:
             self.info: SourceInfo = describe(dataset, self._path, bands)
             plain = [i for i in dataset.indexes if i != self.info.alpha]
@@ -199,6 +204,8 @@ class Source:
                 where=self._path,
                 mend="copy the file again from where it came, or leave the image out",
             ) from error
+        if self._usable is not None:
+            mask = self._usable.mask(window, mask)
         return values, combine(missing_by_value(values, self._nodata), mask)
 
     def _dataset(self) -> Any:

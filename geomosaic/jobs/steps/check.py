@@ -25,6 +25,11 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
         "max_control_rms_px": ("control points, RMS", orientation["rms_control_px"], "px"),
         "max_check_rms_px": ("check points, RMS", orientation["rms_check_px"], "px"),
         "max_lattice_error_px": ("interpolation of the geometry, largest error", made["lattice_error_px"], "px"),
+        "max_seam_mismatch_px": (
+            "mismatch of images along seams, largest",
+            (made.get("seam_quality") or {}).get("worst_mismatch_px"),
+            "px of the mosaic",
+        ),
         "max_registration_px": (
             "registration on the reference, RMS",
             reference["registration_rms_px"] if reference else None,

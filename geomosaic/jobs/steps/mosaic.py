@@ -24,10 +24,13 @@ from geomosaic.project.mosaic_grid import plan_mosaic
 
 def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
     """Write the mosaic and what goes with it."""
+    from geomosaic.product.edits import Retouch
     from geomosaic.product.mosaic import mosaic as make
     from geomosaic.product.options import MosaicOptions, terms_of
     from geomosaic.product.report.figures import data_uri
+    from geomosaic.product.report.seams import place_pictures, seam_facts
     from geomosaic.raster.preview import png_bytes
+    from geomosaic.seam.cost import SeamWeights
 
     layout, wanted = Layout(project), project.settings.mosaic
     layout.mosaic.parent.mkdir(parents=True, exist_ok=True)
@@ -46,7 +49,13 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             if reference is None
             else reference_scene(reference, wanted.reference_bands or project.settings.project.bands),
             seams=wanted.seams,
+            seam_weights=SeamWeights(**wanted.seam_weights.model_dump(exclude_none=True)),
+            follow=project.files(wanted.follow),
+            avoid=project.files(wanted.avoid),
             cutlines=project.file(wanted.cutlines),
+            seam_quality=wanted.seam_quality,
+            exclude=tuple(wanted.exclude),
+            retouch={name: Retouch(own.gain, own.offset) for name, own in wanted.retouch.items()},
             memory=_memory(project, context),
             colour=terms_of(wanted.colour),
             mask=project.file(wanted.mask),
@@ -54,6 +63,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             stretch=wanted.stretch,
         )
         result = make(block, grid, outlines, layout.mosaic, options)
+    judged = seam_facts(result.parts, result.quality, [outline.name for outline in outlines])
     facts: dict[str, Any] = {
         "grid": {
             "crs": describe(grid.crs).partition("; heights")[0],
@@ -93,10 +103,12 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         "reused": result.reused,
         "units": result.units,
         "warnings": notes,
+        "seam_quality": judged,
     }
     drawn = picture(result.balance)
     if drawn is not None:
         facts["colour"]["picture"] = data_uri(png_bytes(drawn, np.ones(drawn.shape[:2], dtype=np.uint8)))
+    write_json(layout.places, place_pictures(result.places, judged["rows"] if judged else []))
     write_json(layout.facts("mosaic"), facts)
     return {"pixels": result.valid_pixels, "lattice_error_px": result.lattice_error}
 
@@ -108,11 +120,12 @@ def _memory(project: Project, context: Context) -> Memory:
     # Of all other files, those that only move seams or colours show in the seams and colours themselves.
     own_files = (settings.mosaic.cutlines, settings.mosaic.reference, settings.mosaic.mask, settings.mosaic.region)
     elsewhere = {project.file(name) for name in own_files}
+    elsewhere |= {*project.files(settings.mosaic.follow), *project.files(settings.mosaic.avoid)}
     own = {*project.images, *layout.models, *elsewhere}
     said = {
         "files": {relative(path, project.folder): digest for path, digest in digests.items() if path not in own},
         "dem": settings.dem.model_dump(mode="json") if settings.dem else None,
-        "project": settings.project.model_dump(mode="json", include={"bands", "nodata"}),
+        "project": settings.project.model_dump(mode="json", include={"bands", "nodata", "margin"}),
         "versions": versions(),
     }
     return Memory(project.state / "mosaic-units.json", scenes, digest_of(said))

@@ -22,7 +22,7 @@ def report(project: Project, context: Context) -> Mapping[str, Any]:
     layout = Layout(project)
     data = plain(gather(project, context.digests))
     context.progress(0, 1, "report")
-    write_atomic(layout.report, render_html(data, layout.mosaic, layout.vectors))
+    write_atomic(layout.report, render_html(data, layout.mosaic, layout.vectors, read_json(layout.places)))
     write_json(layout.report_json, data)
     context.progress(1, 1, "report")
     return {"report": layout.report.name}

@@ -12,6 +12,7 @@ from geomosaic.project.frames import named
 from geomosaic.project.ground import build_surface
 from geomosaic.project.load import Project
 from geomosaic.project.make import Area
+from geomosaic.project.usable import with_usable
 from geomosaic.sensor.state import from_dict
 
 
@@ -23,7 +24,7 @@ def restore_block(project: Project) -> Block:
     for image, path in zip(project.images, Layout(project).models, strict=True):
         state = read_json(path)
         scenes.append(Scene(image.name, str(image), state["sensor"], from_dict(state), inputs.nodata, inputs.bands))
-    return Block(tuple(scenes), build_surface(inputs, crs), (), crs)
+    return Block(with_usable(inputs, scenes), build_surface(inputs, crs), (), crs)
 
 
 def area_of(project: Project) -> Area:

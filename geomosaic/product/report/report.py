@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from geomosaic.product.report.figures import mosaic_map, residual_plot
 from geomosaic.product.report.numbers import decimals, number, rms, share
 from geomosaic.product.report.page import environment
+from geomosaic.product.report.seams import seam_limit
 
 MOST_ROWS = 100
 """Rows of a table; the JSON twin has them all."""
 
 
-def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path) -> str:
+def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path, places: Sequence[Mapping[str, Any]] = ()) -> str:
     """Make the page.
 
     Parameters
@@ -25,6 +26,8 @@ def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path) -> str:
         `orient`, `mosaic`, `check`.
     mosaic, vectors : Path
         The raster and its GeoPackage, for the pictures.
+    places : sequence of mapping
+        The worst places on seams, from `place_pictures`.
 
     Returns
     -------
@@ -48,6 +51,9 @@ def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path) -> str:
             points=points,
             map=mosaic_map(mosaic, vectors, made["grid"]["bounds"], unit),
             plot=plot,
+            seams=made.get("seam_quality"),
+            seam_limit=seam_limit(orient, made),
+            places=places,
             most=MOST_ROWS,
             total_pixels=made["grid"]["width"] * made["grid"]["height"],
         )
@@ -88,6 +94,10 @@ def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
         value = f"{number(rms(made['before']), digits)} → {number(rms(made['after']), digits)}"
         text = f"RMS difference of grey values in {made['overlaps']} overlaps, before and after balancing."
         found.append(card("Colour", value, "", text))
+    if made.get("seam_quality"):
+        seams = made["seam_quality"]
+        text = f"Largest mismatch in {seams['matched']} places on seams; {number(seams['mismatch_rms_px'], 2)} RMS."
+        found.append(card("Seams", number(seams["worst_mismatch_px"], 2), "px", text, "max_seam_mismatch_px"))
     used = sum(1 for image in made["images"] if image["pixels"])
     seen = share(made["valid_pixels"], made["grid"]["width"] * made["grid"]["height"])
     found.append(card("Images", f"{used} of {len(made['images'])}", "", f"Used; {seen} of the grid is filled."))

@@ -1,0 +1,96 @@
+"""Shares made exact: each within what its image shows, all footprints covered once, no slivers, buildings whole."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from geomosaic.seam.voronoi import polygonal
+
+SLIVER = 0.5
+"""Parts that vanish when shrunk by so many cells are slivers."""
+
+
+def partition(
+    shares: Sequence[Any], outlines: Sequence[Any], rest: Sequence[Any], cell: float, smallest: float
+) -> list[Any]:
+    """Make shares that follow cells into shares that divide the footprints exactly.
+
+    Parameters
+    ----------
+    shares : sequence of Polygon or MultiPolygon
+        One per image; they share no area.
+    outlines : sequence of Polygon
+        Footprints.
+    rest : sequence of Polygon or MultiPolygon
+        A division of the footprints, such as `voronoi.regions`: it says who gets what no share covers.
+    cell : float
+        Size of a cell in map units.
+    smallest : float
+        Area in square map units below which a part of a share is given to a neighbour that shows it.
+
+    Returns
+    -------
+    list of Polygon or MultiPolygon
+        Each within its outline; their union is that of the outlines.
+    """
+    import shapely
+
+    within = [polygonal(share.intersection(outline)) for share, outline in zip(shares, outlines, strict=True)]
+    tree = shapely.STRtree(within)
+    whole = []
+    for share, own in zip(within, rest, strict=True):
+        near = [within[int(k)] for k in tree.query(own)]
+        whole.append(polygonal(shapely.union(share, polygonal(own.difference(shapely.union_all(near))))))
+    return without_slivers(whole, outlines, cell, smallest)
+
+
+def without_slivers(shares: Sequence[Any], outlines: Sequence[Any], cell: float, smallest: float) -> list[Any]:
+    """Give small and thin parts to the neighbour with the longest common border that shows them wholly."""
+    import shapely
+
+    parts = [(i, part) for i, share in enumerate(shares) for part in shapely.get_parts(share)]
+    shapes = [part for _, part in parts]
+    tree, owner, hair = shapely.STRtree(shapes), [i for i, _ in parts], 1e-6 * cell
+    kept: dict[int, list[Any]] = {i: [] for i in range(len(shares))}
+    slight = [p.area < smallest or p.buffer(-SLIVER * cell).is_empty for p in shapes]
+    for number in sorted(range(len(parts)), key=lambda k: (slight[k], -shapes[k].area)):
+        if not slight[number]:
+            continue
+        part = shapes[number]
+        lengths: dict[int, float] = {}
+        for k in sorted(int(k) for k in tree.query(part, predicate="dwithin", distance=hair)):
+            if (not slight[k] and owner[k] != owner[number]) or (owner[k] == owner[number] and k != number):
+                length = part.boundary.intersection(shapes[k].buffer(hair)).length
+                lengths[owner[k]] = lengths.get(owner[k], 0.0) + length
+        showing = [i for i in lengths if lengths[i] > 10 * hair and _shows(outlines[i], part)]
+        if showing:
+            owner[number] = max(showing, key=lambda i: (lengths[i], -i))
+    for i, part in zip(owner, shapes, strict=True):
+        kept[i].append(part)
+    return [polygonal(shapely.union_all(kept[i])) if kept[i] else shapely.Polygon() for i in range(len(shares))]
+
+
+def keep_whole(shares: Sequence[Any], outlines: Sequence[Any], areas: Sequence[Any]) -> list[Any]:
+    """Give each area that a seam cuts wholly to the image with most of it, where one of its images shows it all."""
+    import shapely
+
+    result = list(shares)
+    tree = shapely.STRtree(result)
+    for area in areas:
+        near = sorted(int(k) for k in tree.query(area, predicate="intersects"))
+        held = {i: result[i].intersection(area).area for i in near}
+        cut = [i for i in near if held[i] > 1e-9 * area.area]
+        able = [i for i in cut if outlines[i].covers(area)]
+        if len(cut) < 2 or not able:
+            continue
+        winner = max(able, key=lambda i: (held[i], -i))
+        for i in cut:
+            if i != winner:
+                result[i] = polygonal(result[i].difference(area))
+        result[winner] = polygonal(result[winner].union(area))
+    return result
+
+
+def _shows(outline: Any, part: Any) -> bool:
+    return bool(part.difference(outline).area <= 1e-9 * part.area)
