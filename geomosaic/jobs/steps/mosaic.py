@@ -106,8 +106,8 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         "seam_quality": judged,
     }
     drawn = picture(result.balance)
-    if drawn is not None:
-        facts["colour"]["picture"] = data_uri(png_bytes(drawn, np.ones(drawn.shape[:2], dtype=np.uint8)))
+    seen = None if drawn is None else data_uri(png_bytes(drawn, np.ones(drawn.shape[:2], dtype=np.uint8)))
+    facts["colour"]["picture"] = seen
     write_json(layout.places, place_pictures(result.places, judged["rows"] if judged else []))
     write_json(layout.facts("mosaic"), facts)
     return {"pixels": result.valid_pixels, "lattice_error_px": result.lattice_error}
