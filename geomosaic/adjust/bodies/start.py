@@ -11,8 +11,8 @@ import numpy as np
 from geomosaic.adjust.bodies.shape import Shape, basis
 from geomosaic.types import FloatArray
 
-DIRECTIONS = 600
-KEPT = 8
+DIRECTIONS = 300
+KEPT = 5
 MOST_POINTS = 300
 
 
