@@ -108,7 +108,9 @@ def main(folder: Path) -> None:
         developed = Image.fromarray(np.moveaxis(source.read([1, 2, 3]), 0, -1))
     height = 520
     parts = [Image.open(folder / names[0]), developed]
-    parts = [part.resize((round(part.width * height / part.height), height), Image.Resampling.LANCZOS) for part in parts]
+    parts = [
+        part.resize((round(part.width * height / part.height), height), Image.Resampling.LANCZOS) for part in parts
+    ]
     sheet = Image.new("RGB", (sum(part.width for part in parts) + 20, height), "white")
     sheet.paste(parts[0], (0, 0))
     sheet.paste(parts[1], (parts[0].width + 20, 0))

@@ -113,11 +113,9 @@ class BlockInputs:
     def tables(self) -> tuple[Path, ...]:
         """Files that say how the images were taken."""
         ties = self.planar.ties if self.planar else None
-        own = (self.camera, self.exterior, self.control, ties, _grid(self.heights))
+        own = (self.camera, self.fiducials, self.exterior, self.control, ties, _grid(self.heights))
         grids = [corrections_file(self.corrections, image.name) for image in self.images] if self.corrections else []
         return (*(path for path in own if path), *dict.fromkeys(grids), *_named_in(self.options, self.base))
-        own = (self.camera, self.fiducials, self.exterior, self.control, _grid(self.heights))
-        return (*(path for path in own if path), *_named_in(self.options, self.base))
 
     @property
     def ground(self) -> tuple[Path, ...]:
