@@ -38,6 +38,37 @@ def test_the_truth_is_among_the_solutions_and_all_of_them_fit(seed: int) -> None
         assert np.linalg.det(pose.rotation) == pytest.approx(1.0)
 
 
+def counted(bearings: FloatArray, points: FloatArray) -> int:
+    """How many places there are, by looking: the distance to the first point is walked through, and for each the law
+    of cosines gives up to two distances to the second and two to the third; each change of sign of what is left over
+    in the third triangle is a place."""
+    r1, r2, r3 = unit(bearings)
+    a, b, c = (float(np.linalg.norm(points[i] - points[j])) for i, j in ((1, 2), (0, 2), (0, 1)))
+    cos_a, cos_b, cos_c = float(r2 @ r3), float(r1 @ r3), float(r1 @ r2)
+    # Beyond both bounds a triangle does not close. Equal steps in the angle, for the ends where two roots meet.
+    reach = min(b / np.sqrt(1.0 - cos_b**2), c / np.sqrt(1.0 - cos_c**2))
+    s1 = reach * np.sin(np.linspace(1e-4, np.pi / 2 - 1e-7, 400_001))
+    found = 0
+    for i in (-1.0, 1.0):
+        s2 = s1 * cos_c + i * np.sqrt(np.maximum(c**2 - s1**2 * (1.0 - cos_c**2), 0.0))
+        for j in (-1.0, 1.0):
+            s3 = s1 * cos_b + j * np.sqrt(np.maximum(b**2 - s1**2 * (1.0 - cos_b**2), 0.0))
+            left = s2**2 + s3**2 - 2.0 * s2 * s3 * cos_a - a**2
+            ahead = (s2 > 0.0) & (s3 > 0.0)
+            found += int(((left[1:] * left[:-1] < 0.0) & ahead[1:] & ahead[:-1]).sum())
+    return found
+
+
+def test_all_the_solutions_are_found() -> None:
+    """As many as an independent search counts; the cases have from one to four."""
+    numbers = []
+    for seed in range(40):
+        bearings, points, _, _ = scene(500 + seed)
+        numbers.append(counted(bearings, points))
+        assert len(three_point_poses(bearings, points)) == numbers[-1], f"case {seed}"
+    assert set(numbers) >= {2, 4}
+
+
 @pytest.mark.slow
 def test_three_thousand_random_cases() -> None:
     lost = []

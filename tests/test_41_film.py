@@ -207,6 +207,22 @@ def test_sigma0_is_the_noise_of_the_marks() -> None:
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(0.1 * 50.0, rel=0.05)  # 0.1 px of 50 µm
 
 
+@pytest.mark.parametrize("kind", ["conformal", "affine", "projective"])
+def test_sigmas_of_the_interior_orientation_are_the_scatter_of_300_trials(kind: str) -> None:
+    """Marks measured to 0.1 px: where pixels come to lie in the film scatters as it is said, within 10 %."""
+    rng, film = np.random.default_rng(12), np.array(list(rig.FIDUCIALS.values()))
+    pixels = np.array([[2310.0, 2295.0], [300.0, 350.0], [4300.0, 2200.0]])
+    # An exact conformal scan, so that the noise is all that is left whatever the kind.
+    clean = np.column_stack([2310.0 + film[:, 0] / 0.05, 2295.0 - film[:, 1] / 0.05])
+    fits = [fit_interior(clean + rng.normal(0.0, 0.1, clean.shape), film, kind) for _ in range(300)]
+    places = np.array([apply(one.matrix, pixels) for one in fits])
+    reported = np.sqrt(np.mean([one.sigmas(pixels) ** 2 for one in fits], axis=0))
+    scatter = 1000.0 * places.std(axis=0)
+    # x and y alike by symmetry of the frame: their mean is known to 3 %.
+    assert reported.mean(axis=1) == pytest.approx(np.sqrt((scatter**2).mean(axis=1)), rel=0.1)
+    assert np.isnan(fit_interior(clean[:4], film[:4], "projective").sigmas(pixels)).all()
+
+
 def said(**changes: Any) -> list[str]:
     return [note for note in build(**changes).notes if "interior" in note or "fiducial" in note]
 

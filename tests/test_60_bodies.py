@@ -115,10 +115,9 @@ def scattered(name: str, trials: int, noise: float = 0.004) -> tuple[FloatArray,
     kind, axis, sizes = CASES[name]
     clean = on_body(kind, axis, sizes, 80, 7)
     reference = turned(axis)
-    found, reported = [], []
-    for trial in range(trials):
-        noisy = clean + np.random.default_rng(trial).normal(0.0, noise, clean.shape)
-        one = fit_body(kind, noisy, None)
+    found, reported, rng = [], [], np.random.default_rng(99)
+    for _ in range(trials):
+        one = fit_body(kind, clean + rng.normal(0.0, noise, clean.shape))
         along = one.shape.rotation[2] * np.sign(one.shape.rotation[2] @ axis)
         tilts = reference[:2] @ along if kind != "sphere" else np.array([])
         middle = clean.mean(axis=0) - ORIGIN
@@ -147,8 +146,9 @@ def test_sigmas_are_about_the_scatter(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["plane", "sphere", "tower", "pipe", "spire", "roof", "flat dome", "onion"])
-def test_sigmas_are_the_scatter_of_300_trials(name: str) -> None:
-    scatter, reported = scattered(name, 300)
+def test_sigmas_are_the_scatter_of_500_trials(name: str) -> None:
+    """The scatter of 500 trials is itself known to 3 %."""
+    scatter, reported = scattered(name, 500)
     assert reported == pytest.approx(scatter, rel=0.1, abs=1e-12)
 
 

@@ -88,6 +88,11 @@ def horizontal(crs: CRS) -> CRS:
     return crs.to_2d() if len(crs.axis_info) == 3 and not crs.is_geocentric else crs
 
 
+def in_degrees(crs: CRS) -> bool:
+    """Say whether x and y are longitude and latitude, so that a metre is about 1e-5 of them."""
+    return not crs.is_geocentric and bool(horizontal(crs).is_geographic)
+
+
 def has_heights(crs: CRS) -> bool:
     """Say whether the CRS declares what its heights mean."""
     return crs.is_geocentric or crs.is_vertical or len(crs.axis_info) == 3

@@ -28,6 +28,8 @@ from geomosaic.types import FloatArray
 
 OBLIQUE = 80.0
 """Degrees between line of sight and normal beyond which nothing is drawn: a pixel is stretched six times there."""
+RISE, FAR = 10.0, 10_000.0
+"""Metres: of two places on a line of sight, and back along it to where it may well begin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +157,8 @@ class DevelopedModel:
     def rays_in_local(self, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lines of sight of image points (N, 2): origins and unit directions (N, 3) in the local frame.
 
-        A sensor without rays is followed from 100 m above the surface's origin, or 10 of its sizes, down to its level.
+        A sensor without rays stands far off: its line is drawn through two heights near the surface, `RISE` apart, and
+        starts `FAR` behind.
         """
         if isinstance(self.model, HasRays):
             origins, directions = self.model.rays(colrow)
@@ -169,11 +172,12 @@ class DevelopedModel:
             level = geographic(frame.crs)
             down = Transform(level, geocentric(frame.crs))
             here = Transform(frame.crs, level)(frame.to_geocentric(self.surface.axes.origin[None]))[0, 2]
-            above, below = (image_to_height(self.model, colrow, here + rise, level) for rise in (100.0, 0.0))
+            above, below = (image_to_height(self.model, colrow, here + rise, level) for rise in (RISE, 0.0))
             start, end = frame.to_enu(down(above)), frame.to_enu(down(below))
         with np.errstate(invalid="ignore"):
             along = end - start
-            return start, along / np.linalg.norm(along, axis=1)[:, None]
+            along = along / np.linalg.norm(along, axis=1)[:, None]
+        return start if isinstance(self.model, HasRays) else end - FAR * along, along
 
     def origin(self) -> FloatArray | None:
         """Projection centre (3,) of the middle of the image in the local frame; None for a sensor without rays."""

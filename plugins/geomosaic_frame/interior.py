@@ -31,6 +31,10 @@ class InteriorOrientation:
     sigma0 : float
         Standard deviation of a coordinate, micrometres; NaN without redundancy.
     redundancy : int
+    bring : array (3, 3)
+        Pixels → the coordinates of the fit: about the middle of the marks, with radii near one.
+    cofactors : array (U, U)
+        Of the unknowns of the fit, for marks of equal weight.
     """
 
     kind: str
@@ -38,6 +42,19 @@ class InteriorOrientation:
     residuals: FloatArray
     sigma0: float
     redundancy: int
+    bring: FloatArray
+    cofactors: FloatArray
+
+    def sigmas(self, colrow: FloatArray) -> FloatArray:
+        """Standard deviations (N, 2) of x and y in the film of pixels (N, 2), as the marks give them; micrometres.
+
+        By the law of propagation; NaN without redundancy. The measurement of the pixels themselves is not in them.
+        """
+        p = apply(self.bring, colrow)
+        design = _design(self.kind, p, self.matrix @ np.linalg.inv(self.bring), self.mirrored)
+        variances = np.einsum("ij,jk,ik->i", design, self.cofactors, design)
+        out: FloatArray = self.sigma0 * np.sqrt(variances.reshape(2, -1).T)
+        return out
 
     @property
     def rms(self) -> float:
@@ -93,7 +110,32 @@ def fit_interior(colrow: FloatArray, calibrated: FloatArray, kind: str, mirrored
     redundancy = 2 * len(p) - unknowns
     sigma0 = float(np.sqrt((residuals**2).sum() / redundancy)) if redundancy > 0 else float("nan")
     full = matrix @ bring
-    return InteriorOrientation(kind, full / full[2, 2], residuals, sigma0, redundancy)
+    result = full / full[2, 2]
+    design = _design(kind, p, matrix, bool(np.linalg.det(result[:2, :2]) > 0.0))
+    cofactors = np.asarray(np.linalg.pinv(design.T @ design), dtype=np.float64)
+    return InteriorOrientation(kind, result, residuals, sigma0, redundancy, bring, cofactors)
+
+
+def _design(kind: str, p: FloatArray, matrix: FloatArray, mirrored: bool) -> FloatArray:
+    """Derivatives (2·N, U) of x of all points (N, 2), then y, by the unknowns of a kind."""
+    one, zero = np.ones(len(p)), np.zeros(len(p))
+    if kind == "conformal":
+        m = -1.0 if mirrored else 1.0
+        return np.vstack(
+            [np.column_stack([m * p[:, 0], p[:, 1], one, zero]), np.column_stack([-p[:, 1], m * p[:, 0], zero, one])]
+        )
+    matrix = matrix / matrix[2, 2]
+    w = p @ matrix[2, :2] + 1.0
+    base, nothing = np.column_stack([p, one]) / w[:, None], np.zeros((len(p), 3))
+    if kind == "affine":
+        return np.vstack([np.column_stack([base, nothing]), np.column_stack([nothing, base])])
+    x, y = apply(matrix, p).T
+    return np.vstack(
+        [
+            np.column_stack([base, nothing, -x[:, None] * base[:, :2]]),
+            np.column_stack([nothing, base, -y[:, None] * base[:, :2]]),
+        ]
+    )
 
 
 def apply(matrix: FloatArray, xy: FloatArray) -> FloatArray:
@@ -107,10 +149,7 @@ def apply(matrix: FloatArray, xy: FloatArray) -> FloatArray:
 def _conformal(p: FloatArray, film: FloatArray, mirrored: bool) -> FloatArray:
     """Fit x = a·m·p₁ + b·p₂ + e,  y = b·m·p₁ − a·p₂ + f, with m = 1, or −1 where mirrored."""
     m = -1.0 if mirrored else 1.0
-    one, zero = np.ones(len(p)), np.zeros(len(p))
-    design = np.vstack(
-        [np.column_stack([m * p[:, 0], p[:, 1], one, zero]), np.column_stack([-p[:, 1], m * p[:, 0], zero, one])]
-    )
+    design = _design("conformal", p, np.eye(3), mirrored)
     a, b, e, f = np.linalg.lstsq(design, film.T.ravel(), rcond=None)[0]
     return np.array([[a * m, b, e], [b * m, -a, f], [0.0, 0.0, 1.0]])
 
@@ -121,15 +160,7 @@ def _projective(p: FloatArray, film: FloatArray, start: FloatArray) -> FloatArra
     for _ in range(30):
         matrix = np.append(values, 1.0).reshape(3, 3)
         x, y = apply(matrix, p).T
-        w = p @ matrix[2, :2] + 1.0
-        base = np.column_stack([p, np.ones(len(p))]) / w[:, None]
-        nothing = np.zeros((len(p), 3))
-        design = np.vstack(
-            [
-                np.column_stack([base, nothing, -x[:, None] * base[:, :2]]),
-                np.column_stack([nothing, base, -y[:, None] * base[:, :2]]),
-            ]
-        )
+        design = _design("projective", p, matrix, mirrored=False)
         step = np.linalg.lstsq(design, np.concatenate([film[:, 0] - x, film[:, 1] - y]), rcond=None)[0]
         values += step
         if np.abs(step).max() < 1e-14 * np.abs(values).max():

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from geomosaic.geo.crs import in_degrees
 from geomosaic.sensor.model import HasJacobian, SensorModel
 from geomosaic.types import FloatArray
 
@@ -50,7 +51,7 @@ def difference_jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray
     by_ground = np.empty((len(points), 2, 3))
     across = ground_step(model)
     # One pixel in height too where x and y are degrees: a metre is about 1e-5 of them.
-    upwards = across if model.crs.is_projected or model.crs.is_geocentric else 1e5 * across
+    upwards = 1e5 * across if in_degrees(model.crs) else across
     for axis, step in enumerate((across, across, upwards)):
         above, below = points.copy(), points.copy()
         above[:, axis] += 0.5 * step
@@ -62,7 +63,7 @@ def difference_jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray
 
 def ground_step(model: SensorModel) -> float:
     """Length in units of `model.crs` that moves the image by about one pixel near the model's seed."""
-    first = 1.0 if model.crs.is_projected or model.crs.is_geocentric else 1e-5
+    first = 1e-5 if in_degrees(model.crs) else 1.0
     return pixel_step(model.ground_to_image, np.asarray(model.seed, dtype=np.float64), first)
 
 

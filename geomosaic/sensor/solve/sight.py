@@ -13,7 +13,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import HeightDatumError
-from geomosaic.geo.crs import has_heights
+from geomosaic.geo.crs import has_heights, in_degrees
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve.jacobian import pixel_step
@@ -75,14 +75,14 @@ class SightLines:
         def near_seed(xy: FloatArray) -> FloatArray:
             return model.ground_to_image(to_model(np.column_stack([xy, np.full(len(xy), height)])))
 
-        step = pixel_step(near_seed, seed[:2], 1.0 if crs.is_projected else 1e-5)
+        step = pixel_step(near_seed, seed[:2], 1e-5 if in_degrees(crs) else 1.0)
         unknown = np.full_like(image, np.nan)
         lines = cls(model, image, to_model, step, height, unknown, np.zeros_like(image), seed[:2])
         xy = lines._solve(np.arange(len(image)), np.full(len(image), height), np.tile(seed[:2], (len(image), 1)))
         if not has_heights(model.crs):
             return cls(model, image, to_model, step, height, xy, np.zeros_like(image), seed[:2])
         # A second height, as far off as moves the image by some pixels, gives the slope for all others.
-        rise = 10.0 * step * (1.0 if crs.is_projected else 1e5)
+        rise = 10.0 * step * (1e5 if in_degrees(crs) else 1.0)
         above = lines._solve(np.arange(len(image)), np.full(len(image), height + rise), xy)
         return cls(model, image, to_model, step, height, xy, (above - xy) / rise, seed[:2])
 
