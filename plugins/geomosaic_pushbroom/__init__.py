@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from geomosaic_pushbroom.inputs import INPUTS
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from geomosaic.sensor.plugin import SensorInput, SensorRequest
     from geomosaic_pushbroom.model import PushbroomModel
 
@@ -26,6 +28,13 @@ class PushbroomPlugin:
         from geomosaic_pushbroom.model import PushbroomModel
 
         return PushbroomModel
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """Metadata beside a scene."""
+        from geomosaic_pushbroom.metadata import find_beside
+
+        found = find_beside(str(path))
+        return () if found is None else (found,)
 
     def build(self, request: SensorRequest) -> PushbroomModel:
         """Make the model of one scene or strip; see `geomosaic_pushbroom.build`."""
