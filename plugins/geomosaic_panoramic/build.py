@@ -16,6 +16,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.datum import need_heights
 from geomosaic.sensor.parameters import Parameters
 from geomosaic.sensor.plugin import SensorInput, SensorRequest
+from geomosaic_panoramic.example import EXAMPLE
 from geomosaic_panoramic.geometry import KINDS, Scan
 from geomosaic_panoramic.model import NAMES, PanoramicModel
 
@@ -47,6 +48,7 @@ class PanoramicPlugin:
         SensorInput("ground_height", "mean height of the ground, in the vertical datum of the positions", "m", "0"),
     )
     model = PanoramicModel
+    example = EXAMPLE
 
     def build(self, request: SensorRequest) -> PanoramicModel:
         """Make the model of one image.

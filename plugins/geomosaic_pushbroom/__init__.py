@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from geomosaic_pushbroom.example import EXAMPLE
 from geomosaic_pushbroom.inputs import INPUTS
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ class PushbroomPlugin:
         "line scanner: SPOT 1 to 5 and Pléiades by metadata, strips by a GNSS track, scenes by control points alone"
     )
     inputs: tuple[SensorInput, ...] = INPUTS
+    example = EXAMPLE
 
     @property
     def model(self) -> type[PushbroomModel]:
