@@ -34,7 +34,8 @@ def command(name: str | None, as_json: bool) -> None:
         tail = f" [{', '.join(extra)}]" if extra else ""
         words.append(f"  {entry.name:<{width}}  {entry.text}{tail}")
     words += ["", "In a project these are keys of [sensor]; on the command line --option NAME=VALUE."]
-    result = {"name": loaded.name, "summary": loaded.summary, "inputs": [asdict(entry) for entry in loaded.inputs]}
+    inputs = [asdict(entry) for entry in loaded.inputs]
+    result: dict[str, object] = {"name": loaded.name, "summary": loaded.summary, "inputs": inputs}
     if isinstance(loaded, HasExample):
         words += ["", *_example(loaded.example)]
         result["example"] = asdict(loaded.example)
