@@ -25,26 +25,51 @@ def project_file(ctx: click.Context, param: click.Parameter, value: Path) -> Pat
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
 @image_options
 @click.option("--gcps", type=FILE, help="Control and check points: id, x, y, z, image, col, row.")
+@click.option(
+    "--kind",
+    type=click.Choice(["uncontrolled", "semicontrolled", "controlled", "grown"]),
+    help="Photos of flat ground, placed by tie and control points.",
+)
+@click.option("--ties", type=FILE, help="Tie points of such photos: id, image, col, row.")
 @click.option("--overwrite", is_flag=True, help="Replace the project file if it exists.")
 @json_option
 @debug_option
 def command(
-    project: Path, images: tuple[Path, ...], gcps: Path | None, overwrite: bool, as_json: bool, **flags: Any
+    project: Path,
+    images: tuple[Path, ...],
+    gcps: Path | None,
+    kind: str | None,
+    ties: Path | None,
+    overwrite: bool,
+    as_json: bool,
+    **flags: Any,
 ) -> None:
     """Write a readable project file; say what was understood, and what it still needs.
 
-    Without --angles the angle system is read off the columns of the table, and said.
+    Without --sensor the images are asked: RPC, DIMAP or a georeference in or beside them, position and attitude in
+    EXIF and XMP; folders of scenes stand for their images. Without --angles the angle system is read off the columns
+    of the table or off what the program that wrote it calls it, and said.
     """
+    from dataclasses import replace
+
     from geomosaic.cli.request import block_inputs
+    from geomosaic.project.carried import Carried, carried_by, images_of, planar_of, write_tables
     from geomosaic.project.draft import draft_project, write_project
     from geomosaic.project.make import refuse_existing
 
     with notes():
-        inputs = block_inputs(images, flags, control=gcps)
+        inputs = block_inputs(images_of(images), flags, gcps, planar_of(kind, ties))
         refuse_existing(project, overwrite, inputs)
+        carried = Carried(inputs)
+        if flags["sensor"] is None and inputs.planar is None:
+            carried = carried_by(inputs, project)
+            write_tables(carried, overwrite=overwrite)
+            inputs = carried.inputs
         context = click.get_current_context()
         declared = context.get_parameter_source("angles") is click.core.ParameterSource.COMMANDLINE
-        draft = draft_project(project, inputs, flags["angles"] if declared else None)
+        own = inputs.exterior in carried.tables
+        draft = draft_project(project, inputs, flags["angles"] if declared else inputs.angles if own else None)
+        draft = replace(draft, understood=[*carried.lines, *draft.understood], needed=[*carried.needed, *draft.needed])
         write_project(draft, overwrite=overwrite)
     lines = [*draft.understood, *(f"needs {text}" for text in draft.needed)]
     following = "fill in what it needs" if draft.needed else f"run it: geomosaic run {project}"

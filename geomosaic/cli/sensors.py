@@ -8,6 +8,7 @@ import click
 
 from geomosaic.cli.options import debug_option, json_option
 from geomosaic.cli.talk import answer
+from geomosaic.sensor.plugin import HasExample, SensorExample
 from geomosaic.sensor.registry import SensorEntry, installed, plugin
 
 
@@ -33,8 +34,22 @@ def command(name: str | None, as_json: bool) -> None:
         tail = f" [{', '.join(extra)}]" if extra else ""
         words.append(f"  {entry.name:<{width}}  {entry.text}{tail}")
     words += ["", "In a project these are keys of [sensor]; on the command line --option NAME=VALUE."]
-    result = {"name": loaded.name, "summary": loaded.summary, "inputs": [asdict(entry) for entry in loaded.inputs]}
+    inputs = [asdict(entry) for entry in loaded.inputs]
+    result: dict[str, object] = {"name": loaded.name, "summary": loaded.summary, "inputs": inputs}
+    if isinstance(loaded, HasExample):
+        words += ["", *_example(loaded.example)]
+        result["example"] = asdict(loaded.example)
     answer(result, "\n".join(words), as_json)
+
+
+def _example(example: SensorExample) -> list[str]:
+    """Project and files of an example, as they would be written."""
+    width, height = example.size
+    lines = [f"example: a project for an image of {width} x {height} pixels", ""]
+    lines += [f"  {line}".rstrip() for line in example.project.splitlines()]
+    for name, text in example.files.items():
+        lines += ["", f"with {name}:", "", *(f"  {line}".rstrip() for line in text.splitlines())]
+    return lines
 
 
 def _table(entries: list[SensorEntry]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from geomosaic.project.exterior import (
     systems_of,
     undeclared_reconstruction,
 )
-from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.inputs import BlockInputs, PlanarInputs
 from geomosaic.project.names import stem
 from geomosaic.project.needs import HEIGHTS, needs, undeclared_heights
 from geomosaic.project.programs import program_of
@@ -157,6 +157,8 @@ def _text(path: Path, inputs: BlockInputs, read: bool) -> str:
         lines += [
             f"{k} = {_string(v)}" for k, v in (("angle_frame", inputs.angle_frame), ("matrix", inputs.matrix)) if v
         ]
+    if inputs.planar is not None:
+        lines += ["", *_planar(inputs.planar, near)]
     lines += ["", *_ground(inputs, near, folder)]
     if inputs.control is not None:
         lines += ["", "[control]", f"file = {near(inputs.control)}"]
@@ -191,6 +193,16 @@ def _text(path: Path, inputs: BlockInputs, read: bool) -> str:
         "# max_seam_mismatch_px = 2.0",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _planar(planar: PlanarInputs, near: Callable[[Path], str]) -> list[str]:
+    """The section of photos of flat ground that tie and control points place."""
+    lines = ["[planar]", f"kind = {_string(planar.kind)}    # uncontrolled, semicontrolled, controlled, grown"]
+    if planar.ties is not None:
+        lines.append(f"ties = {near(planar.ties)}")
+    elif planar.kind != "controlled":
+        lines.append('# ties = "ties.csv"    # NEEDED: id, image, col, row')
+    return [*lines, '# model = "conformal"    # conformal, affine, projective; as is usual for the kind unless given']
 
 
 def _ground(inputs: BlockInputs, near: Any, folder: Path) -> list[str]:

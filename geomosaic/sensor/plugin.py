@@ -23,6 +23,25 @@ class SensorInput:
 
 
 @dataclass(frozen=True)
+class SensorExample:
+    """A whole example for `geomosaic sensors NAME`: it runs as it is shown, with any image of that size.
+
+    Attributes
+    ----------
+    size : tuple of int
+        Width and height of the image in pixels.
+    project : str
+        Sections of a project file without [project]: [sensor] and what it needs.
+    files : mapping of str to str
+        Files that it names, beside the project: name to text.
+    """
+
+    size: tuple[int, int]
+    project: str
+    files: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class SensorRequest:
     """What is known about one image when its model is asked for.
 
@@ -66,6 +85,13 @@ class SensorPlugin(Protocol):
         InputError
             An input is missing, unknown or out of range; it names the image and the input.
         """
+
+
+@runtime_checkable
+class HasExample(Protocol):
+    """Optional power of a plugin: an example that runs."""
+
+    example: SensorExample
 
 
 @runtime_checkable

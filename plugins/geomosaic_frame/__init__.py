@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from geomosaic_frame.example import EXAMPLE
 from geomosaic_frame.inputs import INPUTS
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ class FramePlugin:
     name = "frame"
     summary = "frame camera: collinearity with lens distortion, every usual angle system, map or geocentric positions"
     inputs: tuple[SensorInput, ...] = INPUTS
+    example = EXAMPLE
 
     @property
     def model(self) -> type[FrameModel]:

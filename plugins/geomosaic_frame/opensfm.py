@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
-from geomosaic_frame.read import need, numbers
+from geomosaic_frame.read import need, number, numbers, table_of
 
 _COEFFICIENTS = {
     "perspective": ("brown", ("k1", "k2")),
@@ -40,13 +40,12 @@ def camera_table(camera: Mapping[str, Any], where: str) -> dict[str, Any]:
     fx, fy = camera.get("focal_x", focal), camera.get("focal_y", focal)
     if fx is None:
         raise InputError("the camera has no focal length", where=where, mend="give focal, or focal_x and focal_y")
+    fy = fx if fy is None else fy
+    cx, cy = (number(camera.get(key, 0.0), key, where) for key in ("c_x", "c_y"))
     return {
         "size": [w, h],
-        "focal_length_px": [fx * longest, (fx if fy is None else fy) * longest],
-        "principal_point_px": [
-            w / 2 + camera.get("c_x", 0.0) * longest,
-            h / 2 + camera.get("c_y", 0.0) * longest,
-        ],
+        "focal_length_px": [number(fx, "focal", where) * longest, number(fy, "focal_y", where) * longest],
+        "principal_point_px": [w / 2 + cx * longest, h / 2 + cy * longest],
         "distortion": {"model": model, **{name: camera[name] for name in names if name in camera}},
     }
 
@@ -74,25 +73,32 @@ def read_shot(path: Path, image: str, system: str, where: str) -> tuple[dict[str
     """
     try:
         parts = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"the reconstruction {path} cannot be read: {error}", where=where) from error
     stem = Path(image).stem
     for part in parts if isinstance(parts, list) else [parts]:
-        shots = part.get("shots", {})
+        shots = table_of(table_of(part, "the reconstruction", where).get("shots", {}), "shots", where)
         name = next((key for key in shots if key in (image, stem) or Path(key).stem == stem), None)
         if name is None:
             continue
-        shot = shots[name]
-        reference = part.get("reference_lla")
-        if reference is None:
+        shot = table_of(shots[name], name, where)
+        if part.get("reference_lla") is None:
             raise InputError(f"{path} has no reference_lla: the reconstruction is not georeferenced", where=where)
+        lla = table_of(part["reference_lla"], "reference_lla", where)
+        text = "a number of reference_lla"
+        cameras = table_of(need(part, "cameras", where, "a table of cameras"), "cameras", where)
+        camera = cameras.get(str(need(shot, "camera", where, "the name of its camera")))
+        if camera is None:
+            raise InputError(f"{path} has no camera named {shot['camera']!r}", where=where)
         row = {
             "system": system,
             "rotation": need(shot, "rotation", where, "rotation vector"),
             "translation": need(shot, "translation", where, "translation"),
-            "reference": [reference["longitude"], reference["latitude"], reference["altitude"]],
+            "reference": [
+                number(need(lla, key, where, text), key, where) for key in ("longitude", "latitude", "altitude")
+            ],
         }
-        return camera_table(part["cameras"][shot["camera"]], where), row
+        return camera_table(table_of(camera, "camera", where), where), row
     raise InputError(
         f"{path} has no shot named '{image}'", where=where, mend="check the name; it may not be in the block"
     )

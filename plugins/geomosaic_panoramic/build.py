@@ -19,6 +19,7 @@ from geomosaic.sensor.datum import need_heights
 from geomosaic.sensor.parameters import Parameters
 from geomosaic.sensor.plugin import SensorInput, SensorRequest
 from geomosaic_panoramic.curve import Poses
+from geomosaic_panoramic.example import EXAMPLE
 from geomosaic_panoramic.flight import cover, declared_orbit, read_table, table_poses
 from geomosaic_panoramic.geometry import KINDS, Scan
 from geomosaic_panoramic.model import NAMES, PanoramicModel
@@ -73,6 +74,7 @@ class PanoramicPlugin:
         SensorInput("latitude", "with relative and an orbit: of the middle of the image, geodetic", "deg"),
     )
     model = PanoramicModel
+    example = EXAMPLE
 
     def build(self, request: SensorRequest) -> PanoramicModel | RelativeStrip:
         """Make the model of one image.

@@ -14,6 +14,7 @@ from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import horizontal
 from geomosaic.sensor.plugin import SensorInput, SensorRequest
 from geomosaic.types import FloatArray
+from geomosaic_planar.example import EXAMPLE
 from geomosaic_planar.fit import fit_planar
 from geomosaic_planar.model import PlanarModel
 from geomosaic_planar.terms import AXES, KINDS, MAX_ORDER, parameter_names
@@ -43,6 +44,7 @@ class PlanarPlugin:
         SensorInput("scale", "map units that the coefficients count as 1", "map units", "1"),
     )
     model = PlanarModel
+    example = EXAMPLE
 
     def build(self, request: SensorRequest) -> PlanarModel:
         """Make the model of one image.

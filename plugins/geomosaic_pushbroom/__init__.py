@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from geomosaic_pushbroom.example import EXAMPLE
 from geomosaic_pushbroom.inputs import INPUTS
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from geomosaic.sensor.plugin import SensorInput, SensorRequest
     from geomosaic_pushbroom.model import PushbroomModel
 
@@ -19,6 +22,7 @@ class PushbroomPlugin:
         "line scanner: SPOT 1 to 5 and Pléiades by metadata, strips by a GNSS track, scenes by control points alone"
     )
     inputs: tuple[SensorInput, ...] = INPUTS
+    example = EXAMPLE
 
     @property
     def model(self) -> type[PushbroomModel]:
@@ -26,6 +30,13 @@ class PushbroomPlugin:
         from geomosaic_pushbroom.model import PushbroomModel
 
         return PushbroomModel
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """Metadata beside a scene."""
+        from geomosaic_pushbroom.metadata import find_beside
+
+        found = find_beside(str(path))
+        return () if found is None else (found,)
 
     def build(self, request: SensorRequest) -> PushbroomModel:
         """Make the model of one scene or strip; see `geomosaic_pushbroom.build`."""

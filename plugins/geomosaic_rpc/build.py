@@ -16,6 +16,7 @@ from geomosaic.sensor.datum import need_heights
 from geomosaic.sensor.plugin import SensorInput, SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import Rpc
+from geomosaic_rpc.example import EXAMPLE
 from geomosaic_rpc.find import OWN, Found, files_beside, find_rpc, own_rpc
 from geomosaic_rpc.model import KINDS, WGS84, RpcModel
 from geomosaic_rpc.power import RationalPower
@@ -59,6 +60,7 @@ class RpcPlugin(RationalPower):
         ),
     )
     model = RpcModel
+    example = EXAMPLE
 
     def files(self, path: Path) -> tuple[Path, ...]:
         """Files beside an image that its RPC may come from."""

@@ -1,0 +1,72 @@
+"""`geomosaic new` on real photos and scenes: a project that is complete, or what it needs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyproj import Transformer
+
+from geomosaic.project.carried import Carried, carried_by, images_of, write_tables
+from geomosaic.project.draft import Draft, draft_project
+from geomosaic.project.exterior import read_exterior
+from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.photos import photos_of
+
+RealData = Callable[[str], Path]
+
+
+def drafted(project: Path, inputs: BlockInputs) -> tuple[Carried, Draft]:
+    carried = carried_by(inputs, project)
+    write_tables(carried)
+    angles = carried.inputs.angles if carried.inputs.exterior in carried.tables else None
+    return carried, draft_project(project, carried.inputs, angles)
+
+
+def test_oblique_drone_photos_are_complete_with_a_datum(real_data: RealData, tmp_path: Path) -> None:
+    base = real_data("orthority-odm")
+    images = tuple(sorted((base / "images").glob("*.tif")))
+    inputs = BlockInputs(
+        images, "planar", heights="ellipsoidal", dem=base / "odm_dem" / "dsm.tif", dem_heights="ellipsoidal"
+    )
+    carried, draft = drafted(tmp_path / "p.toml", inputs)
+    assert draft.needed == []
+    assert draft.misfit is None
+    # The receiver's places against those that OpenDroneMap adjusted.
+    adjusted = read_exterior(base / "io" / "odm_xyz_opk.csv", "opk")
+    to_map = Transformer.from_crs(4326, 32651, always_xy=True)
+    off = []
+    for photo in photos_of(carried.inputs)[0]:
+        assert photo.exterior is not None
+        x, y, _ = photo.exterior.position
+        off.append(np.array(to_map.transform(x, y)) - adjusted.row(photo.name).position[:2])
+    assert len(off) == 4
+    assert np.hypot(*np.array(off).T).max() < 5.0  # metres: that of a receiver
+    assert "916.7 px, from the maker's calibration" in "\n".join(carried.lines)
+
+
+def test_drone_photos_need_a_datum_and_the_ground(real_data: RealData, tmp_path: Path) -> None:
+    images = tuple(sorted((real_data("drone-brighton-beach") / "images").iterdir()))
+    carried, draft = drafted(tmp_path / "p.toml", BlockInputs(images, "planar"))
+    assert [text.split(":")[0] for text in draft.needed] == ["the vertical datum of the positions", "the ground"]
+    assert "39.8 to 40.1 m above the place of take-off" in "\n".join(carried.lines)
+
+
+@pytest.mark.parametrize(
+    ("folder", "names"),
+    [("orthority-qb2", ["qb2_basic1b.tif"]), ("s2p-pair", ["input_pair/img_01.tif", "input_pair/img_02.tif"])],
+)
+def test_scenes_with_rpc_need_the_ground(real_data: RealData, tmp_path: Path, folder: str, names: list[str]) -> None:
+    images = tuple(real_data(folder) / name for name in names)
+    carried, draft = drafted(tmp_path / "p.toml", BlockInputs(images, "planar"))
+    assert carried.inputs.sensor == "rpc"
+    assert [text.split(":")[0] for text in draft.needed] == ["the ground"]
+
+
+def test_photos_of_a_phone_have_positions_only(real_data: RealData, tmp_path: Path) -> None:
+    images = images_of([real_data("opensfm-berlin") / "images"])
+    carried, draft = drafted(tmp_path / "p.toml", BlockInputs(images, "planar"))
+    assert carried.needed == ["gimbal attitudes: not all photos have them"]
+    assert any("positions and angles" in text for text in draft.needed)

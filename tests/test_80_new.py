@@ -1,0 +1,205 @@
+"""`geomosaic new` from what images carry: EXIF and XMP, RPC, DIMAP, a georeference, files of other programs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+import rpc_rig
+from affine import Affine
+from PIL import Image
+
+from geomosaic.cli.main import run
+from geomosaic.project.build import build_block
+from geomosaic.project.exif import photo_facts
+from geomosaic.project.load import load_project
+from geomosaic.project.needs import needs
+from geomosaic.raster.photo_tags import read_photo_tags
+from geomosaic_rpc.write import text_of
+
+SIZE = (400, 300)
+PLACES = [(13.400, 52.5200), (13.4003, 52.5200)]
+
+
+def photo(
+    path: Path, place: tuple[float, float] | None, *, gimbal: bool = True, element: bool = False, south: bool = False
+) -> Path:
+    """A JPEG with EXIF as cameras write it, and the XMP of a drone."""
+    exif = Image.Exif()
+    exif[0x010F], exif[0x0110] = "Maker", "Model 1"
+    inner = exif.get_ifd(0x8769)
+    inner[0xA405], inner[0xA002] = 24, 4000  # equivalent focal length; width of the photo this is a copy of
+    if place is not None:
+        gps = exif.get_ifd(0x8825)
+        for tag, value, signs in ((1, place[1], "NS"), (3, place[0], "EW")):
+            degrees, rest = divmod(abs(value), 1)
+            minutes, rest = divmod(rest * 60, 1)
+            gps[tag] = signs[1] if south else signs[0]
+            gps[tag + 1] = (degrees, minutes, rest * 60)
+        gps[5], gps[6] = b"\x00", 150.5
+    values = {"GimbalYawDegree": "+30.50", "GimbalPitchDegree": "-89.00", "GimbalRollDegree": "+0.00"}
+    values |= {"RelativeAltitude": "+101.20"}
+    if element:
+        body = "".join(f"<drone-dji:{k}>{v}</drone-dji:{k}>" for k, v in values.items())
+        inside = f'<rdf:Description xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/">{body}</rdf:Description>'
+    else:
+        body = " ".join(f'drone-dji:{k}="{v}"' for k, v in values.items())
+        inside = f'<rdf:Description xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" {body}/>'
+    xmp = (
+        '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+        f"{inside}</rdf:RDF></x:xmpmeta>"
+    )
+    more: dict[str, Any] = {"xmp": xmp.encode()} if gimbal else {}
+    rng = np.random.default_rng(3)
+    Image.fromarray(rng.integers(0, 255, (SIZE[1], SIZE[0], 3), dtype=np.uint8)).save(path, exif=exif, **more)
+    return path
+
+
+def new(capsys: pytest.CaptureFixture[str], project: Path, *arguments: object) -> dict[str, Any]:
+    code = run(["new", str(project), *map(str, arguments), "--json"])
+    out = capsys.readouterr().out
+    assert code == 0, out
+    result: dict[str, Any] = json.loads(out)
+    return result
+
+
+@pytest.mark.parametrize("element", [False, True])
+def test_facts_of_a_photo(tmp_path: Path, element: bool) -> None:
+    path = photo(tmp_path / "a.jpg", PLACES[0], element=element)
+    facts = photo_facts(read_photo_tags(path), SIZE)
+    assert facts.position == pytest.approx((*PLACES[0], 150.5), abs=1e-7)
+    assert facts.gimbal == (30.5, -89.0, 0.0)
+    assert facts.above_start == 101.2
+    assert facts.camera == "Maker Model 1"
+    assert facts.focal == pytest.approx(24 * 500 / np.hypot(36, 24))  # the diagonal of 400 x 300 is 500
+    south = photo_facts(read_photo_tags(photo(tmp_path / "b.jpg", PLACES[0], south=True)), SIZE).position
+    assert south == pytest.approx((-PLACES[0][0], -PLACES[0][1], 150.5), abs=1e-7)
+
+
+def test_drone_photos_become_a_project_that_says_what_it_needs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    images = [photo(tmp_path / f"{i}.jpg", place) for i, place in enumerate(PLACES)]
+    made = new(capsys, tmp_path / "p.toml", *images)
+    told = "\n".join(made["understood"])
+    assert "2 of 2 photos have a position, 2 a gimbal attitude" in told
+    assert "101.2 to 101.2 m above the place of take-off" in told
+    assert "heights: undeclared" in told
+    assert [text.split(":")[0] for text in made["needed"]] == ["the vertical datum of the positions", "the ground"]
+    assert run(["new", str(tmp_path / "p.toml"), *map(str, images)]) == 1  # never over what is there
+    capsys.readouterr()
+
+
+def test_drone_photos_with_what_is_needed_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    images = [photo(tmp_path / f"{i}.jpg", place) for i, place in enumerate(PLACES)]
+    made = new(capsys, tmp_path / "p.toml", *images, "--heights", "ellipsoidal", "--height", 50)
+    assert made["needed"] == []
+    assert made["misfit"] is None
+    inputs = load_project(tmp_path / "p.toml").inputs
+    assert needs(inputs) == []
+    block = build_block(inputs)
+    sight = block.scenes[0].model
+    # Straight under the drone, one degree off the nadir: 100.5 m above ground, 1.75 m away.
+    from geomosaic.geo.transform import Transform
+    from geomosaic.sensor.solve.inverse import image_to_ground
+
+    centre = image_to_ground(sight, np.array([[200.0, 150.0]]), block.surface)
+    lon, lat, _ = Transform(block.surface.crs, inputs_crs())(centre)[0]
+    north, east = (lat - PLACES[0][1]) * 111_240, (lon - PLACES[0][0]) * 67_900
+    assert np.hypot(north, east) == pytest.approx(100.5 * np.tan(np.radians(1.0)), abs=0.02)
+    assert np.degrees(np.arctan2(east, north)) == pytest.approx(30.5, abs=0.5)
+
+
+def inputs_crs() -> Any:
+    from pyproj import CRS
+
+    return CRS.from_epsg(4979)
+
+
+def test_photos_with_positions_but_no_attitude(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    images = [photo(tmp_path / f"{i}.jpg", place, gimbal=False) for i, place in enumerate(PLACES)]
+    made = new(capsys, tmp_path / "p.toml", *images)
+    assert "gimbal attitudes: not all photos have them" in made["needed"]
+    assert (tmp_path / "p-camera.toml").exists()
+
+
+def test_photos_that_say_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    made = new(capsys, tmp_path / "p.toml", photo(tmp_path / "a.jpg", None, gimbal=False))
+    assert any("no image says where it was taken" in line for line in made["understood"])
+    assert made["needed"]
+
+
+def test_scenes_with_rpc(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with rasterio.open(tmp_path / "one.tif", "w", driver="GTiff", width=4000, height=3000, count=1, dtype="uint8"):
+        pass
+    (tmp_path / "one_RPC.TXT").write_text(text_of(rpc_rig.rpc()))
+    made = new(capsys, tmp_path / "p.toml", tmp_path / "one.tif", "--height", 400, "--dem-heights", "ellipsoidal")
+    assert "sensor: rpc" in made["understood"]
+    assert made["needed"] == []
+    assert made["misfit"] is None
+
+
+def test_georeferenced_images_and_world_files_stay_as_they_lie(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with rasterio.open(
+        tmp_path / "one.tif", "w", driver="GTiff", width=40, height=30, count=1, dtype="uint8", crs="EPSG:32633",
+        transform=Affine(1, 0, 5e5, 0, -1, 5.5e6),
+    ) as file:  # fmt: skip
+        file.write(np.full((1, 30, 40), 7, dtype=np.uint8))
+    made = new(capsys, tmp_path / "p.toml", tmp_path / "one.tif")
+    assert "sensor: planar" in made["understood"]
+    assert made["needed"] == []
+    Image.fromarray(np.full((30, 40), 7, dtype=np.uint8)).save(tmp_path / "two.png")
+    (tmp_path / "two.pgw").write_text("1\n0\n0\n-1\n500000.5\n5499999.5\n")
+    made = new(capsys, tmp_path / "q.toml", tmp_path / "two.png", "--crs", "EPSG:32633")
+    assert "sensor: planar" in made["understood"]
+    assert made["needed"] == []
+
+
+def test_photos_of_flat_ground(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    images = [photo(tmp_path / f"{i}.jpg", None) for i in range(2)]
+    (tmp_path / "ties.csv").write_text(
+        "id,image,col,row\n" + "".join(f"{i},{j}.jpg,{i},{j}\n" for i in range(3) for j in (0, 1))
+    )
+    new(capsys, tmp_path / "p.toml", *images, "--kind", "controlled")
+    text = (tmp_path / "p.toml").read_text()
+    assert '[planar]\nkind = "controlled"' in text
+    new(capsys, tmp_path / "q.toml", *images, "--ties", tmp_path / "ties.csv")
+    planar = load_project(tmp_path / "q.toml").inputs.planar
+    assert planar is not None
+    assert (planar.kind, planar.ties) == ("uncontrolled", tmp_path / "ties.csv")
+
+
+def test_a_folder_stands_for_its_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "SCENE"
+    folder.mkdir()
+    photo(folder / "IMG_1.jpg", PLACES[0])
+    photo(folder / "preview.jpg", PLACES[0])
+    made = new(capsys, tmp_path / "p.toml", folder)
+    assert "images: 1, 400 x 300 pixels, 3 x uint8, none georeferenced" in made["understood"]
+    (folder / "METADATA.DIM").write_text("<x/>")
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    (empty / "METADATA.DIM").write_text("<x/>")
+    assert run(["new", str(tmp_path / "q.toml"), str(empty / "METADATA.DIM")]) == 1
+    assert "there is metadata, but no image" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["(a) (b) (c)", "()", "(1) (2) (3) (4)", "", "nan", "(1e999)"])
+def test_damaged_tags_count_as_missing(text: str) -> None:
+    from geomosaic.raster.photo_tags import PhotoTags
+
+    exif = {
+        "GPSLatitude": text,
+        "GPSLatitudeRef": "N",
+        "GPSLongitude": text,
+        "GPSLongitudeRef": "E",
+        "FocalLength": text,
+    }
+    facts = photo_facts(PhotoTags(exif, f'drone-dji:GimbalYawDegree="{text}"'), SIZE)
+    assert (facts.position, facts.gimbal, facts.focal) == (None, None, None)
