@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -124,8 +124,7 @@ def locate_pixels(inputs: MonoplotInputs) -> Located:
     block, scene = _scene(inputs.block)
     size = scene.model.size
     crs = ground_crs(scene.model, block.surface, parse_crs(inputs.crs) if inputs.crs else None, inputs.heights)
-    control = [point for point in block.control if point.image == scene.name and point.role == "control"]
-    covariance, note = orientation(scene.model, inputs.sigmas, control, block.crs)
+    scene, covariance, note = _oriented(inputs, block, scene)
     certainty = Certainty(inputs.sigma_px, inputs.sigma_dem, covariance, (note,))
     axes = axes_of(inputs.rows, inputs.first, size, inputs.source)
     if inputs.source is not None and is_digitized(inputs.source):
@@ -156,6 +155,13 @@ def error_columns(places: Places) -> FloatArray:
 def _scene(inputs: BlockInputs) -> tuple[Block, Scene]:
     block = build_block(inputs)
     return block, block.scenes[0]
+
+
+def _oriented(inputs: MonoplotInputs, block: Block, scene: Scene) -> tuple[Scene, FloatArray | None, str]:
+    """Adjust the image to its control points, where it has any; the covariance of its orientation, and a note."""
+    control = [point for point in block.control if point.image == scene.name and point.role == "control"]
+    model, covariance, note = orientation(scene.model, inputs.sigmas, control, block.crs)
+    return replace(scene, model=model), covariance, note
 
 
 def _known(value: float) -> float | None:
@@ -251,6 +257,7 @@ def draw_vectors(inputs: MonoplotInputs) -> Drawn:
     flat = horizontal(CRS.from_user_input(crs))
     block, scene = _scene(inputs.block)
     axes = axes_of(inputs.rows, inputs.first, scene.model.size, inputs.output)
+    scene, _, _ = _oriented(inputs, block, scene)
     view = View.of(scene.model, block.surface, flat)
     left, bottom, right, top = footprint(scene, block.surface, flat).bounds
     margin = _AROUND * max(right - left, top - bottom)
