@@ -203,6 +203,22 @@ def test_control_points_tell_the_error(folder: Path, tmp_path: Path, capsys: pyt
     assert found["error_of"] == ["orientation"]
     assert "12 control points" in found["notes"][0]
     assert 0.03 < found["points"][0]["semi_major_m"] < 1.0
+    assert run(words(folder, "--pixel", "500", "400", *given, *camera, "--sigma", "omega=1", sensor=False)) == 1
+    assert "both given" in capsys.readouterr().err
+    # An orientation that is off is put right by the control, in both directions.
+    off = {**OPTIONS, "position": [500012.0, 5499991.0, 1004.0]}
+    wrong = [word for name, value in off.items() for word in ("--option", f"{name}={json.dumps(value)}")]
+    image = truth(folder, np.array([[500010.0, 5500020.0]]))[0].tolist()
+    pixel = ["--pixel", *map(repr, image)]
+    moved = asked(capsys, *words(folder, *pixel, *given[:-2], *wrong, sensor=False))["points"][0]
+    put = asked(capsys, *words(folder, *pixel, *given, *wrong, sensor=False))["points"][0]
+    assert np.hypot(moved["x"] - 500010.0, moved["y"] - 5500020.0) > 5.0
+    assert np.hypot(put["x"] - 500010.0, put["y"] - 5500020.0) < 0.5
+    geopandas.GeoDataFrame(geometry=[shapely.Point(500010.0, 5500020.0)], crs=32633).to_file(tmp_path / "map.gpkg")
+    drawn = ["--inverse", "--rows", "down", "-o", str(tmp_path / "drawn.csv")]
+    assert run(words(folder, str(tmp_path / "map.gpkg"), *drawn, *given, *wrong, sensor=False)) == 0
+    line = (tmp_path / "drawn.csv").read_text().splitlines()[1].split(",")
+    assert np.hypot(float(line[2]) - image[0], float(line[3]) - image[1]) < 0.5
 
 
 WRONG = {

@@ -184,11 +184,12 @@ def test_an_ellipse_that_can_be_drawn_by_hand() -> None:
 def test_where_the_orientation_comes_from() -> None:
     model = frame()
     names = model.parameters.names
-    covariance, note = orientation(model, {})
+    same, covariance, note = orientation(model, {})
+    assert same is model
     assert covariance is None
     assert "takes no part" in note
     known = frame(sigmas={"position": 0.1, "angles": 0.01})
-    covariance, _ = orientation(known, {})
+    _, covariance, _ = orientation(known, {})
     assert covariance is not None
     assert np.allclose(np.sqrt(np.diag(covariance)), [0.1] * 3 + [0.01] * 3)
     with pytest.raises(InputError, match=names[1]):
@@ -211,14 +212,22 @@ def test_control_points_tell_how_good_the_orientation_is() -> None:
             for i, (xyz, place) in enumerate(zip(ground.tolist(), moved.tolist(), strict=True))
         ]
 
-    good, _ = orientation(model, {}, points(0.0)[1:], GROUND)
-    robust, note = orientation(model, {}, points(300.0), GROUND)
+    _, good, _ = orientation(model, {}, points(0.0)[1:], GROUND)
+    _, robust, note = orientation(model, {}, points(300.0), GROUND)
     assert good is not None
     assert robust is not None
     assert np.allclose(good, robust)
     assert "24 points, 1 left out" in note or "24 control points, 1 left out" in note
     error = locate(model, Hills(), np.array([[500.0, 400.0]]), GROUND, Certainty(orientation=good)).ellipses
     assert 0.03 < error.semi_axes[0, 1] <= error.semi_axes[0, 0] < 0.5  # 0.5 m over the root of a few points
+    # A table of orientations that is 20 m off: the places are those of the adjusted photo.
+    wrong = model.with_values(model.parameters.values + np.array([20.0, -15.0, 10.0, 0.5, 0.3, -0.2]))
+    adjusted, again, _ = orientation(wrong, {}, points(300.0), GROUND)
+    assert again is not None
+    assert np.allclose(again, good, rtol=1e-3)
+    place = [locate(m, Hills(), image[5:6], GROUND, Certainty()).xyz[0] for m in (model, wrong, adjusted)]
+    assert np.linalg.norm(place[1] - place[0]) > 10.0
+    assert np.linalg.norm(place[2] - place[0]) < 1.0
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from geomosaic.project.monoplot import Drawn, Located
+    from geomosaic.project.monodraw import Drawn
+    from geomosaic.project.monoplot import Located
 
 
 def located_facts(found: Located, output: Path | None) -> dict[str, Any]:

@@ -1,9 +1,9 @@
-"""Monoplotting of one image from plain declarations: pixels to the map, and map vectors into the photo."""
+"""Monoplotting of one image from plain declarations: pixels to the map. The other way is `monodraw`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,16 +11,14 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block.block import Block
-from geomosaic.block.footprint import footprint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import height_name, horizontal, parse_crs
-from geomosaic.product.locate import Certainty, Places, View, draw, ground_crs, locate, orientation
+from geomosaic.geo.crs import height_name, parse_crs
+from geomosaic.product.locate import Certainty, Places, ground_crs, locate, orientation
 from geomosaic.product.locate.files import check_name, write_csv, write_frame
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.pixels import axes_of, is_digitized, need_inside, read_digitized, read_pixels
-from geomosaic.raster.vector import read_layer
 from geomosaic.types import FloatArray
 
 if TYPE_CHECKING:
@@ -28,7 +26,6 @@ if TYPE_CHECKING:
 
 ERROR = ("semi_major_m", "semi_minor_m", "azimuth_deg", "sigma_z_m")
 POINT = ("id", "col", "row", "x", "y", "z", *ERROR)
-_AROUND = 0.25
 
 
 @dataclass(frozen=True)
@@ -121,11 +118,10 @@ def locate_pixels(inputs: MonoplotInputs) -> Located:
     """
     if inputs.output is not None:
         check_name(inputs.output, overwrite=inputs.overwrite)
-    block, scene = _scene(inputs.block)
+    block, scene = scene_of(inputs.block)
     size = scene.model.size
     crs = ground_crs(scene.model, block.surface, parse_crs(inputs.crs) if inputs.crs else None, inputs.heights)
-    control = [point for point in block.control if point.image == scene.name and point.role == "control"]
-    covariance, note = orientation(scene.model, inputs.sigmas, control, block.crs)
+    scene, covariance, note = oriented(inputs, block, scene)
     certainty = Certainty(inputs.sigma_px, inputs.sigma_dem, covariance, (note,))
     axes = axes_of(inputs.rows, inputs.first, size, inputs.source)
     if inputs.source is not None and is_digitized(inputs.source):
@@ -153,9 +149,17 @@ def error_columns(places: Places) -> FloatArray:
     return np.column_stack([error.semi_axes, error.azimuth, error.sigma_z])
 
 
-def _scene(inputs: BlockInputs) -> tuple[Block, Scene]:
+def scene_of(inputs: BlockInputs) -> tuple[Block, Scene]:
+    """Block of one image, and the image."""
     block = build_block(inputs)
     return block, block.scenes[0]
+
+
+def oriented(inputs: MonoplotInputs, block: Block, scene: Scene) -> tuple[Scene, FloatArray | None, str]:
+    """Adjust the image to its control points, where it has any; the covariance of its orientation, and a note."""
+    control = [point for point in block.control if point.image == scene.name and point.role == "control"]
+    model, covariance, note = orientation(scene.model, inputs.sigmas, control, block.crs)
+    return replace(scene, model=model), covariance, note
 
 
 def _known(value: float) -> float | None:
@@ -221,65 +225,3 @@ def _worst(error: FloatArray, owner: FloatArray, count: int) -> FloatArray:
     for index in order[np.isfinite(error[order, 0])]:
         out[owner[index]] = error[index]
     return out
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """What was drawn: features read, features of which something is drawn, pieces, and pieces that are hidden."""
-
-    features: int
-    drawn: int
-    pieces: int
-    hidden: int
-
-
-def draw_vectors(inputs: MonoplotInputs) -> Drawn:
-    """Draw vectors of the map into the pixels of a photo, and write them.
-
-    Raises
-    ------
-    InputError
-        Something is missing or wrong; names the file or option.
-    """
-    if inputs.source is None or inputs.output is None:
-        raise InputError("drawing needs vectors of the map and a file to write", mend="give both, with --output")
-    check_name(inputs.output, overwrite=inputs.overwrite)
-    frame = read_layer(inputs.source, inputs.layer)
-    crs = parse_crs(inputs.crs) if inputs.crs else frame.crs
-    if crs is None:
-        raise InputError("the layer has no CRS", where=str(inputs.source), mend="name it with --src-crs")
-    flat = horizontal(CRS.from_user_input(crs))
-    block, scene = _scene(inputs.block)
-    axes = axes_of(inputs.rows, inputs.first, scene.model.size, inputs.output)
-    view = View.of(scene.model, block.surface, flat)
-    left, bottom, right, top = footprint(scene, block.surface, flat).bounds
-    margin = _AROUND * max(right - left, top - bottom)
-    bounds = left - margin, bottom - margin, right + margin, top + margin
-    made = draw(view, list(frame.geometry.values), bounds, hidden=inputs.hidden)
-    if inputs.output.suffix.lower() == ".csv":
-        _write_drawn_table(inputs, made.geometries, made.feature, made.hidden, axes.xy)
-    else:
-        import shapely
-
-        out = frame.iloc[made.feature].set_geometry(
-            [shapely.transform(geometry, axes.xy) for geometry in made.geometries]
-        )
-        out = out.set_crs(None, allow_override=True)
-        if inputs.hidden:
-            out["hidden"] = np.array(made.hidden, dtype=bool)
-        write_frame(inputs.output, out, inputs.layer or "drawn", overwrite=inputs.overwrite)
-    return Drawn(len(frame), len(set(made.feature)), len(made.geometries), sum(made.hidden))
-
-
-def _write_drawn_table(
-    inputs: MonoplotInputs, geometries: list[Any], feature: list[int], hidden: list[bool], count: Any
-) -> None:
-    import shapely
-
-    assert inputs.output is not None
-    rows = (
-        [number + 1, piece, *place, int(covered)]
-        for piece, (geometry, number, covered) in enumerate(zip(geometries, feature, hidden, strict=True), 1)
-        for place in count(shapely.get_coordinates(geometry)).tolist()
-    )
-    write_csv(inputs.output, ("feature", "piece", "col", "row", "hidden"), rows, overwrite=inputs.overwrite)

@@ -26,6 +26,7 @@ from geomosaic_rpc.model import WGS84, RpcModel
 from geomosaic_rpc.polynomial import COUNT, evaluate, terms
 
 _COLUMNS, _LEVELS = 17, 7
+_DENSE = 241  # places along a line of the last check
 _MARGIN = 0.02  # of the image, beyond its edges: products interpolate across the edge
 _DAMPINGS = 10.0 ** np.arange(-4.0, -13.0, -1.0)
 _ROUNDS = 4
@@ -102,10 +103,16 @@ def fit_rpc(model: SensorModel, heights: tuple[float, float]) -> RpcFit:
     if not np.isfinite(least):
         raise SolveError("no rational polynomials describe this model over its image and these heights")
     worst, off, damping, rpc = next(each for each in tried if each[0] <= max(_LOSS * least, _NOTHING))
+    # What trembles from row to row, or bends along the detectors, would slip between the points so far.
+    dense_ground, dense_image = _exact(model, _crosswise(model.size), between[[0, -1]])
+    off = np.concatenate([off, np.hypot(*(rpc.image(dense_ground) - dense_image).T)])
+    worst = float(off.max()) if np.isfinite(off).all() else np.inf
+    if not np.isfinite(worst):
+        raise SolveError("no rational polynomials describe this model over its image and these heights")
     note = f"RPC fitted to heights from {low:g} to {high:g} m, {worst:.2g} px off at most"
     fitted = RpcModel.of(rpc, model.size, notes=(note,))
     rms = float(np.sqrt((off**2).mean()))
-    return RpcFit(fitted, rms, worst, len(ground), len(check_ground), (low, high), damping)
+    return RpcFit(fitted, rms, worst, len(ground), len(off), (low, high), damping)
 
 
 def _places(size: tuple[int, int], count: int, margin: float = _MARGIN) -> FloatArray:
@@ -116,6 +123,14 @@ def _places(size: tuple[int, int], count: int, margin: float = _MARGIN) -> Float
     share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, count)) * (1.0 + 2.0 * margin)
     sides = [share * side for side in size]
     return np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
+
+
+def _crosswise(size: tuple[int, int]) -> FloatArray:
+    """Image points (N, 2) close together along rows and along columns, few of which are taken."""
+    few, many = ([np.linspace(0.0, side, count) for side in size] for count in (3, _DENSE))
+    down = np.stack(np.meshgrid(few[0], many[1]), axis=-1).reshape(-1, 2)
+    across = np.stack(np.meshgrid(many[0], few[1]), axis=-1).reshape(-1, 2)
+    return np.vstack([down, across])
 
 
 def _exact(model: SensorModel, places: FloatArray, levels: FloatArray) -> tuple[FloatArray, FloatArray]:

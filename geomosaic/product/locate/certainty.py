@@ -16,6 +16,7 @@ from geomosaic.sensor.solve import resect
 from geomosaic.types import BoolArray, FloatArray
 
 _CUT = 3.5
+_ROUNDS = 10
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ def orientation(
     given: Mapping[str, float],
     control: Sequence[ControlPoint] = (),
     crs: CRS | None = None,
-) -> tuple[FloatArray | None, str]:
+) -> tuple[SensorModel, FloatArray | None, str]:
     """Covariance of a sensor's parameters, and where it comes from.
 
     The first of these that there is: standard deviations given by the user; the adjustment of the model to its control
@@ -69,6 +70,8 @@ def orientation(
 
     Returns
     -------
+    model : SensorModel
+        Adjusted to the control points, where there are any.
     covariance : array (P, P) or None
         None where nothing says how well a parameter is known.
     note : str
@@ -89,7 +92,13 @@ def orientation(
                 where="--sigma",
                 mend=f"{hint} it has {', '.join(parameters.names) or 'none'}".strip(),
             )
-    if control and not given and (parameters.sigmas > 0.0).any():
+    if control and given:
+        raise InputError(
+            "control points and standard deviations of the orientation are both given",
+            where="--sigma",
+            mend="leave one of them out: control points tell how well the orientation is known",
+        )
+    if control and (parameters.sigmas > 0.0).any():
         if crs is None:
             raise InputError("the control points have no CRS", mend="name it with --crs")
         return _adjusted(model, control, crs)
@@ -102,28 +111,43 @@ def orientation(
             mend=f"give --sigma {free[0]}=..., 0 where it is exact",
         )
     if free:
-        return None, f"the orientation takes no part in the error: nothing says how well {', '.join(free)} are known"
-    return np.diag(sigmas**2), "orientation: " + ("standard deviations as given" if given else "a-priori of the sensor")
+        return (
+            model,
+            None,
+            f"the orientation takes no part in the error: nothing says how well {', '.join(free)} are known",
+        )
+    source = "standard deviations as given" if given else "a-priori standard deviations of the sensor"
+    return model, np.diag(sigmas**2), f"orientation: {source}"
 
 
-def _adjusted(model: SensorModel, control: Sequence[ControlPoint], crs: CRS) -> tuple[FloatArray, str]:
-    """Covariance of the parameters from control points; those that the model contradicts do not count."""
+def _adjusted(model: SensorModel, control: Sequence[ControlPoint], crs: CRS) -> tuple[SensorModel, FloatArray, str]:
+    """Adjust the parameters to control points; those that contradict the others do not count."""
     ground = Transform(crs, model.crs)(np.array([point.xyz for point in control], dtype=np.float64))
     image = np.array([point.colrow for point in control], dtype=np.float64)
     sigmas = np.array([point.sigma_px for point in control])
-    used = _agreeing(np.hypot(*(image - model.ground_to_image(ground)).T) / sigmas)
-    solved = resect(model, ground[used], image[used], sigmas[used])
-    if not np.isfinite(solved.covariance).all():
-        raise SolveError("the control points leave no covariance", mend="give more of them")
+    used, solved = _agreeing(model, ground, image, sigmas), None
+    for _ in range(_ROUNDS):
+        solved = resect(model, ground[used], image[used], sigmas[used])
+        again = _agreeing(solved.model, ground, image, sigmas)
+        if (again == used).all():
+            break
+        used = again
+    assert solved is not None
     # Where the residuals are larger than the sigmas say, they are believed; smaller ones may be luck.
     scale = max(1.0, solved.sigma0) if np.isfinite(solved.sigma0) else 1.0
-    count = int(used.sum())
+    count = int(np.isfinite(solved.residuals).all(axis=1).sum())
     left = f", {len(control) - count} left out" if count < len(control) else ""
-    return solved.covariance * scale**2, f"orientation: adjusted to {count} control points{left}, sigma0 {scale:.2f}"
+    note = f"orientation: adjusted to {count} control points{left}, sigma0 {solved.sigma0:.2f}"
+    return solved.model, solved.covariance * scale**2, note
 
 
-def _agreeing(lengths: FloatArray) -> BoolArray:
-    """Points within 3.5 times the scatter of most, in units of their sigmas; a sensor has left the others out too."""
+def _agreeing(model: SensorModel, ground: FloatArray, image: FloatArray, sigmas: FloatArray) -> BoolArray:
+    """Points within 3.5 times the scatter of most, and those within 3.5 sigmas in any case."""
+    lengths = np.hypot(*(image - model.ground_to_image(ground)).T) / sigmas
+    if not np.isfinite(lengths).any():
+        raise SolveError(
+            "the image shows none of the control points", mend="check their CRS, and the order of their coordinates"
+        )
     scatter = 1.4826 * float(np.nanmedian(lengths))
     good: BoolArray = lengths <= _CUT * max(scatter, 1.0)
     return good
