@@ -72,6 +72,7 @@ class SheetInputs:
     layout: Layout
     layers: tuple[VectorInput, ...]
     dem: Path | None
+    shade: Path | None
     dem_heights: str | None
     report: Mapping[str, Any] | None
 
@@ -90,17 +91,28 @@ def sheet_inputs(
     interval: float | None = None,
     dem_heights: str | None = None,
     report: Path | None = None,
+    bands: tuple[int, ...] | None = None,
+    stretch: str | None = None,
+    gamma: float | None = None,
+    clahe: float | None = None,
+    sharpen: float | None = None,
+    hillshade: Path | None = None,
 ) -> SheetInputs:
     """Read layout, styles and report; what is given here wins over the layout file."""
     plan = read_layout(layout) if layout is not None else Layout()
     base = layout.parent if layout is not None else Path()
     sheet = {"paper": paper, "orientation": orientation, "dpi": dpi, "title": title}
     area = {"scale": parse_scale(scale, "--scale") if scale else None, "bounds": bounds}
+    looks: dict[str, Any] = {
+        "bands": bands, "stretch": stretch, "gamma": gamma, "clahe": clahe, "sharpen": sharpen,
+        "hillshade": 0.6 if hillshade is not None and not plan.enhance.hillshade else None,
+    }  # fmt: skip
     plan = replace(
         plan,
         sheet=replace(plan.sheet, **_given(sheet)),
         map=replace(plan.map, **_given(area)),
         contours=replace(plan.contours, **_given({"interval": interval})),
+        enhance=replace(plan.enhance, **_given(looks)),
     )
     layers = [
         VectorInput(
@@ -114,7 +126,8 @@ def sheet_inputs(
     layers += [vector_input(text) for text in vectors]
     dem = contours or (base / plan.contours.dem if plan.contours.dem else None)
     facts = _report(report) if report is not None else None
-    return SheetInputs(plan, tuple(layers), dem, dem_heights or plan.contours.heights or None, facts)
+    shade = hillshade or (base / plan.enhance.dem if plan.enhance.dem else None)
+    return SheetInputs(plan, tuple(layers), dem, shade, dem_heights or plan.contours.heights or None, facts)
 
 
 def sheet_from_files(
@@ -136,7 +149,8 @@ def sheet_from_files(
     named = title if title is not None or layout is not None else raster.stem.replace("_", " ")
     found = sheet_inputs(layout=layout, title=named, **options)
     return make_sheet(
-        raster, output, found.layout, found.layers, dem=found.dem, dem_heights=found.dem_heights, report=found.report,
+        raster, output, found.layout, found.layers, dem=found.dem, dem_heights=found.dem_heights, shade=found.shade,
+        report=found.report,
         files=FileOptions(driver, collar, world_file), overwrite=overwrite,
     )  # fmt: skip
 
