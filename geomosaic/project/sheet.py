@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,9 +11,10 @@ from typing import Any
 
 from geomosaic.carto.draw.save import FileOptions
 from geomosaic.carto.entries import build
+from geomosaic.carto.foreign.read import SUFFIXES, foreign_style
 from geomosaic.carto.layout import Layout, parse_scale
 from geomosaic.carto.style import BUILT_IN, Style, built_in, parse_style
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.product.sheet import SheetResult, VectorInput, make_sheet
 from geomosaic.project.camera import read_toml
 from geomosaic.project.tables import read_text
@@ -37,7 +39,16 @@ def read_layout(path: Path) -> Layout:
 
 
 def read_style(name: str, base: Path, where: str | None = None) -> Style:
-    """Read a style: a built-in one by its name, or a .toml file relative to `base`."""
+    """Read a style: a built-in one by its name, or a .toml, .qml or .sld file relative to `base`.
+
+    What of QML and SLD is not understood is told in a warning.
+    """
+    if name.lower().endswith(SUFFIXES):
+        path = base / name
+        style, remarks = foreign_style(read_text(path, "style", 32 << 20), str(path))
+        for remark in remarks:
+            warnings.warn(f"{path}: not understood: {remark}", GeomosaicWarning, stacklevel=2)
+        return style
     if name.lower().endswith(".toml"):
         file = base / name
         return parse_style(read_toml(file, "style"), str(file))
@@ -56,7 +67,7 @@ def vector_input(text: str, base: Path = Path()) -> VectorInput:
     head, mark, tail = text.rpartition(":")
     # A colon may belong to the path (a drive): what follows then has a separator in it, or the file exists.
     if mark and len(head) > 1 and not (base / text).exists():
-        known = tail in BUILT_IN or tail.lower().endswith(".toml")
+        known = tail in BUILT_IN or tail.lower().endswith((".toml", *SUFFIXES))
         if known or not any(c in tail for c in "/\\"):
             file, style = head, tail
     path, layer = file, ""
