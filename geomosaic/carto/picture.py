@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,18 @@ def raster_grid(source: Source, where: str) -> Grid:
     return Grid(horizontal(info.crs), t, info.width, info.height)
 
 
-def picture(source: Source, grid: Grid, bounds: Bounds, size: tuple[int, int]) -> ByteArray:
+Curves = Sequence[Callable[[AnyArray], AnyArray]]
+"""One per band: from values to levels from 0 to 255."""
+
+
+def picture(
+    source: Source,
+    grid: Grid,
+    bounds: Bounds,
+    size: tuple[int, int],
+    bands: Sequence[int] = (),
+    curves: Curves = (),
+) -> ByteArray:
     """Pixels of an area: bicubic, or the mean of what a print pixel covers where the raster is finer.
 
     Parameters
@@ -57,17 +69,22 @@ def picture(source: Source, grid: Grid, bounds: Bounds, size: tuple[int, int]) -
         Area in the grid's CRS; what lies outside the raster stays transparent.
     size : tuple of int
         Width and height of the result.
+    bands : sequence of int
+        Three or one to show, from 1; by default the first three, or the first one as grey.
+    curves : sequence of callable
+        Of the shown bands, instead of the stretch.
 
     Returns
     -------
     uint8 array (height, width, 4)
-        Red, green, blue and 255 where there is a picture, 0 elsewhere. The first three bands, or the first one as
-        grey; samples other than uint8 are stretched from their 2nd to their 98th percentile.
+        Red, green, blue and 255 where there is a picture, 0 elsewhere; samples other than uint8 are stretched from
+        their 2nd to their 98th percentile.
     """
     width, height = size
     (left, top), (right, bottom) = grid.colrow(np.array([[bounds[0], bounds[3]], [bounds[2], bounds[1]]]))
     shrink = max(1, int(min((right - left) / width, (bottom - top) / height) + 1e-6))
-    limits = None if source.dtype == np.uint8 else _limits(source, grid, (left, top, right, bottom))
+    bands = bands or ((1, 2, 3) if source.info.bands >= 3 else (1,))
+    limits = None if source.dtype == np.uint8 or curves else _limits(source, grid, (left, top, right, bottom), bands)
     out = np.zeros((height, width, 4), dtype=np.uint8)
     step = (bottom - top) / height
     for row in range(0, height, _STRIP):
@@ -75,7 +92,7 @@ def picture(source: Source, grid: Grid, bounds: Bounds, size: tuple[int, int]) -
         first, last = top + row * step, top + stop * step
         reach = _REACH * max(shrink, step)
         window = _aligned(left - reach, first - reach, right + reach, last + reach, shrink)
-        values, valid = _read(source, grid, window, shrink)
+        values, valid = read_bands(source, grid, window, shrink, bands)
         if not valid.any():
             continue
         if limits is not None:
@@ -84,7 +101,7 @@ def picture(source: Source, grid: Grid, bounds: Bounds, size: tuple[int, int]) -
             (left - window.col) / shrink, (first - window.row) / shrink,
             (right - window.col) / shrink, (last - window.row) / shrink,
         )  # fmt: skip
-        out[row:stop] = _resized(values, valid, box, (width, stop - row))
+        out[row:stop] = _resized(values, valid, box, (width, stop - row), curves)
     return out
 
 
@@ -94,11 +111,12 @@ def _aligned(left: float, top: float, right: float, bottom: float, shrink: int) 
     return Window(col, row, stop_col - col, stop_row - row)
 
 
-def _read(source: Source, grid: Grid, window: Window, shrink: int) -> tuple[AnyArray, AnyArray]:
-    """Values (rows, cols, 1 or 3) as float32 and validity as float32, of a window that may reach beyond the raster."""
-    bands = 3 if source.info.bands >= 3 else 1
+def read_bands(
+    source: Source, grid: Grid, window: Window, shrink: int, bands: Sequence[int]
+) -> tuple[AnyArray, AnyArray]:
+    """Values (rows, cols, bands) as float32 and validity as float32, of a window that may reach beyond the raster."""
     shape = (window.height // shrink, window.width // shrink)
-    values, valid = np.zeros((*shape, bands), dtype=np.float32), np.zeros(shape, dtype=np.float32)
+    values, valid = np.zeros((*shape, len(bands)), dtype=np.float32), np.zeros(shape, dtype=np.float32)
     inside = window.intersection(grid.window)
     if inside.empty:
         return values, valid
@@ -106,19 +124,21 @@ def _read(source: Source, grid: Grid, window: Window, shrink: int) -> tuple[AnyA
     row, col = (inside.row - window.row) // shrink, (inside.col - window.col) // shrink
     place = slice(row, row + part.shape[0]), slice(col, col + part.shape[1])
     valid[place] = 1.0 if known is None else known
-    values[place] = np.where(valid[place][..., None] > 0, part[..., :bands], 0)
+    values[place] = np.where(valid[place][..., None] > 0, part[..., [band - 1 for band in bands]], 0)
     return values, valid
 
 
-def _limits(source: Source, grid: Grid, box: tuple[float, float, float, float]) -> tuple[float, float]:
+def _limits(
+    source: Source, grid: Grid, box: tuple[float, float, float, float], bands: Sequence[int]
+) -> tuple[float, float]:
     """2nd and 98th percentile over the area, from a reduced reading of it."""
     factor = max(1, int(max(box[2] - box[0], box[3] - box[1]) / 1000))
-    values, valid = _read(source, grid, _aligned(*box, factor), factor)
+    values, valid = read_bands(source, grid, _aligned(*box, factor), factor, bands)
     known = values[valid > 0]
     return (0.0, 1.0) if not known.size else tuple(float(v) for v in np.percentile(known, (2.0, 98.0)))  # type: ignore[return-value]
 
 
-def _resized(values: AnyArray, valid: AnyArray, box: Any, size: tuple[int, int]) -> ByteArray:
+def _resized(values: AnyArray, valid: AnyArray, box: Any, size: tuple[int, int], curves: Curves = ()) -> ByteArray:
     """Resample; invalid pixels have no weight."""
     from PIL import Image
 
@@ -135,6 +155,8 @@ def _resized(values: AnyArray, valid: AnyArray, box: Any, size: tuple[int, int])
             mean = resize(values[..., band])
             if not whole:
                 mean = np.where(seen, mean / np.where(seen, weight, 1.0), 0.0)
+            if curves:
+                mean = curves[band](mean)
             grey = np.clip(np.floor(mean + 0.5), 0, 255).astype(np.uint8)
         out[..., band] = grey
     out[..., 3] = np.where(seen, 255, 0)

@@ -186,7 +186,7 @@ def built_in(name: str, where: str | None = None) -> Style:
         raise InputError(
             f"there is no style '{name}'",
             where=where,
-            mend=hint or f"one of {', '.join(BUILT_IN)}, or the path of a .toml file",
+            mend=hint or f"one of {', '.join(BUILT_IN)}, or the path of a .toml, .qml or .sld file",
         )
     return BUILT_IN[name]
 

@@ -35,6 +35,7 @@ COMMANDS: dict[str, str] = {
     "fiducials": "Find the fiducial marks of scanned films.",
     "contours": "Draw contours of a DEM.",
     "sheet": "Make a map sheet: frame, grid, legend, vectors.",
+    "enhance": "Stretch, sharpen or pan-sharpen a raster for print.",
     "sheets": "Make, find and show the sheets of a series.",
     "plan": "Calculate scales, scanning, relief, swath, coverage, control.",
     "sensors": "List sensors, or show the inputs of one.",

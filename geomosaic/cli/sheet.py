@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from geomosaic.cli.looks import look_options
 from geomosaic.cli.options import FILE, debug_option, json_option
 from geomosaic.cli.talk import answer, notes
 from geomosaic.cli.values import box
@@ -65,6 +66,7 @@ def _checked(read: Any, value: str | None) -> str | None:
 @click.option("--contours", type=FILE, metavar="DEM", help="Draw contours of this DEM.")
 @click.option("--interval", type=click.FloatRange(0, min_open=True), metavar="METRES", help="Interval of the contours.")
 @click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it.")
+@look_options
 @click.option("--report", type=FILE, help="report.json of the project, for the accuracy statement.")
 @click.option("--dpi", type=click.IntRange(72, 2400), help="Resolution of the picture.  [default: 300]")
 @click.option(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from geomosaic.cli.looks import look_options
 from geomosaic.cli.options import FILE, debug_option, json_option, stack
 from geomosaic.cli.scale import Scale
 from geomosaic.cli.sheet import paper_value
@@ -74,6 +75,7 @@ def _scheme(flags: dict[str, Any]) -> Scheme:
 @click.option("--contours", type=FILE, metavar="DEM", help="Draw contours of this DEM.")
 @click.option("--interval", type=click.FloatRange(0, min_open=True), metavar="METRES", help="Interval of the contours.")
 @click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it.")
+@look_options
 @click.option("--report", type=FILE, help="report.json of the project, for the accuracy statement.")
 @click.option("--dpi", type=click.IntRange(72, 2400), help="Resolution of the pictures.  [default: 300]")
 @click.option(

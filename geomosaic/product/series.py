@@ -45,6 +45,7 @@ class SeriesInputs:
     layers: tuple[VectorInput, ...] = ()
     dem: Path | None = None
     dem_heights: str | None = None
+    shade: Path | None = None
     report: Mapping[str, Any] | None = None
     files: FileOptions = field(default_factory=FileOptions)
 
@@ -198,6 +199,7 @@ def _draw(task: Task) -> list[str]:
         warnings.simplefilter("always")
         make_sheet(
             given.raster, task.path, given.layout, given.layers, dem=given.dem, dem_heights=given.dem_heights,
+            shade=given.shade,
             report=given.report, series=task.place, files=given.files, overwrite=task.overwrite,
         )  # fmt: skip
     return [str(w.message) for w in caught if issubclass(w.category, GeomosaicWarning)]
@@ -205,7 +207,7 @@ def _draw(task: Task) -> list[str]:
 
 def _ingredients(inputs: SeriesInputs, record: dict[str, Any]) -> dict[str, Any]:
     """Everything that all sheets depend on; digests of files are kept with their size and time."""
-    files = [inputs.raster, *(layer.path for layer in inputs.layers), *([inputs.dem] if inputs.dem else [])]
+    files = [inputs.raster, *(layer.path for layer in inputs.layers), *filter(None, (inputs.dem, inputs.shade))]
     digests = {}
     for path in files:
         stat = path.stat()

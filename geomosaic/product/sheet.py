@@ -17,6 +17,7 @@ from geomosaic.carto.draw.save import FileOptions, check_format, write_sheet
 from geomosaic.carto.draw.sheet import SheetParts
 from geomosaic.carto.layout import GridPart, Layout
 from geomosaic.carto.lines import MapGrid, map_grid
+from geomosaic.carto.nice import metres_per_unit
 from geomosaic.carto.notes import accuracy_words, blocks
 from geomosaic.carto.overlay import Overlay, overlay
 from geomosaic.carto.page import Box, Page, lay_out
@@ -27,6 +28,7 @@ from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import geographic, horizontal, parse_crs
 from geomosaic.geo.local import map_place
 from geomosaic.product.contours import sheet_contours
+from geomosaic.product.enhance import band_curves, finishing, shown_bands
 from geomosaic.raster.output import check_output
 from geomosaic.raster.source import Source
 from geomosaic.raster.vector import read_layer
@@ -90,6 +92,7 @@ def make_sheet(
     *,
     dem: Path | None = None,
     dem_heights: str | None = None,
+    shade: Path | None = None,
     report: Mapping[str, Any] | None = None,
     series: SheetPlace | None = None,
     files: FileOptions | None = None,
@@ -110,6 +113,8 @@ def make_sheet(
         For contours.
     dem_heights : str, optional
         Vertical datum of the DEM, where the file does not say it.
+    shade : Path, optional
+        DEM of the hillshade; that of the contours where it is not given.
     report : mapping, optional
         A project's report, for the accuracy statement.
     series : SheetPlace, optional
@@ -136,10 +141,19 @@ def make_sheet(
         parts = replace(_parts(layout, page, vectors, dem, dem_heights, report), series=series)
         _warn_of_glyphs(parts)
 
+        look = layout.enhance
+        bands = shown_bands(look, source.info.bands, str(raster))
+        curves = band_curves(look, source, grid, bands)
+        finish = finishing(
+            look, source, grid, bands, curves, dpi=dpi, metres=metres_per_unit(page.crs), dem=shade or dem,
+            dem_heights=dem_heights,
+        )  # fmt: skip
+
         def pixels(box: Box) -> ByteArray:
             (left, bottom), (right, top) = page.to_map(np.array([box[:2], box[2:]]))
             size = [max(1, round((box[k + 2] - box[k]) / 25.4 * dpi)) for k in (0, 1)]
-            return picture(source, grid, (left, bottom, right, top), (size[0], size[1]))
+            area = (float(left), float(bottom), float(right), float(top))
+            return finish(picture(source, grid, area, (size[0], size[1]), bands, curves), area)
 
         with drawing():
             told = write_sheet(output, parts, pixels, dpi, files or FileOptions(), overwrite=overwrite)

@@ -91,7 +91,7 @@ def series_from_files(
     """Make a series; see `geomosaic.project.sheet.sheet_inputs` for `options` and `make_series` for the others."""
     found = sheet_inputs(**options)
     inputs = SeriesInputs(
-        raster, found.layout, found.layers, found.dem, found.dem_heights, found.report,
+        raster, found.layout, found.layers, found.dem, found.dem_heights, found.shade, found.report,
         FileOptions(driver, collar, world_file),
     )  # fmt: skip
     return make_series(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,9 +11,10 @@ from typing import Any
 
 from geomosaic.carto.draw.save import FileOptions
 from geomosaic.carto.entries import build
+from geomosaic.carto.foreign.read import SUFFIXES, foreign_style
 from geomosaic.carto.layout import Layout, parse_scale
 from geomosaic.carto.style import BUILT_IN, Style, built_in, parse_style
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.product.sheet import SheetResult, VectorInput, make_sheet
 from geomosaic.project.camera import read_toml
 from geomosaic.project.tables import read_text
@@ -37,7 +39,16 @@ def read_layout(path: Path) -> Layout:
 
 
 def read_style(name: str, base: Path, where: str | None = None) -> Style:
-    """Read a style: a built-in one by its name, or a .toml file relative to `base`."""
+    """Read a style: a built-in one by its name, or a .toml, .qml or .sld file relative to `base`.
+
+    What of QML and SLD is not understood is told in a warning.
+    """
+    if name.lower().endswith(SUFFIXES):
+        path = base / name
+        style, remarks = foreign_style(read_text(path, "style", 32 << 20), str(path))
+        for remark in remarks:
+            warnings.warn(f"{path}: not understood: {remark}", GeomosaicWarning, stacklevel=2)
+        return style
     if name.lower().endswith(".toml"):
         file = base / name
         return parse_style(read_toml(file, "style"), str(file))
@@ -56,7 +67,7 @@ def vector_input(text: str, base: Path = Path()) -> VectorInput:
     head, mark, tail = text.rpartition(":")
     # A colon may belong to the path (a drive): what follows then has a separator in it, or the file exists.
     if mark and len(head) > 1 and not (base / text).exists():
-        known = tail in BUILT_IN or tail.lower().endswith(".toml")
+        known = tail in BUILT_IN or tail.lower().endswith((".toml", *SUFFIXES))
         if known or not any(c in tail for c in "/\\"):
             file, style = head, tail
     path, layer = file, ""
@@ -72,6 +83,7 @@ class SheetInputs:
     layout: Layout
     layers: tuple[VectorInput, ...]
     dem: Path | None
+    shade: Path | None
     dem_heights: str | None
     report: Mapping[str, Any] | None
 
@@ -90,17 +102,28 @@ def sheet_inputs(
     interval: float | None = None,
     dem_heights: str | None = None,
     report: Path | None = None,
+    bands: tuple[int, ...] | None = None,
+    stretch: str | None = None,
+    gamma: float | None = None,
+    clahe: float | None = None,
+    sharpen: float | None = None,
+    hillshade: Path | None = None,
 ) -> SheetInputs:
     """Read layout, styles and report; what is given here wins over the layout file."""
     plan = read_layout(layout) if layout is not None else Layout()
     base = layout.parent if layout is not None else Path()
     sheet = {"paper": paper, "orientation": orientation, "dpi": dpi, "title": title}
     area = {"scale": parse_scale(scale, "--scale") if scale else None, "bounds": bounds}
+    looks: dict[str, Any] = {
+        "bands": bands, "stretch": stretch, "gamma": gamma, "clahe": clahe, "sharpen": sharpen,
+        "hillshade": 0.6 if hillshade is not None and not plan.enhance.hillshade else None,
+    }  # fmt: skip
     plan = replace(
         plan,
         sheet=replace(plan.sheet, **_given(sheet)),
         map=replace(plan.map, **_given(area)),
         contours=replace(plan.contours, **_given({"interval": interval})),
+        enhance=replace(plan.enhance, **_given(looks)),
     )
     layers = [
         VectorInput(
@@ -114,7 +137,8 @@ def sheet_inputs(
     layers += [vector_input(text) for text in vectors]
     dem = contours or (base / plan.contours.dem if plan.contours.dem else None)
     facts = _report(report) if report is not None else None
-    return SheetInputs(plan, tuple(layers), dem, dem_heights or plan.contours.heights or None, facts)
+    shade = hillshade or (base / plan.enhance.dem if plan.enhance.dem else None)
+    return SheetInputs(plan, tuple(layers), dem, shade, dem_heights or plan.contours.heights or None, facts)
 
 
 def sheet_from_files(
@@ -136,7 +160,8 @@ def sheet_from_files(
     named = title if title is not None or layout is not None else raster.stem.replace("_", " ")
     found = sheet_inputs(layout=layout, title=named, **options)
     return make_sheet(
-        raster, output, found.layout, found.layers, dem=found.dem, dem_heights=found.dem_heights, report=found.report,
+        raster, output, found.layout, found.layers, dem=found.dem, dem_heights=found.dem_heights, shade=found.shade,
+        report=found.report,
         files=FileOptions(driver, collar, world_file), overwrite=overwrite,
     )  # fmt: skip
 

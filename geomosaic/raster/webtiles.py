@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import warnings
 import zipfile
 from pathlib import Path
 
@@ -52,7 +53,9 @@ def write_web(path: PathLike, grid: Grid, pixels: ByteArray, *, title: str, over
     try:
         hidden = partial(path.resolve())
         unfinished = hidden.with_name(hidden.name.replace(".", "_").lstrip("_") + path.suffix.lower())
-        with MemoryFile() as memory:
+        with MemoryFile() as memory, warnings.catch_warnings():
+            # rasterio multiplies affines in a way that the affine library wants to end.
+            warnings.simplefilter("ignore", PendingDeprecationWarning)
             _warped(memory, grid, pixels, target)
             with memory.open() as source:
                 if driver == "MBTiles":

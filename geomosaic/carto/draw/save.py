@@ -56,7 +56,7 @@ def check_format(path: Path) -> None:
         raise InputError(
             f"sheets are not written as '{path.suffix}'",
             where=str(path),
-            mend=f"use {', '.join(FORMATS)}",
+            mend=f"end the name in {', '.join(FORMATS)}",
         )
 
 

@@ -1,0 +1,71 @@
+"""`geomosaic enhance`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from geomosaic.cli.looks import stretch_options
+from geomosaic.cli.options import FILE, debug_option, json_option
+from geomosaic.cli.talk import answer, notes
+
+
+@click.command()
+@click.argument("raster", type=FILE)
+@stretch_options
+@click.option("--radius", type=click.FloatRange(0.3, 50), default=1.0, show_default=True, help="Of sharpening, pixels.")
+@click.option("--pan", type=FILE, help="Sharpen the bands with this panchromatic raster; keeps the sample type.")
+@click.option(
+    "--method",
+    type=click.Choice(["regression", "brovey", "weighted"]),
+    default="regression",
+    show_default=True,
+    help="Of pan-sharpening.",
+)
+@click.option("-f", "--driver", type=click.Choice(["COG", "GTiff"]), default="COG", show_default=True, help="Format.")
+@click.option("-o", "--output", type=FILE, required=True, help="File to write.")
+@click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+@json_option
+@debug_option
+def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: bool, **flags: Any) -> None:
+    """Make an 8-bit picture for print of a raster, or give its bands the detail of a panchromatic one.
+
+    Without --pan the bands are stretched, their local contrast evened and sharpened, in this order.
+    With --pan all bands (or those of -b) are brought to the pixels of the pan raster, which must be in the same CRS.
+
+    \b
+    Examples:
+      geomosaic enhance scene.tif -b 4,3,2 --stretch percentile --gamma 1.2 -o print.tif
+      geomosaic enhance xs.tif --pan pan.tif --method regression -o sharp.tif
+    """  # noqa: D301
+    from geomosaic.errors import InputError
+    from geomosaic.product.enhance_raster import enhance_raster, sharpen_with_pan
+
+    common = {"driver": flags.pop("driver"), "overwrite": flags.pop("overwrite")}
+    with notes():
+        if pan is not None:
+            used = [f"--{key}" for key in ("stretch", "gamma", "clahe", "sharpen") if flags[key] is not None]
+            if used:
+                raise InputError(
+                    f"{', '.join(used)} goes with a picture, --pan with measurements",
+                    where="--pan",
+                    mend="pan-sharpen first, then enhance the result",
+                )
+            model = sharpen_with_pan(raster, pan, output, method=method, bands=flags["bands"], **common)
+            weights = [float(w) for w in model.weights]
+            facts = {
+                "output": str(output),
+                "method": method,
+                "weights": weights,
+                "offset": model.offset,
+                "r2": model.r2,
+            }
+            shown = ", ".join(f"{w:.4g}" for w in weights)
+            answer(
+                facts, f"{output}: the bands explain {100 * model.r2:.1f} % of the pan band (weights {shown})", as_json
+            )
+            return
+        enhance_raster(raster, output, **flags, **common)
+    answer({"output": str(output)}, str(output), as_json)

@@ -1,0 +1,242 @@
+"""`geomosaic sheets` from the command line: whole series, resumed, the same bytes; the files of a sheet."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import subprocess
+import sys
+import zipfile
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import geopandas
+import numpy as np
+import pypdfium2
+import pytest
+import rasterio
+import shapely
+from affine import Affine
+from PIL import Image
+from pyproj import Transformer
+
+from geomosaic.cli.main import run
+
+POLISH = ("--scheme", "puwg1992", "--scale", "1:10000")
+SHEET = "M-34-64-D-c-3"
+
+
+@pytest.fixture(scope="module")
+def raster(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Around the corner of four sheets in PUWG 1992: red ramps to the east, green to the north; 10 m."""
+    path = tmp_path_factory.mktemp("series") / "map.tif"
+    x, y = Transformer.from_crs(4258, 2180, always_xy=True).transform(19.8125, 50 + 2.5 / 60)
+    row, col = np.mgrid[0:120, 0:140]
+    values = np.stack([60 + col, 60 + row, np.full_like(row, 90)]).astype(np.uint8)
+    with rasterio.open(
+        path, "w", driver="GTiff", width=140, height=120, count=3, dtype="uint8", crs="EPSG:2180",
+        transform=Affine(10, 0, round(x) - 700, 0, -10, round(y) + 600),
+    ) as out:  # fmt: skip
+        out.write(values)
+    return path
+
+
+def told(capsys: pytest.CaptureFixture[str], *words: Any) -> dict[str, Any]:
+    """The JSON of a run that works."""
+    capsys.readouterr()
+    assert run(["sheets", *map(str, words), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert isinstance(found, dict)
+    return found
+
+
+def test_find_and_show(capsys: pytest.CaptureFixture[str]) -> None:
+    assert told(capsys, "find", "19.78", "50.02", *POLISH)["name"] == SHEET
+    assert told(capsys, "find", "11.575", "48.137", "--scheme", "tk", "--scale", "25000")["name"] == "7835"
+    assert told(capsys, "find", "-77.0352", "38.8895", "--scheme", "mgrs", "--size", "1000")["name"] == "18SUJ2306"
+    grid = ("--scheme", "grid", "--size", "500", "--crs", "EPSG:32633")
+    assert told(capsys, "find", "15", "0", *grid)["name"] == "C1000-R0"
+    shown = told(capsys, "show", "M-34-064-Dc3", *POLISH)
+    assert shown["name"] == SHEET
+    assert shown["neighbours"]["S"] == "M-34-76-B-a-1"
+    want = Transformer.from_crs(4258, 2180, always_xy=True).transform(19.75, 50.0)
+    assert shown["map_corners"][0] == pytest.approx(want, abs=1e-3)
+    assert run(["sheets", "show", SHEET, *POLISH]) == 0
+    assert "E: M-34-64-D-c-4" in capsys.readouterr().out
+    for words in (["find", "19", "50"], ["find", "19", "50", "--scheme", "tk"], ["show", "X-1", *POLISH]):
+        assert run(["sheets", *words]) == 1
+
+
+@pytest.fixture(scope="module")
+def folder(raster: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All sheets as GeoTIFF."""
+    out = tmp_path_factory.mktemp("out")
+    words = ["sheets", "make", str(raster), *POLISH, "--format", "tif", "--dpi", "72", "-o", str(out)]
+    assert run(words) == 0
+    return out
+
+
+def test_series(folder: Path, raster: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Four sheets meet on the raster: each shows it inside its neatline, none outside; together they show all of it."""
+    frame = geopandas.read_file(folder / "index.gpkg", layer="sheets")
+    assert sorted(frame["name"]) == [f"M-34-64-D-c-{k}" for k in (1, 2, 3, 4)]
+    by_name = frame.set_index("name")
+    assert by_name.loc[SHEET, "n"] == "M-34-64-D-c-1"
+    assert by_name.loc[SHEET, "file"] == f"{SHEET}.tif"
+    assert (by_name["scale"] == 10000).all()
+    seen = 0.0
+    with rasterio.open(raster) as file:
+        area = shapely.box(*file.bounds)
+    for name, row in by_name.iterrows():
+        with rasterio.open(folder / row["file"]) as file:
+            inside, values, transform = file.dataset_mask() > 0, file.read(), file.transform
+        assert transform.a == pytest.approx(10_000 * 0.0254 / 72)
+        rows, cols = np.nonzero(inside)
+        place = row.geometry.buffer(2.0)
+        few = np.random.default_rng(0).choice(len(rows), 300)
+        assert all(
+            place.contains(shapely.Point(transform @ (c + 0.5, r + 0.5)))
+            for r, c in zip(rows[few], cols[few], strict=True)
+        )
+        assert inside.sum() * transform.a**2 == pytest.approx(row.geometry.area, rel=2e-3)
+        blue = inside & (np.abs(values[2].astype(int) - 90) < 3)
+        shown = blue.sum() * transform.a**2
+        expected = row.geometry.intersection(area).area
+        assert shown == pytest.approx(expected, rel=0.06), name  # grid and graticule lie over a few per cent
+        seen += shown
+    assert seen == pytest.approx(area.area, rel=0.06)
+    page = pypdfium2.PdfDocument(folder / "index.pdf")[0].get_textpage().get_text_range()
+    assert "Index of sheets" in page
+    assert SHEET in page
+
+
+def test_goes_on_where_it_was_stopped(
+    folder: Path, raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Finished sheets are kept; one that is gone is made again to the same bytes; other options make all new."""
+    words = ("make", raster, *POLISH, "--format", "tif", "--dpi", "72", "-o", folder)
+    before = {path.name: path.read_bytes() for path in folder.glob("M-*.tif")}
+    assert len(told(capsys, *words)["kept"]) == 4
+    (folder / f"{SHEET}.tif").unlink()
+    again = told(capsys, *words)
+    assert [Path(path).name for path in again["made"]] == [f"{SHEET}.tif"]
+    assert {path.name: path.read_bytes() for path in folder.glob("M-*.tif")} == before
+    assert len(told(capsys, *words, "--title", "Other", "--only", SHEET)["made"]) == 1
+    # A file that is not ours is not replaced.
+    foreign = folder / "M-34-64-D-c-4.tif"
+    foreign.write_bytes(b"mine")
+    assert run(["sheets", *map(str, words)]) == 1
+    assert foreign.read_bytes() == b"mine"
+    foreign.unlink()
+
+
+def test_processes_make_the_same_bytes(folder: Path, raster: Path, tmp_path: Path) -> None:
+    words = [raster, *POLISH, "--format", "tif", "--dpi", "72", "--workers", "2", "-o", tmp_path / "two"]
+    program = [sys.executable, "-m", "geomosaic.cli", "sheets", "make"]
+    subprocess.run([*program, *map(str, words), "--only", "M-34-64-D-c-1", "--only", "M-34-64-D-c-2"], check=True)
+    for name in ("M-34-64-D-c-1.tif", "M-34-64-D-c-2.tif"):
+        assert (tmp_path / "two" / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_page_of_a_sheet(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The page names the sheet and all its neighbours; it is the same when made again; a raster elsewhere is told."""
+    files = []
+    for name in ("a", "b"):
+        words = ("make", raster, *POLISH, "--only", SHEET, "--dpi", "72", "-o", tmp_path / name)
+        files.append(Path(told(capsys, *words)["made"][0]).read_bytes())
+    assert files[0] == files[1]
+    assert (tmp_path / "a" / "index.pdf").read_bytes() == (tmp_path / "b" / "index.pdf").read_bytes()
+    assert (tmp_path / "a" / "index.gpkg").read_bytes() == (tmp_path / "b" / "index.gpkg").read_bytes()
+    page = pypdfium2.PdfDocument(files[0])[0]
+    text = page.get_textpage().get_text_range()
+    for name in (SHEET, "M-34-64-D-c-1", "M-34-64-D-c-4", "M-34-76-B-a-1", "M-34-64-C-d-2"):
+        assert name in text
+    assert "Neighbouring sheets" in text
+    assert text.count("M-34-64-D-c-1") == 2  # on the frame and in the index map
+    assert run(["sheets", "make", str(raster), "--scheme", "tk", "--scale", "25000", "-o", str(tmp_path / "c")]) == 1
+    far = ("make", raster, "--scheme", "international", "--scale", "1:10000", "--only", SHEET, "--dpi", "72")
+    told(capsys, *far, "-o", tmp_path / "d")
+    assert (tmp_path / "d" / f"{SHEET}.pdf").is_file()
+
+
+def test_drawn_sheets_and_overlap(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with rasterio.open(raster) as file:
+        left, bottom, right, top = file.bounds
+    middle = (left + right) / 2
+    parts = [shapely.box(left, bottom, middle, top), shapely.box(middle, bottom, right, top)]
+    frame = geopandas.GeoDataFrame({"nr": ["west/1", "east"]}, geometry=parts, crs="EPSG:2180")
+    frame.to_file(tmp_path / "sheets.gpkg", layer="plan")
+    words = (
+        "make",
+        raster,
+        "--polygons",
+        f"{tmp_path / 'sheets.gpkg'}#plan",
+        "--name-column",
+        "nr",
+        "--scale",
+        "1:5000",
+    )
+    found = told(capsys, *words, "--overlap", "50", "--format", "tif", "--dpi", "72", "-o", tmp_path / "out")
+    assert sorted(Path(p).name for p in found["made"]) == ["east.tif", "west_1.tif"]
+    with rasterio.open(tmp_path / "out" / "east.tif") as file:
+        assert file.bounds.left == pytest.approx(middle - 50, abs=1e-6)
+        assert file.bounds.top == pytest.approx(top + 50, abs=1e-6)
+    assert run(["sheets", *map(str, words), "--name-column", "x", "-o", str(tmp_path / "o")]) == 1
+
+
+def sheet(raster: Path, output: Path, *words: str) -> Path:
+    assert run(["sheet", str(raster), "--scale", "1:10000", "--dpi", "100", *words, "-o", str(output)]) == 0
+    return output
+
+
+def test_collar_and_world_files(raster: Path, tmp_path: Path) -> None:
+    """With its collar the page is georeferenced as a whole: its map lies where that of the map alone does."""
+    alone = sheet(raster, tmp_path / "map.tif", "--driver", "COG", "--world-file")
+    page = sheet(raster, tmp_path / "page.tif", "--collar")
+    sheet(raster, tmp_path / "page.png", "--world-file")
+    with rasterio.open(alone) as a, rasterio.open(page) as b:
+        assert a.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert b.width * 25.4 / 100 == pytest.approx(297, abs=0.2) or b.width * 25.4 / 100 == pytest.approx(
+            210, abs=0.2
+        )
+        t, u = a.transform, b.transform
+        spots = [t @ (c, r) for c, r in ((a.width * 0.3, a.height * 0.3), (a.width * 0.7, a.height * 0.6))]
+        ours = np.array(list(a.sample(spots))).astype(int)
+        theirs = np.array(list(b.sample(spots))).astype(int)
+        assert np.abs(ours - theirs).max() <= 4
+    for name, want in (("map.tfw", t), ("page.pgw", u)):
+        v = [float(line) for line in (tmp_path / name).read_text().split()]
+        assert v == pytest.approx([want.a, 0, 0, want.e, want.c + want.a / 2, want.f + want.e / 2], abs=1e-3)
+
+
+def test_tiles_for_the_web(raster: Path, tmp_path: Path) -> None:
+    """Tiles lie where they belong: they have the colours of places of the raster; and they are the same again."""
+    first, again = sheet(raster, tmp_path / "a.mbtiles"), sheet(raster, tmp_path / "b.mbtiles")
+    assert first.read_bytes() == again.read_bytes()
+    with rasterio.open(raster) as file:
+        t = file.transform
+    to = Transformer.from_crs(2180, 3857, always_xy=True)
+    base = sqlite3.connect(first)
+    zooms = [z for (z,) in base.execute("select distinct zoom_level from tiles order by 1")]
+    assert len(zooms) >= 3
+    level, half = zooms[-1], 20037508.342789244
+    hits = 0
+    for col, row in ((33, 27), (70, 50), (104, 86), (23, 101)):
+        x, y = to.transform(*(t @ (col + 0.5, row + 0.5)))
+        px, py = ((x + half) / (2 * half) * 2**level * 256, (half - y) / (2 * half) * 2**level * 256)
+        (blob,) = base.execute(
+            "select tile_data from tiles where zoom_level=? and tile_column=? and tile_row=?",
+            (level, int(px) // 256, 2**level - 1 - int(py) // 256),
+        ).fetchone()
+        seen = np.asarray(Image.open(BytesIO(blob)).convert("RGBA"))[int(py) % 256, int(px) % 256]
+        hits += int(np.abs(seen[:3].astype(int) - [60 + col, 60 + row, 90]).max() <= 6 and seen[3] == 255)
+    assert hits >= 3  # a grid line may run over one
+    base.close()
+    kmz, twin = sheet(raster, tmp_path / "a.kmz"), sheet(raster, tmp_path / "b.kmz")
+    assert kmz.read_bytes() == twin.read_bytes()
+    with zipfile.ZipFile(kmz) as archive:
+        names = archive.namelist()
+        assert names[0] == "doc.kml"
+        assert "<north>50.0" in archive.read(next(n for n in names if n.endswith("0/0.kml"))).decode()
+    assert not [path for path in tmp_path.iterdir() if "partial" in path.name]
