@@ -64,7 +64,7 @@ def shared(terms: Collection[str], cameras: int, camera: IntArray, image: FloatA
 def prior(terms: Collection[str], cameras: int) -> FloatArray:
     """Normal matrix (width, width) of what is known beforehand: fields are no larger and no rougher than light makes.
 
-    Coefficients of falloff have a standard deviation of 1, those of a trend 0.3. Second differences of a hotspot's
+    Coefficients of falloff have a standard deviation of 1, those of a trend 0.5. Second differences of a hotspot's
     nodes have 0.1, the nodes themselves 0.5.
     """
     size = width(terms, cameras)
@@ -75,7 +75,7 @@ def prior(terms: Collection[str], cameras: int) -> FloatArray:
         at += len(here)
     if "trend" in terms:
         here = np.arange(at, at + TREND)
-        normal[here, here] = 1 / 0.3**2
+        normal[here, here] = 1 / 0.5**2
         at += TREND
     if "hotspot" in terms:
         normal[at:, at:] = np.eye(NODES * NODES) / 0.5**2 + roughness(NODES, NODES) / 0.1**2
