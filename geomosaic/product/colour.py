@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from geomosaic.radiometry.fields import Fields
     from geomosaic.radiometry.views import Views
 
-MOST_TRIED = 8_000
+MOST_TRIED = 6_000
 """Samples from which terms are chosen."""
 MOST_SPLINES = 16_000
 """Samples for a hotspot, which has many parameters."""

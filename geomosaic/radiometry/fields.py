@@ -26,7 +26,6 @@ from geomosaic.radiometry.steps import LEAST_LIGHT, LEAST_SIGMA, Band, Prior, Se
 from geomosaic.radiometry.views import Views
 from geomosaic.types import BoolArray, FloatArray
 
-ROUNDS = 10
 CLOSE_ENOUGH = 2e-5
 """Of the logarithm of a gain."""
 
@@ -144,7 +143,7 @@ def _solve_band(
     images, size = band.setting.images, band.shared_a.shape[2]
     state = [gain, dark, np.ones(images), np.zeros(size)]
     own_prior = Prior.of(band)
-    for _ in range(ROUNDS):
+    for _ in range(band.setting.rounds):
         difference, mean, by_a, by_b = band.look(state)
         weight = _weights(difference, mean, band.views.known)
         step = change_of(band, state, own_prior, weight, difference, mean, by_a, by_b)

@@ -16,6 +16,7 @@ from geomosaic.radiometry import bases, drift
 from geomosaic.radiometry.views import Views
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
+ROUNDS = 10
 LEAST_SIGMA = 0.003
 """With which one overlap is believed at best, as in `gain_offset`."""
 SIGMA_LEVEL = 0.15
@@ -43,6 +44,8 @@ class Setting:
         R, the range of values.
     level : array (images, bands), optional
         Median of all that each image shows, NaN where unknown: after correction they are about alike.
+    rounds : int
+        Most steps.
     """
 
     images: int
@@ -51,6 +54,7 @@ class Setting:
     terms: frozenset[str]
     reach: float
     level: FloatArray | None = None
+    rounds: int = ROUNDS
 
 
 def levels_of(setting: Setting, bands: int) -> FloatArray:
