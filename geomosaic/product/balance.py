@@ -19,6 +19,7 @@ from geomosaic.resample.warp import Colour, value_range
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import BLOCK_HEIGHT, BLOCK_WIDTH
 from geomosaic.surface.model import Surface
+from geomosaic.types import FloatArray
 
 CELLS = 96
 """Cells across a footprint at which images are compared: coarse, so that small misfits of geometry do not count."""
@@ -30,11 +31,17 @@ MOST_SAMPLES = 3
 
 def balance(photos: Photos, options: RenderOptions) -> Balance:
     """Solve gain and offset of all photos over their overlaps."""
-    return solve(len(photos), photos.info.bands, meet(photos, options, comparison_grid(photos)))
+    return solve(len(photos), photos.info.bands, meet(photos, options, comparison_grid(photos))[0])
 
 
-def meet(photos: Photos, options: RenderOptions, grid: Grid, hidden: Sequence[Any] = ()) -> list[Overlap]:
-    """Samples of all overlaps of the photos on a coarse grid, without what lies in the areas `hidden`."""
+def meet(
+    photos: Photos, options: RenderOptions, grid: Grid, hidden: Sequence[Any] = ()
+) -> tuple[list[Overlap], FloatArray]:
+    """Samples of all overlaps of the photos on a coarse grid, without what lies in the areas `hidden`; and medians.
+
+    The medians (images, bands) are of all that each photo shows; NaN where it shows nothing.
+    """
+    level = np.full((len(photos), photos.info.bands), np.nan)
     low, high, whole = value_range(photos.info.dtype)
     windows = [grid.window_of(outline.bounds) for outline in photos.outlines]
     overlaps = Overlaps(windows, (low, high) if whole else None)
@@ -45,8 +52,10 @@ def meet(photos: Photos, options: RenderOptions, grid: Grid, hidden: Sequence[An
     rendered = in_order(piece, range(len(photos)), options.threads, ahead=1)
     for done, (index, found) in enumerate(rendered):
         overlaps.add(index, found)
+        if found.valid.any():
+            level[index] = np.median(found.values[found.valid > 0], axis=0)
         options.report(done + 1, len(photos), "balance")
-    return overlaps.found
+    return overlaps.found, level
 
 
 def without(piece: Thumbnail, grid: Grid, hidden: Sequence[Any]) -> Thumbnail:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from geomosaic.radiometry.fields import Fields
     from geomosaic.radiometry.views import Views
 
-MOST_TRIED = 8_000
+MOST_TRIED = 6_000
 """Samples from which terms are chosen."""
 MOST_SPLINES = 16_000
 """Samples for a hotspot, which has many parameters."""
@@ -39,7 +39,7 @@ def colours(photos: Photos, options: MosaicOptions) -> Balance:
         from geomosaic.product.areas import read_areas
 
         hidden = read_areas(options.mask, photos.grid.crs)
-    pairs, count, notes = meet(photos, options.render, grid, hidden), len(photos), []
+    (pairs, level), count, notes = meet(photos, options.render, grid, hidden), len(photos), []
     anchor = named(photos, options.master)
     if options.reference is not None:
         from geomosaic.product.anchor import meet_reference
@@ -51,7 +51,8 @@ def colours(photos: Photos, options: MosaicOptions) -> Balance:
     anchored = _anchored(start, anchor, pairs)
     if options.colour == ("gain",) or not start.overlaps:
         return _without(anchored, len(photos), pairs, notes)
-    return _with_fields(photos, options, grid, pairs, start, anchored, anchor, notes)
+    level = np.concatenate([level, np.full((count - len(photos), level.shape[1]), np.nan)])
+    return _with_fields(photos, options, grid, pairs, level, start, anchored, anchor, notes)
 
 
 def named(photos: Photos, master: str | None) -> int | None:
@@ -75,6 +76,7 @@ def _with_fields(
     options: MosaicOptions,
     grid: Grid,
     pairs: list[Overlap],
+    level: FloatArray,
     start: Balance,
     anchored: Balance,
     anchor: int | None,
@@ -87,7 +89,7 @@ def _with_fields(
     find = places_of(photos, grid)
     kinds = cameras(photos)
     camera = np.concatenate([kinds, np.full(len(start.gain) - len(kinds), -1)])
-    setting = Setting(len(camera), int(kinds.max()) + 1, camera, frozenset(), _reach(photos, pairs))
+    setting = Setting(len(camera), int(kinds.max()) + 1, camera, frozenset(), _reach(photos, pairs), level)
     linear = () if anchor is None else (anchor,)
     asked = None if options.colour == ("auto",) else frozenset(options.colour) - {"gain"}
     few = gather(pairs, find, MOST_TRIED) if asked is None else None

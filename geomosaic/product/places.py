@@ -80,7 +80,8 @@ def shade_of(photos: Photos, index: int, fields: Fields) -> Shade:
         log[~seen] = log[seen].mean(axis=0)
     else:
         log[:] = 0.0
-    net = np.exp(log + fields.gain[index]).reshape(len(rows), len(cols), -1)
+    # Rounded, so that the last bits of sums in another order do not show.
+    net = np.round(np.exp(log + fields.gain[index]), 9).reshape(len(rows), len(cols), -1)
     return Shade.of(
         net, (float(cols[0]), float(rows[0])), (spacing, spacing), fields.dark[index], fields.gamma[index],
         fields.setting.reach,

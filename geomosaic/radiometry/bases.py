@@ -16,8 +16,8 @@ from geomosaic.types import FloatArray, IntArray
 
 RADIAL = 3
 """Even powers of the radius: ρ², ρ⁴, ρ⁶ (D. B. Goldman, Vignette and exposure calibration, PAMI 32, 2010)."""
-TREND = 5
-"""x, y, x² − y², 2xy and x² + y²: the view-angle trend up to second order."""
+TREND = 4
+"""x, y, x² − y² and 2xy: the view-angle trend up to second order; its x² + y² is one with the fall of light."""
 SPANS = 6
 """Intervals of the cubic splines of a hotspot across −1 … 1."""
 NODES = SPANS + 3
@@ -54,7 +54,7 @@ def shared(terms: Collection[str], cameras: int, camera: IntArray, image: FloatA
         parts.append((own[:, :, None] * radial[:, None, :]).reshape(len(camera), -1))
     if "trend" in terms:
         x, y = view.T
-        parts.append(np.stack([x, y, x**2 - y**2, 2 * x * y, x**2 + y**2], axis=1))
+        parts.append(np.stack([x, y, x**2 - y**2, 2 * x * y], axis=1))
     if "hotspot" in terms:
         across, down = _splines(view[:, 0]), _splines(view[:, 1])
         parts.append((down[:, :, None] * across[:, None, :]).reshape(len(camera), -1))
@@ -64,7 +64,7 @@ def shared(terms: Collection[str], cameras: int, camera: IntArray, image: FloatA
 def prior(terms: Collection[str], cameras: int) -> FloatArray:
     """Normal matrix (width, width) of what is known beforehand: fields are no larger and no rougher than light makes.
 
-    Coefficients of falloff have a standard deviation of 1, those of a trend 0.3. Second differences of a hotspot's
+    Coefficients of falloff have a standard deviation of 1, those of a trend 0.5. Second differences of a hotspot's
     nodes have 0.1, the nodes themselves 0.5.
     """
     size = width(terms, cameras)
@@ -75,7 +75,7 @@ def prior(terms: Collection[str], cameras: int) -> FloatArray:
         at += len(here)
     if "trend" in terms:
         here = np.arange(at, at + TREND)
-        normal[here, here] = 1 / 0.3**2
+        normal[here, here] = 1 / 0.5**2
         at += TREND
     if "hotspot" in terms:
         normal[at:, at:] = np.eye(NODES * NODES) / 0.5**2 + roughness(NODES, NODES) / 0.1**2

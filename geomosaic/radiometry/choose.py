@@ -22,6 +22,8 @@ WARRANTED = 0.03
 LEAST_SAMPLES = 2000
 """Of all overlaps: fewer are no ground for a choice."""
 ORDER = ("vignetting", "trend", "hotspot", "gamma", "dodging")
+ROUNDS = 4
+"""Steps of a trial, which need not be exact."""
 BEYOND = 3.0
 """Robust deviations beyond which a difference counts no more: moving things and clouds."""
 
@@ -69,7 +71,7 @@ def choose(
     limits = _limits(views, setting, gain, offset, linear)
 
     def score(terms: frozenset[str]) -> float:
-        own = replace(setting, terms=terms)
+        own = replace(setting, terms=terms, rounds=ROUNDS)
         total, count = np.zeros(views.a.shape[2]), 0
         for learnt, asked in (halves, halves[::-1]):
             off = _differences(solve_terms(views.only(learnt), own, gain, offset, linear), views.only(asked))

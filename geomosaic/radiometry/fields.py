@@ -8,7 +8,9 @@ water that only one image shows count for nothing. How the steps treat noise in 
 
 What overlaps cannot tell is settled by priors: a common gain, offset and gamma of all images; and a trend across all
 footprints against a ramp of gains over the block, which make the same differences. The trend, one number, is the
-likelier cause of a long ramp, single gains that of jumps.
+likelier cause of a long ramp, single gains that of jumps. What all of an image shows tells them apart: an image of
+more light is brighter all over, one that light falls across from the side is not. So gains are expected to make the
+medians of whole images alike, as far as ground differs from photo to photo.
 """
 
 from __future__ import annotations
@@ -20,11 +22,10 @@ import numpy as np
 
 from geomosaic.radiometry import bases, drift
 from geomosaic.radiometry.relation import BIWEIGHT, TO_SIGMA
-from geomosaic.radiometry.steps import LEAST_LIGHT, LEAST_SIGMA, Band, Prior, Setting, change_of
+from geomosaic.radiometry.steps import LEAST_LIGHT, LEAST_SIGMA, Band, Prior, Setting, change_of, levels_of
 from geomosaic.radiometry.views import Views
 from geomosaic.types import BoolArray, FloatArray
 
-ROUNDS = 10
 CLOSE_ENOUGH = 2e-5
 """Of the logarithm of a gain."""
 
@@ -120,9 +121,12 @@ def solve_fields(
     bent = "gamma" in setting.terms
     firm = np.array([(i in linear) or setting.camera[i] < 0 or not bent for i in range(setting.images)])
     near = drift.neighbourhoods(setting.images, views.first, views.second)
+    level = levels_of(setting, bands)
     solved = [
         _solve_band(
-            Band(views, setting, sides[0], sides[1], views.a[..., m], views.b[..., m], firm, near),
+            Band(
+                views, setting, sides[0], sides[1], views.a[..., m], views.b[..., m], firm, near, level[:, m]
+            ),
             np.log(np.maximum(gain[:, m], 1e-6)), offset[:, m] / np.maximum(gain[:, m], 1e-6),
         )
         for m in range(bands)
@@ -139,7 +143,7 @@ def _solve_band(
     images, size = band.setting.images, band.shared_a.shape[2]
     state = [gain, dark, np.ones(images), np.zeros(size)]
     own_prior = Prior.of(band)
-    for _ in range(ROUNDS):
+    for _ in range(band.setting.rounds):
         difference, mean, by_a, by_b = band.look(state)
         weight = _weights(difference, mean, band.views.known)
         step = change_of(band, state, own_prior, weight, difference, mean, by_a, by_b)

@@ -16,8 +16,11 @@ from geomosaic.radiometry import bases, drift
 from geomosaic.radiometry.views import Views
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
+ROUNDS = 10
 LEAST_SIGMA = 0.003
 """With which one overlap is believed at best, as in `gain_offset`."""
+SIGMA_LEVEL = 0.15
+"""Of the logarithm of the level of the ground that a photo shows, about that of its neighbours."""
 SIGMA_GAIN, SIGMA_DARK, SIGMA_GAMMA = 1.0, 0.1, 0.3
 """Priors; of the dark offset in mean grey values."""
 MOST_DENSE = 1500
@@ -39,6 +42,10 @@ class Setting:
         See `bases.TERMS`.
     reach : float
         R, the range of values.
+    level : array (images, bands), optional
+        Median of all that each image shows, NaN where unknown: after correction they are about alike.
+    rounds : int
+        Most steps.
     """
 
     images: int
@@ -46,6 +53,18 @@ class Setting:
     camera: IntArray
     terms: frozenset[str]
     reach: float
+    level: FloatArray | None = None
+    rounds: int = ROUNDS
+
+
+def levels_of(setting: Setting, bands: int) -> FloatArray:
+    """The images' own levels (images, bands); NaN where they say nothing."""
+    level = np.full((setting.images, bands), np.nan)
+    if setting.level is not None:
+        known = np.isfinite(setting.level).all(axis=1) & (setting.level > 0).all(axis=1) & (setting.camera >= 0)
+        if np.count_nonzero(known) > 1:
+            level[known] = setting.level[known]
+    return level
 
 
 @dataclass(frozen=True)
@@ -60,6 +79,8 @@ class Band:
     b: FloatArray
     firm: BoolArray
     near: list[IntArray]
+    level: FloatArray
+    """The images' own levels (images,); NaN where they say nothing."""
 
     def look(self, state: list[FloatArray]) -> tuple[FloatArray, FloatArray, list[FloatArray], list[FloatArray]]:
         """Difference and mean of both views (P, K), and derivatives of each by its image's own parameters."""
@@ -142,6 +163,14 @@ def change_of(
     pull[at[:, 0]] -= held
     parts = [(rows, cols, values), (at.ravel(), at.ravel(), prior.own[:kinds].T.ravel())]
     parts.append((prior.rows * kinds, prior.cols * kinds, prior.held))
+    told, off, by_dark = _levels(band.level, state)
+    if len(told):
+        weight_of = np.full(len(told), SIGMA_LEVEL**-2)
+        pull[at[told, 0]] -= weight_of * off
+        pull[at[told, 1]] -= weight_of * off * by_dark
+        gain_at, dark_at = at[told, 0], at[told, 1]
+        parts += [(gain_at, gain_at, weight_of), (dark_at, dark_at, weight_of * by_dark**2)]
+        parts += [(gain_at, dark_at, weight_of * by_dark), (dark_at, gain_at, weight_of * by_dark)]
     if size:
         across = mean[..., None] * (band.shared_a - band.shared_b)
         flat = (weight[..., None] * across).reshape(-1, size)
@@ -156,6 +185,14 @@ def change_of(
     mine = change[: images * kinds].reshape(images, kinds)
     bend = mine[:, 2] if kinds == 3 else np.zeros(images)
     return [mine[:, 0], mine[:, 1], bend, change[images * kinds :]]
+
+
+def _levels(level: FloatArray, state: list[FloatArray]) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Images whose level is known, how far its logarithm is off the mean once corrected, and derivatives by dark."""
+    told = np.flatnonzero(np.isfinite(level))
+    light = np.maximum(level[told] + state[1][told], 0.05 * level[told])
+    reached = state[0][told] + np.log(light)
+    return told, reached - np.log(level[told]).mean() if len(told) else reached, 1 / light
 
 
 def _solution(total: int, parts: list[tuple[IntArray, IntArray, FloatArray]], pull: FloatArray) -> FloatArray:
