@@ -143,5 +143,6 @@ def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> Mosai
         avoid=flags["avoid"],
         cutlines=flags["cutlines"],
         seam_quality=flags["seam_quality"],
+        views=flags["views"],
         exclude=flags["exclude"],
     )
