@@ -27,7 +27,7 @@ from geomosaic.product.provenance import source_facts, write_views
 from geomosaic.product.records import gains, write_item, write_vectors
 from geomosaic.product.reuse import LOSSLESS, Reuse
 from geomosaic.product.seam_quality import SeamPlace, SeamQuality, judge_seams, worst_places
-from geomosaic.radiometry.curve import Curve
+from geomosaic.product.shares import shares_of
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output
@@ -36,7 +36,6 @@ from geomosaic.raster.vector import prepare
 from geomosaic.resample.engine import engine_for
 from geomosaic.resample.warp import Colour
 from geomosaic.seam.lines import Segment, segments
-from geomosaic.seam.voronoi import regions
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import blocks
 
@@ -153,7 +152,7 @@ def mosaic(
         photos.leave_out(out)
         with _Clock(seconds, "seams"):
             shapes = [Polygon() if i in out else outline.polygon for i, outline in enumerate(outlines)]
-            shares = _shares(photos, shapes, colours, options)
+            shares = shares_of(photos, shapes, colours, options)
         seams = Seams(shares, shapes, feather / grid.resolution[0])
         ground, engine = Ground.under(grid, block.surface), compiled.result()
         blender = Blender(photos, grid, ground, seams, colours, engine, render.resampling, render.tolerance)
@@ -162,6 +161,7 @@ def mosaic(
         reuse = _reuse(blender, output, labels, options)
         with _Clock(seconds, "mosaic"):
             seen, pixels, record = _render(blender, output, labels, options, reuse)
+        photos.again()
         if vectors is not None or item is not None:
             about = source_facts(photos, options.about)
         if views is not None and labels is not None:
@@ -208,29 +208,6 @@ def _balanced(photos: Photos, options: MosaicOptions) -> Balance:
 
         return match_histograms(photos, options.render, options.histogram, options.master, options.reference)
     return balance(photos, options.render) if options.balance else solve(len(photos), photos.info.bands, [])
-
-
-def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve], options: MosaicOptions) -> list[Any]:
-    """Who shows what."""
-    if options.seams == "alike":
-        from geomosaic.product.seam_layers import read_seam_layers
-        from geomosaic.product.seams import alike_regions
-
-        layers = read_seam_layers(options.follow, options.avoid, photos.grid.crs)
-        shares = alike_regions(photos, shapes, colours, options.render, options.seam_weights, layers)
-    elif options.seams == "halve":
-        from geomosaic.product.seams import halved_regions
-
-        shares = halved_regions(photos, shapes)
-    else:
-        shares = regions(shapes, [outline.centre for outline in photos.outlines])
-    if options.cutlines is None:
-        return shares
-    from geomosaic.product.cutlines import read_cutlines
-    from geomosaic.seam.cutlines import with_cutlines
-
-    names = [outline.name for outline in photos.outlines]
-    return with_cutlines(shares, read_cutlines(options.cutlines, names, shapes, photos.grid.crs))
 
 
 def _reuse(blender: Blender, output: Path, labels: Path | None, options: MosaicOptions) -> Reuse | None:

@@ -35,3 +35,13 @@ def with_cutlines(shares: Sequence[Any], drawn: Mapping[int, Any]) -> list[Any]:
         rest = polygonal(share.difference(taken)) if len(tree.query(taken)) else share
         result[number] = polygonal(result[number].union(rest))
     return result
+
+
+def covers(drawn: Mapping[int, Any], outlines: Sequence[Any]) -> bool:
+    """Whether drawn shares leave hardly anything (a millionth) of the footprints to others."""
+    import shapely
+
+    if not drawn:
+        return False
+    everything = shapely.union_all(list(outlines))
+    return bool(everything.difference(shapely.union_all(list(drawn.values()))).area <= 1e-6 * everything.area)
