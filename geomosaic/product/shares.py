@@ -9,13 +9,22 @@ from geomosaic.product.options import MosaicOptions
 from geomosaic.product.photos import Photos
 from geomosaic.radiometry.curve import Curve
 from geomosaic.resample.warp import Colour
+from geomosaic.seam.partition import canonical
 from geomosaic.seam.voronoi import regions
+
+_STEP = 1e-6
+"""Pixels."""
 
 
 def shares_of(
     photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve], options: MosaicOptions
 ) -> list[Any]:
     """Shares of all images, in the output map."""
+    step = _STEP * photos.grid.resolution[0]
+    return [canonical(share, step) for share in _shares(photos, shapes, colours, options)]
+
+
+def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve], options: MosaicOptions) -> list[Any]:
     if options.cutlines is None:
         return _laid(photos, shapes, colours, options)
     from geomosaic.product.cutlines import read_cutlines
