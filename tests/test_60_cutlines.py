@@ -6,7 +6,7 @@ import pytest
 import shapely
 from shapely import box
 
-from geomosaic.seam.cutlines import with_cutlines
+from geomosaic.seam.cutlines import covers, with_cutlines
 
 SHARES = [box(0, 0, 10, 10), box(10, 0, 20, 10), box(20, 0, 30, 10)]
 
@@ -36,3 +36,10 @@ def test_of_two_claims_the_first_image_has_it() -> None:
 
 def test_nothing_drawn_changes_nothing() -> None:
     assert all(a.equals(b) for a, b in zip(with_cutlines(SHARES, {}), SHARES, strict=True))
+
+
+def test_whether_everything_is_drawn() -> None:
+    drawn = dict(enumerate(SHARES))
+    assert covers(drawn, SHARES)
+    assert not covers({0: SHARES[0], 1: SHARES[1]}, SHARES)
+    assert not covers({}, SHARES)

@@ -8,8 +8,11 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+import rasterio
 import shapely
+from scipy.ndimage import distance_transform_edt
 
 from geomosaic.cli.main import run
 from geomosaic.raster.vector import read_layer
@@ -101,6 +104,59 @@ def test_an_edited_seam_costs_what_it_touches(own, tell, tmp_path):
     assert tell("run", own, "mosaic")[0] == 0
     assert facts(own)["reused"] == 0
     assert hashes(own) == after
+
+
+CORNER = "strip2_03.jpg"
+
+
+def pixels(project: Path) -> np.ndarray:
+    with rasterio.open(project.parent / "output" / "trial.tif") as dataset:
+        return dataset.read()
+
+
+def shown_by(project: Path) -> np.ndarray:
+    with rasterio.open(project.parent / "output" / "trial-labels.tif") as dataset:
+        return dataset.read(1)
+
+
+EDITS = {
+    "left out": (lambda text: text.replace("[mosaic]\n", f'[mosaic]\nexclude = ["{CORNER}"]\n'), True),
+    "colour": (lambda text: f'{text}\n[mosaic.retouch."{CORNER}"]\ngain = 1.1\noffset = -4\n', False),
+}
+
+
+@pytest.mark.parametrize("seams", ["nearest", pytest.param("alike", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("edit", EDITS)
+def test_an_edited_photo_costs_what_it_touches(edit, seams, done, own, tell):
+    change, gone = EDITS[edit]
+    own.write_text(own.read_text().replace("[mosaic]\n", f'[mosaic]\nseams = "{seams}"\n'))
+    if seams != "nearest":
+        assert tell("run", own, "mosaic")[0] == 0
+    before, label, number = pixels(own), shown_by(own), PHOTOS.index(CORNER) + 1
+    assert (label == number).any()
+    own.write_text(change(own.read_text()))
+    assert tell("run", own, "mosaic")[0] == 0
+    found, after = facts(own), pixels(own)
+    assert 0 < found["reused"] < found["units"]
+    assert (shown_by(own) == number).any() == (not gone)
+    # What lies farther from the photo's share than the feather reaches is the same.
+    far = distance_transform_edt(label != number) > (60 if seams == "nearest" else 400)
+    assert far.sum() > 10_000
+    assert (before[:, far] == after[:, far]).all()
+    assert (before[:, label == number] != after[:, label == number]).any()
+    kept = hashes(own)
+    shutil.rmtree(own.parent / ".geomosaic")
+    shutil.rmtree(own.parent / "output")
+    assert tell("run", own, "mosaic")[0] == 0
+    assert facts(own)["reused"] == 0
+    assert hashes(own) == kept
+
+
+def test_the_report_tells_what_a_rerun_cost(own, tell):
+    edit_south(own)
+    assert tell("run", own)[0] == 0
+    page, found = (own.parent / "output" / "report.html").read_text(), facts(own)
+    assert f"{found['units'] - found['reused']} of {found['units']} computed; {found['reused']} taken from" in page
 
 
 def test_a_changed_photo_or_option_is_no_reason_to_reuse(own, tell):

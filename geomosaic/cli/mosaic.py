@@ -40,6 +40,7 @@ mosaic_flags = stack(
     click.option(
         "--seam-quality/--no-seam-quality", default=False, show_default=True, help="Judge seams piece by piece."
     ),
+    click.option("--views/--no-views", default=False, help="Write the raster of view angles and resolutions."),
     click.option("--margin", type=click.FloatRange(0), metavar="PIXELS", help="Border of every image not to be used."),
     click.option("--usable", type=FILE, help="Polygons beyond which images are not to be used: image, col, row."),
     click.option("--exclude", multiple=True, metavar="NAME", help="Image that is to show nothing."),

@@ -145,6 +145,7 @@ def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> Mosai
         avoid=flags["avoid"],
         cutlines=flags["cutlines"],
         seam_quality=flags["seam_quality"],
+        views=flags["views"],
         exclude=flags["exclude"],
         colour=terms_of(flags["colour"]),
         mask=flags["mask"],

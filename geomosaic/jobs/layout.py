@@ -38,6 +38,11 @@ class Layout:
         return beside(self.mosaic, "-labels", ".tif")
 
     @property
+    def views(self) -> Path:
+        """Raster of view angles and resolutions."""
+        return beside(self.mosaic, "-views", ".tif")
+
+    @property
     def vectors(self) -> Path:
         """Footprints and seamlines."""
         return beside(self.mosaic, "", ".gpkg")

@@ -53,7 +53,8 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     blend: dict[str, Any] = {"mosaic": settings.mosaic.model_dump(mode="json"), **said_of_master}
     wants_labels = (layout.labels,) if settings.mosaic.labels else ()
     nowhere = settings.planar is not None and settings.planar.kind == "uncontrolled"
-    rasters = (layout.mosaic, *wants_labels, layout.vectors, *(() if nowhere else (layout.item,)))
+    wants_views = (layout.views,) if settings.mosaic.views else ()
+    rasters = (layout.mosaic, *wants_labels, *wants_views, layout.vectors, *(() if nowhere else (layout.item,)))
     every_ortho = layout.orthos if settings.output.orthos else ()
     oriented = (*layout.models, layout.facts("orient"))
 

@@ -14,6 +14,7 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.product.seam_layers import AREAS, check_area
 from geomosaic.raster.vector import layer_names, read_layer
+from geomosaic.seam.cutlines import matters
 from geomosaic.seam.voronoi import polygonal
 
 LAYER, IMAGE = "seams", "image"
@@ -79,5 +80,9 @@ def read_cutlines(path: Path, names: Sequence[str], outlines: Sequence[Any], crs
                 where=where,
                 mend="draw within its footprint; or is this the file of another block?",
             )
-        found.setdefault(number, []).append(polygonal(moved.intersection(own)))
-    return {number: shapely.union_all(np.array(parts, dtype=object)) for number, parts in found.items()}
+        beyond = matters(moved.difference(own), own)
+        found.setdefault(number, []).append(polygonal(moved.intersection(own)) if beyond else moved)
+    return {
+        number: parts[0] if len(parts) == 1 else shapely.union_all(np.array(parts, dtype=object))
+        for number, parts in found.items()
+    }

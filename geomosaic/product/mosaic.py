@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,7 +25,8 @@ from geomosaic.product.options import MosaicOptions
 from geomosaic.product.ortho import GeometryRecord, samples, tiles
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
-from geomosaic.product.records import write_item, write_vectors
+from geomosaic.product.provenance import source_facts, write_views
+from geomosaic.product.records import gains, write_item, write_vectors
 from geomosaic.product.reuse import LOSSLESS, Reuse
 from geomosaic.product.seam_quality import SeamPlace, SeamQuality, judge_seams, worst_places
 from geomosaic.product.shares import shares_of
@@ -137,10 +139,11 @@ def mosaic(
     from shapely import Polygon
 
     labels = beside(output, "-labels", ".tif") if options.labels else None
+    views = beside(output, "-views", ".tif") if options.views else None
     vectors = beside(output, "", ".gpkg") if options.vectors else None
     # A map of its own lies nowhere on the Earth, which a STAC item would have to say.
     item = beside(output, "", ".stac.json") if options.stac and not grid.crs.is_engineering else None
-    for path in (output, labels, vectors, item):
+    for path in (output, labels, views, vectors, item):
         if path is not None:  # before an hour's work, not behind it
             check_output(path, overwrite=render.overwrite)
     width = options.blending.pixels(grid, options.feather)
@@ -148,6 +151,7 @@ def mosaic(
     photos = Photos(block, grid, outlines, render.memory_limit // 2)
     beside_it = ThreadPoolExecutor(1)
     reuse: Reuse | None = None
+    about: dict[str, list[Any]] = {}
     try:
         # What costs time to import gets it where a processor would idle.
         compiled = beside_it.submit(engine_for, 2 * samples(grid, outlines), render.resampling)
@@ -174,6 +178,12 @@ def mosaic(
         reuse = _reuse(blender, output, labels, options)
         with _Clock(seconds, "mosaic"):
             seen, pixels, record = _render(blender, output, labels, options, reuse)
+        photos.again()
+        if vectors is not None or item is not None:
+            about = source_facts(photos, options.about)
+        if views is not None and labels is not None:
+            with _Clock(seconds, "views"):
+                write_views(views, labels, photos, render)
         pixel = grid.resolution[0]
         parts, quality, places = segments(shares, pixel, SEGMENT * pixel), [], []
         if options.seam_quality:
@@ -189,11 +199,16 @@ def mosaic(
     with _Clock(seconds, "records"), ThreadPoolExecutor(1) as beside_it:
         checksum = beside_it.submit(sha256, output)
         if vectors is not None:
-            write_vectors(vectors, grid, outlines, shares, solved, pixels, parts, quality, overwrite=render.overwrite)
+            write_vectors(
+                vectors, grid, outlines, shares, solved, pixels, parts, quality, about, overwrite=render.overwrite
+            )
         if item is not None:
             images = [Path(scene.path) for scene in block.scenes]
             sums = {output: checksum.result()}
-            write_item(item, output, labels, vectors, grid, shapes, images, sums, overwrite=render.overwrite)
+            sources: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels, **about}
+            write_item(
+                item, output, labels, vectors, grid, shapes, images, sums, sources, views, overwrite=render.overwrite
+            )
         if reuse is not None and labels is not None:
             reuse.save(output, labels)
     return MosaicResult(

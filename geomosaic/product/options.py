@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError, did_you_mean
@@ -120,6 +120,10 @@ class MosaicOptions:
         Vector file of shares that a person has drawn: they win.
     seam_quality : bool
         Judge the seams piece by piece.
+    views : bool
+        Write view angle and ground sampling distance of each pixel; needs `labels`.
+    about : mapping of str to mapping
+        Further facts of the images by name, for GeoPackage and STAC: checksums, residuals.
     exclude : tuple of str
         Names of images that show nothing; they still take part in the balance, so that the others keep their colours.
     retouch : mapping of str to Retouch
@@ -153,6 +157,8 @@ class MosaicOptions:
     avoid: tuple[Path, ...] = ()
     cutlines: Path | None = None
     seam_quality: bool = False
+    views: bool = False
+    about: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     exclude: tuple[str, ...] = ()
     retouch: Mapping[str, Retouch] = field(default_factory=dict)
     memory: Memory | None = None
@@ -174,6 +180,8 @@ class MosaicOptions:
             raise InputError(
                 f"seams that are laid '{self.seams}' heed no roads, areas or weights", mend="lay them 'alike'"
             )
+        if self.views and not self.labels:
+            raise InputError("views are told per source image, and labels are not to be written", mend="write labels")
         if self.histogram not in (None, *HISTOGRAMS):
             raise InputError(
                 f"histograms cannot be matched by '{self.histogram}'", mend=f"one of {', '.join(HISTOGRAMS)}"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.raster.acquired import acquired
+from geomosaic.raster.acquired import dated
 
 ORDERS = ("list", "name", "resolution", "date")
 
@@ -72,7 +72,7 @@ def index_of(name: str, scenes: Sequence[Scene]) -> int:
 
 
 def _date(scene: Scene) -> str:
-    date = acquired(scene.path)
+    date = dated(scene.path)
     if date is None:
         raise InputError(
             "the image does not say when it was taken",

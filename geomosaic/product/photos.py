@@ -79,6 +79,11 @@ class Photos:
             self._done_row = max(self._done_row, row)
             self._close_spare()
 
+    def again(self) -> None:
+        """Keep photos open as at the beginning: rows that were done are looked at once more."""
+        with self._lock:
+            self._done_row = 0
+
     def close(self) -> None:
         """Close all."""
         with self._lock:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -22,7 +23,7 @@ from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output, partial, remove
 from geomosaic.raster.vector import Layer, write_layers
-from geomosaic.seam.lines import Segment
+from geomosaic.seam.lines import Segment, segments
 
 STAC_EXTENSIONS = (
     "https://stac-extensions.github.io/projection/v2.0.0/schema.json",
@@ -39,8 +40,9 @@ def write_vectors(
     shares: list[Any],
     balance: Balance,
     pixels: list[int],
-    parts: Sequence[Segment],
-    quality: Sequence[SeamQuality],
+    parts: Sequence[Segment] | None = None,
+    quality: Sequence[SeamQuality] = (),
+    sources: Mapping[str, Sequence[Any]] | None = None,
     *,
     overwrite: bool,
 ) -> None:
@@ -48,15 +50,18 @@ def write_vectors(
 
     An image keeps its `label`, a piece of a seam its `id`, as long as the images of the block stay the same.
     """
+    parts = segments(shares, grid.resolution[0], math.inf) if parts is None else parts
     layers = {
-        "footprints": _footprints(grid.crs, outlines, balance, pixels),
+        "footprints": _footprints(grid.crs, outlines, balance, pixels, sources or {}),
         "seams": _areas(grid.crs, outlines, shares),
         "seamlines": _lines(grid, outlines, parts, quality),
     }
     write_layers(path, layers, overwrite=overwrite)
 
 
-def _footprints(crs: CRS, outlines: list[Footprint], balance: Balance, pixels: list[int]) -> Layer:
+def _footprints(
+    crs: CRS, outlines: list[Footprint], balance: Balance, pixels: list[int], sources: Mapping[str, Sequence[Any]]
+) -> Layer:
     columns: dict[str, list[Any]] = {
         "label": list(range(1, len(outlines) + 1)),
         "image": [outline.name for outline in outlines],
@@ -66,12 +71,20 @@ def _footprints(crs: CRS, outlines: list[Footprint], balance: Balance, pixels: l
         "complete": [outline.complete for outline in outlines],
         "pixels": pixels,
     }
-    for band in range(balance.gain.shape[1]):
-        columns[f"gain_{band + 1}"] = [float(value) for value in balance.gain[:, band]]
-        columns[f"offset_{band + 1}"] = [float(value) for value in balance.offset[:, band]]
+    columns.update(gains(balance))
+    columns.update({name: list(values) for name, values in sources.items()})
     shapes = [outline.polygon for outline in outlines]
     kind = "Polygon" if all(shape.geom_type == "Polygon" for shape in shapes) else "MultiPolygon"
     return Layer(crs, kind, shapes, columns)
+
+
+def gains(balance: Balance) -> dict[str, list[float]]:
+    """Columns of gains and offsets, one of each per band."""
+    columns = {}
+    for band in range(balance.gain.shape[1]):
+        columns[f"gain_{band + 1}"] = [float(value) for value in balance.gain[:, band]]
+        columns[f"offset_{band + 1}"] = [float(value) for value in balance.offset[:, band]]
+    return columns
 
 
 def _areas(crs: CRS, outlines: list[Footprint], shares: list[Any]) -> Layer:
@@ -104,13 +117,16 @@ def write_item(
     outlines: list[Any],
     images: list[Path],
     checksums: Mapping[Path, str],
+    sources: Mapping[str, Sequence[Any]] | None = None,
+    views: Path | None = None,
     *,
     overwrite: bool,
 ) -> None:
     """Write a STAC item (version 1.1) whose assets are the files beside it; `checksums` are known SHA-256.
 
-    Its times are those of the image files, oldest and newest, since nothing says yet when they were taken; or
-    SOURCE_DATE_EPOCH. Equal runs make equal bytes.
+    Its times are those at which the images were taken, first and last, where all files say so with their zone; else
+    those of the image files, or SOURCE_DATE_EPOCH. Equal runs make equal bytes. `sources` are columns of facts by
+    image, which go into the property `geomosaic:sources`.
 
     Raises
     ------
@@ -119,7 +135,8 @@ def write_item(
     """
     check_output(path, overwrite=overwrite)
     geometry, box = _outline(grid, outlines)
-    first, last = _times(images)
+    known = [str(text) for text in (sources or {}).get("acquired", ())]
+    first, last = _acquired(known) or _times(images)
     code, t = horizontal(grid.crs).to_authority(), grid.transform
     properties: dict[str, Any] = {
         "datetime": last if first == last else None,
@@ -133,6 +150,12 @@ def write_item(
     }
     if code is None:
         properties["proj:projjson"] = horizontal(grid.crs).to_json_dict()
+    if sources:
+        rows = zip(*sources.values(), strict=True)
+        properties["geomosaic:sources"] = [
+            {"image": image.name, **{k: _plain(v) for k, v in zip(sources, row, strict=True)}}
+            for image, row in zip(images, rows, strict=True)
+        ]
     item = {
         "type": "Feature",
         "stac_version": "1.1.0",
@@ -147,6 +170,7 @@ def write_item(
             for key, file, kind, role in (
                 ("mosaic", mosaic, COG, "data"),
                 ("labels", labels, COG, "metadata"),
+                ("views", views, COG, "metadata"),
                 ("seams", vectors, "application/geopackage+sqlite3", "metadata"),
             )
             if file is not None
@@ -204,6 +228,20 @@ def _times(images: list[Path]) -> tuple[str, str]:
     seconds = [int(epoch)] if epoch else [int(image.stat().st_mtime) for image in images]
     first, last = (datetime.fromtimestamp(second, UTC) for second in (min(seconds), max(seconds)))
     return f"{first:%Y-%m-%dT%H:%M:%SZ}", f"{last:%Y-%m-%dT%H:%M:%SZ}"
+
+
+def _acquired(texts: Sequence[str]) -> tuple[str, str] | None:
+    """First and last time, where all are known with their zone."""
+    times = [datetime.fromisoformat(text) for text in texts if text]
+    if not texts or len(times) < len(texts) or any(time.tzinfo is None for time in times):
+        return None
+    first, last = (time.astimezone(UTC) for time in (min(times), max(times)))
+    return f"{first:%Y-%m-%dT%H:%M:%SZ}", f"{last:%Y-%m-%dT%H:%M:%SZ}"
+
+
+def _plain(value: Any) -> Any:
+    """JSON knows no NaN."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _version() -> str:

@@ -16,11 +16,11 @@ from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
+from geomosaic.product.provenance import between
 from geomosaic.product.seam_layers import SeamLayers
 from geomosaic.raster.burn import burn
 from geomosaic.seam.cost import Features, SeamWeights, disagreement, features, nearness_of_edge, standing_out
 from geomosaic.sensor.ground import Ground
-from geomosaic.sensor.view import views
 from geomosaic.types import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 
 NODES = 17
@@ -97,29 +97,16 @@ def _seen(
     """What an image shows of its window, and what it costs to show it."""
     with photos.using(index) as photo:
         piece = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
-        angle = view_angles(photo, photos, grid, window) if weights.angle else np.zeros(piece.valid.shape)
+        angle = _angles(photo, photos, grid, window) if weights.angle else np.zeros(piece.valid.shape)
     valid = piece.valid > 0
     values = corrected(colour, piece.values, window, grid, photos.grid)
     price = weights.angle * np.minimum(angle / FULL_ANGLE, 1) + weights.edge * nearness_of_edge(valid)
     return features(values, valid), price
 
 
-def view_angles(photo: Photo, photos: Photos, grid: Grid, window: Window) -> FloatArray:
-    """Angles between lines of sight and the vertical (rows, cols), in degrees; 90 where the model sees nothing."""
-    from scipy.ndimage import map_coordinates
-
-    cols, rows = (np.linspace(0, size, NODES) for size in (window.width, window.height))
-    c, r = np.meshgrid(window.col + cols, window.row + rows)
-    xy = grid.xy(np.column_stack([c.ravel(), r.ravel()]))
-    surface = photos.block.surface
-    z = np.zeros(len(xy)) if surface is None else surface.height(photo.mapper.surface_xy(xy))
-    z = np.where(np.isfinite(z), z, np.nanmedian(z)) if np.isfinite(z).any() else np.zeros(len(xy))
-    metres = metres_per_unit(grid.crs, xy.mean(axis=0))
-    step = float(photos.grid.resolution[0] * metres[0])
-    angle = np.nan_to_num(views(photo.mapper, xy, z, metres, step).angle, nan=90.0).reshape(NODES, NODES)
-    at = [(np.arange(size) + 0.5) / size * (NODES - 1) for size in (window.height, window.width)]
-    between: FloatArray = map_coordinates(angle, np.meshgrid(*at, indexing="ij"), order=1, mode="nearest")
-    return between
+def _angles(photo: Photo, photos: Photos, grid: Grid, window: Window) -> FloatArray:
+    """View angles (rows, cols) in degrees; 90 where the model sees nothing."""
+    return np.nan_to_num(between(photo, photos, grid, window, NODES)[..., 0], nan=90.0)
 
 
 def _compare(

@@ -1,4 +1,4 @@
-"""Which image shows which ground."""
+"""Who shows what: shares as the program lays them, and those that a person has drawn."""
 
 from __future__ import annotations
 
@@ -10,33 +10,48 @@ from geomosaic.product.layers import by_rank, under
 from geomosaic.product.options import MosaicOptions
 from geomosaic.product.order import index_of, ordered
 from geomosaic.product.photos import Photos
+from geomosaic.seam.partition import canonical
 from geomosaic.seam.voronoi import regions
+
+_STEP = 1e-6
+"""Pixels."""
 
 
 def shares_of(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
-    """Share of the ground of each image, as the options have it; shares are disjoint."""
+    """Shares of all images, in the output map."""
+    step = _STEP * photos.grid.resolution[0]
+    return [canonical(share, step) for share in _shares(photos, shapes, colours, options)]
+
+
+def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
+    if options.cutlines is None:
+        return _laid(photos, shapes, colours, options)
+    from geomosaic.product.cutlines import read_cutlines
+    from geomosaic.seam.cutlines import covers, with_cutlines
+
+    names = [outline.name for outline in photos.outlines]
+    drawn = read_cutlines(options.cutlines, names, shapes, photos.grid.crs)
+    if covers(drawn, shapes):  # an edited layer has all shares: no others need to be laid
+        return with_cutlines(regions(shapes, [outline.centre for outline in photos.outlines]), drawn)
+    return with_cutlines(_laid(photos, shapes, colours, options), drawn)
+
+
+def _laid(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
+    """Shares as the program lays them."""
     if options.seams == "alike":
         from geomosaic.product.seam_layers import read_seam_layers
         from geomosaic.product.seams import alike_regions
 
         layers = read_seam_layers(options.follow, options.avoid, photos.grid.crs)
-        shares = alike_regions(photos, shapes, colours, options.render, options.seam_weights, layers)
-    elif options.seams == "halve":
+        return alike_regions(photos, shapes, colours, options.render, options.seam_weights, layers)
+    if options.seams == "halve":
         from geomosaic.product.seams import halved_regions
 
-        shares = halved_regions(photos, shapes)
-    elif options.seams == "order":
-        shares = by_rank(shapes, ordered(photos.block.scenes, photos.outlines, options.order, options.base))
-    elif options.base is not None:
-        base = index_of(options.base, photos.block.scenes)
-        centres = [outline.centre for outline in photos.outlines]
-        shares = under(regions(shapes[:base] + shapes[base + 1 :], centres[:base] + centres[base + 1 :]), shapes, base)
-    else:
-        shares = regions(shapes, [outline.centre for outline in photos.outlines])
-    if options.cutlines is None:
-        return shares
-    from geomosaic.product.cutlines import read_cutlines
-    from geomosaic.seam.cutlines import with_cutlines
-
-    names = [outline.name for outline in photos.outlines]
-    return with_cutlines(shares, read_cutlines(options.cutlines, names, shapes, photos.grid.crs))
+        return halved_regions(photos, shapes)
+    if options.seams == "order":
+        return by_rank(shapes, ordered(photos.block.scenes, photos.outlines, options.order, options.base))
+    centres = [outline.centre for outline in photos.outlines]
+    if options.base is None:
+        return regions(shapes, centres)
+    base = index_of(options.base, photos.block.scenes)
+    return under(regions(shapes[:base] + shapes[base + 1 :], centres[:base] + centres[base + 1 :]), shapes, base)

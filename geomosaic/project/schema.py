@@ -180,6 +180,7 @@ class MosaicSection(Section):
     avoid: list[FilePath] = Field(default_factory=list)
     cutlines: FilePath | None = None
     seam_quality: bool = True
+    views: bool = False
     exclude: list[str] = Field(default_factory=list)
     retouch: dict[str, RetouchSection] = Field(default_factory=dict)
 

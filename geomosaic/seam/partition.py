@@ -94,3 +94,15 @@ def keep_whole(shares: Sequence[Any], outlines: Sequence[Any], areas: Sequence[A
 
 def _shows(outline: Any, part: Any) -> bool:
     return bool(part.difference(outline).area <= 1e-9 * part.area)
+
+
+def canonical(share: Any, step: float) -> Any:
+    """One form for a share, however it was come by: vertices on multiples of a tiny step, parts and rings in order.
+
+    Editing and saving moves vertices in the last digit and turns rings round: what was not edited is the same again.
+    """
+    import numpy as np
+    import shapely
+
+    snapped = shapely.normalize(shapely.transform(share, lambda xy: np.round(xy / step) * step))
+    return snapped if snapped.is_valid else shapely.normalize(share)

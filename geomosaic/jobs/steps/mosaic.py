@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from geomosaic.jobs.digest import digest_of, versions
-from geomosaic.jobs.facts import write_json
+from geomosaic.jobs.facts import read_json, write_json
 from geomosaic.jobs.heard import heard
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Context, Machine
@@ -54,6 +55,8 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             avoid=project.files(wanted.avoid),
             cutlines=project.file(wanted.cutlines),
             seam_quality=wanted.seam_quality,
+            views=wanted.views,
+            about=_about(project, context),
             exclude=tuple(wanted.exclude),
             retouch={name: Retouch(own.gain, own.offset) for name, own in wanted.retouch.items()},
             memory=_memory(project, context),
@@ -111,6 +114,20 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     write_json(layout.places, place_pictures(result.places, judged["rows"] if judged else []))
     write_json(layout.facts("mosaic"), facts)
     return {"pixels": result.valid_pixels, "lattice_error_px": result.lattice_error}
+
+
+def _about(project: Project, context: Context) -> dict[str, dict[str, Any]]:
+    """Checksum of each image, and its residuals at control and check points."""
+    points = read_json(Layout(project).facts("orient"))["control"]
+    about: dict[str, dict[str, Any]] = {}
+    for image in project.images:
+        about[image.name] = {"sha256": context.digests[image]}
+        for role in ("control", "check"):
+            own = [p for p in points if (p["image"], p["role"]) == (image.name, role) and p["col"] is not None]
+            if own:
+                rms = math.sqrt(sum(p["col"] ** 2 + p["row"] ** 2 for p in own) / len(own))
+                about[image.name][f"rms_{role}_px"] = rms
+    return about
 
 
 def _memory(project: Project, context: Context) -> Memory:

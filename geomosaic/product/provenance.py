@@ -1,0 +1,128 @@
+"""Where each pixel comes from: facts of each source, and a raster of view angle and resolution."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.product.georeference.metres import metres_per_unit
+from geomosaic.product.options import RenderOptions
+from geomosaic.product.photo import Photo
+from geomosaic.product.photos import Photos
+from geomosaic.product.pool import in_order
+from geomosaic.raster.acquired import acquired
+from geomosaic.raster.sink import RasterSink
+from geomosaic.raster.source import Source
+from geomosaic.sensor.view import Views, views
+from geomosaic.types import AnyArray, FloatArray
+
+BANDS = ("view angle, degrees", "ground sampling distance, metres")
+UNIT = 512
+"""Pixels along a unit of work: a tile of the raster."""
+NODES = 33
+"""Along each side of a unit: every 16 pixels."""
+
+
+def source_facts(photos: Photos, given: Mapping[str, Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Columns of what is known of each source: when and how it was taken, and what the caller knows besides.
+
+    View angle, azimuth and ground sampling distance are those at the place that an image sees best.
+
+    Parameters
+    ----------
+    photos : Photos
+    given : mapping of str to mapping
+        Further facts by name of the image.
+    """
+    rows: list[dict[str, Any]] = []
+    for index, scene in enumerate(photos.block.scenes):
+        outline = photos.outlines[index]
+        with photos.using(index) as photo:
+            seen = seen_from(photo, photos, photos.grid, np.array([outline.centre]))
+        row: dict[str, Any] = {
+            "acquired": acquired(scene.path) or "",
+            "view_angle": float(seen.angle[0]),
+            "view_azimuth": float(seen.azimuth[0]),
+            "gsd_metres": float(seen.sampling[0]),
+        }
+        rows.append({**row, **given.get(scene.name, {})})
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: [_filled(row.get(name), [other.get(name) for other in rows]) for row in rows] for name in names}
+
+
+def _filled(value: Any, others: Sequence[Any]) -> Any:
+    """What a column holds in place of nothing: NaN among numbers, else an empty text."""
+    if value is not None:
+        return value
+    return "" if any(isinstance(other, str) for other in others) else float("nan")
+
+
+def seen_from(photo: Photo, photos: Photos, grid: Grid, xy: FloatArray) -> Views:
+    """How an image sees places (N, 2) of the output map, on its surface."""
+    surface = photos.block.surface
+    z = np.zeros(len(xy)) if surface is None else surface.height(photo.mapper.surface_xy(xy))
+    z = np.where(np.isfinite(z), z, np.nanmedian(z)) if np.isfinite(z).any() else np.zeros(len(xy))
+    metres = metres_per_unit(grid.crs, xy.mean(axis=0))
+    return views(photo.mapper, xy, z, metres, float(photos.grid.resolution[0] * metres[0]))
+
+
+def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions) -> None:
+    """Write view angle and ground sampling distance of each pixel's main source, NaN where there is none.
+
+    Parameters
+    ----------
+    path : Path
+        Two bands of 32-bit numbers.
+    labels : Path
+        Raster of source images.
+    photos : Photos
+    options : RenderOptions
+    """
+    grid = photos.grid
+    units = grid.window.split(UNIT, UNIT)
+
+    def one(window: Window) -> AnyArray:
+        label = source.read(window)[0][..., 0]
+        found = np.full((*label.shape, 2), np.nan, dtype=np.float32)
+        for number in np.unique(label[label > 0]).tolist():
+            here = label == number
+            with photos.using(number - 1) as photo:
+                found[here] = between(photo, photos, grid, window, NODES)[here]
+        return found
+
+    with (
+        Source(str(labels)) as source,
+        RasterSink(
+            path, grid, 2, "float32", nodata=float("nan"), descriptions=BANDS, driver=options.driver,
+            overwrite=options.overwrite, threads=options.threads,
+        ) as sink,
+    ):  # fmt: skip
+        for done, (window, values) in enumerate(in_order(one, units, options.threads)):
+            sink.write(window, values, np.isfinite(values[..., 0]).view(np.uint8), blank=False)
+            options.report(done + 1, len(units), "views")
+        sink.finish()
+
+
+def between(photo: Photo, photos: Photos, grid: Grid, window: Window, nodes: int) -> FloatArray:
+    """View angle and ground sampling distance (rows, cols, 2) of one image over a window of a grid.
+
+    Found at so many nodes along each side. Between them the slopes of the line of sight change nearly linearly, the
+    angle does not: below the camera it has a tip.
+    """
+    from scipy.ndimage import map_coordinates
+
+    cols, rows = (np.linspace(0, size, nodes) for size in (window.width, window.height))
+    c, r = np.meshgrid(window.col + cols, window.row + rows)
+    seen = seen_from(photo, photos, grid, grid.xy(np.column_stack([c.ravel(), r.ravel()])))
+    lean, azimuth = np.tan(np.radians(seen.angle)), np.radians(seen.azimuth)
+    layers = lean * np.sin(azimuth), lean * np.cos(azimuth), seen.sampling
+    at = [(np.arange(size) + 0.5) / size * (nodes - 1) for size in (window.height, window.width)]
+    places = np.meshgrid(*at, indexing="ij")
+    east, north, sampling = (
+        map_coordinates(layer.reshape(nodes, nodes), places, order=1, mode="nearest") for layer in layers
+    )
+    return np.stack([np.degrees(np.arctan(np.hypot(east, north))), sampling], axis=-1)
