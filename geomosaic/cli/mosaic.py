@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from geomosaic.cli.memory import note_memory
-from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack
+from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack, true_ortho_option
 from geomosaic.cli.request import area, block_inputs, mosaic_options, planar_inputs
 from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.words import mosaic_facts, mosaic_words
@@ -36,6 +36,7 @@ mosaic_flags = stack(
     ),
     click.option("--master", metavar="NAME", help="Image that the others are matched to.  [default: shares most]"),
     click.option("--reference", type=FILE, help="Georeferenced raster that all are matched to, instead of a master."),
+    true_ortho_option,
     click.option("--labels/--no-labels", default=True, show_default=True, help="Write the raster of source images."),
 )
 

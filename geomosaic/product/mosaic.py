@@ -24,6 +24,7 @@ from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.product.records import write_item, write_vectors
 from geomosaic.product.reuse import LOSSLESS, Reuse
+from geomosaic.product.visibility import Visibility, worth_compiling
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
@@ -63,6 +64,8 @@ class MosaicResult:
         Per stage.
     reused, units : int
         Units of work whose pixels came from an earlier run, and all of them.
+    hidden_pixels : int, optional
+        Pixels that images cover and the surface hides from them all; None where that was not asked.
     """
 
     path: Path
@@ -80,6 +83,7 @@ class MosaicResult:
     seconds: dict[str, float]
     reused: int = 0
     units: int = 0
+    hidden_pixels: int | None = None
 
 
 def beside(output: Path, what: str, suffix: str) -> Path:
@@ -132,12 +136,13 @@ def mosaic(
             shares = _shares(photos, shapes, colours, options)
         seams = Seams(shares, shapes, feather / grid.resolution[0])
         ground, engine = Ground.under(grid, block.surface), compiled.result()
-        blender = Blender(photos, grid, ground, seams, colours, engine, render.resampling, render.tolerance)
+        sight = Visibility(grid, ground, worth_compiling(grid)) if render.true_ortho else None
+        blender = Blender(photos, grid, ground, seams, colours, engine, render.resampling, render.tolerance, sight)
         if vectors is not None:
             beside_it.submit(prepare)
         reuse = _reuse(blender, output, labels, options)
         with _Clock(seconds, "mosaic"):
-            seen, pixels, record = _render(blender, output, labels, options, reuse)
+            pixels, hidden, record = _render(blender, output, labels, options, reuse)
     finally:
         if reuse is not None:
             reuse.close()
@@ -154,8 +159,9 @@ def mosaic(
         if reuse is not None and labels is not None:
             reuse.save(output, labels)
     return MosaicResult(
-        output, labels, vectors, item, grid, seen, pixels, solved, feather, record.error, render.tolerance,
+        output, labels, vectors, item, grid, sum(pixels), pixels, solved, feather, record.error, render.tolerance,
         record.scale, seconds, 0 if reuse is None else reuse.taken, len(tiles(grid, render.tile)),
+        hidden if render.true_ortho else None,
     )  # fmt: skip
 
 
@@ -191,16 +197,17 @@ def _reuse(blender: Blender, output: Path, labels: Path | None, options: MosaicO
     if options.memory is None or labels is None or compression not in LOSSLESS:
         return None
     render = options.render
-    said = f"{render.resampling} {render.tolerance!r} {render.tile} {blender.seams.feather!r}"
+    said = f"{render.resampling} {render.tolerance!r} {render.tile} {blender.seams.feather!r} {render.true_ortho}"
     return Reuse(options.memory, blender, output, labels, said)
 
 
 def _render(
     blender: Blender, output: Path, labels: Path | None, options: MosaicOptions, reuse: Reuse | None
-) -> tuple[int, list[int], GeometryRecord]:
+) -> tuple[list[int], int, GeometryRecord]:
+    """Pixels of each image, pixels hidden from all, and what is known of the geometry."""
     render, grid, info = options.render, blender.grid, blender.photos.info
     number = len(blender.photos)
-    counts, record = np.zeros(number + 1, dtype=np.int64), GeometryRecord()
+    counts, record = np.zeros(number + 2, dtype=np.int64), GeometryRecord()
     units = tiles(grid, render.tile)
 
     def unit(window: Window) -> MosaicUnit:
@@ -236,13 +243,14 @@ def _render(
         for done, (window, made) in enumerate(in_order(unit, units, blender.engine.threads(render.threads))):
             sink.write(window, made.values, made.valid, blank=render.nodata is None)
             if label_sink is not None:
-                label_sink.write(window, made.label[..., None], made.valid, blank=True)
+                known = made.valid if blender.sight is None else (made.label > 0).view(np.uint8)
+                label_sink.write(window, made.label[..., None], known, blank=True)
             counts += made.counts
             for fact in made.facts:
                 record.add(*fact)
             blender.photos.passed(window.row)
             render.report(done + 1, len(units), "mosaic")
-        if not counts[1:].any():
+        if not counts[1:-1].any():
             raise InputError("no image shows anything of the output area", mend="check --bounds and the DEM's extent")
         render.report(0, 1, "writing")
         if reuse is not None:
@@ -251,7 +259,7 @@ def _render(
         if label_sink is not None:
             label_sink.finish()
     record.judge(render.tolerance)
-    return int(counts[1:].sum()), [int(count) for count in counts[1:]], record
+    return [int(count) for count in counts[1:-1]], int(counts[-1]), record
 
 
 class _Clock:

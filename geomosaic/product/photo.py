@@ -11,6 +11,7 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
+from geomosaic.product.visibility import Shades
 from geomosaic.radiometry.curve import Curve
 from geomosaic.raster.source import Source
 from geomosaic.resample.engine import Engine
@@ -65,10 +66,11 @@ def pull(
     need: ByteArray | None = None,
     most_samples: int | None = None,
     lattices: list[Lattice] | None = None,
+    shades: Shades | None = None,
 ) -> list[Lattice]:
     """Fill one block from one photo; returns the lattices used, none where the photo does not see it.
 
-    `lattices` are those that were used for the same block and photo before.
+    `lattices` are those that were used for the same block and photo before; `shades` take what the surface hides.
     """
     if ground.unknown:
         return []
@@ -76,7 +78,7 @@ def pull(
         plain, seen = np.zeros(out.shape, dtype=_unrounded(out)), np.zeros_like(out_valid)
         same = Colour.identity(out.shape[2])
         used = pull(
-            engine, photo, grid, ground, resampling, tolerance, same, plain, seen, need, most_samples, lattices
+            engine, photo, grid, ground, resampling, tolerance, same, plain, seen, need, most_samples, lattices, shades
         )  # fmt: skip
         here = seen > 0
         out[here], out_valid[here] = _rounded(colour(plain[here]), str(out.dtype)), 1
@@ -100,6 +102,8 @@ def pull(
             engine, photo.source, size, lattice, patch, resampling, colour, out[inside], out_valid[inside],
             wanted, most_samples,
         )  # fmt: skip
+    if shades is not None:
+        shades.hide(photo.mapper, out, out_valid)
     return lattices
 
 

@@ -172,6 +172,7 @@ def _text(path: Path, inputs: BlockInputs, read: bool) -> str:
         '# master = "photo_07.tif"    # image they are matched to; or: reference = "ortho.tif"',
         '# seams = "alike"            # seams where neighbours look most alike; "nearest" unless given',
         '# cutlines = "mine.gpkg"     # shares drawn by hand: they win',
+        "# true_ortho = true          # nothing that the surface model hides; other images fill it",
         "# feather = 10.0             # width of seams in map units; 32 pixels unless given",
         "",
         "[quality]                    # exit code 3 where one fails",

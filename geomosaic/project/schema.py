@@ -122,6 +122,7 @@ class MosaicSection(Section):
     labels: bool = True
     seams: Literal["nearest", "alike"] = "nearest"
     cutlines: FilePath | None = None
+    true_ortho: bool = False
 
     @model_validator(mode="after")
     def _matched(self) -> MosaicSection:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from geomosaic.jobs.digest import digest_of, versions
@@ -30,7 +31,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         grid, outlines = plan(block.scenes, block.surface, area_of(project))
         reference = project.file(wanted.reference)
         options = MosaicOptions(
-            render_options(project, machine, context.progress),
+            replace(render_options(project, machine, context.progress), true_ortho=wanted.true_ortho),
             wanted.feather,
             wanted.balance,
             wanted.labels,
@@ -51,6 +52,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             "bounds": grid.bounds,
         },
         "valid_pixels": result.valid_pixels,
+        "hidden_pixels": result.hidden_pixels,
         "lattice_error_px": result.lattice_error,
         "tolerance_px": result.tolerance,
         "scale": result.scale,
