@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import rasterio
+from affine import Affine
 from rasterio.errors import NotGeoreferencedWarning
-from rasterio.transform import from_origin
 
 from geomosaic.types import BoolArray, FloatArray
 
@@ -49,28 +49,17 @@ class City:
         """Whether boxes stand between origins and points (N, 3), touching them left out: the slab test."""
         out = np.zeros(len(point), dtype=bool)
         way = origin - point
+        steepest = float(np.abs(way[:, :2] / way[:, 2:]).max())
+        x, y = np.ascontiguousarray(point[:, 0]), np.ascontiguousarray(point[:, 1])
         for left, bottom, right, top, height in self.boxes:
             low, high = np.array([left, bottom, -1.0]), np.array([right, top, height])
+            far = steepest * height
+            near = np.flatnonzero((x > left - far) & (x < right + far) & (y > bottom - far) & (y < top + far))
             with np.errstate(divide="ignore", invalid="ignore"):
-                a, b = (low - point) / way, (high - point) / way
+                a, b = (low - point[near]) / way[near], (high - point[near]) / way[near]
             enter, leave = np.fmax.reduce(np.fmin(a, b), axis=1), np.fmin.reduce(np.fmax(a, b), axis=1)
-            out |= (np.minimum(leave, 1.0) - np.maximum(enter, 0.0)) > 1e-9
+            out[near] |= (np.minimum(leave, 1.0) - np.maximum(enter, 0.0)) > 1e-9
         return out
-
-    def seen(self, origin: FloatArray, direction: FloatArray) -> FloatArray:
-        """Class that rays (N, 3) meet first; origins are above all boxes."""
-        nearest = -origin[:, 2] / direction[:, 2]
-        kind = np.full(len(origin), float(GROUND_CLASS))
-        for number, (left, bottom, right, top, height) in enumerate(self.boxes):
-            low, high = np.array([left, bottom, -1.0]), np.array([right, top, height])
-            with np.errstate(divide="ignore", invalid="ignore"):
-                a, b = (low - origin) / direction, (high - origin) / direction
-            near, far = np.fmin(a, b), np.fmax(a, b)
-            enter, leave = np.fmax.reduce(near, axis=1), np.fmin.reduce(far, axis=1)
-            hit = (enter < leave) & (enter > 0.0) & (enter < nearest)
-            nearest[hit] = enter[hit]
-            kind[hit] = np.where(near[hit].argmax(axis=1) == 2, 40 + number * 4, WALL_CLASS)
-        return kind
 
     def write_dsm(self, path: Path, pixel: float = PIXEL, margin: float = 40.0) -> None:
         """Heights at the centres of pixels."""
@@ -81,7 +70,7 @@ class City:
         corner = CORNER[0] - margin, CORNER[1] + SIDE + margin
         profile = {"driver": "GTiff", "width": count, "height": count, "count": 1, "dtype": "float32"}
         with rasterio.open(
-            path, "w", **profile, crs="EPSG:32633", transform=from_origin(*corner, pixel, pixel)
+            path, "w", **profile, crs="EPSG:32633", transform=Affine(pixel, 0.0, corner[0], 0.0, -pixel, corner[1])
         ) as dataset:
             dataset.write(heights, 1)
 
@@ -98,13 +87,23 @@ FOCAL, SIZE = 1000.0, (1000, 1000)
 
 
 def photograph(city: City, centre: FloatArray, path: Path) -> None:
-    """A vertical photo with the top to the north; centre (3,) from the corner."""
+    """A vertical photo, its top to the north, centre (3,) from the corner: of all boxes the first that a ray meets."""
     c, r = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
-    direction = np.column_stack(
-        [(c.ravel() - SIZE[0] / 2) / FOCAL, (SIZE[1] / 2 - r.ravel()) / FOCAL, -np.ones(c.size)]
-    )
-    kinds = city.seen(np.tile(centre, (c.size, 1)), direction)
-    write_image(path, kinds.reshape(SIZE[1], SIZE[0]))
+    way = np.stack([(c - SIZE[0] / 2) / FOCAL, (SIZE[1] / 2 - r) / FOCAL, -np.ones_like(c)], axis=-1)
+    nearest, kind = np.full(c.shape, centre[2]), np.full(c.shape, float(GROUND_CLASS))
+    for number, (left, bottom, right, top, height) in enumerate(city.boxes):
+        low, high = np.array([left, bottom, 0.0]) - centre, np.array([right, top, height]) - centre
+        cols = [SIZE[0] / 2 - FOCAL * x / z for x in (low[0], high[0]) for z in (low[2], high[2])]
+        rows = [SIZE[1] / 2 + FOCAL * y / z for y in (low[1], high[1]) for z in (low[2], high[2])]
+        window = tuple(slice(max(0, int(min(v)) - 1), max(0, int(max(v)) + 2)) for v in (rows, cols))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            a, b = low / way[window], high / way[window]
+        near, far = np.minimum(a, b), np.maximum(a, b)
+        enter, leave = near.max(axis=-1), far.min(axis=-1)
+        hit = (enter < leave) & (enter < nearest[window])
+        nearest[window][hit] = enter[hit]
+        kind[window][hit] = np.where(near[hit].argmax(axis=1) == 2, 40 + number * 4, WALL_CLASS)
+    write_image(path, kind)
 
 
 def places() -> tuple[FloatArray, FloatArray]:

@@ -90,7 +90,7 @@ class Relief:
         padded[: cells.shape[0], : cells.shape[1]] = cells
         tiles = padded.reshape(rows, TILE, cols, TILE).max(axis=(1, 3))
         rises = [float(np.fmax.reduce(np.abs(np.diff(heights, axis=axis)), axis=None, initial=0.0)) for axis in (0, 1)]
-        return cls(heights, cells, ranges, tiles, float(cells.max()), float(np.hypot(*rises)))
+        return cls(heights, cells, ranges, tiles, float(cells.max()), float(np.hypot(rises[0], rises[1])))
 
     def may_hide(self, longest: float, width: float) -> bool:
         """Whether anything can be in the way of lines of sight that go sideways by up to `longest` nodes per metre."""
