@@ -9,6 +9,8 @@ from numba import njit
 
 from geomosaic.resample.sight import NEAR, SHARE, STEP, TILE, WALL
 
+CELL = 64
+
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def hidden(field, relief, wanted, out):
@@ -18,30 +20,76 @@ def hidden(field, relief, wanted, out):
     `resample.sight.Field` and `Relief`.
     """
     nodes, z_middle, z_inverse, width = field
-    left, at = np.empty((nodes.shape[1], 8)), np.empty(8)
-    for i in range(wanted.shape[0]):
-        v = (i + 0.5) / STEP
-        ni = int(v)
-        v -= ni
-        for n in range(nodes.shape[1]):
-            for k in range(8):
-                left[n, k] = nodes[ni, n, k] + (nodes[ni + 1, n, k] - nodes[ni, n, k]) * v
-        for j in range(wanted.shape[1]):
-            if not wanted[i, j]:
+    heights, cells, ranges, tiles, top = relief
+    low = z_middle - (1.0 / z_inverse if z_inverse > 0.0 else 0.0)
+    left, right, at = np.empty(8), np.empty(8), np.empty(8)
+    for first_row in range(0, wanted.shape[0], CELL):
+        for first_col in range(0, wanted.shape[1], CELL):
+            ni, nj = first_row // STEP, first_col // STEP
+            near = highest(nodes, ni, nj, first_row, first_col, low, top, tiles, cells.shape)
+            if not near > low:
                 continue
-            u = (j + 0.5) / STEP
-            nj = int(u)
-            u -= nj
-            for k in range(8):
-                at[k] = left[nj, k] + (left[nj + 1, k] - left[nj, k]) * u
-            z = bilinear(relief[0], at[0], at[1])
-            t = (z - z_middle) * z_inverse
-            sx = at[2] + t * (at[3] + t * at[4])
-            sy = at[5] + t * (at[6] + t * at[7])
-            length = math.sqrt(sx * sx + sy * sy)
-            if math.isfinite(z) and length > 1e-12:
-                rise = 1.0 / length
-                out[i, j] = blocked(at[0], at[1], z, sx * rise, sy * rise, rise, width, relief)
+            around = heights, cells, ranges, tiles, near
+            for i in range(first_row, min(first_row + CELL, wanted.shape[0])):
+                v = (i + 0.5) / STEP - ni
+                for k in range(8):
+                    left[k] = nodes[ni, nj, k] + (nodes[ni + 1, nj, k] - nodes[ni, nj, k]) * v
+                    right[k] = nodes[ni, nj + 1, k] + (nodes[ni + 1, nj + 1, k] - nodes[ni, nj + 1, k]) * v
+                for j in range(first_col, min(first_col + CELL, wanted.shape[1])):
+                    if not wanted[i, j]:
+                        continue
+                    u = (j + 0.5) / STEP - nj
+                    for k in range(8):
+                        at[k] = left[k] + (right[k] - left[k]) * u
+                    z = bilinear(heights, at[0], at[1])
+                    if not z < near:
+                        continue
+                    t = (z - z_middle) * z_inverse
+                    sx = at[2] + t * (at[3] + t * at[4])
+                    sy = at[5] + t * (at[6] + t * at[7])
+                    length = math.sqrt(sx * sx + sy * sy)
+                    if length > 1e-12:
+                        rise = 1.0 / length
+                        out[i, j] = blocked(at[0], at[1], z, sx * rise, sy * rise, rise, width, around)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def highest(nodes, ni, nj, first_row, first_col, low, top, tiles, shape):
+    """Highest place that lines of sight from 64 x 64 pixels may pass; it only saves looking, and changes no answer."""
+    x_low, x_high, y_low, y_high = np.inf, -np.inf, np.inf, -np.inf
+    climb = top - low
+    for a in range(2):
+        for b in range(2):
+            v, u = (first_row + a * CELL) / STEP - ni, (first_col + b * CELL) / STEP - nj
+            x, y = corner(nodes, ni, nj, v, u, 0), corner(nodes, ni, nj, v, u, 1)
+            for t in (-1.0, 0.0, 1.0):
+                sx = corner(nodes, ni, nj, v, u, 2) + t * (
+                    corner(nodes, ni, nj, v, u, 3) + t * corner(nodes, ni, nj, v, u, 4)
+                )
+                sy = corner(nodes, ni, nj, v, u, 5) + t * (
+                    corner(nodes, ni, nj, v, u, 6) + t * corner(nodes, ni, nj, v, u, 7)
+                )
+                if not (math.isfinite(x + sx) and math.isfinite(y + sy)):
+                    return top
+                x_low, x_high = min(x_low, x, x + sx * climb), max(x_high, x, x + sx * climb)
+                y_low, y_high = min(y_low, y, y + sy * climb), max(y_high, y, y + sy * climb)
+    # Between these heights a line of sight may go farther aside by a little: eight nodes.
+    rows, cols = tiles.shape
+    r0, r1 = max(0, math.floor((y_low - 8.0) / TILE)), min(rows - 1, math.floor((y_high + 8.0) / TILE))
+    c0, c1 = max(0, math.floor((x_low - 8.0) / TILE)), min(cols - 1, math.floor((x_high + 8.0) / TILE))
+    found = -np.inf
+    for r in range(r0, r1 + 1):
+        for c in range(c0, c1 + 1):
+            found = max(found, tiles[r, c])
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def corner(nodes, ni, nj, v, u, k):
+    """One number of a field between nodes."""
+    left = nodes[ni, nj, k] + (nodes[ni + 1, nj, k] - nodes[ni, nj, k]) * v
+    right = nodes[ni, nj + 1, k] + (nodes[ni + 1, nj + 1, k] - nodes[ni, nj + 1, k]) * v
+    return left + (right - left) * u
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
