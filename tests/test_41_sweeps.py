@@ -42,7 +42,7 @@ KH4B: dict[str, Any] = {
     "period": 0.36, "pitch": 15.0, "field_of_view": 70.0, "focal_length": 609.6, "pixel_size": 0.5,
     "columns": "left",
 }  # fmt: skip
-"""Public numbers of the KH-4B's forward camera, film of 745 mm by 55.4 mm scanned coarsely. The time is an example."""
+"""Public numbers of KH-4B, the film (745 mm by 55.4 mm) scanned coarsely; the time of a sweep is an example."""
 KH4B_SIZE = (1490, 111)
 
 

@@ -9,7 +9,7 @@ import click
 
 from geomosaic.cli.memory import note_memory
 from geomosaic.cli.merging import merge_flags
-from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack
+from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack, true_ortho_option
 from geomosaic.cli.request import area, block_inputs, mosaic_options, planar_inputs
 from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.values import band_numbers, pairs
@@ -79,6 +79,7 @@ mosaic_flags = stack(
         metavar="LOW,HIGH",
         help="Stretch the mosaic to 8 bits between these percentiles (2,98), or values (v100,v3000).",
     ),
+    true_ortho_option,
     click.option("--labels/--no-labels", default=True, show_default=True, help="Write the raster of source images."),
 )
 

@@ -53,6 +53,10 @@ band_option = click.option(
     help="Bands of the images to use, such as 1,2,3.  [default: all but alpha]",
 )
 
+true_ortho_option = click.option(
+    "--true-ortho", is_flag=True, help="Leave out what the surface model hides from an image; other images fill it."
+)
+
 image_options = stack(
     band_option,
     click.option("--sensor", help="Sensor of the images; see `geomosaic sensors`."),

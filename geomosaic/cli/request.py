@@ -105,6 +105,7 @@ def render_options(flags: Mapping[str, Any], progress: Progress | None) -> Rende
         creation=flags["creation"],
         overwrite=flags["overwrite"],
         progress=progress,
+        true_ortho=flags.get("true_ortho", False),
         **{name: number for name, number in machine.items() if number is not None},
     )
 

@@ -29,6 +29,7 @@ def ortho_facts(result: OrthoResult) -> dict[str, Any]:
         "output": str(result.path),
         "grid": grid_facts(result.grid),
         "valid_pixels": result.valid_pixels,
+        "hidden_pixels": result.hidden_pixels,
         "lattice_error_px": result.lattice_error,
         "tolerance_px": result.tolerance,
         "image_pixels_per_output_pixel": finite(result.scale),
@@ -42,11 +43,17 @@ def ortho_words(result: OrthoResult) -> str:
     return "\n".join(
         [
             *result.notes,
-            f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen",
+            f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
+            + hidden_words(result.hidden_pixels, result.grid),
             f"geometry within {result.lattice_error:.4f} px of the exact model (tolerance {result.tolerance:g} px), "
             f"{result.seconds:.1f} s",
         ]
     )
+
+
+def hidden_words(pixels: int | None, grid: Grid) -> str:
+    """Say how much the surface hides, where that was asked."""
+    return "" if pixels is None else f", {share(pixels, grid)} hidden by the surface"
 
 
 def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
@@ -59,6 +66,7 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
         **{name: str(path) if path else None for name, path in companions.items()},
         "grid": grid_facts(result.grid),
         "valid_pixels": result.valid_pixels,
+        "hidden_pixels": result.hidden_pixels,
         "pixels_per_image": list(result.pixels),
         "gains": result.balance.gain.tolist(),
         "offsets": result.balance.offset.tolist(),
@@ -80,7 +88,8 @@ def mosaic_words(result: MosaicResult) -> str:
     from geomosaic.product.colour_facts import said_of
 
     lines = [
-        f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen, "
+        f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
+        f"{hidden_words(result.hidden_pixels, result.grid)}, "
         f"{sum(1 for n in result.pixels if n)} of {len(result.pixels)} images used"
     ]
     if result.balance.overlaps:

@@ -11,6 +11,7 @@ import numpy as np
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.photo import pull
 from geomosaic.product.photos import Photos
+from geomosaic.product.visibility import Shades, Visibility, hidden_label
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.burn import burn
@@ -61,8 +62,9 @@ class MosaicUnit:
         Zero where not valid.
     valid : uint8 array (rows, cols)
     label : array (rows, cols)
-        Number of the image with the most weight, counted from 1; 0 where none.
-    counts : int array (images + 1,)
+        Number of the image with the most weight, counted from 1; 0 where none; the one after the last where images
+        cover a place and the surface hides it from them all.
+    counts : int array (images + 2,)
         Pixels by label.
     facts : list of (error, scale)
         Of the lattices used.
@@ -79,7 +81,7 @@ class MosaicUnit:
     def empty(cls, window: Window, bands: int, dtype: str, images: int) -> MosaicUnit:
         """Nothing seen yet."""
         shape = window.height, window.width
-        label, counts = np.zeros(shape, dtype=label_type(images)), np.zeros(images + 1, dtype=np.int64)
+        label, counts = np.zeros(shape, dtype=label_type(images)), np.zeros(images + 2, dtype=np.int64)
         return cls(window, np.zeros((*shape, bands), dtype=dtype), np.zeros(shape, dtype=np.uint8), label, counts, [])
 
 
@@ -97,6 +99,7 @@ class Blender:
     tolerance: float
     dtype: str
     """Of the output."""
+    sight: Visibility | None
 
     @property
     def info(self) -> SourceInfo:
@@ -132,14 +135,18 @@ class Blender:
         values, valid, label = unit.values[rows, cols], unit.valid[rows, cols], unit.label[rows, cols]
         shares = self._shares(window, near)
         lattices: Lattices = {}
+        shades = None if self.sight is None else self.sight.block(ground)
         if len(shares) == 1:
             index = shares[0].index
-            self._pull(index, ground, values, valid, None, lattices)
+            self._pull(index, ground, values, valid, None, lattices, shades)
             np.multiply(valid, label.dtype.type(index + 1), out=label)
             near = [i for i in near if i != index]
         elif shares:
-            self._blend(ground, shares, values, valid, label, lattices)
-        filled = self._fill(ground, near, values, valid, label, lattices)
+            self._blend(ground, shares, values, valid, label, lattices, shades)
+        filled = self._fill(ground, near, values, valid, label, lattices, shades)
+        if shades is not None and shades.mask.any():
+            label[(shades.mask > 0) & (valid == 0)] = hidden_label(len(self.photos))
+            filled = True
         if len(shares) == 1 and not filled:
             unit.counts[shares[0].index + 1] += np.count_nonzero(valid.view(np.bool_))
         else:
@@ -154,11 +161,12 @@ class Blender:
         valid: ByteArray,
         need: ByteArray | None,
         lattices: Lattices,
+        shades: Shades | None = None,
     ) -> None:
         with self.photos.using(index) as photo:
             lattices[index] = pull(
                 self.engine, photo, self.grid, ground, self.resampling, self.tolerance,
-                self.colours[index], out, valid, need, lattices=lattices.get(index),
+                self.colours[index], out, valid, need, lattices=lattices.get(index), shades=shades,
             )  # fmt: skip
 
     def _shares(self, window: Window, near: list[int]) -> list[_Share]:
@@ -207,6 +215,7 @@ class Blender:
         valid: ByteArray,
         label: AnyArray,
         lattices: Lattices,
+        shades: Shades | None = None,
     ) -> None:
         shape, bands = valid.shape, values.shape[2]
         needs = [share.need(shape) for share in shares]
@@ -216,7 +225,7 @@ class Blender:
             alone = need & ~mixed
             if alone.any():
                 seen.fill(0)
-                self._pull(share.index, ground, values, seen, alone, lattices)
+                self._pull(share.index, ground, values, seen, alone, lattices, shades)
                 valid |= seen
                 label += seen * label.dtype.type(share.index + 1)
         if not mixed.any():
@@ -230,7 +239,7 @@ class Blender:
             if not shared.any():
                 continue
             seen.fill(0)  # and what the last image left in `own` counts no more
-            self._pull(share.index, ground, own, seen, shared, lattices)
+            self._pull(share.index, ground, own, seen, shared, lattices, shades)
             self.engine.accumulate(
                 own, seen, share.weight, share.factor, share.margin, share.index + 1, shared, total, sums, best, label
             )
@@ -245,8 +254,9 @@ class Blender:
         valid: ByteArray,
         label: AnyArray,
         lattices: Lattices,
+        shades: Shades | None = None,
     ) -> bool:
-        """Where the seams' choice shows nothing (its nodata, its edge), take the nearest image that does, if any."""
+        """Where the seams' choice shows nothing (nodata, its edge, what is hidden), take the nearest that does."""
         if valid.view(np.bool_).all():
             return False
         filled = False
@@ -255,11 +265,17 @@ class Blender:
         centres = {i: np.hypot(*(np.array(self.photos.outlines[i].centre) - middle)) for i in near}
         for i in sorted(near, key=lambda i: (centres[i], i)):
             # Outlines are drawn through a hundred points and cut corners of high relief: the image itself is asked.
-            need = cells_of(valid == 0).astype(np.uint8)
-            if not need.any():
+            missing = valid == 0
+            if not missing.any():
                 break
+            if shades is not None:
+                with self.photos.using(i) as photo:
+                    missing = shades.worthwhile(photo.mapper, missing)
+            need = cells_of(missing).astype(np.uint8)
+            if not need.any():
+                continue
             own, seen = np.zeros_like(values), np.zeros_like(valid)
-            self._pull(i, ground, own, seen, need, lattices)
+            self._pull(i, ground, own, seen, need, lattices, shades)
             new = (seen > 0) & (valid == 0)
             values[new], valid[new], label[new] = own[new], 1, i + 1
             filled = filled or bool(new.any())

@@ -10,6 +10,7 @@ from geomosaic.product.blend import Blender, Seams
 from geomosaic.product.blending import Blending
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.photos import Photos
+from geomosaic.product.visibility import Visibility
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.shade import Shade
 from geomosaic.resample.engine import Engine
@@ -27,9 +28,10 @@ def blender_for(
     engine: Engine,
     render: RenderOptions,
     dtype: str,
+    sight: Visibility | None,
 ) -> Blender:
     """Renderer of blocks; `seams.feather` is the width of the transition in output pixels, `dtype` of the output."""
-    plain = Blender(photos, grid, ground, seams, colours, engine, render.resampling, render.tolerance, dtype)
+    plain = Blender(photos, grid, ground, seams, colours, engine, render.resampling, render.tolerance, dtype, sight)
     if blending.plain:
         return plain
     from geomosaic.product.bandblend import BandBlender
@@ -39,5 +41,5 @@ def blender_for(
     noise = usual_difference(plain) if blending.limits else None
     return BandBlender(
         photos, grid, ground, replace(seams, feather=0.0), colours, engine, render.resampling, render.tolerance, dtype,
-        blending, seams.feather, steps(compiled=bool(engine.quick)), noise,
+        sight, blending, seams.feather, steps(compiled=bool(engine.quick)), noise,
     )  # fmt: skip

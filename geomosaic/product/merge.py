@@ -63,7 +63,7 @@ def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, opt
             photos, grid, ground, corrections(solved), engine, render.resampling, render.tolerance, rule, order, info
         )
         with _Clock(seconds, "mosaic"):
-            seen, pixels, record = _render(ruler, output, labels, options, None)
+            pixels, _, record = _render(ruler, output, labels, options, None)
     finally:
         photos.close()
     with _Clock(seconds, "records"):
@@ -72,6 +72,6 @@ def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, opt
             sums = {output: sha256(output)}
             write_item(item, output, labels, None, grid, shapes, images, sums, overwrite=render.overwrite)
     return MosaicResult(
-        output, labels, None, item, grid, seen, pixels, solved, 0.0, record.error, render.tolerance, record.scale,
-        seconds,
+        output, labels, None, item, grid, sum(pixels), pixels, solved, 0.0, record.error, render.tolerance,
+        record.scale, seconds,
     )  # fmt: skip

@@ -30,6 +30,7 @@ from geomosaic.product.records import gains, write_item, write_vectors
 from geomosaic.product.reuse import LOSSLESS, Reuse
 from geomosaic.product.seam_quality import SeamPlace, SeamQuality, judge_seams, worst_places
 from geomosaic.product.shares import shares_of
+from geomosaic.product.visibility import Visibility, worth_compiling
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output
@@ -82,6 +83,8 @@ class MosaicResult:
         Of each piece, where it was asked for.
     places : list of SeamPlace
         The worst of them.
+    hidden_pixels : int, optional
+        Pixels that images cover and the surface hides from them all; None where that was not asked.
     """
 
     path: Path
@@ -103,6 +106,7 @@ class MosaicResult:
     parts: list[Segment] = field(default_factory=list)
     quality: list[SeamQuality] = field(default_factory=list)
     places: list[SeamPlace] = field(default_factory=list)
+    hidden_pixels: int | None = None
 
 
 def beside(output: Path, what: str, suffix: str) -> Path:
@@ -172,12 +176,13 @@ def mosaic(
             shares = shares_of(photos, shapes, applied, options)
         seams = Seams(shares, shapes, width)
         ground, engine = Ground.under(grid, block.surface), compiled.result()
-        blender = blender_for(options.blending, photos, grid, ground, seams, applied, engine, render, dtype)
+        sight = Visibility(grid, ground, worth_compiling(grid)) if render.true_ortho else None
+        blender = blender_for(options.blending, photos, grid, ground, seams, applied, engine, render, dtype, sight)
         if vectors is not None:
             beside_it.submit(prepare)
         reuse = _reuse(blender, output, labels, options)
         with _Clock(seconds, "mosaic"):
-            seen, pixels, record = _render(blender, output, labels, options, reuse)
+            pixels, hidden, record = _render(blender, output, labels, options, reuse)
         photos.again()
         if vectors is not None or item is not None:
             about = source_facts(photos, options.about)
@@ -212,9 +217,9 @@ def mosaic(
         if reuse is not None and labels is not None:
             reuse.save(output, labels)
     return MosaicResult(
-        output, labels, vectors, item, grid, seen, pixels, solved, width * grid.resolution[0], record.error,
+        output, labels, vectors, item, grid, sum(pixels), pixels, solved, width * grid.resolution[0], record.error,
         render.tolerance, record.scale, seconds, 0 if reuse is None else reuse.taken, len(tiles(grid, render.tile)),
-        stretch, parts, quality, places,
+        stretch, parts, quality, places, hidden if render.true_ortho else None,
     )  # fmt: skip
 
 
@@ -233,16 +238,18 @@ def _reuse(blender: Blender, output: Path, labels: Path | None, options: MosaicO
     if options.memory is None or labels is None or compression not in LOSSLESS:
         return None
     render = options.render
-    said = f"{render.resampling} {render.tolerance!r} {render.tile} {blender.seams.feather!r} {blender.said}"
+    parts = (render.resampling, repr(render.tolerance), render.tile, repr(blender.seams.feather), render.true_ortho)
+    said = f"{' '.join(map(str, parts))} {blender.said}"
     return Reuse(options.memory, blender, output, labels, said)
 
 
 def _render(
     blender: Blender | Ruler, output: Path, labels: Path | None, options: MosaicOptions, reuse: Reuse | None
-) -> tuple[int, list[int], GeometryRecord]:
+) -> tuple[list[int], int, GeometryRecord]:
+    """Pixels of each image, pixels hidden from all, and what is known of the geometry."""
     render, grid, info = options.render, blender.grid, blender.info
     number = len(blender.photos)
-    counts, record = np.zeros(number + 1, dtype=np.int64), GeometryRecord()
+    counts, record = np.zeros(number + 2, dtype=np.int64), GeometryRecord()
     units = tiles(grid, render.tile)
 
     def unit(window: Window) -> MosaicUnit:
@@ -278,13 +285,14 @@ def _render(
         for done, (window, made) in enumerate(in_order(unit, units, blender.engine.threads(render.threads))):
             sink.write(window, made.values, made.valid, blank=render.nodata is None)
             if label_sink is not None:
-                label_sink.write(window, made.label[..., None], made.valid, blank=True)
+                known = (made.label > 0).view(np.uint8) if render.true_ortho else made.valid
+                label_sink.write(window, made.label[..., None], known, blank=True)
             counts += made.counts
             for fact in made.facts:
                 record.add(*fact)
             blender.photos.passed(window.row)
             render.report(done + 1, len(units), "mosaic")
-        if not counts[1:].any():
+        if not counts[1:-1].any():
             raise InputError("no image shows anything of the output area", mend="check --bounds and the DEM's extent")
         render.report(0, 1, "writing")
         if reuse is not None:
@@ -293,7 +301,7 @@ def _render(
         if label_sink is not None:
             label_sink.finish()
     record.judge(render.tolerance)
-    return int(counts[1:].sum()), [int(count) for count in counts[1:]], record
+    return [int(count) for count in counts[1:-1]], int(counts[-1]), record
 
 
 class _Clock:

@@ -57,6 +57,8 @@ class RenderOptions:
     overwrite : bool
     progress : callable, optional
         Called with (done, total, stage).
+    true_ortho : bool
+        Whether images show only what the surface does not hide from them.
     """
 
     resampling: str = "bilinear"
@@ -69,6 +71,7 @@ class RenderOptions:
     creation: Mapping[str, str] = field(default_factory=dict)
     overwrite: bool = False
     progress: Progress | None = None
+    true_ortho: bool = False
 
     def __post_init__(self) -> None:
         if self.resampling not in RESAMPLING:

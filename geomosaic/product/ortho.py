@@ -16,6 +16,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo, pull
 from geomosaic.product.pool import in_order
+from geomosaic.product.visibility import Visibility, worth_compiling
 from geomosaic.raster.sink import RasterSink
 from geomosaic.resample.engine import engine_for
 from geomosaic.resample.warp import MOST_SAMPLES, Colour
@@ -44,6 +45,8 @@ class OrthoResult:
     seconds : float
     notes : tuple of str
         What the sensor says of the image: how it was oriented, what was assumed.
+    hidden_pixels : int, optional
+        Pixels that the image covers and the surface hides from it; None where that was not asked.
     """
 
     path: Path
@@ -54,6 +57,7 @@ class OrthoResult:
     scale: float
     seconds: float
     notes: tuple[str, ...] = ()
+    hidden_pixels: int | None = None
 
 
 @dataclass
@@ -127,24 +131,31 @@ def ortho(
     photo = Photo.open(scene, surface, grid, outline, options.memory_limit // 2)
     info = photo.source.info
     engine = engine_for(samples(grid, [outline]), options.resampling)
-    record, seen = GeometryRecord(), 0
+    record, seen, hidden = GeometryRecord(), 0, 0
     below = Ground.under(grid, surface)
     colour = Colour.identity(info.bands)
     units = tiles(grid, options.tile)
+    sight = Visibility(grid, below, worth_compiling(grid)) if options.true_ortho else None
 
-    def render(unit: Window) -> tuple[AnyArray, ByteArray, list[tuple[float, float]]]:
+    def render(unit: Window) -> tuple[AnyArray, ByteArray, list[tuple[float, float]], int]:
         values = np.zeros((unit.height, unit.width, info.bands), dtype=info.dtype)
         valid = np.zeros((unit.height, unit.width), dtype=np.uint8)
-        facts = []
+        facts: list[tuple[float, float]] = []
+        hidden = 0
         if photo.touches(grid.crop(unit).bounds):
             for block in blocks(unit):
                 part = block.intersection(grid.window)
                 ground = below.block(part)
                 across = slice(part.col - unit.col, part.stop_col - unit.col)
                 out, out_valid = values[:, across], valid[:, across]
-                used = pull(engine, photo, grid, ground, options.resampling, options.tolerance, colour, out, out_valid)
+                shades = None if sight is None else sight.block(ground)
+                used = pull(
+                    engine, photo, grid, ground, options.resampling, options.tolerance, colour, out, out_valid,
+                    shades=shades,
+                )  # fmt: skip
+                hidden += 0 if shades is None else int(np.count_nonzero(shades.mask))
                 facts += [(lattice.error, lattice.scale) for lattice in used]
-        return values, valid, facts
+        return values, valid, facts, hidden
 
     try:
         with RasterSink(
@@ -161,9 +172,10 @@ def ortho(
             tags={"GEOMOSAIC_SENSOR": scene.sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
         ) as sink:
             threads = engine.threads(options.threads)
-            for done, (unit, (values, valid, facts)) in enumerate(in_order(render, units, threads)):
+            for done, (unit, (values, valid, facts, behind)) in enumerate(in_order(render, units, threads)):
                 sink.write(unit, values, valid, blank=options.nodata is None)
                 seen += int(np.count_nonzero(valid.view(np.bool_)))
+                hidden += behind
                 for fact in facts:
                     record.add(*fact)
                 options.report(done + 1, len(units), "ortho")
@@ -179,7 +191,10 @@ def ortho(
     record.judge(options.tolerance)
     notes = tuple(getattr(scene.model, "notes", ()))
     seconds = time.perf_counter() - started
-    return OrthoResult(output, grid, seen, record.error, options.tolerance, record.scale, seconds, notes)
+    return OrthoResult(
+        output, grid, seen, record.error, options.tolerance, record.scale, seconds, notes,
+        hidden if options.true_ortho else None,
+    )  # fmt: skip
 
 
 def samples(grid: Grid, outlines: list[Footprint]) -> int:

@@ -12,6 +12,7 @@ from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.product.aligned import Offset, copied, is_identity, offset_on
+from geomosaic.product.visibility import Shades
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.source import Source
@@ -77,10 +78,11 @@ def pull(
     need: ByteArray | None = None,
     most_samples: int | None = None,
     lattices: list[Lattice] | None = None,
+    shades: Shades | None = None,
 ) -> list[Lattice]:
     """Fill one block from one photo; returns the lattices used, none where the photo does not see it.
 
-    `lattices` are those that were used for the same block and photo before.
+    `lattices` are those that were used for the same block and photo before; `shades` take what the surface hides.
     """
     if ground.unknown:
         return []
@@ -88,7 +90,7 @@ def pull(
         plain, seen = np.zeros(out.shape, dtype=_unrounded(out)), np.zeros_like(out_valid)
         same = Colour.identity(out.shape[2])
         used = pull(
-            engine, photo, grid, ground, resampling, tolerance, same, plain, seen, need, most_samples, lattices
+            engine, photo, grid, ground, resampling, tolerance, same, plain, seen, need, most_samples, lattices, shades
         )  # fmt: skip
         if isinstance(colour, Shade):
             window = ground.window
@@ -124,6 +126,8 @@ def pull(
             engine, photo.source, size, lattice, patch, resampling, colour, out[inside], out_valid[inside],
             wanted, most_samples,
         )  # fmt: skip
+    if shades is not None:
+        shades.hide(photo.mapper, out, out_valid)
     return lattices
 
 

@@ -25,7 +25,7 @@ from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.source import Source
 
-VERSION = 1
+VERSION = 2
 """Raised when the code gives other pixels."""
 LOSSLESS = ("NONE", "DEFLATE", "ZSTD", "LZW", "PACKBITS", "LZMA")
 
@@ -119,8 +119,9 @@ class Reuse:
             return None
         (values, _), (labels, _) = (source.read(window) for source in self._sources)
         label = labels[..., 0]
-        valid = (label > 0).view(np.uint8)
-        counts = np.bincount(label.ravel(), minlength=len(self._blender.photos) + 1)
+        number = len(self._blender.photos)
+        valid = ((label > 0) & (label <= number)).view(np.uint8)
+        counts = np.bincount(label.ravel(), minlength=number + 2)
         return MosaicUnit(window, np.where(valid[..., None] > 0, values, 0), valid, label, counts, self._known[key])
 
     def made(self, key: str, facts: Sequence[Fact], *, taken: bool) -> None:

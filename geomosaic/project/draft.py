@@ -184,6 +184,7 @@ def _text(path: Path, inputs: BlockInputs, read: bool) -> str:
         '# follow = ["roads.gpkg"]    # what such seams run along; avoid = ["buildings.gpkg"]: what they keep out of',
         '# cutlines = "mine.gpkg"     # shares drawn by hand: they win',
         '# exclude = ["photo_07.tif"] # images that are to show nothing',
+        "# true_ortho = true          # nothing that the surface model hides; other images fill it",
         "# feather = 10.0             # width of seams in map units; 32 pixels unless given",
         "",
         "[quality]                    # exit code 3 where one fails",

@@ -174,7 +174,7 @@ class MosaicSection(Section):
     reference_bands: list[int] | None = None
     stretch: str | None = None
     labels: bool = True
-    seams: Literal["nearest", "halve", "alike"] = "nearest"
+    seams: Literal["nearest", "halve", "alike", "order"] = "nearest"
     seam_weights: SeamWeightsSection = Field(default_factory=lambda: SeamWeightsSection())
     follow: list[FilePath] = Field(default_factory=list)
     avoid: list[FilePath] = Field(default_factory=list)
@@ -183,6 +183,7 @@ class MosaicSection(Section):
     views: bool = False
     exclude: list[str] = Field(default_factory=list)
     retouch: dict[str, RetouchSection] = Field(default_factory=dict)
+    true_ortho: bool = False
 
     @model_validator(mode="after")
     def _matched(self) -> MosaicSection:

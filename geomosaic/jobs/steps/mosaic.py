@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         grid, outlines = plan_mosaic(block.scenes, block.surface, area_of(project))
         reference = project.file(wanted.reference)
         options = MosaicOptions(
-            render_options(project, machine, context.progress),
+            replace(render_options(project, machine, context.progress), true_ortho=wanted.true_ortho),
             wanted.feather,
             wanted.balance,
             wanted.labels,
@@ -76,6 +77,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             "bounds": grid.bounds,
         },
         "valid_pixels": result.valid_pixels,
+        "hidden_pixels": result.hidden_pixels,
         "lattice_error_px": result.lattice_error,
         "tolerance_px": result.tolerance,
         "scale": result.scale,

@@ -44,5 +44,6 @@ def render_options(project: Project, machine: Machine, progress: Progress) -> Re
         creation={name: str(value) for name, value in output.creation.items()},
         overwrite=True,
         progress=progress,
+        true_ortho=False,  # of the mosaic only, which sets it
         **machine.options,
     )

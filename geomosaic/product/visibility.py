@@ -1,0 +1,184 @@
+"""True ortho: an image shows no place that the surface hides from it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.geo.grid import Grid
+from geomosaic.resample.sight import STEP, Field, Relief
+from geomosaic.resample.sight import hidden as hidden_by_numpy
+from geomosaic.sensor.ground import BlockGround, Ground
+from geomosaic.sensor.mapper import MapToImage
+from geomosaic.types import AnyArray, ByteArray, FloatArray
+
+LEVELS = np.cos((2 * np.arange(3) + 1) * np.pi / 6)
+"""Chebyshev nodes: s is a quadratic in height between them."""
+_TO_QUADRATIC = np.linalg.inv(np.vander(LEVELS, 3, increasing=True))
+AHEAD = 8.0
+"""Output pixels of a difference, upwards too: short against the ground's relief, long against rounding."""
+
+_FEW = 200_000
+"""Output pixels that NumPy has looked from while the compiled kernel starts."""
+
+
+def worth_compiling(grid: Grid) -> bool:
+    """Whether an output is large enough for the compiled kernel."""
+    return grid.width * grid.height > _FEW
+
+
+Sight = tuple[Field, Relief] | None
+"""None where nothing can be hidden."""
+
+
+def hidden_label(images: int) -> int:
+    """Label of what some image covers and every one has hidden; it follows those of the images."""
+    return images + 1
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """What the surface hides, block by block.
+
+    Attributes
+    ----------
+    grid : Grid
+        The output.
+    below : Ground
+        The surface under it.
+    compiled : bool
+        Whether the compiled kernel is worth its start; the answer is the same.
+    """
+
+    grid: Grid
+    below: Ground
+    compiled: bool
+
+    def block(self, ground: BlockGround) -> Shades:
+        """Begin a block."""
+        return Shades(self, ground, np.zeros((ground.window.height, ground.window.width), dtype=np.uint8))
+
+    def sight(self, mapper: MapToImage, ground: BlockGround) -> Sight:
+        """Lines of sight of an image over a block, with the heights they may run into."""
+        surface = self.below.surface
+        if surface is None or ground.unknown or not mapper.uses_heights or surface.range[0] == surface.range[1]:
+            return None
+        low, high = ground.heights
+        xy, slopes = self._slopes(mapper, ground, (low + high) / 2, (high - low) / 2)
+        if not np.isfinite(slopes).any():
+            return None
+        # As far as the lines of sight get below the highest place of all.
+        climb = surface.range[1] - low
+        steps = np.einsum("k,rcak->rca", np.ones(3), np.abs(slopes)) * climb
+        signs = np.sign(slopes[..., 0])
+        reach = np.concatenate([xy, xy + signs * steps]).reshape(-1, 2)
+        (left, bottom), (right, top) = np.nanmin(reach, axis=0).tolist(), np.nanmax(reach, axis=0).tolist()
+        patch = surface.patch((left, bottom, right, top), self.below.spacing)
+        if min(patch.heights.shape) < 2:
+            return None
+        relief = Relief.of(patch.heights)
+        t = patch.transform
+        nodes = np.empty((*xy.shape[:2], 8))
+        nodes[..., 0] = t.a * xy[..., 0] + t.b * xy[..., 1] + t.c - 0.5
+        nodes[..., 1] = t.d * xy[..., 0] + t.e * xy[..., 1] + t.f - 0.5
+        nodes[..., 2:5] = t.a * slopes[:, :, 0] + t.b * slopes[:, :, 1]
+        nodes[..., 5:8] = t.d * slopes[:, :, 0] + t.e * slopes[:, :, 1]
+        longest = np.nanmax(np.hypot(np.abs(nodes[..., 2:5]).sum(axis=-1), np.abs(nodes[..., 5:8]).sum(axis=-1)))
+        width = _metres(surface.crs) / math.sqrt(abs(t.determinant))
+        if not relief.may_hide(float(longest), width):
+            return None
+        half = (high - low) / 2
+        return Field(nodes, (low + high) / 2, 1.0 / half if half > 0.0 else 0.0, width), relief
+
+    def _slopes(
+        self, mapper: MapToImage, ground: BlockGround, middle: float, half: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Surface map of nodes (rows, cols, 2), and quadratics (rows, cols, 2, 3) of the lines of sight's way upwards.
+
+        A line of sight is where the image stays the same: with d the change of image by map x, y and height,
+        s = −d_xy⁻¹ · d_z.
+        """
+        window = ground.window
+        c = window.col + STEP * np.arange(-(-window.width // STEP) + 1)
+        r = window.row + STEP * np.arange(-(-window.height // STEP) + 1)
+        xy = mapper.surface_xy(self.grid.xy(np.stack(np.meshgrid(c, r), axis=-1).reshape(-1, 2).astype(np.float64)))
+        across = AHEAD * self.below.spacing
+        metres = AHEAD * self.grid.resolution[0] * _metres(self.grid.crs)
+        levels = middle + half * LEVELS
+        places = [xy, xy + np.array([across, 0.0]), xy + np.array([0.0, across]), xy]
+        heights = [np.repeat(level + (metres if i == 3 else 0.0), len(xy)) for level in levels for i in range(4)]
+        image = mapper.image(np.concatenate(places * 3), np.concatenate(heights)).reshape(3, 4, len(xy), 2)
+        by_x, by_y, by_z = ((image[:, i] - image[:, 0]) / d for i, d in ((1, across), (2, across), (3, metres)))
+        determinant = by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x = -(by_y[..., 1] * by_z[..., 0] - by_y[..., 0] * by_z[..., 1]) / determinant
+            y = -(by_x[..., 0] * by_z[..., 1] - by_x[..., 1] * by_z[..., 0]) / determinant
+        at_levels = np.stack([x, y])  # (2, levels, N)
+        quadratics = np.zeros((*at_levels.shape[::2], 3))
+        for power in range(3):
+            for level in range(3):
+                quadratics[..., power] += _TO_QUADRATIC[power, level] * at_levels[:, level]
+        if half == 0.0:
+            quadratics[..., 1:] = 0.0
+        shape = len(r), len(c)
+        return xy.reshape(*shape, 2), quadratics.transpose(1, 0, 2).reshape(*shape, 2, 3)
+
+
+def _metres(crs: CRS) -> float:
+    """Metres in a unit of a map, roughly."""
+    return float(crs.axis_info[0].unit_conversion_factor * (6.4e6 if crs.is_geographic else 1.0))
+
+
+@dataclass(frozen=True)
+class Shades:
+    """One block's shades.
+
+    Attributes
+    ----------
+    visibility : Visibility
+    ground : BlockGround
+    mask : uint8 array (rows, cols)
+        1 where some image was found to cover a place and not to see it.
+    """
+
+    visibility: Visibility
+    ground: BlockGround
+    mask: ByteArray
+    _known: dict[int, tuple[MapToImage, Sight]] = field(default_factory=dict)
+
+    def hide(self, mapper: MapToImage, out: AnyArray, valid: ByteArray) -> None:
+        """Take from an image's pixels those that it cannot see, and note them."""
+        found = self.hidden(mapper, valid)
+        if found is not None:
+            here = found > 0
+            out[here], valid[here], self.mask[here] = 0, 0, 1
+
+    def worthwhile(self, mapper: MapToImage, missing: AnyArray) -> AnyArray:
+        """Of places still missing (bool, rows, cols), those where an image may show something or tell what it hides."""
+        found = self.hidden(mapper, missing.view(np.uint8))
+        return missing if found is None else missing & ((found == 0) | (self.mask == 0))
+
+    def hidden(self, mapper: MapToImage, wanted: ByteArray) -> ByteArray | None:
+        """1 where the surface is in the way of what is wanted (uint8, rows, cols); None where it nowhere is."""
+        if id(mapper) not in self._known:
+            self._known[id(mapper)] = mapper, self.visibility.sight(mapper, self.ground)
+        _, sight = self._known[id(mapper)]
+        if sight is None:
+            return None
+        lines, relief = sight
+        out = np.zeros_like(wanted)
+        if self.visibility.compiled:
+            from geomosaic.resample.kernels.sight import hidden
+
+            hidden(
+                (lines.nodes, lines.z_middle, lines.z_inverse, lines.width),
+                (relief.heights, relief.cells, relief.ranges, relief.tiles, relief.top),
+                wanted,
+                out,
+            )
+        else:
+            hidden_by_numpy(lines, relief, wanted, out)
+        return out

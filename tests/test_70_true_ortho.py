@@ -1,0 +1,225 @@
+"""True ortho of a city of 40 boxes whose hidden places are known in closed form, by every kind of sensor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from city_rig import CORNER, FOCAL, PIXEL, SIDE, WALL_CLASS, City, photograph, places
+from pyproj import CRS
+from rpc_rig import SIZE as RPC_SIZE
+
+from geomosaic.geo.crs import with_heights
+from geomosaic.geo.grid import Grid
+from geomosaic.geo.transform import Transform
+from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.visibility import Visibility
+from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.make import Area, make_mosaic, make_ortho
+from geomosaic.sensor import registry
+from geomosaic.sensor.ground import Ground
+from geomosaic.sensor.mapper import MapToImage
+from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.surface.dem import Dem
+from geomosaic.types import BoolArray, FloatArray
+
+BOUNDS = (CORNER[0], CORNER[1], CORNER[0] + SIDE, CORNER[1] + SIDE)
+CENTRES = np.array([[x, y, 420.0] for y in (90.0, 230.0) for x in (60.0, 160.0, 260.0)])
+MAP = with_heights(CRS.from_epsg(32633), "ellipsoidal")
+
+
+Truth = tuple[FloatArray, list[BoolArray]]
+
+
+@pytest.fixture(scope="module")
+def truth(city: tuple[City, Path]) -> Truth:
+    """Class of each place, and whether each photo sees it."""
+    x, y = places()
+    z, kind = city[0].roof(x, y)
+    points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    return kind, [~city[0].blocked(np.tile(c, (len(points), 1)), points).reshape(x.shape) for c in CENTRES]
+
+
+@pytest.fixture(scope="module")
+def city(tmp_path_factory: pytest.TempPathFactory) -> tuple[City, Path]:
+    city, folder = City.of(), tmp_path_factory.mktemp("city")
+    city.write_dsm(folder / "dsm.tif")
+    rows = ["image,x,y,z,omega,phi,kappa"]
+    for number, centre in enumerate(CENTRES):
+        photograph(city, centre, folder / f"p{number}.tif")
+        x, y = CORNER + centre[:2]
+        rows.append(f"p{number},{x},{y},{centre[2]},0,0,0")
+    (folder / "exterior.csv").write_text("\n".join(rows))
+    return city, folder
+
+
+def inputs(folder: Path, *numbers: int) -> BlockInputs:
+    options = {"camera": {"focal_length_px": FOCAL}, "treatment": "planar"}
+    return BlockInputs(
+        tuple(folder / f"p{i}.tif" for i in numbers), "frame", options=options, exterior=folder / "exterior.csv",
+        crs="EPSG:32633", heights="ellipsoidal", dem=folder / "dsm.tif", dem_heights="ellipsoidal",
+    )  # fmt: skip
+
+
+def near_edges(kind: FloatArray) -> BoolArray:
+    """Places with another class within one pixel."""
+    padded = np.pad(kind, 1, mode="edge")
+    shifts = [
+        padded[1 + i : 1 + i + kind.shape[0], 1 + j : 1 + j + kind.shape[1]] for i in (-1, 0, 1) for j in (-1, 0, 1)
+    ]
+    return np.asarray(np.any([shift != kind for shift in shifts], axis=0))
+
+
+def test_a_mosaic_shows_nothing_hidden_and_says_what_no_image_sees(
+    city: tuple[City, Path], truth: Truth, tmp_path: Path
+) -> None:
+    _, folder = city
+    kind, seen = truth
+    shown = {}
+    for true_ortho in (False, True):
+        out = tmp_path / f"mosaic-{true_ortho}.tif"
+        options = MosaicOptions(RenderOptions(resampling="nearest", true_ortho=true_ortho), balance=False, feather=4.0)
+        result = make_mosaic(inputs(folder, *range(6)), Area(None, PIXEL, BOUNDS), out, options)
+        with rasterio.open(out) as mosaic, rasterio.open(out.with_name(out.stem + "-labels.tif")) as labels:
+            values, valid, label = mosaic.read(1), mosaic.dataset_mask() > 0, labels.read(1)
+        shown[true_ortho] = sum(int(((label == i + 1) & valid & ~seen[i]).sum()) for i in range(6))
+        wrong = (values != kind) & valid
+        if true_ortho:
+            none = ~np.any(seen, axis=0)
+            assert result.hidden_pixels == (label == 7).sum()
+            assert (label[none] == 7).all()
+            assert not valid[label == 7].any()
+            assert (valid | (label == 7)).all()
+            assert (label == 7).sum() < 1.6 * none.sum()
+            # Walls are in no ortho, and roofs are sharp.
+            # They differ within a pixel of an edge, or of what their own image does not see.
+            beside = np.any([near_edges(view.astype(float)) & (label == i + 1) for i, view in enumerate(seen)], axis=0)
+            assert not (wrong & ~near_edges(kind) & ~beside).any()
+            assert ((values == WALL_CLASS) & valid).mean() < 0.002
+        else:
+            assert result.hidden_pixels is None
+            assert (wrong & ~near_edges(kind)).sum() > 3000  # roofs twice, and walls
+    assert shown[False] > 5000
+    assert shown[True] == 0
+
+
+def test_one_ortho_leaves_out_what_it_cannot_see(city: tuple[City, Path], truth: Truth, tmp_path: Path) -> None:
+    _, folder = city
+    _, seen = truth
+    valid = []
+    for true_ortho in (False, True):
+        out = tmp_path / f"o{true_ortho}.tif"
+        options = RenderOptions(resampling="nearest", true_ortho=true_ortho)
+        result = make_ortho(inputs(folder, 4), Area(None, PIXEL, BOUNDS), out, options)
+        with rasterio.open(out) as dataset:
+            valid.append(dataset.dataset_mask() > 0)
+    plain, true = valid
+    assert result.hidden_pixels == (plain & ~true).sum()
+    assert (plain & ~seen[4]).sum() > 15_000
+    assert not (true & ~seen[4]).any()
+    assert (seen[4] & plain & ~true).sum() / (seen[4] & plain).sum() < 0.008  # of pixels of 0.5 m: half at 0.25 m
+
+
+def sensors() -> dict[str, tuple[str, dict[str, Any]]]:
+    middle = [*(CORNER + SIDE / 2).tolist(), 600.0]
+    return {
+        "frame": ("frame", {
+            "camera": {"focal_length_px": 800.0}, "position": [middle[0] - 300.0, middle[1] - 120.0, 600.0],
+            "orientation": {"system": "opk", "omega": 12.0, "phi": -24.0, "kappa": 20.0},
+        }),
+        "scanner": ("panoramic", {
+            "kind": "scanner", "position": [middle[0] - 200.0, *middle[1:]], "heading": 10.0, "advance": 0.6,
+            "field_of_view": 70.0,
+        }),
+        "panoramic": ("panoramic", {
+            "kind": "panoramic", "position": [middle[0], middle[1] - 150.0, 600.0], "heading": 100.0, "advance": 20.0,
+            "field_of_view": 80.0, "focal_length": 600.0, "pixel_size": 0.5, "image_motion": 10.0,
+        }),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["frame", "scanner", "panoramic"])
+def test_every_sensor_is_judged_along_its_own_lines_of_sight(city: tuple[City, Path], name: str) -> None:
+    made_of, folder = city
+    sensor, options = sensors()[name]
+    model = registry.build(sensor, SensorRequest("image", (1000, 1000), options, MAP))
+    hidden, points = shades(model, folder, made_of)
+    assert hasattr(model, "rays")
+    ground = Transform(MAP, model.crs)(points + np.array([*CORNER, 0.0]))
+    origins, _ = model.rays(model.ground_to_image(ground))
+    eyes = Transform(model.crs, MAP)(origins) - np.array([*CORNER, 0.0])
+    judge(made_of, eyes, points, hidden)
+
+
+def test_a_model_of_rational_polynomials_is_judged_too(city: tuple[City, Path]) -> None:
+    """An oblique parallel projection as an RPC: all lines of sight go by 0.45 east and −0.3 north per metre."""
+    from geomosaic_rpc import Rpc, RpcModel
+
+    made_of, folder = city
+    to_geographic = Transform(MAP, CRS.from_epsg(4979))
+    middle = to_geographic(np.array([[*(CORNER + SIDE / 2), 15.0]]))[0]
+    step = to_geographic(np.array([[CORNER[0] + SIDE / 2 + 200.0, CORNER[1] + SIDE / 2 + 200.0, 15.0]]))[0] - middle
+    along = to_geographic(np.array([[CORNER[0] + SIDE / 2 + 200.0, CORNER[1] + SIDE / 2, 15.0]]))[0] - middle
+    numbers = np.zeros((4, 20))
+    numbers[1::2, 0] = 1.0
+    # Normalised longitude, latitude, height are in 200 m, 200 m, 100 m: x − 0.45 z, y + 0.3 z.
+    numbers[0, 1:4] = 1.0, 0.0, -0.225
+    numbers[2, 1:4] = 0.0, -1.0, -0.15
+    numbers = numbers[:, [0, 1, 2, 3, *range(4, 20)]]
+    model = RpcModel.of(
+        Rpc(
+            np.array([2000.0, 1500.0]), np.array([500.0, 500.0]), middle, np.array([along[0], step[1], 100.0]), numbers
+        ),
+        RPC_SIZE,
+    )
+    hidden, points = shades(model, folder, made_of)
+    # The axes of degrees are turned by the convergence of 0 at the central meridian: the map's within centimetres.
+    eyes = points + 2000.0 * np.array([0.45, -0.3, 1.0])
+    judge(made_of, eyes, points, hidden)
+
+
+def shades(model: SensorModel, folder: Path, city: City) -> tuple[BoolArray, FloatArray]:
+    """What the kernel calls hidden at all pixels; and their points (N, 3) from the corner."""
+    surface = Dem.open(folder / "dsm.tif", heights="ellipsoidal")
+    grid = Grid.from_bounds(CRS.from_epsg(32633), BOUNDS, PIXEL)
+    below = Ground.under(grid, surface)
+    ground = below.block(grid.window)
+    found = (
+        Visibility(grid, below, True)
+        .block(ground)
+        .hidden(MapToImage.between(grid.crs, surface.crs, model), np.ones(grid.shape, dtype=np.uint8))
+    )
+    assert found is not None
+    x, y = places()
+    points = np.column_stack([x.ravel(), y.ravel(), city.roof(x, y)[0].ravel()])
+    return found.ravel() > 0, points
+
+
+def judge(city: City, eyes: FloatArray, points: FloatArray, hidden: BoolArray) -> None:
+    blocked = city.blocked(eyes, points)
+    assert blocked.mean() > 0.03
+    assert (blocked & ~hidden).sum() == 0
+    assert (hidden & ~blocked).sum() / (~blocked).sum() < 0.012
+
+
+def test_the_result_does_not_depend_on_tiles_or_engine(city: tuple[City, Path], tmp_path: Path) -> None:
+    _, folder = city
+    surface = Dem.open(folder / "dsm.tif", heights="ellipsoidal")
+    model = registry.build("frame", SensorRequest("image", (1000, 1000), sensors()["frame"][1], MAP))
+    grid = Grid.from_bounds(CRS.from_epsg(32633), BOUNDS, PIXEL)
+    below = Ground.under(grid, surface)
+    mapper, wanted = MapToImage.between(grid.crs, surface.crs, model), np.ones((256, 256), dtype=np.uint8)
+    whole = Visibility(grid, below, True).block(below.block(grid.window))
+    first = whole.hidden(mapper, np.ones(grid.shape, dtype=np.uint8))
+    assert first is not None
+    from geomosaic.geo.grid import Window
+
+    for compiled in (True, False):
+        part = Visibility(grid, below, compiled).block(below.block(Window(256, 256, 256, 256)))
+        found = part.hidden(mapper, wanted)
+        assert found is not None
+        assert (found != first[256:512, 256:512]).mean() < 1e-3  # heights of the block fit the lines of sight
