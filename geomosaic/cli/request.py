@@ -47,6 +47,7 @@ def block_inputs(
         control=control,
         bands=flags["bands"],
         planar=planar,
+        band_names=flags.get("band_names"),
     )
 
 

@@ -221,7 +221,7 @@ class BandBlender(Blender):
         middle = self.grid.xy(bounds.mean(axis=0)[None])[0]
         near = self.photos.near(wide)
         near.sort(key=lambda i: (float(np.hypot(*(np.array(self.photos.outlines[i].centre) - middle))), i))
-        chosen = {int(i) for i in np.unique(label[label >= 0])}
+        chosen = set(np.flatnonzero(np.bincount(label.ravel() + 1)[1:]).tolist())
         images, views, gap = [], [], np.ones(shape, dtype=bool)
         for i in sorted(near, key=lambda i: i not in chosen):
             if i not in chosen and self.blending.kind != "overlap" and not gap.any():

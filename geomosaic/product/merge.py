@@ -52,7 +52,7 @@ def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, opt
         if path is not None:
             check_output(path, overwrite=render.overwrite)
     seconds: dict[str, float] = {}
-    photos = Photos(block, grid, outlines, render.memory_limit // 2)
+    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.depth)
     try:
         with _Clock(seconds, "balance"):
             solved = _balanced(photos, options)

@@ -126,7 +126,7 @@ def mosaic(
             check_output(path, overwrite=render.overwrite)
     width = options.blending.pixels(grid, options.feather)
     seconds: dict[str, float] = {}
-    photos = Photos(block, grid, outlines, render.memory_limit // 2)
+    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.depth)
     beside_it = ThreadPoolExecutor(1)
     reuse: Reuse | None = None
     try:

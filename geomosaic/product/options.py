@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.product.blending import Blending
+from geomosaic.product.depth import Depth
 from geomosaic.resample.warp import RESAMPLING
 from geomosaic.sensor.lattice import BLOCK_WIDTH
 
@@ -108,6 +109,8 @@ class MosaicOptions:
         Vector file of shares that a person has drawn: they win.
     blending : Blending
         How images are blended across their seams.
+    depth : Depth
+        Sample type of the output, and how those of the images are brought to it.
     memory : Memory, optional
         Where what was computed is remembered, so that a later run takes what has not changed.
     """
@@ -128,6 +131,7 @@ class MosaicOptions:
     order: str = "list"
     base: str | None = None
     blending: Blending = field(default_factory=Blending)
+    depth: Depth = field(default_factory=Depth)
 
     def __post_init__(self) -> None:
         if self.feather is not None and not self.feather >= 0:

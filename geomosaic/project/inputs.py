@@ -85,6 +85,8 @@ class BlockInputs:
         Bands of the images to use, counted from 1, in this order; all but alpha unless given.
     planar : PlanarInputs, optional
         Where the photos are placed together by plane transformations.
+    band_names : tuple of str, optional
+        Bands to use by description or colour, in this order, wherever each file has them; in place of `bands`.
     """
 
     images: tuple[Path, ...]
@@ -108,6 +110,7 @@ class BlockInputs:
     nodata: float | None = None
     bands: tuple[int, ...] | None = None
     planar: PlanarInputs | None = None
+    band_names: tuple[str, ...] | None = None
 
     @property
     def tables(self) -> tuple[Path, ...]:

@@ -24,7 +24,7 @@ from geomosaic.types import AnyArray, BoolArray, IntArray
 
 REACH = 5
 """Levels over which unknown differences are taken from their surroundings: about 32 pixels."""
-ROUNDS = 3
+ROUNDS = 2
 TOLERATED = 3.0
 """Differences so many times as large as the noise count half."""
 
