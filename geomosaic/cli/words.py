@@ -63,7 +63,7 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
         "overlaps": result.balance.overlaps,
         "overlap_difference_before": [finite(v) for v in result.balance.before],
         "overlap_difference_after": [finite(v) for v in result.balance.after],
-        "feather": finite(result.feather),
+        "feather": result.feather,
         "lattice_error_px": result.lattice_error,
         "tolerance_px": result.tolerance,
         "image_pixels_per_output_pixel": finite(result.scale),

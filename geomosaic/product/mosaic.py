@@ -27,6 +27,7 @@ from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.product.records import write_item, write_vectors
 from geomosaic.product.reuse import LOSSLESS, Reuse
+from geomosaic.product.visible import outlines_of
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
@@ -136,7 +137,7 @@ def mosaic(
             solved = _balanced(photos, options)
         colours = solved.curves or [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
         with _Clock(seconds, "seams"):
-            shapes = [outline.polygon for outline in outlines]
+            shapes = outlines_of(photos, render)
             shares = _shares(photos, shapes, colours, options)
         seams = Seams(shares, shapes, width)
         ground, engine = Ground.under(grid, block.surface), compiled.result()
@@ -161,8 +162,9 @@ def mosaic(
             write_item(item, output, labels, vectors, grid, shapes, images, sums, overwrite=render.overwrite)
         if reuse is not None and labels is not None:
             reuse.save(output, labels)
+    feather = width * grid.resolution[0] if np.isfinite(width) else 0.0
     return MosaicResult(
-        output, labels, vectors, item, grid, seen, pixels, solved, width * grid.resolution[0], record.error,
+        output, labels, vectors, item, grid, seen, pixels, solved, feather, record.error,
         render.tolerance, record.scale, seconds, 0 if reuse is None else reuse.taken, len(tiles(grid, render.tile)),
     )  # fmt: skip
 

@@ -11,6 +11,7 @@ from geomosaic.jobs.heard import heard
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Context, Machine
 from geomosaic.jobs.steps.restore import area_of, render_options, restore_block
+from geomosaic.product.blending import Blending, Width
 from geomosaic.product.reuse import Memory
 from geomosaic.project.draft import relative
 from geomosaic.project.frames import describe
@@ -32,7 +33,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         reference = project.file(wanted.reference)
         options = MosaicOptions(
             render_options(project, machine, context.progress),
-            wanted.feather,
+            wanted.feather if isinstance(wanted.feather, float) else None,
             wanted.balance,
             wanted.labels,
             histogram=wanted.histogram,
@@ -41,6 +42,9 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             seams=wanted.seams,
             cutlines=project.file(wanted.cutlines),
             memory=_memory(project, context),
+            order=wanted.order,
+            base=wanted.base,
+            blending=Blending(wanted.blend, _width(wanted.feather), wanted.ramp, wanted.limit),
         )
         result = make(block, grid, outlines, layout.mosaic, options)
     facts = {
@@ -83,6 +87,10 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     }
     write_json(layout.facts("mosaic"), facts)
     return {"pixels": result.valid_pixels, "lattice_error_px": result.lattice_error}
+
+
+def _width(feather: float | str | None) -> Width | None:
+    return Width.parse(feather) if isinstance(feather, str) else None
 
 
 def _memory(project: Project, context: Context) -> Memory:
