@@ -150,7 +150,7 @@ def test_bands_are_those_of_whole_images(tmp_path: Path) -> None:
 
 
 def test_steps_of_both_engines_are_the_same() -> None:
-    values = np.random.default_rng(4).normal(100, 40, (64, 96, 3)).astype(np.float32)
+    values = np.random.default_rng(4).normal(100, 40, (3, 64, 96)).astype(np.float32)
     compiled, plain = pyramid.steps(compiled=True), pyramid.steps(compiled=False)
     small = plain.reduce(values)
     assert small.dtype == np.float32

@@ -197,8 +197,8 @@ class BandBlender(Blender):
             blend = by_weights(apart, weights)
         exact = corrected(
             [View(view.values[inside], view.valid[inside]) for view in views],
-            [None if one is None else one[inside] for one in apart],
-            None if blend is None else blend[inside],
+            [None if one is None else one[:, *inside] for one in apart],
+            None if blend is None else blend[:, *inside],
             local[inside],
         )
         low, high, whole = value_range(str(target[0].dtype))

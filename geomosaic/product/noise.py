@@ -77,11 +77,11 @@ def _spread(blender: Blender, i: int, j: int, xy: FloatArray) -> float | None:
                 blender.colours[index], values, valid,
             )  # fmt: skip
         views.append((values, valid > 0))
-    both = (views[0][1] & views[1][1])[..., None].astype(np.float32)
-    weight = reduce(both)[..., 0]
+    both = (views[0][1] & views[1][1])[None].astype(np.float32)
+    weight = reduce(both)[0]
     known = weight == 1.0
     if known.sum() < SIDE:
         return None
-    apart = reduce((views[0][0] - views[1][0]) * both)[known]
+    apart = reduce(np.moveaxis(views[0][0] - views[1][0], 2, 0) * both)[:, known].T
     apart = apart - np.median(apart, axis=0)
     return float(1.4826 * np.median(np.abs(apart)))

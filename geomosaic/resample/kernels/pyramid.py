@@ -1,7 +1,7 @@
 """One step down and one step up an image pyramid: five taps (1, 4, 6, 4, 1) / 16 along each axis, edges repeated.
 
-Of Burt and Adelson (1983). The twins in NumPy are in `resample.pyramid`: the same operations in the same order. Rows
-are combined as flat lines, which processors do eight numbers at a time; then pixels along the line.
+Of Burt and Adelson (1983). The twins in NumPy are in `resample.pyramid`: the same operations in the same order. Bands
+lie one after the other, so that processors take eight samples of a line at a time.
 """
 
 from __future__ import annotations
@@ -33,57 +33,53 @@ def _two(b, c, line):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def reduce(fine):
-    """Half the size (rows / 2, cols / 2, bands): the sample (k, l) lies on the fine sample (2k, 2l)."""
-    height, width, bands = fine.shape
+    """Half the size (bands, rows / 2, cols / 2): the sample (k, l) lies on the fine sample (2k, 2l)."""
+    bands, height, width = fine.shape
     rows, cols = height // 2, width // 2
-    out = np.empty((rows, cols, bands), dtype=np.float32)
-    flat, into = fine.reshape((height, width * bands)), out.reshape((rows, cols * bands))
-    # Two pixels before the line and two behind it repeat its ends.
-    padded = np.empty((width + 4) * bands, dtype=np.float32)
-    line, end = padded[2 * bands : (width + 2) * bands], (width + 1) * bands
-    for k in range(rows):
-        r = 2 * k
-        low, high = min(r + 1, height - 1), min(r + 2, height - 1)
-        _five(flat[max(r - 2, 0)], flat[max(r - 1, 0)], flat[r], flat[low], flat[high], line)
-        for m in range(bands):
-            padded[m] = padded[bands + m] = padded[2 * bands + m]
-            padded[end + bands + m] = padded[end + 2 * bands + m] = padded[end + m]
-        target = into[k]
-        for m in range(bands):
+    out = np.empty((bands, rows, cols), dtype=np.float32)
+    # Two samples before the line and two behind it repeat its ends.
+    padded = np.empty(width + 4, dtype=np.float32)
+    line = padded[2 : width + 2]
+    for m in range(bands):
+        band = fine[m]
+        for k in range(rows):
+            r = 2 * k
+            low, high = min(r + 1, height - 1), min(r + 2, height - 1)
+            _five(band[max(r - 2, 0)], band[max(r - 1, 0)], band[r], band[low], band[high], line)
+            padded[0] = padded[1] = padded[2]
+            padded[width + 2] = padded[width + 3] = padded[width + 1]
+            target = out[m, k]
             for i in range(cols):
-                p = 2 * i * bands + m
-                target[i * bands + m] = (
-                    (padded[p] + padded[p + 4 * bands]) * SIXTEENTH
-                    + (padded[p + bands] + padded[p + 3 * bands]) * QUARTER
-                    + padded[p + 2 * bands] * THREE_EIGHTHS
+                p = 2 * i
+                target[i] = (
+                    (padded[p] + padded[p + 4]) * SIXTEENTH
+                    + (padded[p + 1] + padded[p + 3]) * QUARTER
+                    + padded[p + 2] * THREE_EIGHTHS
                 )
     return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def expand(coarse):
-    """Twice the size (2 rows, 2 cols, bands), the samples of `reduce` in their places."""
-    rows, cols, bands = coarse.shape
-    out = np.empty((2 * rows, 2 * cols, bands), dtype=np.float32)
-    flat, into = coarse.reshape((rows, cols * bands)), out.reshape((2 * rows, 2 * cols * bands))
-    padded = np.empty((cols + 2) * bands, dtype=np.float32)
-    line, end = padded[bands : (cols + 1) * bands], cols * bands
-    for r in range(2 * rows):
-        k = r // 2
-        below = flat[min(k + 1, rows - 1)]
-        if r % 2 == 0:
-            _three(flat[max(k - 1, 0)], flat[k], below, line)
-        else:
-            _two(flat[k], below, line)
-        for m in range(bands):
-            padded[m] = padded[bands + m]
-            padded[end + bands + m] = padded[end + m]
-        target = into[r]
-        for m in range(bands):
+    """Twice the size (bands, 2 rows, 2 cols), the samples of `reduce` in their places."""
+    bands, rows, cols = coarse.shape
+    out = np.empty((bands, 2 * rows, 2 * cols), dtype=np.float32)
+    padded = np.empty(cols + 2, dtype=np.float32)
+    line = padded[1 : cols + 1]
+    for m in range(bands):
+        band = coarse[m]
+        for r in range(2 * rows):
+            k = r // 2
+            below = band[min(k + 1, rows - 1)]
+            if r % 2 == 0:
+                _three(band[max(k - 1, 0)], band[k], below, line)
+            else:
+                _two(band[k], below, line)
+            padded[0] = padded[1]
+            padded[cols + 1] = padded[cols]
+            target = out[m, r]
             for i in range(cols):
-                p = i * bands + m
-                before, here, after = padded[p], padded[p + bands], padded[p + 2 * bands]
-                q = 2 * i * bands + m
-                target[q] = (before + after) * EIGHTH + here * THREE_QUARTERS
-                target[q + bands] = (here + after) * HALF
+                here = padded[i + 1]
+                target[2 * i] = (padded[i] + padded[i + 2]) * EIGHTH + here * THREE_QUARTERS
+                target[2 * i + 1] = (here + padded[i + 2]) * HALF
     return out
