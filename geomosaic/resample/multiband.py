@@ -105,7 +105,7 @@ def believed(apart: AnyArray, certain: AnyArray, noise: float, by: Steps) -> Any
     small, weight = by.reduce(apart * certain), by.reduce(certain)
     small = small / np.maximum(weight, np.float32(1e-6))
     trusted = weight
-    limit = np.float32((TOLERATED * max(noise, 1e-6)) ** 2)
+    limit = np.float32(max(TOLERATED * noise, 1e-6) ** 2)
     for _ in range(ROUNDS):
         mean = _mean(small, trusted, by)
         square = ((small - mean) ** 2).mean(axis=0, keepdims=True, dtype=np.float32) * np.minimum(weight, 1)
