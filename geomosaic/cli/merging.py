@@ -92,6 +92,7 @@ merge_flags = stack(
         show_default=True,
         help="Keep the numbers, or bring the whole range of each type to that of --dtype.",
     ),
+    click.option("--water", type=FILE, help="Areas of water: each is shown by the image with the least glint."),
     click.option("--like", type=FILE, metavar="RASTER", help="Take CRS, pixels and extent of this raster."),
 )
 
@@ -103,7 +104,14 @@ def merging(flags: Mapping[str, Any]) -> dict[str, Any]:
 
     depth = Depth(flags["dtype"], flags["convert"])
     blending = Blending(flags["blend"], flags["feather"], flags["ramp"], flags["limit"])
-    return {"rule": flags["rule"], "order": flags["order"], "base": flags["base"], "blending": blending, "depth": depth}
+    return {
+        "rule": flags["rule"],
+        "order": flags["order"],
+        "base": flags["base"],
+        "blending": blending,
+        "depth": depth,
+        "water": flags["water"],
+    }
 
 
 def balanced(flags: Mapping[str, Any]) -> bool:

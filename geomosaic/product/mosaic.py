@@ -192,6 +192,11 @@ def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve]
         shares = under(regions(shapes[:base] + shapes[base + 1 :], centres[:base] + centres[base + 1 :]), shapes, base)
     else:
         shares = regions(shapes, [outline.centre for outline in photos.outlines])
+    if options.water is not None:
+        from geomosaic.product.water import calmest, read_water
+        from geomosaic.seam.cutlines import with_cutlines
+
+        shares = with_cutlines(shares, calmest(photos, read_water(options.water, photos.grid.crs), shapes, colours))
     if options.cutlines is None:
         return shares
     from geomosaic.product.cutlines import read_cutlines

@@ -111,6 +111,8 @@ class MosaicOptions:
         How images are blended across their seams.
     depth : Depth
         Sample type of the output, and how those of the images are brought to it.
+    water : Path, optional
+        Vector file of water, each piece of which the least glinting image shows.
     memory : Memory, optional
         Where what was computed is remembered, so that a later run takes what has not changed.
     """
@@ -132,6 +134,7 @@ class MosaicOptions:
     base: str | None = None
     blending: Blending = field(default_factory=Blending)
     depth: Depth = field(default_factory=Depth)
+    water: Path | None = None
 
     def __post_init__(self) -> None:
         if self.feather is not None and not self.feather >= 0:
