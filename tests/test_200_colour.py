@@ -16,7 +16,7 @@ import rasterio
 from rasterio.enums import Resampling
 from rasterio.warp import reproject
 
-from geomosaic.product.mosaic import MosaicResult
+from geomosaic.product.mosaic_result import MosaicResult
 from geomosaic.product.options import MosaicOptions, RenderOptions
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, make_mosaic, reference_scene

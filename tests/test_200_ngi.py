@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from geomosaic.product.check import against_reference
-from geomosaic.product.mosaic import MosaicResult
+from geomosaic.product.mosaic_result import MosaicResult
 from geomosaic.product.options import MosaicOptions, RenderOptions
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, make_mosaic, make_ortho

@@ -150,7 +150,7 @@ def test_bands_are_those_of_whole_images(tmp_path: Path) -> None:
 
 
 def test_steps_of_both_engines_are_the_same() -> None:
-    values = np.random.default_rng(4).normal(100, 40, (64, 96, 3)).astype(np.float32)
+    values = np.random.default_rng(4).normal(100, 40, (3, 64, 96)).astype(np.float32)
     compiled, plain = pyramid.steps(compiled=True), pyramid.steps(compiled=False)
     small = plain.reduce(values)
     assert small.dtype == np.float32
@@ -256,3 +256,21 @@ def test_widths_have_units() -> None:
     assert metre == pytest.approx(1 / np.sqrt(np.cos(np.radians(40.05))), rel=1e-3)
     with pytest.raises(InputError, match="'wide' is not a width"):
         Width.parse("wide")
+
+
+def test_seams_keep_to_what_orthos_show(tmp_path: Path) -> None:
+    """Two turned orthos with corners of nodata: no step anywhere in the mosaic, though their rectangles say nothing."""
+    rows, cols = np.mgrid[0:420, 0:640]
+    files = []
+    for i, (left, value) in enumerate(((0, 100), (300, 120))):
+        u, v = cols - 300, rows - 210
+        shown = (np.abs(u * 0.94 + v * 0.34) < 230) & (np.abs(v * 0.94 - u * 0.34) < 120)
+        values = np.where(shown, value, 0).astype(np.uint8)[..., None]
+        files.append(rig.write(tmp_path / f"{i}.tif", values, left, 25 * i, nodata=0))
+    for blending, most in ((Blending("multiband", Width(32, "px")), 2), (Blending("feather", Width(32, "px")), 3)):
+        rig.run(files, tmp_path / "out.tif", blending=blending)
+        values, valid = rig.read(tmp_path / "out.tif")
+        inside = valid[:, 1:] & valid[:, :-1]
+        step = np.abs(np.diff(values[..., 0].astype(int), axis=1))[inside]
+        assert set(np.unique(values[valid])) >= {100, 110, 120}
+        assert np.quantile(step, 0.9999) <= most, blending

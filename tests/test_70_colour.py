@@ -13,7 +13,7 @@ import shapely
 from affine import Affine
 
 from geomosaic.errors import InputError
-from geomosaic.product.mosaic import MosaicResult
+from geomosaic.product.mosaic_result import MosaicResult
 from geomosaic.product.options import MosaicOptions, RenderOptions
 from geomosaic.product.stretch import read
 from geomosaic.project.inputs import BlockInputs

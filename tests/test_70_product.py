@@ -23,7 +23,8 @@ from geomosaic.errors import GeomosaicError, InputError, OutputExistsError, Rast
 from geomosaic.geo.crs import horizontal, parse_crs, with_heights
 from geomosaic.geo.grid import Grid
 from geomosaic.product.extent import footprints, output_grid
-from geomosaic.product.mosaic import MosaicResult, beside, mosaic
+from geomosaic.product.mosaic import beside, mosaic
+from geomosaic.product.mosaic_result import MosaicResult
 from geomosaic.product.options import MosaicOptions, RenderOptions
 from geomosaic.product.ortho import OrthoResult, ortho
 from geomosaic.sensor.plugin import SensorRequest

@@ -23,6 +23,18 @@ def _width(ctx: click.Context, param: click.Parameter, value: str | None) -> Any
         raise click.BadParameter(f"{error.what}; {error.mend}") from None
 
 
+def _names(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...] | None:
+    """Names separated by commas."""
+    if value is None:
+        return None
+    names = tuple(word.strip() for word in value.split(","))
+    if not all(names):
+        raise click.BadParameter(f"'{value}' has an empty name; write red,green,blue")
+    if ctx.params.get("bands") is not None:
+        raise click.BadParameter("bands are given by number too; leave out --bidx")
+    return names
+
+
 merge_flags = stack(
     click.option(
         "--rule",
@@ -63,6 +75,24 @@ merge_flags = stack(
         default=None,
         help="Do not blend what images show differently, such as cars.  [default: limit, with multiband]",
     ),
+    click.option(
+        "--bands",
+        "band_names",
+        callback=_names,
+        metavar="NAMES",
+        help="Bands by description or colour, such as red,green,blue, wherever each file has them.",
+    ),
+    click.option(
+        "--dtype", metavar="TYPE", help="Sample type of the output, such as uint16.  [default: the images' own]"
+    ),
+    click.option(
+        "--convert",
+        type=click.Choice(["keep", "range"]),
+        default="keep",
+        show_default=True,
+        help="Keep the numbers, or bring the whole range of each type to that of --dtype.",
+    ),
+    click.option("--water", type=FILE, help="Areas of water: each is shown by the image with the least glint."),
     click.option("--like", type=FILE, metavar="RASTER", help="Take CRS, pixels and extent of this raster."),
 )
 
@@ -70,9 +100,18 @@ merge_flags = stack(
 def merging(flags: Mapping[str, Any]) -> dict[str, Any]:
     """What these options say, as fields of `MosaicOptions`."""
     from geomosaic.product.blending import Blending
+    from geomosaic.product.depth import Depth
 
+    depth = Depth(flags["dtype"], flags["convert"])
     blending = Blending(flags["blend"], flags["feather"], flags["ramp"], flags["limit"])
-    return {"rule": flags["rule"], "order": flags["order"], "base": flags["base"], "blending": blending}
+    return {
+        "rule": flags["rule"],
+        "order": flags["order"],
+        "base": flags["base"],
+        "blending": blending,
+        "depth": depth,
+        "water": flags["water"],
+    }
 
 
 def balanced(flags: Mapping[str, Any]) -> bool:

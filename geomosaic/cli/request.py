@@ -51,6 +51,7 @@ def block_inputs(
         planar=planar,
         margin=None if flags.get("margin") is None else (flags["margin"],) * 4,
         usable=flags.get("usable"),
+        band_names=flags.get("band_names"),
     )
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from geomosaic.geo.grid import Grid
-    from geomosaic.product.mosaic import MosaicResult
+    from geomosaic.product.mosaic_result import MosaicResult
     from geomosaic.product.ortho import OrthoResult
 
 
@@ -75,7 +75,7 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
         "overlap_difference_after": [finite(v) for v in result.balance.after],
         "colour": colour_facts(result.balance, None),
         "stretch": None if result.stretch is None else vars(result.stretch),
-        "feather": finite(result.feather),
+        "feather": result.feather,
         "lattice_error_px": result.lattice_error,
         "tolerance_px": result.tolerance,
         "image_pixels_per_output_pixel": finite(result.scale),

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from geomosaic.block.footprint import Footprint
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.radiometry.curve import Curve
 from geomosaic.raster.source import Source
-from geomosaic.resample.warp import CELL, Colour
+from geomosaic.resample.warp import CELL, Colour, value_range
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
 from geomosaic.sensor.mapper import MapToImage
 from geomosaic.types import AnyArray, ByteArray
@@ -52,6 +55,9 @@ def copied(
     out: AnyArray,
     out_valid: ByteArray,
     need: ByteArray | None,
+    table: AnyArray | None = None,
+    *,
+    compiled: bool = False,
 ) -> list[Lattice]:
     """Copy the pixels of a block; what is not wanted, or not valid, stays as it is.
 
@@ -68,6 +74,10 @@ def copied(
         Set to 1 where the image is seen.
     need : uint8 array (rows / 64, cols / 64), optional
         Cells of 64 × 64 pixels that are wanted.
+    table : array (bands, values), optional
+        What becomes of each value, see `table_of`.
+    compiled : bool
+        Use compiled kernels.
 
     Returns
     -------
@@ -91,6 +101,8 @@ def copied(
         slice(part.row - window.row, part.stop_row - window.row),
         slice(part.col - window.col, part.stop_col - window.col),
     )
+    if table is not None:
+        values = _looked_up(values, table, compiled)
     mask = None if need is None or need.all() else _pixels(need)[inside]
     if valid is not None:
         mask = valid > 0 if mask is None else mask & (valid > 0)
@@ -100,6 +112,35 @@ def copied(
         np.copyto(out[inside], values, where=mask[..., None])
         out_valid[inside][mask] = 1
     return [_exact(window, offset)]
+
+
+def table_of(colour: Colour | Curve, scale: float, source: np.dtype[Any], out: np.dtype[Any]) -> AnyArray | None:
+    """What a correction makes of every value (bands, values) of 8 or 16 bits without sign; None for other types.
+
+    Whole numbers are rounded, halves up, and kept within the type of the output.
+    """
+    if source.kind != "u" or source.itemsize > 2:
+        return None
+    plain = np.arange(np.iinfo(source).max + 1, dtype=np.float64)
+    if isinstance(colour, Curve):
+        bands = len(colour.knots)
+        values = colour(np.repeat((plain * scale)[:, None], bands, axis=1)).T
+    else:
+        values = plain * (colour.gain * scale)[:, None] + colour.offset[:, None]
+    low, high, whole = value_range(str(out))
+    return (np.clip(np.floor(values + 0.5), low, high) if whole else values).astype(out)
+
+
+def _looked_up(values: AnyArray, table: AnyArray, compiled: bool) -> AnyArray:
+    out = np.empty(values.shape, dtype=table.dtype)
+    if compiled:
+        from geomosaic.resample.kernels.lookup import lookup
+
+        lookup(values, table, out)
+    else:
+        for band in range(values.shape[2]):
+            out[..., band] = table[band].take(values[..., band])
+    return out
 
 
 def _pixels(need: ByteArray) -> AnyArray:

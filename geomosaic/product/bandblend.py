@@ -9,15 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.geo.grid import Window
-from geomosaic.product.blend import Blender, Lattices, MosaicUnit
+from geomosaic.product.blend import Blender, Lattices
 from geomosaic.product.blending import Blending
+from geomosaic.product.mosaic_unit import MosaicUnit
+from geomosaic.product.ramps import between, ramp
+from geomosaic.product.visibility import Shades
 from geomosaic.raster.burn import burn
 from geomosaic.resample.multiband import View, by_weights, corrected, differences, in_bands
 from geomosaic.resample.pyramid import Steps
 from geomosaic.resample.warp import CELL, value_range
-from geomosaic.seam.feather import signed_distance
 from geomosaic.sensor.ground import BlockGround
-from geomosaic.types import AnyArray, BoolArray, Float32Array, IntArray
+from geomosaic.types import AnyArray, Float32Array, IntArray
 
 MOST_LEVELS = 8
 _NODES = 32
@@ -94,11 +96,13 @@ class BandBlender(Blender):
         values, valid, number = unit.values[rows, cols], unit.valid[rows, cols], unit.label[rows, cols]
         lattices: list[Lattices] = [{}, {}]
         below = self.below.block(window)
+        shades, wide = (None, None) if self.sight is None else (self.sight.block(below), self.sight.block(ground))
         if not below.unknown:
-            self._outside(window, zone, label, around, (values, valid, number), lattices[0])
-        self._inside(window, ground, zone, label, around, (values, valid, number), lattices[1])
+            self._outside(window, zone, label, around, (values, valid, number), lattices[0], shades)
+        self._inside(window, ground, zone, label, around, (values, valid, number), lattices[1], wide)
         if not below.unknown:
-            self._fill(below, self.photos.near(window), values, valid, number, lattices[0])
+            self._fill(below, self.photos.near(window), values, valid, number, lattices[0], shades)
+        self._mark_hidden(shades, valid, number)
         unit.counts[:] += np.bincount(number.ravel(), minlength=len(unit.counts))
         unit.facts.extend((one.error, one.scale) for two in lattices for used in two.values() for one in used)
 
@@ -151,6 +155,7 @@ class BandBlender(Blender):
         around: Window,
         target: tuple[AnyArray, AnyArray, AnyArray],
         lattices: Lattices,
+        shades: Shades | None,
     ) -> None:
         """Cells of the block that no seam is near: one image each."""
         values, valid, number = target
@@ -162,7 +167,7 @@ class BandBlender(Blender):
         ground = self.below.block(window)
         for i in np.unique(own[own >= 0]).tolist():
             seen = np.zeros_like(valid)
-            self._pull(i, ground, values, seen, (own == i).astype(np.uint8), lattices)
+            self._pull(i, ground, values, seen, (own == i).astype(np.uint8), lattices, shades)
             valid |= seen
             number += seen * number.dtype.type(i + 1)
 
@@ -175,12 +180,13 @@ class BandBlender(Blender):
         around: Window,
         target: tuple[AnyArray, AnyArray, AnyArray],
         lattices: Lattices,
+        shades: Shades | None,
     ) -> None:
         """The zone with its margin, blended; what lies in the block is kept."""
         wide = self._with_margin(zone)
         top, left = wide.row - around.row, wide.col - around.col
         label = label[top : top + wide.height, left : left + wide.width].copy()
-        images, views = self._views(ground, label, lattices)
+        images, views = self._views(ground, label, lattices, shades)
         if not images:
             return
         local = self._own(images, views, label)
@@ -197,8 +203,8 @@ class BandBlender(Blender):
             blend = by_weights(apart, weights)
         exact = corrected(
             [View(view.values[inside], view.valid[inside]) for view in views],
-            [None if one is None else one[inside] for one in apart],
-            None if blend is None else blend[inside],
+            [None if one is None else one[:, *inside] for one in apart],
+            None if blend is None else blend[:, *inside],
             local[inside],
         )
         low, high, whole = value_range(str(target[0].dtype))
@@ -213,7 +219,9 @@ class BandBlender(Blender):
         target[1][block] = seen
         target[2][block] = np.where(seen, np.array([*images, -1])[local[inside]] + 1, 0)
 
-    def _views(self, ground: BlockGround, label: IntArray, lattices: Lattices) -> tuple[list[int], list[View]]:
+    def _views(
+        self, ground: BlockGround, label: IntArray, lattices: Lattices, shades: Shades | None
+    ) -> tuple[list[int], list[View]]:
         """What the images of the seams show of a window; and others, where those leave gaps or all are wanted."""
         wide = ground.window
         info, shape = self.photos.info, label.shape
@@ -221,13 +229,13 @@ class BandBlender(Blender):
         middle = self.grid.xy(bounds.mean(axis=0)[None])[0]
         near = self.photos.near(wide)
         near.sort(key=lambda i: (float(np.hypot(*(np.array(self.photos.outlines[i].centre) - middle))), i))
-        chosen = {int(i) for i in np.unique(label[label >= 0])}
+        chosen = set(np.flatnonzero(np.bincount(label.ravel() + 1)[1:]).tolist())
         images, views, gap = [], [], np.ones(shape, dtype=bool)
         for i in sorted(near, key=lambda i: i not in chosen):
             if i not in chosen and self.blending.kind != "overlap" and not gap.any():
                 break
             values, seen = np.zeros((*shape, info.bands), dtype=self.dtype), np.zeros(shape, dtype=np.uint8)
-            self._pull(i, ground, values, seen, None, lattices)
+            self._pull(i, ground, values, seen, None, lattices, shades)
             if seen.any():
                 images.append(i)
                 views.append(View(values, seen > 0))
@@ -255,7 +263,7 @@ class BandBlender(Blender):
             some = np.max(raw, axis=0) > 0
             local[some] = best[some]
         else:
-            raw = [_ramp(local == position, self.width) for position in range(len(images))]
+            raw = [ramp(local == position, self.width) for position in range(len(images))]
         if self.blending.ramp == "smooth":
             raw = [weight**2 * (3 - 2 * weight) for weight in raw]
         total = np.sum(raw, axis=0, dtype=np.float64)
@@ -278,23 +286,4 @@ class BandBlender(Blender):
         most = self.width * pixel if math.isfinite(self.width) else math.sqrt(outline.area)
         nodes = np.clip(distance / most, 0.0, 1.0).reshape(rows, cols)
         at = [(np.arange(size) + 0.5) / _NODES for size in (wide.height, wide.width)]
-        return _between(_between(nodes, at[0], 0), at[1], 1)
-
-
-def _between(nodes: AnyArray, at: AnyArray, axis: int) -> AnyArray:
-    """Values between nodes, linearly."""
-    first = at.astype(np.int64)
-    shape = [1, 1]
-    shape[axis] = len(at)
-    share = (at - first).reshape(shape)
-    one, two = nodes.take(first, axis=axis), nodes.take(first + 1, axis=axis)
-    between: AnyArray = one + (two - one) * share
-    return between
-
-
-def _ramp(own: BoolArray, width: float) -> AnyArray:
-    """0 to 1 across the edge of a mask."""
-    if width <= 0:
-        return own.astype(np.float64)
-    ramp: AnyArray = np.clip(0.5 + signed_distance(own, width / 2) / width, 0.0, 1.0)
-    return ramp
+        return between(between(nodes, at[0], 0), at[1], 1)

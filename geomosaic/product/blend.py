@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.product.mosaic_unit import MosaicUnit
 from geomosaic.product.photo import pull
 from geomosaic.product.photos import Photos
 from geomosaic.product.visibility import Shades, Visibility, hidden_label
@@ -21,7 +22,7 @@ from geomosaic.resample.warp import CELL, Colour, value_range
 from geomosaic.seam.feather import halo, reduction, signed_distance, weights
 from geomosaic.sensor.ground import BlockGround, Ground
 from geomosaic.sensor.lattice import Lattice
-from geomosaic.types import AnyArray, ByteArray, IntArray
+from geomosaic.types import AnyArray, ByteArray
 
 Lattices = dict[int, list[Lattice]]
 """Of one block, by image."""
@@ -44,45 +45,6 @@ class Seams:
     regions: list[Any]
     outlines: list[Any]
     feather: float
-
-
-def label_type(images: int) -> str:
-    """Smallest sample type that numbers the images from 1."""
-    return "uint8" if images < 255 else "uint16" if images < 65535 else "int32"
-
-
-@dataclass(frozen=True)
-class MosaicUnit:
-    """Pixels of one or more blocks side by side, filled block by block.
-
-    Attributes
-    ----------
-    window : Window
-    values : array (rows, cols, bands)
-        Zero where not valid.
-    valid : uint8 array (rows, cols)
-    label : array (rows, cols)
-        Number of the image with the most weight, counted from 1; 0 where none; the one after the last where images
-        cover a place and the surface hides it from them all.
-    counts : int array (images + 2,)
-        Pixels by label.
-    facts : list of (error, scale)
-        Of the lattices used.
-    """
-
-    window: Window
-    values: AnyArray
-    valid: ByteArray
-    label: AnyArray
-    counts: IntArray
-    facts: list[tuple[float, float]]
-
-    @classmethod
-    def empty(cls, window: Window, bands: int, dtype: str, images: int) -> MosaicUnit:
-        """Nothing seen yet."""
-        shape = window.height, window.width
-        label, counts = np.zeros(shape, dtype=label_type(images)), np.zeros(images + 2, dtype=np.int64)
-        return cls(window, np.zeros((*shape, bands), dtype=dtype), np.zeros(shape, dtype=np.uint8), label, counts, [])
 
 
 @dataclass(frozen=True)
@@ -144,14 +106,19 @@ class Blender:
         elif shares:
             self._blend(ground, shares, values, valid, label, lattices, shades)
         filled = self._fill(ground, near, values, valid, label, lattices, shades)
-        if shades is not None and shades.mask.any():
-            label[(shades.mask > 0) & (valid == 0)] = hidden_label(len(self.photos))
-            filled = True
+        filled = self._mark_hidden(shades, valid, label) or filled
         if len(shares) == 1 and not filled:
             unit.counts[shares[0].index + 1] += np.count_nonzero(valid.view(np.bool_))
         else:
             unit.counts[:] += np.bincount(label.ravel(), minlength=len(unit.counts))
         unit.facts.extend((lattice.error, lattice.scale) for used in lattices.values() for lattice in used)
+
+    def _mark_hidden(self, shades: Shades | None, valid: ByteArray, label: AnyArray) -> bool:
+        """Label what images cover and none shows; whether there is any."""
+        if shades is None or not shades.mask.any():
+            return False
+        label[(shades.mask > 0) & (valid == 0)] = hidden_label(len(self.photos))
+        return True
 
     def _pull(
         self,

@@ -8,7 +8,8 @@ from geomosaic.block.block import Block
 from geomosaic.block.footprint import Footprint
 from geomosaic.geo.grid import Grid
 from geomosaic.product.corrections import corrections
-from geomosaic.product.mosaic import MosaicResult, _balanced, _Clock, _render, beside
+from geomosaic.product.mosaic import _balanced, _render, beside
+from geomosaic.product.mosaic_result import Clock, MosaicResult
 from geomosaic.product.options import MosaicOptions
 from geomosaic.product.order import ordered
 from geomosaic.product.ortho import samples
@@ -52,9 +53,9 @@ def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, opt
         if path is not None:
             check_output(path, overwrite=render.overwrite)
     seconds: dict[str, float] = {}
-    photos = Photos(block, grid, outlines, render.memory_limit // 2)
+    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.depth)
     try:
-        with _Clock(seconds, "balance"):
+        with Clock(seconds, "balance"):
             solved = _balanced(photos, options)
         ground = Ground.under(grid, block.surface)
         engine = engine_for(samples(grid, outlines), render.resampling)
@@ -62,11 +63,11 @@ def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, opt
         ruler = Ruler(
             photos, grid, ground, corrections(solved), engine, render.resampling, render.tolerance, rule, order, info
         )
-        with _Clock(seconds, "mosaic"):
+        with Clock(seconds, "mosaic"):
             pixels, _, record = _render(ruler, output, labels, options, None)
     finally:
         photos.close()
-    with _Clock(seconds, "records"):
+    with Clock(seconds, "records"):
         if item is not None:
             images, shapes = [Path(scene.path) for scene in block.scenes], [outline.polygon for outline in outlines]
             sums = {output: sha256(output)}

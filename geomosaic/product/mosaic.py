@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,11 +14,13 @@ from geomosaic.block.block import Block
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.product.blend import Blender, MosaicUnit, Seams, label_type
+from geomosaic.product.blend import Blender, Seams
 from geomosaic.product.blenders import blender_for
 from geomosaic.product.colour import colours
 from geomosaic.product.corrections import corrections
 from geomosaic.product.edits import numbers_of, retouched
+from geomosaic.product.mosaic_result import Clock, MosaicResult
+from geomosaic.product.mosaic_unit import MosaicUnit, label_type
 from geomosaic.product.options import MosaicOptions
 from geomosaic.product.ortho import GeometryRecord, samples, tiles
 from geomosaic.product.photos import Photos
@@ -28,85 +28,27 @@ from geomosaic.product.pool import in_order
 from geomosaic.product.provenance import source_facts, write_views
 from geomosaic.product.records import gains, write_item, write_vectors
 from geomosaic.product.reuse import LOSSLESS, Reuse
-from geomosaic.product.seam_quality import SeamPlace, SeamQuality, judge_seams, worst_places
+from geomosaic.product.seam_quality import judge_seams, worst_places
 from geomosaic.product.shares import shares_of
 from geomosaic.product.visibility import Visibility, worth_compiling
+from geomosaic.product.visible import outlines_of
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.vector import prepare
 from geomosaic.resample.engine import engine_for
-from geomosaic.seam.lines import Segment, segments
+from geomosaic.seam.lines import segments
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import blocks
 
 if TYPE_CHECKING:
     from geomosaic.product.rules import Ruler
-    from geomosaic.product.stretch import Stretch
 
 SEGMENT = 512
 """Pixels: length of the pieces of seams that are judged."""
 MOST_SEGMENTS = 400
 """Pieces of about equal length beyond which they are made longer."""
-
-
-@dataclass(frozen=True)
-class MosaicResult:
-    """What was made.
-
-    Attributes
-    ----------
-    path : Path
-    labels, vectors, item : Path or None
-        Label raster, GeoPackage of footprints and seamlines, STAC item.
-    grid : Grid
-    valid_pixels : int
-    pixels : list of int
-        Pixels whose main source each image is.
-    balance : Balance
-    feather : float
-        Width of the transition, in map units.
-    lattice_error, tolerance : float
-        Largest measured and admissible error of the geometry, in image pixels, or output pixels where those are larger.
-    scale : float
-        Image pixels per output pixel.
-    seconds : dict
-        Per stage.
-    reused, units : int
-        Units of work whose pixels came from an earlier run, and all of them.
-    stretch : Stretch, optional
-        What was stretched to eight bits.
-    parts : list of Segment
-        Seamlines in pieces.
-    quality : list of SeamQuality
-        Of each piece, where it was asked for.
-    places : list of SeamPlace
-        The worst of them.
-    hidden_pixels : int, optional
-        Pixels that images cover and the surface hides from them all; None where that was not asked.
-    """
-
-    path: Path
-    labels: Path | None
-    vectors: Path | None
-    item: Path | None
-    grid: Grid
-    valid_pixels: int
-    pixels: list[int]
-    balance: Balance
-    feather: float
-    lattice_error: float
-    tolerance: float
-    scale: float
-    seconds: dict[str, float]
-    reused: int = 0
-    units: int = 0
-    stretch: Stretch | None = None
-    parts: list[Segment] = field(default_factory=list)
-    quality: list[SeamQuality] = field(default_factory=list)
-    places: list[SeamPlace] = field(default_factory=list)
-    hidden_pixels: int | None = None
 
 
 def beside(output: Path, what: str, suffix: str) -> Path:
@@ -152,14 +94,14 @@ def mosaic(
             check_output(path, overwrite=render.overwrite)
     width = options.blending.pixels(grid, options.feather)
     seconds: dict[str, float] = {}
-    photos = Photos(block, grid, outlines, render.memory_limit // 2)
+    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.depth)
     beside_it = ThreadPoolExecutor(1)
     reuse: Reuse | None = None
     about: dict[str, list[Any]] = {}
     try:
         # What costs time to import gets it where a processor would idle.
         compiled = beside_it.submit(engine_for, 2 * samples(grid, outlines), render.resampling)
-        with _Clock(seconds, "balance"):
+        with Clock(seconds, "balance"):
             solved = _balanced(photos, options)
         names = [outline.name for outline in outlines]
         applied = retouched(corrections(solved), names, options.retouch)
@@ -167,12 +109,13 @@ def mosaic(
         if options.stretch is not None:
             from geomosaic.product.stretch import DTYPE, stretched
 
-            with _Clock(seconds, "stretch"):
+            with Clock(seconds, "stretch"):
                 (applied, stretch), dtype = stretched(photos, render, applied, options.stretch), DTYPE
         out = numbers_of(options.exclude, names, "left out")
         photos.leave_out(out)
-        with _Clock(seconds, "seams"):
-            shapes = [Polygon() if i in out else outline.polygon for i, outline in enumerate(outlines)]
+        with Clock(seconds, "seams"):
+            shown = outlines_of(photos, render)
+            shapes = [Polygon() if i in out else shape for i, shape in enumerate(shown)]
             shares = shares_of(photos, shapes, applied, options)
         seams = Seams(shares, shapes, width)
         ground, engine = Ground.under(grid, block.surface), compiled.result()
@@ -181,18 +124,18 @@ def mosaic(
         if vectors is not None:
             beside_it.submit(prepare)
         reuse = _reuse(blender, output, labels, options)
-        with _Clock(seconds, "mosaic"):
+        with Clock(seconds, "mosaic"):
             pixels, hidden, record = _render(blender, output, labels, options, reuse)
         photos.again()
         if vectors is not None or item is not None:
             about = source_facts(photos, options.about)
         if views is not None and labels is not None:
-            with _Clock(seconds, "views"):
+            with Clock(seconds, "views"):
                 write_views(views, labels, photos, render)
         pixel = grid.resolution[0]
         parts, quality, places = segments(shares, pixel, SEGMENT * pixel), [], []
         if options.seam_quality:
-            with _Clock(seconds, "seam quality"):
+            with Clock(seconds, "seam quality"):
                 parts = segments(shares, pixel, max(SEGMENT * pixel, sum(p.line.length for p in parts) / MOST_SEGMENTS))
                 quality = judge_seams(blender, parts, render)
                 places = worst_places(blender, parts, quality, output)
@@ -201,7 +144,7 @@ def mosaic(
             reuse.close()
         photos.close()
         beside_it.shutdown(wait=False)
-    with _Clock(seconds, "records"), ThreadPoolExecutor(1) as beside_it:
+    with Clock(seconds, "records"), ThreadPoolExecutor(1) as beside_it:
         checksum = beside_it.submit(sha256, output)
         if vectors is not None:
             write_vectors(
@@ -216,8 +159,9 @@ def mosaic(
             )
         if reuse is not None and labels is not None:
             reuse.save(output, labels)
+    feather = width * grid.resolution[0] if np.isfinite(width) else 0.0
     return MosaicResult(
-        output, labels, vectors, item, grid, sum(pixels), pixels, solved, width * grid.resolution[0], record.error,
+        output, labels, vectors, item, grid, sum(pixels), pixels, solved, feather, record.error,
         render.tolerance, record.scale, seconds, 0 if reuse is None else reuse.taken, len(tiles(grid, render.tile)),
         stretch, parts, quality, places, hidden if render.true_ortho else None,
     )  # fmt: skip
@@ -302,16 +246,3 @@ def _render(
             label_sink.finish()
     record.judge(render.tolerance)
     return [int(count) for count in counts[1:-1]], int(counts[-1]), record
-
-
-class _Clock:
-    """Seconds of a stage."""
-
-    def __init__(self, seconds: dict[str, float], name: str) -> None:
-        self.seconds, self.name = seconds, name
-
-    def __enter__(self) -> None:
-        self.started = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self.seconds[self.name] = time.perf_counter() - self.started

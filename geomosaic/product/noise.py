@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,7 +26,8 @@ def usual_difference(blender: Blender) -> float:
 
     Where neighbours meet, up to three places of 128 × 128 pixels are compared for each pair, 48 for all. In each, the
     median difference is colour; the median distance from it, times 1.4826 (Huber, 1981), is noise. The median over
-    places is given, to two digits, so that the change of one image does not change it; 0 where nothing overlaps.
+    places is given, to two digits, so that the change of one image does not change it; but not less than rounding
+    makes: half of 1 for whole numbers, 1e-4 of the values for others. Infinite where nothing could be compared.
     """
     found = []
     places = _places(blender.seams.regions, blender.seams.outlines)
@@ -34,7 +36,7 @@ def usual_difference(blender: Blender) -> float:
         spread = _spread(blender, i, j, np.array([[x, y]]))
         if spread is not None:
             found.append(spread)
-    return float(f"{np.median(found):.{_DIGITS}g}") if found else 0.0
+    return float(f"{np.median(found):.{_DIGITS}g}") if found else math.inf
 
 
 def _places(regions: Sequence[Any], outlines: Sequence[Any]) -> list[tuple[int, int, float, float]]:
@@ -77,11 +79,13 @@ def _spread(blender: Blender, i: int, j: int, xy: FloatArray) -> float | None:
                 blender.colours[index], values, valid,
             )  # fmt: skip
         views.append((values, valid > 0))
-    both = (views[0][1] & views[1][1])[..., None].astype(np.float32)
-    weight = reduce(both)[..., 0]
+    both = (views[0][1] & views[1][1])[None].astype(np.float32)
+    weight = reduce(both)[0]
     known = weight == 1.0
     if known.sum() < SIDE:
         return None
-    apart = reduce((views[0][0] - views[1][0]) * both)[known]
+    apart = reduce(np.moveaxis(views[0][0] - views[1][0], 2, 0) * both)[:, known].T
     apart = apart - np.median(apart, axis=0)
-    return float(1.4826 * np.median(np.abs(apart)))
+    whole = np.issubdtype(np.dtype(blender.photos.info.dtype), np.integer)
+    least = 0.5 if whole else 1e-4 * float(np.abs(views[0][0][views[0][1]]).mean())
+    return max(least, float(1.4826 * np.median(np.abs(apart))))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.product.blending import Blending
+from geomosaic.product.depth import Depth
 from geomosaic.product.edits import Retouch
 from geomosaic.resample.warp import RESAMPLING
 from geomosaic.seam.cost import SeamWeights
@@ -133,6 +134,10 @@ class MosaicOptions:
         Changes of single images' colours, after the balance.
     blending : Blending
         How images are blended across their seams.
+    depth : Depth
+        Sample type of the output, and how those of the images are brought to it.
+    water : Path, optional
+        Vector file of water, each piece of which the least glinting image shows.
     memory : Memory, optional
         Where what was computed is remembered, so that a later run takes what has not changed.
     colour : tuple of str
@@ -173,6 +178,8 @@ class MosaicOptions:
     order: str = "list"
     base: str | None = None
     blending: Blending = field(default_factory=Blending)
+    depth: Depth = field(default_factory=Depth)
+    water: Path | None = None
 
     def __post_init__(self) -> None:
         if self.feather is not None and not self.feather >= 0:

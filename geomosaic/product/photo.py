@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
-from geomosaic.product.aligned import Offset, copied, is_identity, offset_on
+from geomosaic.product.aligned import Offset, copied, is_identity, offset_on, table_of
 from geomosaic.product.visibility import Shades
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.shade import Shade
@@ -40,6 +40,14 @@ class Photo:
     scale: float = 1.0
     grid: Grid | None = None
     offset: Offset | None = None
+    tables: dict[tuple[int, str], tuple[object, AnyArray | None]] = field(default_factory=dict, compare=False)
+
+    def table(self, colour: Colour | Curve, out: np.dtype[Any]) -> AnyArray | None:
+        """What a correction makes of every value the image can hold, where those are few; computed once."""
+        key = id(colour), str(out)
+        if key not in self.tables:  # the correction is kept too: no other can come to have its id
+            self.tables[key] = colour, table_of(colour, self.scale, self.source.dtype, out)
+        return self.tables[key][1]
 
     @classmethod
     def open(
@@ -86,6 +94,12 @@ def pull(
     """
     if ground.unknown:
         return []
+    if photo.offset is not None and grid is photo.grid and not isinstance(colour, Shade):
+        identity = isinstance(colour, Colour) and is_identity(colour) and photo.scale == 1.0
+        table = None if identity else photo.table(colour, out.dtype)
+        if identity or table is not None:
+            compiled = bool(engine.quick)
+            return copied(photo.source, photo.offset, ground.window, out, out_valid, need, table, compiled=compiled)
     if not isinstance(colour, Colour):
         plain, seen = np.zeros(out.shape, dtype=_unrounded(out)), np.zeros_like(out_valid)
         same = Colour.identity(out.shape[2])
@@ -105,8 +119,6 @@ def pull(
         return used
     if photo.scale != 1.0:
         colour = Colour(colour.gain * photo.scale, colour.offset)
-    if photo.offset is not None and grid is photo.grid and is_identity(colour):
-        return copied(photo.source, photo.offset, ground.window, out, out_valid, need)
     if lattices is None:
         lattices = build(photo.mapper, grid, ground, tolerance)
     patch = ground.patch if photo.mapper.uses_heights else None

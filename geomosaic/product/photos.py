@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from threading import Lock, Thread, current_thread
 
 import numpy as np
@@ -13,6 +13,7 @@ from geomosaic.block.block import Block
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.product.depth import Depth
 from geomosaic.product.photo import Photo
 from geomosaic.raster.source import SourceInfo, inspect
 from geomosaic.sensor.lattice import BLOCK_HEIGHT
@@ -33,12 +34,18 @@ class Photos:
         One per scene.
     memory : int
         Bytes that images which cannot be read by windows may hold, all together.
+    depth : Depth, optional
+        Sample type of the output; that of the images unless given.
     """
 
-    def __init__(self, block: Block, grid: Grid, outlines: Sequence[Footprint], memory: int) -> None:
+    def __init__(
+        self, block: Block, grid: Grid, outlines: Sequence[Footprint], memory: int, depth: Depth | None = None
+    ) -> None:
         self.block, self.grid, self.outlines = block, grid, outlines
         self.windows = [grid.window_of(outline.bounds) for outline in outlines]
-        self.info = _common([inspect(scene.path, scene.bands) for scene in block.scenes], block)
+        infos = [inspect(scene.path, scene.bands) for scene in block.scenes]
+        dtype, self._scales = (depth or Depth()).scales(infos)
+        self.info = replace(_common(infos, block), dtype=dtype)
         self._most_whole = _most_at_once(self.windows)
         self._each = memory // self._most_whole
         self._open: dict[int, _Open] = {}  # least recently used first
@@ -93,7 +100,7 @@ class Photos:
 
     def _opened(self, index: int) -> _Open:
         scene, outline = self.block.scenes[index], self.outlines[index]
-        return _Open(Photo.open(scene, self.block.surface, self.grid, outline, self._each))
+        return _Open(Photo.open(scene, self.block.surface, self.grid, outline, self._each, self._scales[index]))
 
     def _close_spare(self) -> None:
         """Of the photos that nobody reads, close those that are done with, and the least recently used beyond bounds.
@@ -135,7 +142,7 @@ def _most_at_once(windows: Sequence[Window]) -> int:
 
 
 def _common(infos: list[SourceInfo], block: Block) -> SourceInfo:
-    """Bands and sample type that all images share."""
+    """Bands that all images share."""
     first = infos[0]
     for scene, info in zip(block.scenes, infos, strict=True):
         if info.bands != first.bands:
@@ -143,11 +150,5 @@ def _common(infos: list[SourceInfo], block: Block) -> SourceInfo:
                 f"the image has {info.bands} bands, '{block.scenes[0].name}' has {first.bands}",
                 where=scene.path,
                 mend="choose the same bands of all images: --bidx, or bands under [project]",
-            )
-        if info.dtype != first.dtype:
-            raise InputError(
-                f"the image holds {info.dtype} samples, '{block.scenes[0].name}' holds {first.dtype}",
-                where=scene.path,
-                mend="convert the images to one sample type first",
             )
     return first

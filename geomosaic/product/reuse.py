@@ -19,7 +19,8 @@ import numpy as np
 
 import geomosaic
 from geomosaic.geo.grid import Window
-from geomosaic.product.blend import Blender, MosaicUnit
+from geomosaic.product.blend import Blender
+from geomosaic.product.mosaic_unit import MosaicUnit
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.checksum import sha256

@@ -9,7 +9,8 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.product.blend import Lattices, MosaicUnit, cells_of
+from geomosaic.product.blend import Lattices, cells_of
+from geomosaic.product.mosaic_unit import MosaicUnit
 from geomosaic.product.photo import pull
 from geomosaic.product.photos import Photos
 from geomosaic.radiometry.curve import Curve

@@ -25,7 +25,7 @@ def shares_of(photos: Photos, shapes: list[Any], colours: Sequence[Correction], 
 
 def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
     if options.cutlines is None:
-        return _laid(photos, shapes, colours, options)
+        return _with_water(photos, shapes, colours, options)
     from geomosaic.product.cutlines import read_cutlines
     from geomosaic.seam.cutlines import covers, with_cutlines
 
@@ -33,7 +33,17 @@ def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Correction], op
     drawn = read_cutlines(options.cutlines, names, shapes, photos.grid.crs)
     if covers(drawn, shapes):  # an edited layer has all shares: no others need to be laid
         return with_cutlines(regions(shapes, [outline.centre for outline in photos.outlines]), drawn)
-    return with_cutlines(_laid(photos, shapes, colours, options), drawn)
+    return with_cutlines(_with_water(photos, shapes, colours, options), drawn)
+
+
+def _with_water(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
+    shares = _laid(photos, shapes, colours, options)
+    if options.water is None:
+        return shares
+    from geomosaic.product.water import calmest, read_water
+    from geomosaic.seam.cutlines import with_cutlines
+
+    return with_cutlines(shares, calmest(photos, read_water(options.water, photos.grid.crs), shapes, colours))
 
 
 def _laid(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:

@@ -26,7 +26,7 @@ from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import PathLike
 
 if TYPE_CHECKING:
-    from geomosaic.product.mosaic import MosaicResult
+    from geomosaic.product.mosaic_result import MosaicResult
     from geomosaic.product.options import MosaicOptions
 
 COLUMNS = ("id", "image", "col", "row")

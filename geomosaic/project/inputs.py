@@ -96,6 +96,8 @@ class BlockInputs:
         Pixels at the left, top, right and bottom of every image that are not to be used.
     usable : Path, optional
         Table of polygons in image coordinates, beyond which images are not to be used.
+    band_names : tuple of str, optional
+        Bands to use by description or colour, in this order, wherever each file has them; in place of `bands`.
     """
 
     images: tuple[Path, ...]
@@ -123,6 +125,7 @@ class BlockInputs:
     planar: PlanarInputs | None = None
     margin: tuple[float, float, float, float] | None = None
     usable: Path | None = None
+    band_names: tuple[str, ...] | None = None
 
     @property
     def tables(self) -> tuple[Path, ...]:

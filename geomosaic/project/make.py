@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +25,7 @@ from geomosaic.raster.info import inspect
 from geomosaic.surface.model import Surface
 
 if TYPE_CHECKING:
-    from geomosaic.product.mosaic import MosaicResult
+    from geomosaic.product.mosaic_result import MosaicResult
     from geomosaic.product.options import MosaicOptions, RenderOptions
     from geomosaic.product.ortho import OrthoResult
 
@@ -132,13 +132,18 @@ def reference_scene(path: Path, bands: Sequence[int] | None) -> Scene:
 def make_mosaic(inputs: BlockInputs, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
     """Make a mosaic of all images of `inputs`."""
     from geomosaic.product.mosaic import beside, mosaic
-    from geomosaic.project.mosaic_grid import plan_mosaic
+    from geomosaic.project.bands import check_same_bands, with_named_bands
+    from geomosaic.project.mosaic_grid import note_scattered, plan_mosaic
 
     named = (("-labels", ".tif", options.labels), ("", ".gpkg", options.vectors), ("", ".stac.json", options.stac))
     for file in (output, *(beside(output, mark, suffix) for mark, suffix, wanted in named if wanted)):
         refuse_existing(file, options.render.overwrite, inputs)
     block = build_block(inputs)
+    if inputs.band_names is not None:
+        block = replace(block, scenes=with_named_bands(block.scenes, inputs.band_names))
+    check_same_bands(block.scenes)
     grid, outlines = plan_mosaic(block.scenes, block.surface, area)
+    note_scattered(grid, outlines)
     return mosaic(block, grid, outlines, output, options)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from pyproj import CRS
 
 from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
+from geomosaic.errors import GeomosaicWarning
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
@@ -22,6 +24,8 @@ from geomosaic.surface.model import Surface
 
 _HAIR = 1e-3
 """Pixels that an image may reach beyond a pixel's edge without asking for another pixel."""
+_SCATTERED = 0.02
+"""Part of a mosaic that images must cover not to be called scattered."""
 
 
 def plan_mosaic(scenes: Sequence[Scene], surface: Surface | None, area: Area) -> tuple[Grid, list[Footprint]]:
@@ -78,3 +82,20 @@ def _extended(grid: Grid, outlines: Sequence[Footprint]) -> Grid:
     t = grid.transform
     corner = Affine(t.a, 0.0, t.c + col * t.a, 0.0, t.e, t.f + row * t.e)
     return Grid(grid.crs, corner, max(1, stop_col - col), max(1, stop_row - row))
+
+
+def note_scattered(grid: Grid, outlines: Sequence[Footprint]) -> None:
+    """Say so where the images lie so far apart that the mosaic is nearly empty: one has a wrong CRS, as a rule."""
+    left, bottom, right, top = grid.bounds
+    area = sum((b[2] - b[0]) * (b[3] - b[1]) for b in (outline.bounds for outline in outlines))
+    if area >= _SCATTERED * (right - left) * (top - bottom):
+        return
+    middle = np.median([outline.centre for outline in outlines[:-1] or outlines], axis=0)
+    far = max(outlines, key=lambda outline: float(np.hypot(*(np.array(outline.centre) - middle))))
+    warnings.warn(
+        f"the images share no ground and cover {100 * area / ((right - left) * (top - bottom)):.1g} % of the mosaic: "
+        f"'{far.name}' lies {float(np.hypot(*(np.array(far.centre) - middle))):.6g} map units from the others; "
+        "check its CRS and geotransform, or give --bounds",
+        GeomosaicWarning,
+        stacklevel=3,
+    )

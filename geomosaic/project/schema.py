@@ -16,7 +16,20 @@ def _plain_path(text: str) -> str:
     return text
 
 
+def _width(text: str) -> str:
+    """Refuse what is no width with a unit."""
+    from geomosaic.errors import InputError
+    from geomosaic.product.blending import Width
+
+    try:
+        Width.parse(text)
+    except InputError as error:
+        raise ValueError(f"{error.what}: {error.mend}") from None
+    return text
+
+
 FilePath = Annotated[str, AfterValidator(_plain_path)]
+WidthText = Annotated[str, AfterValidator(_width)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Band = Annotated[int, Field(ge=1)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -163,7 +176,12 @@ class RetouchSection(Section):
 class MosaicSection(Section):
     """[mosaic]."""
 
-    feather: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    feather: Annotated[float, Field(ge=0, allow_inf_nan=False)] | WidthText | None = None
+    blend: Literal["feather", "overlap", "multiband", "none"] = "feather"
+    ramp: Literal["linear", "smooth"] = "linear"
+    limit: bool | None = None
+    order: Literal["list", "name", "resolution", "date"] = "list"
+    base: str | None = None
     balance: bool = True
     colour: str = "auto"
     mask: FilePath | None = None

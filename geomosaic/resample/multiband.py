@@ -24,7 +24,7 @@ from geomosaic.types import AnyArray, BoolArray, IntArray
 
 REACH = 5
 """Levels over which unknown differences are taken from their surroundings: about 32 pixels."""
-ROUNDS = 3
+ROUNDS = 2
 TOLERATED = 3.0
 """Differences so many times as large as the noise count half."""
 
@@ -60,7 +60,7 @@ def differences(views: Sequence[View], label: IntArray, noise: float | None, by:
 
     Returns
     -------
-    list of float32 array (rows, cols, bands) or None
+    list of float32 array (bands, rows, cols) or None
         None for the base, and for images that meet no other.
     """
     count = np.bincount(label[label >= 0].ravel(), minlength=len(views))
@@ -68,7 +68,9 @@ def differences(views: Sequence[View], label: IntArray, noise: float | None, by:
     kind = views[base].values.dtype
     exact = np.float32 if kind.itemsize < 4 or kind == np.float32 else np.float64
     known = views[base].valid.copy()
-    ground = np.where(known[..., None], views[base].values, 0).astype(exact)
+    ground = views[base].values.astype(exact)
+    if not known.all():  # whatever stands there, it may be no number
+        ground[~known] = 0
     found: list[AnyArray | None] = [None] * len(views)
     left = [i for i in range(len(views)) if i != base]
     while left:
@@ -77,20 +79,25 @@ def differences(views: Sequence[View], label: IntArray, noise: float | None, by:
             break
         i = left.pop(int(np.argmax(shared)))
         view, both = views[i], known & views[i].valid
-        raw = np.where(both[..., None], view.values - ground, 0).astype(np.float32)
-        certain = both[..., None].astype(np.float32)
+        # Bands lie one after the other from here on: a weight then serves them all at no cost.
+        raw = np.empty((ground.shape[2], *both.shape), dtype=np.float32)
+        for band in range(len(raw)):
+            np.subtract(view.values[..., band], ground[..., band], out=raw[band], dtype=exact, casting="same_kind")
+        if not both.all():
+            raw[:, ~both] = 0
+        certain = both[None].astype(np.float32)
         if noise is not None:
             certain = believed(raw, certain, noise, by)
         found[i] = apart = raw if (certain == 1).all() else filled(by, raw, certain, REACH)
         new = view.valid & ~known
         if left and new.any():  # ground that the next image may be compared with
-            np.copyto(ground, view.values - apart, where=new[..., None])
+            ground[new] = view.values[new] - apart[:, new].T
             known |= new
     return found
 
 
 def believed(apart: AnyArray, certain: AnyArray, noise: float, by: Steps) -> AnyArray:
-    """Certainty (rows, cols, 1) of differences: little where they stand out from their surroundings.
+    """Certainty (1, rows, cols) of differences: little where they stand out from their surroundings.
 
     Measured at half the resolution: a difference stands out by its distance from the mean difference within about 32
     pixels, root mean square over bands and some pixels around. The mean is taken again with the new certainties.
@@ -98,10 +105,10 @@ def believed(apart: AnyArray, certain: AnyArray, noise: float, by: Steps) -> Any
     small, weight = by.reduce(apart * certain), by.reduce(certain)
     small = small / np.maximum(weight, np.float32(1e-6))
     trusted = weight
-    limit = np.float32((TOLERATED * max(noise, 1e-6)) ** 2)
+    limit = np.float32(max(TOLERATED * noise, 1e-6) ** 2)
     for _ in range(ROUNDS):
         mean = _mean(small, trusted, by)
-        square = ((small - mean) ** 2).mean(axis=2, keepdims=True, dtype=np.float32) * np.minimum(weight, 1)
+        square = ((small - mean) ** 2).mean(axis=0, keepdims=True, dtype=np.float32) * np.minimum(weight, 1)
         square = ascend(by, by.reduce(by.reduce(square)), 2)
         trusted = weight / (np.float32(1.0) + (square / limit) ** 2)
     share = trusted / np.maximum(weight, np.float32(1e-6))
@@ -120,7 +127,7 @@ def in_bands(apart: Sequence[AnyArray | None], label: IntArray, levels: int, by:
 
     Parameters
     ----------
-    apart : sequence of float32 array (rows, cols, bands) or None
+    apart : sequence of float32 array (bands, rows, cols) or None
     label : int array (rows, cols)
     levels : int
         The coarsest band is blended over about 2 ^ (levels + 1) pixels.
@@ -128,14 +135,14 @@ def in_bands(apart: Sequence[AnyArray | None], label: IntArray, levels: int, by:
 
     Returns
     -------
-    float32 array (rows, cols, bands), or None where no image differs
+    float32 array (bands, rows, cols), or None where no image differs
     """
     sums: list[AnyArray] = []
     for i, own in enumerate(apart):
         if own is None:
             continue
         gauss = descend(by, own, levels)
-        shares = descend(by, (label == i)[..., None].astype(np.float32), levels)
+        shares = descend(by, (label == i)[None].astype(np.float32), levels)
         for level in range(levels + 1):
             band = gauss[level] if level == levels else gauss[level] - by.expand(gauss[level + 1])
             band *= shares[level]
@@ -157,7 +164,7 @@ def by_weights(apart: Sequence[AnyArray | None], weights: Sequence[AnyArray]) ->
     out: AnyArray | None = None
     for own, weight in zip(apart, weights, strict=True):
         if own is not None:
-            part = own * weight[..., None]
+            part = own * weight[None]
             out = part if out is None else out + part
     return out
 
@@ -168,13 +175,13 @@ def corrected(
     """Own value of each pixel and its correction, not rounded (rows, cols, bands); zero where no image is."""
     kind = views[0].values.dtype
     exact = np.float32 if kind.itemsize < 4 or kind == np.float32 else np.float64
-    out = np.zeros(views[0].values.shape, dtype=exact)
-    for i, view in enumerate(views):
-        own = (label == i)[..., None]
-        np.copyto(out, view.values, where=own)
-        difference = apart[i]
-        if difference is not None:
-            np.subtract(out, difference, out=out, where=own)
-    if blend is not None:
-        np.add(out, blend, out=out, where=(label >= 0)[..., None])
+    out: AnyArray = np.zeros(views[0].values.shape, dtype=exact)
+    masks = [label == i for i in range(len(views))]
+    for band in range(views[0].values.shape[2]):
+        whole: AnyArray = np.zeros(label.shape, dtype=exact) if blend is None else blend[band].astype(exact)
+        for mask, view, difference in zip(masks, views, apart, strict=True):
+            np.add(whole, view.values[..., band], out=whole, where=mask)
+            if difference is not None:
+                np.subtract(whole, difference[band], out=whole, where=mask)
+        out[..., band] = np.where(label >= 0, whole, 0)
     return out

@@ -14,7 +14,7 @@ Step = Callable[[AnyArray], AnyArray]
 
 @dataclass(frozen=True)
 class Steps:
-    """One step down and one up; arrays (rows, cols, bands) of float32, of even size where they go down."""
+    """One step down and one up; arrays (bands, rows, cols) of float32, of even size where they go down."""
 
     reduce: Step
     expand: Step
@@ -31,12 +31,12 @@ def steps(*, compiled: bool) -> Steps:
 
 def reduce(fine: AnyArray) -> AnyArray:
     """Half the size, see `kernels.pyramid.reduce`."""
-    return _halved(_halved(fine, 0), 1)
+    return _halved(_halved(fine, 1), 2)
 
 
 def expand(coarse: AnyArray) -> AnyArray:
     """Twice the size, see `kernels.pyramid.expand`."""
-    return _doubled(_doubled(coarse, 0), 1)
+    return _doubled(_doubled(coarse, 1), 2)
 
 
 def _halved(values: AnyArray, axis: int) -> AnyArray:
@@ -87,9 +87,9 @@ def filled(by: Steps, values: AnyArray, certainty: AnyArray, levels: int) -> Any
     Parameters
     ----------
     by : Steps
-    values : float32 array (rows, cols, bands)
+    values : float32 array (bands, rows, cols)
         Finite everywhere; what is uncertain does not matter.
-    certainty : float32 array (rows, cols, 1)
+    certainty : float32 array (1, rows, cols)
         0 to 1.
     levels : int
         Reach: beyond about 2 ^ levels samples from anything certain, values fade to 0.
@@ -98,5 +98,7 @@ def filled(by: Steps, values: AnyArray, certainty: AnyArray, levels: int) -> Any
     one, least = np.float32(1.0), np.float32(1e-6)
     out = sums[-1] / np.maximum(weights[-1], least)
     for total, weight in zip(sums[-2::-1], weights[-2::-1], strict=True):
-        out = total + (one - weight) * by.expand(out)
+        out = by.expand(out)
+        out *= one - weight
+        out += total
     return out

@@ -15,6 +15,7 @@ from geomosaic.jobs.heard import heard
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Context, Machine
 from geomosaic.jobs.steps.restore import area_of, render_options, restore_block
+from geomosaic.product.blending import Blending, Width
 from geomosaic.product.colour_facts import colour_facts, picture
 from geomosaic.product.reuse import Memory
 from geomosaic.project.draft import relative
@@ -42,7 +43,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         reference = project.file(wanted.reference)
         options = MosaicOptions(
             replace(render_options(project, machine, context.progress), true_ortho=wanted.true_ortho),
-            wanted.feather,
+            wanted.feather if isinstance(wanted.feather, float) else None,
             wanted.balance,
             wanted.labels,
             histogram=wanted.histogram,
@@ -65,6 +66,9 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             mask=project.file(wanted.mask),
             region=project.file(wanted.region),
             stretch=wanted.stretch,
+            order=wanted.order,
+            base=wanted.base,
+            blending=Blending(wanted.blend, _width(wanted.feather), wanted.ramp, wanted.limit),
         )
         result = make(block, grid, outlines, layout.mosaic, options)
     judged = seam_facts(result.parts, result.quality, [outline.name for outline in outlines])
@@ -130,6 +134,10 @@ def _about(project: Project, context: Context) -> dict[str, dict[str, Any]]:
                 rms = math.sqrt(sum(p["col"] ** 2 + p["row"] ** 2 for p in own) / len(own))
                 about[image.name][f"rms_{role}_px"] = rms
     return about
+
+
+def _width(feather: float | str | None) -> Width | None:
+    return Width.parse(feather) if isinstance(feather, str) else None
 
 
 def _memory(project: Project, context: Context) -> Memory:

@@ -1,0 +1,128 @@
+"""Images of other sample types, bands and orders, and what cannot be put together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mosaic_rig as rig
+import numpy as np
+import pytest
+
+from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.product.blending import Blending
+from geomosaic.product.depth import Depth
+from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.make import Area, make_mosaic
+
+
+def two(folder: Path, one: np.ndarray, other: np.ndarray, **more: object) -> list[Path]:
+    return [rig.write(folder / "a.tif", one), rig.write(folder / "b.tif", other, 60, 0, **more)]
+
+
+def test_depths_are_kept_or_stretched_but_never_clipped(tmp_path: Path) -> None:
+    values = np.random.default_rng(1).integers(1, 255, (80, 100, 3)).astype(np.uint8)
+    files = two(tmp_path, values, (values[:, :90].astype(np.uint16) * 257))
+    out = tmp_path / "out.tif"
+    with pytest.raises(InputError, match="holds uint16 samples") as caught:
+        rig.run(files, out, rule="first")
+    assert "--dtype uint16" in str(caught.value)
+    with pytest.raises(InputError, match="uint8 cannot hold them all"):
+        rig.run(files, out, rule="first", depth=Depth("uint8"))
+    rig.run(files, out, rule="first", depth=Depth("uint16", "range"))
+    made, _ = rig.read(out)
+    assert np.array_equal(made[:, :100], values.astype(np.uint16) * 257)
+    assert np.array_equal(made[:, 100:], values[:, 40:90].astype(np.uint16) * 257)
+    rig.run(files, out, rule="first", depth=Depth("uint8", "range"))
+    assert np.array_equal(rig.read(out)[0][:, 60:], np.concatenate([values[:, 60:], values[:, 40:90]], axis=1))
+    rig.run(files, out, rule="first", depth=Depth("float32"))
+    made, _ = rig.read(out)
+    assert made.dtype == np.float32
+    assert np.array_equal(made[:, :100], values)
+    for blending in (Blending(), Blending("multiband", limit=False)):
+        rig.run(files, out, depth=Depth("uint16", "range"), blending=blending)
+        assert rig.read(out)[1].all()
+
+
+def test_bands_by_name(tmp_path: Path) -> None:
+    values = np.random.default_rng(1).integers(1, 255, (80, 100, 3)).astype(np.uint8)
+    one = rig.write(tmp_path / "a.tif", values, descriptions=("Red", "green", "blue"), photometric="MINISBLACK")
+    flipped = values[:, 60:, ::-1]
+    extra = np.concatenate([np.full_like(flipped[..., :1], 9), flipped], axis=2)
+    other = rig.write(
+        tmp_path / "b.tif", extra, 60, descriptions=("nir", "blue", "green", "red"), photometric="MINISBLACK"
+    )
+    out = tmp_path / "out.tif"
+    options = MosaicOptions(RenderOptions(overwrite=True), balance=False, stac=False, rule="mean")
+
+    def run(*names: str) -> np.ndarray:
+        make_mosaic(BlockInputs((one, other), "planar", band_names=names), Area(), out, options)
+        return rig.read(out)[0]
+
+    assert np.array_equal(run("red", "green", "blue"), values)
+    assert np.array_equal(run("blue", "red"), values[..., [2, 0]])
+    with pytest.raises(InputError, match="no band is called 'nir'"):
+        run("nir")
+    with pytest.raises(InputError, match=r"has 4 bands, .a\.tif. has 3 bands"):
+        rig.run([one, other], out, rule="mean")
+    rig.write(tmp_path / "b.tif", flipped, 60, descriptions=("blue", "green", "red"))
+    with pytest.raises(InputError, match="the bands are blue, green, red") as caught:
+        rig.run([one, other], out, rule="mean")
+    assert "--bands red,green,blue" in str(caught.value)
+
+
+def test_alpha_is_respected(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    values = rng.integers(1, 255, (80, 100, 3)).astype(np.uint8)
+    hidden = rng.random((80, 100)) < 0.5
+    alpha = np.where(hidden, 0, 255).astype(np.uint8)[..., None]
+    top = rig.write(tmp_path / "top.tif", np.concatenate([values, alpha], axis=2), photometric="RGB", alpha="YES")
+    below = rig.write(tmp_path / "below.tif", np.full_like(values, 7))
+    rig.run([top, below], tmp_path / "out.tif", rule="first")
+    made, valid = rig.read(tmp_path / "out.tif")
+    assert valid.all()
+    assert np.array_equal(made, np.where(hidden[..., None], 7, values))
+
+
+def test_what_lies_far_apart_is_told(tmp_path: Path) -> None:
+    values = np.full((40, 40, 1), 9, dtype=np.uint8)
+    files = [rig.write(tmp_path / "a.tif", values), rig.write(tmp_path / "b.tif", values, 3000, 500)]
+    with pytest.warns(GeomosaicWarning, match=r"'b.tif' lies 3\d\d\d.* map units from the others"):
+        rig.run(files, tmp_path / "out.tif", rule="first")
+
+
+def test_empty_images(tmp_path: Path) -> None:
+    values = np.random.default_rng(1).integers(1, 255, (80, 100, 3)).astype(np.uint8)
+    full = rig.write(tmp_path / "full.tif", values, nodata=0)
+    empty = rig.write(tmp_path / "empty.tif", np.zeros_like(values), 30, 0, nodata=0)
+    for options in ({"rule": "first"}, {"rule": "median"}, {"blending": Blending("multiband")}, {"balance": True}):
+        result = rig.run([empty, full], tmp_path / "out.tif", **options)
+        made, valid = rig.read(tmp_path / "out.tif")
+        assert result.pixels == [0, 8000]
+        assert np.array_equal(made[valid], values.reshape(-1, 3))
+    with pytest.raises(InputError, match="no image shows anything"):
+        rig.run([empty], tmp_path / "out.tif", rule="first")
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+def test_corrected_copies_are_what_resampling_gives(tmp_path: Path, dtype: str) -> None:
+    """Values by table are those that the kernels compute, to the bit; the curve is applied once and rounded once."""
+    from geomosaic.geo.grid import Window
+    from geomosaic.product.aligned import copied, table_of
+    from geomosaic.radiometry.curve import Curve
+    from geomosaic.raster.source import Source
+    from geomosaic.resample.warp import Colour
+
+    values = np.random.default_rng(1).integers(0, np.iinfo(dtype).max + 1, (70, 90, 2)).astype(dtype)
+    file = rig.write(tmp_path / "a.tif", values)
+    curve = Curve([(np.array([10.0, 80.0]), np.array([30.0, 70.0])), (np.array([0.0]), np.array([-5.25]))])
+    colour = Colour(np.array([1.1, 0.9]), np.array([-3.0, 4.5]))
+    top = np.iinfo(dtype).max
+    for correction, exact in ((curve, curve(values)), (colour, values * colour.gain + colour.offset)):
+        for compiled in (False, True):
+            out, seen = np.zeros_like(values), np.zeros((70, 90), dtype=np.uint8)
+            with Source(file) as source:
+                table = table_of(correction, 1.0, source.dtype, out.dtype)
+                copied(source, (0, 0), Window(0, 0, 90, 70), out, seen, None, table, compiled=compiled)
+            assert seen.all()
+            assert np.array_equal(out, np.clip(np.floor(exact + 0.5), 0, top))
