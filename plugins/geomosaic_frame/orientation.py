@@ -1,8 +1,7 @@
 """Exterior rotation from the angle systems in use: named readers, none of which guesses.
 
 Every reader gives the ground→image rotation M of this program: ground axes east, north, up; image axes x right, y up,
-the camera looking along −z. What "east, north" mean is the frame: 'grid' (the axes of the map), 'local' (true north at
-the camera) or 'topocentric' (true north at a reference point).
+the camera looking along −z. What "east, north" mean is the frame, see `Attitude`.
 """
 
 from __future__ import annotations
@@ -42,8 +41,8 @@ class Attitude:
     rotation : array (3, 3)
         Ground → image, x right, y up.
     frame : str
-        'grid', 'local', 'topocentric', 'offset' (grid axes, position counted from the reference's map coordinates),
-        'map' (grid axes, position in the CRS) or 'geocentric'.
+        'grid' (axes of the map), 'local' (true north), 'topocentric' (that of a reference), 'offset' (grid axes, counted
+        from the reference's map coordinates), 'map' (grid axes, position in the CRS) or 'geocentric'.
     position : array (3,), optional
         Projection centre in that frame where the system gives it.
     crs : CRS, optional
