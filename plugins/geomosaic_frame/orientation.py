@@ -41,7 +41,7 @@ class Attitude:
     rotation : array (3, 3)
         Ground → image, x right, y up.
     frame : str
-        'grid' (axes of the map), 'local' (true north), 'topocentric' (that of a reference), 'offset' (grid axes, counted
+        'grid' (axes of the map), 'local' (true north), 'topocentric' (that of a reference), 'offset' (grid, counted
         from the reference's map coordinates), 'map' (grid axes, position in the CRS) or 'geocentric'.
     position : array (3,), optional
         Projection centre in that frame where the system gives it.
