@@ -143,6 +143,16 @@ def test_scenes_with_rpc(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert made["misfit"] is None
 
 
+def test_one_height_under_a_scene_must_say_what_it_counts_from(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with rasterio.open(tmp_path / "one.tif", "w", driver="GTiff", width=4000, height=3000, count=1, dtype="uint8"):
+        pass
+    (tmp_path / "one_RPC.TXT").write_text(text_of(rpc_rig.rpc()))
+    made = new(capsys, tmp_path / "p.toml", tmp_path / "one.tif", "--height", 400)
+    assert [text.split(":")[0] for text in made["needed"]] == ["what the height of the ground counts from"]
+
+
 def test_georeferenced_images_and_world_files_stay_as_they_lie(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -64,6 +64,9 @@ def needs(inputs: BlockInputs) -> list[str]:
         found.append(f"the vertical datum of the positions: [exterior] heights: {HEIGHTS}")
     if inputs.dem is None and inputs.height is None:
         found.append("the ground: [dem] file, or [dem] height in metres")
+    own = framed and inputs.sensor != "frame"
+    if own and inputs.height is not None and not (inputs.dem_heights or inputs.heights or inputs.crs):
+        found.append(f"what the height of the ground counts from: [dem] heights: {HEIGHTS}")
     if inputs.dem_heights is None and undeclared_heights(inputs.dem):
         found.append(f"the vertical datum of the DEM: [dem] heights: {HEIGHTS}")
     return found

@@ -16,7 +16,8 @@ from geomosaic_frame.foreign import READERS, read_foreign
 from geomosaic_frame.inside import Inside
 from geomosaic_frame.interior import KINDS
 from geomosaic_frame.marks import orient
-from geomosaic_frame.orientation import DIRECTIONS, FRAMES, WORLDS
+from geomosaic_frame.orientation import DIRECTIONS, FRAMES
+from geomosaic_frame.pose import WORLDS
 from geomosaic_frame.read import choice, flag, known_keys, need, numbers, table_of
 
 FILM_OPTIONS = ("fiducials", "interior", "mirrored")

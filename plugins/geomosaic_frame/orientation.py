@@ -1,8 +1,7 @@
 """Exterior rotation from the angle systems in use: named readers, none of which guesses.
 
 Every reader gives the ground→image rotation M of this program: ground axes east, north, up; image axes x right, y up,
-the camera looking along −z. What "east, north" mean is the frame: 'grid' (the axes of the map), 'local' (true north at
-the camera) or 'topocentric' (true north at a reference point).
+the camera looking along −z. What "east, north" mean is the frame, see `Attitude`.
 """
 
 from __future__ import annotations
@@ -13,12 +12,11 @@ from typing import Any
 
 import numpy as np
 from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import geocentric
 from geomosaic.geo.rotation import angle_axis, omega_phi_kappa, r1, r2, r3
 from geomosaic.types import FloatArray
+from geomosaic_frame.pose import read_pose
 from geomosaic_frame.read import choice, known_keys, need, number, numbers
 
 FULL_CIRCLE = {"deg": 360.0, "gon": 400.0, "rad": 2.0 * np.pi}
@@ -43,8 +41,8 @@ class Attitude:
     rotation : array (3, 3)
         Ground → image, x right, y up.
     frame : str
-        'grid', 'local', 'topocentric', 'offset' (grid axes, position counted from the reference's map coordinates),
-        'map' (grid axes, position in the CRS) or 'geocentric'.
+        'grid' (axes of the map), 'local' (true north), 'topocentric' (that of a reference), 'offset' (grid, counted
+        from the reference's map coordinates), 'map' (grid axes, position in the CRS) or 'geocentric'.
     position : array (3,), optional
         Projection centre in that frame where the system gives it.
     crs : CRS, optional
@@ -191,42 +189,9 @@ def _odm(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
     return _shot(row, where, "offset")
 
 
-WORLDS = ("map", "geocentric", "local")
-"""What the world of another program may be: axes of the map, of the Earth, or east, north, up at a reference."""
-
-
 def _pose(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
-    """Rotation world → camera (x right, y down, z forward) row by row, position, and what the world is."""
-    text = "rotation matrix world → camera, row by row"
-    rotation = np.array(numbers(need(row, "rotation", where, text), 9, "rotation", where)).reshape(3, 3)
-    worst = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if worst > 1e-5 or np.linalg.det(rotation) < 0.0:
-        raise InputError(f"rotation is no rotation: rows are off orthonormal by {worst:.1e}", where=where)
-    left, _, right = np.linalg.svd(rotation)
-    position = np.array(numbers(need(row, "position", where, "projection centre"), 3, "position", where))
-    frame, crs = _world(str(need(row, "world", where, f"what the world is, one of {', '.join(WORLDS)}")), where)
-    return Attitude(FLIP @ left @ right, frame, position, crs)
-
-
-def _world(world: str, where: str) -> tuple[str, CRS | None]:
-    """Frame of a world: one of `WORLDS`, or the WKT of a CRS in whose geocentric coordinates the file counts."""
-    if world in WORLDS:
-        return ("topocentric" if world == "local" else world), None
-    if not world or world.lstrip().upper().startswith(("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")):
-        raise InputError(
-            "the file counts in local coordinates and does not say where these are",
-            where=where,
-            mend="say it: world = 'map' (they are those of the CRS that is named), 'geocentric', or 'local' with "
-            "reference = [longitude, latitude, altitude]",
-        )
-    try:
-        return "geocentric", geocentric(CRS.from_wkt(world))
-    except (CRSError, InputError) as error:
-        raise InputError(
-            f"what the world is cannot be understood: '{world[:60]}'",
-            where=where,
-            mend=f"say it: world = {', '.join(WORLDS)}",
-        ) from error
+    rotation, position, frame, crs = read_pose(row, where)
+    return Attitude(FLIP @ rotation, frame, position, crs)
 
 
 SYSTEMS: Mapping[str, AngleSystem] = {
@@ -291,8 +256,7 @@ SYSTEMS: Mapping[str, AngleSystem] = {
         *(
             AngleSystem(
                 name,
-                f"{what}: rotation matrix world to camera (x right, y down, z forward) and position; world = map, "
-                "geocentric, or local with reference = [longitude, latitude, altitude]",
+                f"{what}: world to camera (x right, y down, z forward); world = map, geocentric or local",
                 ("rotation", "position", "world"),
                 "world",
                 _pose,
@@ -300,8 +264,8 @@ SYSTEMS: Mapping[str, AngleSystem] = {
             )
             for name, what in (
                 ("colmap", "COLMAP's images.txt, with cameras.txt beside it"),
-                ("pix4d", "Pix4D's list of calibrated camera parameters, with its offset beside it"),
-                ("metashape", "cameras exported from Metashape as XML, or as omega, phi, kappa"),
+                ("pix4d", "Pix4D's calibrated camera parameters, with their offset beside them"),
+                ("metashape", "cameras of Metashape, as XML or as omega, phi, kappa"),
             )
         ),
     )
