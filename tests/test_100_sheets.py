@@ -240,3 +240,18 @@ def test_tiles_for_the_web(raster: Path, tmp_path: Path) -> None:
         assert names[0] == "doc.kml"
         assert "<north>50.0" in archive.read(next(n for n in names if n.endswith("0/0.kml"))).decode()
     assert not [path for path in tmp_path.iterdir() if "partial" in path.name]
+
+
+def test_logo(raster: Path, tmp_path: Path) -> None:
+    """A logo stands left of the title, 11 mm high; one that cannot be read is an error."""
+    Image.new("RGB", (40, 20), (255, 0, 0)).save(tmp_path / "logo.png")
+    (tmp_path / "l.toml").write_text('[sheet]\ntitle = "Named"\nlogo = "logo.png"\n')
+    page = sheet(raster, tmp_path / "page.png", "--layout", str(tmp_path / "l.toml"))
+    red = (np.asarray(Image.open(page)).astype(int) - [255, 0, 0] == 0).all(axis=2)
+    rows, cols = np.nonzero(red)
+    assert (np.ptp(rows) + 1) / 100 * 25.4 == pytest.approx(11, abs=0.6)
+    assert (np.ptp(cols) + 1) / 100 * 25.4 == pytest.approx(22, abs=0.6)
+    (tmp_path / "logo.png").write_bytes(b"no picture")
+    words = ["sheet", str(raster), "--layout", str(tmp_path / "l.toml"), "-o", str(tmp_path / "b.png")]
+    assert run(words) == 1
+    assert not (tmp_path / "b.png").exists()

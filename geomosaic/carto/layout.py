@@ -23,6 +23,7 @@ class SheetPart:
     series: str = ""
     number: str = ""
     name: str = ""
+    logo: str = ""  # PNG or JPEG left of the title
     paper: str = ""
     orientation: str = a_choice("auto", "auto", "portrait", "landscape")
     margin: float = a_number(10.0, least=0.0, most=200.0)

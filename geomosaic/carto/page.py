@@ -197,7 +197,11 @@ def _on_paper(
             side = "none"
     if side == "bottom" and width - 2 * margin < NARROWEST:
         return None
-    head = HEAD if any((layout.sheet.title, layout.sheet.subtitle, layout.sheet.number, layout.sheet.name)) else 0.0
+    head = (
+        HEAD
+        if any((layout.sheet.title, layout.sheet.subtitle, layout.sheet.number, layout.sheet.name, layout.sheet.logo))
+        else 0.0
+    )
     right = PANEL_RIGHT + GAP if side == "right" else 0.0
     bottom = PANEL_BOTTOM + GAP if side == "bottom" else FOOT
     room = (width - 2 * margin - 2 * BAND - right, height - 2 * margin - 2 * BAND - bottom - head)

@@ -112,6 +112,8 @@ def sheet_inputs(
     """Read layout, styles and report; what is given here wins over the layout file."""
     plan = read_layout(layout) if layout is not None else Layout()
     base = layout.parent if layout is not None else Path()
+    if plan.sheet.logo:
+        plan = replace(plan, sheet=replace(plan.sheet, logo=str(base / plan.sheet.logo)))
     sheet = {"paper": paper, "orientation": orientation, "dpi": dpi, "title": title}
     area = {"scale": parse_scale(scale, "--scale") if scale else None, "bounds": bounds}
     looks: dict[str, Any] = {

@@ -14,12 +14,15 @@ from geomosaic.carto.layout import Layout
 from geomosaic.carto.page import Box, Page
 from geomosaic.carto.series.neatline import SheetPlace
 from geomosaic.carto.style import Symbol
+from geomosaic.errors import InputError
 
 SWATCH = 9.0
 """Width of a symbol in the legend, mm."""
 LEADING = 1.42
 """Distance of lines in parts of the text size."""
 SMALLEST_TEXT = 4.5
+LOGO = 11.0
+"""Height of the logo, mm."""
 TIGHTEST = 0.7
 """How far the lines of a legend may move together, where it has more than its room."""
 
@@ -60,6 +63,8 @@ def draw_head(canvas: Canvas, page: Page, layout: Layout) -> None:
     sheet, (left, bottom, right, top) = layout.sheet, page.head
     if top <= bottom:
         return
+    if sheet.logo:
+        left = _logo(canvas, sheet.logo, left, bottom + 2.0, (right - left) / 3)
     number = f"Sheet {sheet.number}" if sheet.number else ""
     name = " · ".join(filter(None, (sheet.series, sheet.name)))
     aside = max(text_size(number, 12.0, True)[0], text_size(name, 8.5)[0])
@@ -69,6 +74,22 @@ def draw_head(canvas: Canvas, page: Page, layout: Layout) -> None:
     canvas.text(left, lower, sheet.subtitle, shortened(sheet.subtitle, 9.0, room), color="#333333")
     canvas.text(right, upper, number, 12.0, align="right", bold=True)
     canvas.text(right, lower, name, 8.5, align="right", color="#333333")
+
+
+def _logo(canvas: Canvas, path: str, left: float, bottom: float, widest: float) -> float:
+    """Draw a picture of `LOGO` mm height, or as high as the width allows; returns where the title starts."""
+    import numpy as np
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            pixels = np.asarray(image.convert("RGBA"))
+    except (OSError, UnidentifiedImageError) as error:
+        raise InputError(f"the logo cannot be read ({error})", where=path, mend="give a PNG or JPEG file") from None
+    ratio = float(pixels.shape[1] / pixels.shape[0])
+    height = min(LOGO, widest / ratio)
+    canvas.picture(pixels, (left, bottom, left + height * ratio, bottom + height))
+    return left + height * ratio + 3.0
 
 
 def draw_legend(canvas: Canvas, entries: Sequence[Entry], title: str, box: Box) -> tuple[float, int]:
