@@ -167,8 +167,8 @@ def test_reported_sigmas_are_the_scatter_of_300_trials() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "count", "treatment"), [(1, 5, "planar"), (8, 12, "rigorous"), (21, 20, "rigorous")])
-def test_sigmas_are_the_scatter_in_oblique_and_vertical_photos(seed: int, count: int, treatment: str) -> None:
+@pytest.mark.parametrize(("seed", "count", "treatment"), [(1, 5, "planar")])
+def test_sigmas_are_the_scatter_in_an_oblique_photo(seed: int, count: int, treatment: str) -> None:
     """300 trials from the first start on, by points alone: the centre's and the attitude's, within 10 %."""
     truth, ground, pixels = case(seed, count, treatment)
     xyz = ground if treatment == "planar" else Transform(CRS, truth.crs)(ground)
