@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.radiometry.curve import Curve
+from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.resample.warp import Colour
+from geomosaic.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -60,3 +62,20 @@ def _changed(own: Colour | Curve, edit: Retouch) -> Colour | Curve:
             knots.append((wide, np.concatenate([[y[0] - far], y, [y[-1] + far]]) * edit.gain + edit.offset))
         return Curve(knots)
     return Colour(own.gain * edit.gain, own.offset * edit.gain + edit.offset)
+
+
+def steady(solved: Balance) -> Balance:
+    """A balance of ten significant digits.
+
+    Solvers of linear algebra may differ in the last digits from run to run, as their threads divide the work; with
+    fewer digits equal runs have equal gains, and units of an earlier run can be taken.
+    """
+    curves = solved.curves
+    if curves is not None:
+        curves = tuple(Curve([(_digits(x), _digits(y)) for x, y in curve.knots]) for curve in curves)
+    return replace(solved, gain=_digits(solved.gain), offset=_digits(solved.offset), curves=curves)
+
+
+def _digits(values: FloatArray, digits: int = 10) -> FloatArray:
+    rounded: FloatArray = np.array([float(f"{v:.{digits}g}") for v in values.ravel().tolist()]).reshape(values.shape)
+    return rounded

@@ -18,7 +18,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.balance import balance
 from geomosaic.product.blend import Blender, MosaicUnit, Seams, label_type
-from geomosaic.product.edits import numbers_of, retouched
+from geomosaic.product.edits import numbers_of, retouched, steady
 from geomosaic.product.options import MosaicOptions
 from geomosaic.product.ortho import GeometryRecord, samples, tiles
 from geomosaic.product.photos import Photos
@@ -145,7 +145,7 @@ def mosaic(
         # What costs time to import gets it where a processor would idle.
         compiled = beside_it.submit(engine_for, 2 * samples(grid, outlines), render.resampling)
         with _Clock(seconds, "balance"):
-            solved = _balanced(photos, options)
+            solved = steady(_balanced(photos, options))
         solved_colours = solved.curves or [Colour(solved.gain[i], solved.offset[i]) for i in range(len(photos))]
         names = [outline.name for outline in outlines]
         colours, out = retouched(solved_colours, names, options.retouch), numbers_of(options.exclude, names, "left out")

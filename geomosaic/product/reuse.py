@@ -109,7 +109,9 @@ class Reuse:
         digest = hashlib.sha256(f"{self._base}|{window}".encode())
         for i in blender.photos.near(window):
             outline = blender.photos.outlines[i]
-            digest.update(f"|{i} {self._memory.scenes[i]} {outline.centre!r}".encode())
+            # Centres say who fills gaps; their last digits may differ from run to run.
+            centre = [round(v / (1e-3 * blender.grid.resolution[0])) for v in outline.centre]
+            digest.update(f"|{i} {self._memory.scenes[i]} {centre}".encode())
             digest.update(_colour(blender.colours[i]))
             for shape in (blender.seams.regions[i], blender.seams.outlines[i]):
                 digest.update(shapely.to_wkb(shapely.normalize(shapely.intersection(shape, frame))))
