@@ -33,7 +33,7 @@ def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve]
     names = [outline.name for outline in photos.outlines]
     drawn = read_cutlines(options.cutlines, names, shapes, photos.grid.crs)
     if covers(drawn, shapes):  # an edited layer has all shares: no others need to be laid
-        return with_cutlines(regions(shapes, [outline.centre for outline in photos.outlines]), drawn)
+        return with_cutlines(regions(shapes, photos.centres), drawn)
     return with_cutlines(_laid(photos, shapes, colours, options), drawn)
 
 
@@ -49,4 +49,4 @@ def _laid(photos: Photos, shapes: list[Any], colours: Sequence[Colour | Curve], 
         from geomosaic.product.seams import halved_regions
 
         return halved_regions(photos, shapes)
-    return regions(shapes, [outline.centre for outline in photos.outlines])
+    return regions(shapes, photos.centres)
