@@ -101,7 +101,7 @@ class Reuse:
         import shapely
 
         blender = self._blender
-        feather = blender.seams.feather
+        feather, step = blender.seams.feather, 1e-3 * blender.grid.resolution[0]
         factor = reduction(feather)
         reach = (halo(feather, factor) + 1) * factor
         around = Window(window.col - reach, window.row - reach, window.width + 2 * reach, window.height + 2 * reach)
@@ -110,11 +110,14 @@ class Reuse:
         for i in blender.photos.near(window):
             outline = blender.photos.outlines[i]
             # Centres say who fills gaps; their last digits may differ from run to run.
-            centre = [round(v / (1e-3 * blender.grid.resolution[0])) for v in outline.centre]
+            centre = [round(v / step) for v in outline.centre]
             digest.update(f"|{i} {self._memory.scenes[i]} {centre}".encode())
             digest.update(_colour(blender.colours[i]))
             for shape in (blender.seams.regions[i], blender.seams.outlines[i]):
-                digest.update(shapely.to_wkb(shapely.normalize(shapely.intersection(shape, frame))))
+                part = shapely.intersection(shape, frame)
+                # A border that is cut elsewhere is the same here but for its last digits: thousandths of pixels count.
+                part = shapely.transform(part, lambda xy: np.round(xy / step))
+                digest.update(shapely.to_wkb(shapely.normalize(part)))
         return digest.hexdigest()
 
     def unit(self, key: str, window: Window) -> MosaicUnit | None:
