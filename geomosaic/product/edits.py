@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.product.corrections import Correction, then
+from geomosaic.radiometry.curve import Curve
+from geomosaic.radiometry.gain_offset import Balance
+from geomosaic.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -48,3 +51,24 @@ def retouched(colours: Sequence[Correction], names: Sequence[str], edits: Mappin
         then(own, edits[name].gain, edits[name].offset) if name in edits else own
         for name, own in zip(names, colours, strict=True)
     ]
+
+
+def steady(solved: Balance) -> Balance:
+    """A balance of ten significant digits.
+
+    Solvers of linear algebra may differ in the last digits from run to run, as their threads divide the work; with
+    fewer digits equal runs have equal gains, and units of an earlier run can be taken.
+    """
+    curves = solved.curves
+    if curves is not None and all(isinstance(curve, Curve) for curve in curves):
+        curves = tuple(_rounded(curve) for curve in curves if isinstance(curve, Curve))
+    return replace(solved, gain=_digits(solved.gain), offset=_digits(solved.offset), curves=curves)
+
+
+def _rounded(curve: Curve) -> Curve:
+    return replace(curve, knots=[(_digits(x), _digits(y)) for x, y in curve.knots])
+
+
+def _digits(values: FloatArray, digits: int = 10) -> FloatArray:
+    rounded: FloatArray = np.array([float(f"{v:.{digits}g}") for v in values.ravel().tolist()]).reshape(values.shape)
+    return rounded

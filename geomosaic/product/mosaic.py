@@ -18,7 +18,7 @@ from geomosaic.product.blend import Blender, Seams
 from geomosaic.product.blenders import blender_for
 from geomosaic.product.colour import colours
 from geomosaic.product.corrections import corrections
-from geomosaic.product.edits import numbers_of, retouched
+from geomosaic.product.edits import numbers_of, retouched, steady
 from geomosaic.product.mosaic_result import Clock, MosaicResult
 from geomosaic.product.mosaic_unit import MosaicUnit, label_type
 from geomosaic.product.options import MosaicOptions
@@ -102,7 +102,7 @@ def mosaic(
         # What costs time to import gets it where a processor would idle.
         compiled = beside_it.submit(engine_for, 2 * samples(grid, outlines), render.resampling)
         with Clock(seconds, "balance"):
-            solved = _balanced(photos, options)
+            solved = steady(_balanced(photos, options))
         names = [outline.name for outline in outlines]
         applied = retouched(corrections(solved), names, options.retouch)
         dtype, stretch = photos.info.dtype, None

@@ -102,16 +102,21 @@ class Reuse:
         import shapely
 
         blender = self._blender
-        reach = blender.reach
+        reach, step = blender.reach, 1e-3 * blender.grid.resolution[0]
         around = Window(window.col - reach, window.row - reach, window.width + 2 * reach, window.height + 2 * reach)
         frame = shapely.box(*blender.grid.crop(around).bounds)
         digest = hashlib.sha256(f"{self._base}|{window}".encode())
         for i in blender.photos.near(around if blender.wide else window):
             outline = blender.photos.outlines[i]
-            digest.update(f"|{i} {self._memory.scenes[i]} {outline.centre!r}".encode())
+            # Centres say who fills gaps; their last digits may differ from run to run.
+            centre = [round(v / step) for v in outline.centre]
+            digest.update(f"|{i} {self._memory.scenes[i]} {centre}".encode())
             digest.update(_colour(blender.colours[i]))
             for shape in (blender.seams.regions[i], blender.seams.outlines[i]):
-                digest.update(shapely.to_wkb(shapely.normalize(shapely.intersection(shape, frame))))
+                part = shapely.intersection(shape, frame)
+                # A border that is cut elsewhere is the same here but for its last digits: thousandths of pixels count.
+                part = shapely.transform(part, lambda xy: np.round(xy / step))
+                digest.update(shapely.to_wkb(shapely.normalize(part)))
         return digest.hexdigest()
 
     def unit(self, key: str, window: Window) -> MosaicUnit | None:

@@ -106,14 +106,14 @@ def _traced(photos: Photos, outlines: Sequence[Any], label: IntArray, grid: Grid
         of_image.setdefault(number, []).append(polygon)
     for number, own in of_image.items():
         shares[number] = polygonal(shapely.union_all(own))
-    rest = regions(list(outlines), [outline.centre for outline in photos.outlines])
+    rest = regions(list(outlines), photos.centres)
     return partition(shares, outlines, rest, cell, SMALLEST * cell**2)
 
 
 def _candidates(photos: Photos, grid: Grid, outlines: Sequence[Any], reach: float) -> IntArray:
     """Images (ranks, rows, cols) that may show each cell, the nearest first."""
     found: IntArray = np.full((MOST, *grid.shape), -1, dtype=np.int32)
-    centres = np.array([outline.centre for outline in photos.outlines])
+    centres = np.array(photos.centres)
     for rows, cols, near, covers, xy in _parts(photos, grid, outlines):
         ranked = nearest(centres[near], xy, covers, reach)
         found[:, rows, cols] = np.where(ranked >= 0, near[ranked], -1).reshape(found[:, rows, cols].shape)

@@ -32,7 +32,7 @@ def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Correction], op
     names = [outline.name for outline in photos.outlines]
     drawn = read_cutlines(options.cutlines, names, shapes, photos.grid.crs)
     if covers(drawn, shapes):  # an edited layer has all shares: no others need to be laid
-        return with_cutlines(regions(shapes, [outline.centre for outline in photos.outlines]), drawn)
+        return with_cutlines(regions(shapes, photos.centres), drawn)
     return with_cutlines(_with_water(photos, shapes, colours, options), drawn)
 
 
@@ -60,7 +60,7 @@ def _laid(photos: Photos, shapes: list[Any], colours: Sequence[Correction], opti
         return halved_regions(photos, shapes)
     if options.seams == "order":
         return by_rank(shapes, ordered(photos.block.scenes, photos.outlines, options.order, options.base))
-    centres = [outline.centre for outline in photos.outlines]
+    centres = photos.centres
     if options.base is None:
         return regions(shapes, centres)
     base = index_of(options.base, photos.block.scenes)
