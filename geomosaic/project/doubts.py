@@ -38,6 +38,8 @@ BETTER = 4.0
 ALIKE, UNLIKE, GAIN = 0.35, 0.45, 0.3
 """Correlations: neighbours that show the same ground, that are beyond doubt, and the least gain of another reading."""
 PAIRS = 3
+SURE = 0.65
+"""Correlation of a single pair that makes others needless."""
 MEASUREMENTS = 4
 TRUST = "if the orientation is right as it is, say so: --trust-orientation (trusted = true under [exterior])"
 
@@ -124,9 +126,15 @@ def _by_pictures(
     build: Build,
 ) -> None:
     places = np.array([photo.exterior.position[:2] for photo in photos if photo.exterior])
-    numbers = [i for pair in neighbours(places, PAIRS) for i in pair]
+    pairs = neighbours(places, PAIRS)
     try:
-        small = {i: small_copy(scenes[i].path) for i in dict.fromkeys(numbers)}
+        # As a rule one pair, in the middle of the block, is beyond doubt, and no other needs to be read.
+        first = pairs[len(pairs) // 2] if pairs else ()
+        small = {i: small_copy(scenes[i].path) for i in first}
+        if together([scenes[i] for i in first], list(small.values()), surface) >= SURE:
+            return
+        numbers = [i for pair in pairs for i in pair]
+        small |= {i: small_copy(scenes[i].path) for i in dict.fromkeys(numbers) if i not in small}
     except GeomosaicError:
         return  # the work itself will say it better
     copies = [small[i] for i in numbers]
