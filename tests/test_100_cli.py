@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable
 from html.parser import HTMLParser
+from importlib import import_module
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -118,10 +119,16 @@ def test_help_is_quick_and_loads_nothing():
 
 
 def test_every_command_has_help_with_its_options(tell):
-    for name in COMMANDS:
-        code, out, _ = tell(name, "--help")
+    def asked(*words: str) -> str:
+        code, out, _ = tell(*words, "--help")
         assert code == 0
-        assert "--json" in out
+        return out
+
+    for name in COMMANDS:
+        command = import_module(f"geomosaic.cli.{name}").command
+        own = getattr(command, "commands", None)
+        for out in [asked(name)] if own is None else [asked(name, part) for part in own]:
+            assert "--json" in out
 
 
 def test_an_ortho_of_a_small_job_loads_nothing_heavy(block, tmp_path):
