@@ -35,21 +35,7 @@ def _names(ctx: click.Context, param: click.Parameter, value: str | None) -> tup
     return names
 
 
-merge_flags = stack(
-    click.option(
-        "--rule",
-        "--method",
-        type=click.Choice(["first", "last", "min", "max", "mean", "median", "sum", "count"]),
-        help="Lay images together by rule, as rio merge does, instead of seams; nothing is balanced unless asked for.",
-    ),
-    click.option(
-        "--order",
-        type=click.Choice(["list", "name", "resolution", "date"]),
-        default="list",
-        show_default=True,
-        help="Whose pixels come first: as given, by name, the finest, the newest.",
-    ),
-    click.option("--base", metavar="NAME", help="Image that is laid lowest, under all others."),
+blend_flags = stack(
     click.option(
         "--blend",
         type=click.Choice(["feather", "overlap", "multiband", "none"]),
@@ -75,6 +61,23 @@ merge_flags = stack(
         default=None,
         help="Do not blend what images show differently, such as cars.  [default: limit, with multiband]",
     ),
+)
+
+merge_flags = stack(
+    click.option(
+        "--rule",
+        "--method",
+        type=click.Choice(["first", "last", "min", "max", "mean", "median", "sum", "count"]),
+        help="Lay images together by rule, as rio merge does, instead of seams; nothing is balanced unless asked for.",
+    ),
+    click.option(
+        "--order",
+        type=click.Choice(["list", "name", "resolution", "date"]),
+        default="list",
+        show_default=True,
+        help="Whose pixels come first: as given, by name, the finest, the newest.",
+    ),
+    click.option("--base", metavar="NAME", help="Image that is laid lowest, under all others."),
     click.option(
         "--bands",
         "band_names",
@@ -102,6 +105,8 @@ def merging(flags: Mapping[str, Any]) -> dict[str, Any]:
     from geomosaic.product.blending import Blending
     from geomosaic.product.depth import Depth
 
+    if "rule" not in flags:  # a command whose images are not georeferenced ones
+        return {"blending": Blending(flags["blend"], flags["feather"], flags["ramp"], flags["limit"])}
     depth = Depth(flags["dtype"], flags["convert"])
     blending = Blending(flags["blend"], flags["feather"], flags["ramp"], flags["limit"])
     return {
@@ -117,4 +122,4 @@ def merging(flags: Mapping[str, Any]) -> dict[str, Any]:
 def balanced(flags: Mapping[str, Any]) -> bool:
     """Whether colours are balanced: as asked; unless asked, where there are seams."""
     asked: bool | None = flags["balance"]
-    return flags["rule"] is None if asked is None else asked
+    return flags.get("rule") is None if asked is None else asked
