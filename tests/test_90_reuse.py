@@ -16,6 +16,7 @@ from scipy.ndimage import distance_transform_edt
 
 from geomosaic.cli.main import run
 from geomosaic.raster.vector import read_layer
+from geomosaic.resample.warp import CELL
 
 PHOTOS = ("strip1_02.jpg", "strip1_03.jpg", "strip2_02.jpg", "strip2_03.jpg")
 
@@ -139,8 +140,8 @@ def test_an_edited_photo_costs_what_it_touches(edit, seams, done, own, tell):
     found, after = facts(own), pixels(own)
     assert 0 < found["reused"] < found["units"]
     assert (shown_by(own) == number).any() == (not gone)
-    # What lies farther from the photo's share than the feather reaches is the same.
-    far = distance_transform_edt(label != number) > (60 if seams == "nearest" else 400)
+    # What lies farther from the photo's share than the feather reaches is the same; photos are blended in whole cells.
+    far = distance_transform_edt(label != number) > (60 + CELL if seams == "nearest" else 400)
     assert far.sum() > 10_000
     assert (before[:, far] == after[:, far]).all()
     assert (before[:, label == number] != after[:, label == number]).any()
