@@ -170,7 +170,8 @@ def mosaic(s: Setting) -> Result:
     grid = grid_of(once((s.ours("mosaic", "strips", reference, *RAW, "--overwrite"),), s.work))
     tools = s.floors(reference, [*s.photos("strips"), str(s.data / "dem.tif")])
     beside = tuple(s.work / f"ours{end}" for end in (".tif", "-labels.tif", ".gpkg", ".stac.json"))
-    tools.append(Tool("geomosaic mosaic", (s.ours("mosaic", "strips", out, *RAW),), beside))
+    # Peers balance nothing; a gain and an offset per photo are what is compared, not the search for falloff as well.
+    tools.append(Tool("geomosaic mosaic", (s.ours("mosaic", "strips", out, *RAW, "--colour", "gain"),), beside))
     peer = s.oty("strips", other, "bilinear")
     if peer and s.programs.rio:
         orthos = [str(other / f"{Path(photo).stem}_ORTHO.tif") for photo in s.photos("strips")]

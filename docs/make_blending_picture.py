@@ -12,7 +12,8 @@ from PIL import Image, ImageDraw
 
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.product.blending import Blending, Width
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.mosaic_options import MosaicOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, make_mosaic
 from geomosaic.testing.synthetic import AnalyticGround

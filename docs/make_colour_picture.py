@@ -11,7 +11,8 @@ from affine import Affine
 from PIL import Image
 
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.mosaic_options import MosaicOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, make_mosaic
 from geomosaic.testing.synthetic import AnalyticGround

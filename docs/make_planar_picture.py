@@ -10,7 +10,8 @@ import rasterio
 from PIL import Image, ImageDraw, ImageOps
 
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.mosaic_options import MosaicOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.project.inputs import BlockInputs, PlanarInputs
 from geomosaic.project.make import Area, make_planar_mosaic
 from geomosaic.testing.synthetic import AnalyticGround, render, synthetic_block

@@ -16,7 +16,8 @@ import rasterio
 sys.path.insert(0, "tests")
 from city_rig import CORNER, FOCAL, GROUND_CLASS, PIXEL, SIDE, WALL_CLASS, City, photograph
 
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.mosaic_options import MosaicOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, make_mosaic
 

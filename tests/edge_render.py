@@ -13,7 +13,8 @@ from scipy.interpolate import RectBivariateSpline
 
 from geomosaic.block.block import Block
 from geomosaic.product.mosaic import mosaic
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.mosaic_options import MosaicOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.project.make import Area, plan
 
 HALF_WIDTH = 2.5

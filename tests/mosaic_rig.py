@@ -9,8 +9,9 @@ import numpy as np
 import rasterio
 from affine import Affine
 
+from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import MosaicResult
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, make_mosaic
 

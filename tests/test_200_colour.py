@@ -16,8 +16,9 @@ import rasterio
 from rasterio.enums import Resampling
 from rasterio.warp import reproject
 
+from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import MosaicResult
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, make_mosaic, reference_scene
 

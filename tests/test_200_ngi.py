@@ -13,8 +13,9 @@ from typing import Any
 import pytest
 
 from geomosaic.product.check import against_reference
+from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import MosaicResult
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, make_mosaic, make_ortho
 

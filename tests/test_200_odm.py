@@ -22,7 +22,8 @@ from geomosaic.errors import InputError
 from geomosaic.geo.transform import Transform
 from geomosaic.match.shift import Shifts, shifts
 from geomosaic.product.mosaic import beside
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.mosaic_options import MosaicOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.product.ortho import ortho
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs

@@ -19,7 +19,8 @@ from geomosaic.product import photos as photos_module
 from geomosaic.product.balance import balance
 from geomosaic.product.extent import footprints, output_grid
 from geomosaic.product.mosaic import mosaic
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.mosaic_options import MosaicOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.product.photos import Photos
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs

@@ -13,8 +13,9 @@ import shapely
 from affine import Affine
 
 from geomosaic.errors import InputError
+from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import MosaicResult
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.product.stretch import read
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, make_mosaic, reference_scene

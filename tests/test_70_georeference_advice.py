@@ -16,9 +16,9 @@ from geomosaic.control.reading import Reading
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.product.extent import output_grid
-from geomosaic.product.georeference.examine import fold_advice
+from geomosaic.product.georeference.examine import BadControlError, fold_advice
 from geomosaic.product.georeference.request import FitRequest
-from geomosaic.product.georeference.solution import solve
+from geomosaic.product.georeference.solution import Solution, solve
 from geomosaic.types import FloatArray
 
 SIZE = (4000, 3000)
@@ -127,3 +127,42 @@ def test_the_blunders_named_are_those_made():
 @pytest.mark.parametrize("model", ["conformal", "affine", "projective", "poly2"])
 def test_of_good_control_nothing_is_said(model):
     assert found(control(6, 5), model, {}) == []
+
+
+def solved(points: ImageControl, **options: object) -> Solution:
+    """What a request makes of control."""
+    request = FitRequest(**{"model": "auto", **options})  # type: ignore[arg-type]
+    return solve(Reading(points, "csv", ()), "scan.tif", SIZE, CRS, request, None, "m")
+
+
+def bent_control() -> ImageControl:
+    """Twenty points of a map bent by an order of 2, the eighth of them 25 px off."""
+    points = control(5, 4, noise=0.3)
+    u, v = (points.colrow / SIZE - 0.5).T
+    bend = 60.0 * np.column_stack([u * v, u**2])
+    bend[7] += [25.0, 0.0]
+    return replace(points, colrow=points.colrow + bend)
+
+
+def test_a_blunder_that_a_spline_would_follow_is_named() -> None:
+    points = bent_control()
+    with pytest.raises(BadControlError) as caught:
+        solved(points)
+    assert {name for found in caught.value.advice if found.severity == "error" for name in found.points} == {"P7"}
+    fit = solved(points, robust=True).fit
+    assert set(points.names) - set(fit.ids) == {"P7"}
+
+
+def test_deletion_with_a_chosen_model_takes_only_the_blunder() -> None:
+    done = solved(bent_control(), threshold=1.0)
+    assert done.deletion is not None
+    assert [row.id for row in done.deletion.deleted] == ["P7"]
+    assert done.model == "poly2"
+
+
+def test_errors_that_are_large_for_the_image_are_told() -> None:
+    points = control(4, 3)
+    random = np.random.default_rng(3)
+    points = replace(points, colrow=points.colrow + random.normal(0.0, 120.0, points.colrow.shape))
+    assert "large-errors" in [found.code for found in solved(points, model="affine", insist=True).advice]
+    assert "large-errors" not in [found.code for found in solved(control(4, 3), model="affine").advice]

@@ -173,7 +173,8 @@ def test_many_files_are_not_open_at_once(tmp_path: Path) -> None:
         nonlocal most
         most = max(most, len(os.listdir("/proc/self/fd")))  # noqa: PTH208
 
-    from geomosaic.product.options import MosaicOptions, RenderOptions
+    from geomosaic.product.mosaic_options import MosaicOptions
+    from geomosaic.product.options import RenderOptions
     from geomosaic.project.inputs import BlockInputs
     from geomosaic.project.make import make_mosaic
 

@@ -11,7 +11,8 @@ import pytest
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.product.blending import Blending
 from geomosaic.product.depth import Depth
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.mosaic_options import MosaicOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, make_mosaic
 

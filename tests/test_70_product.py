@@ -24,8 +24,9 @@ from geomosaic.geo.crs import horizontal, parse_crs, with_heights
 from geomosaic.geo.grid import Grid
 from geomosaic.product.extent import footprints, output_grid
 from geomosaic.product.mosaic import beside, mosaic
+from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import MosaicResult
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.product.ortho import OrthoResult, ortho
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build

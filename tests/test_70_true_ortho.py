@@ -15,7 +15,8 @@ from rpc_rig import SIZE as RPC_SIZE
 from geomosaic.geo.crs import with_heights
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.mosaic_options import MosaicOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.product.visibility import Visibility
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, make_mosaic, make_ortho

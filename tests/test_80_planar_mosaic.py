@@ -15,7 +15,8 @@ from planar_rig import FLAT, Flight, flight
 from scipy.ndimage import binary_erosion
 
 from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.mosaic_options import MosaicOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs, PlanarInputs
 from geomosaic.project.make import Area, make_planar_mosaic

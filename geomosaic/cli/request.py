@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 from geomosaic.cli.talk import Progress
 
 if TYPE_CHECKING:
-    from geomosaic.product.options import MosaicOptions, RenderOptions
+    from geomosaic.product.mosaic_options import MosaicOptions
+    from geomosaic.product.options import RenderOptions
     from geomosaic.project.inputs import BlockInputs, PlanarInputs
     from geomosaic.project.make import Area
     from geomosaic.seam.cost import SeamWeights
@@ -129,7 +130,7 @@ def seam_weights(given: Mapping[str, str]) -> SeamWeights:
 def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> MosaicOptions:
     """Make the options of a mosaic."""
     from geomosaic.cli.merging import balanced, merging
-    from geomosaic.product.options import MosaicOptions, terms_of
+    from geomosaic.product.mosaic_options import MosaicOptions, terms_of
     from geomosaic.project.make import reference_scene
 
     reference = flags["reference"]

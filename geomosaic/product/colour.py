@@ -17,7 +17,7 @@ from geomosaic.resample.warp import value_range
 from geomosaic.types import FloatArray
 
 if TYPE_CHECKING:
-    from geomosaic.product.options import MosaicOptions
+    from geomosaic.product.mosaic_options import MosaicOptions
     from geomosaic.radiometry.fields import Fields
     from geomosaic.radiometry.views import Views
 

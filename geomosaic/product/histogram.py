@@ -13,7 +13,8 @@ from geomosaic.geo.grid import Grid
 from geomosaic.product.areas import read_areas
 from geomosaic.product.balance import comparison_grid, thumbnail, within, without
 from geomosaic.product.colour import named
-from geomosaic.product.options import MosaicOptions, RenderOptions
+from geomosaic.product.mosaic_options import MosaicOptions
+from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order

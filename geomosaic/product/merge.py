@@ -9,8 +9,8 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.geo.grid import Grid
 from geomosaic.product.corrections import corrections
 from geomosaic.product.mosaic import _balanced, _render, beside
+from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import Clock, MosaicResult
-from geomosaic.product.options import MosaicOptions
 from geomosaic.product.order import ordered
 from geomosaic.product.ortho import samples
 from geomosaic.product.photos import Photos

@@ -19,9 +19,9 @@ from geomosaic.product.blenders import blender_for
 from geomosaic.product.colour import colours
 from geomosaic.product.corrections import corrections
 from geomosaic.product.edits import numbers_of, retouched, steady
+from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import Clock, MosaicResult
 from geomosaic.product.mosaic_unit import MosaicUnit, label_type
-from geomosaic.product.options import MosaicOptions
 from geomosaic.product.ortho import GeometryRecord, samples, tiles
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
@@ -30,7 +30,7 @@ from geomosaic.product.records import gains, write_item, write_vectors
 from geomosaic.product.reuse import LOSSLESS, Reuse
 from geomosaic.product.seam_quality import judge_seams, worst_places
 from geomosaic.product.shares import shares_of
-from geomosaic.product.visibility import Visibility, worth_compiling
+from geomosaic.product.visibility import visibility
 from geomosaic.product.visible import outlines_of
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
@@ -119,7 +119,7 @@ def mosaic(
             shares = shares_of(photos, shapes, applied, options)
         seams = Seams(shares, shapes, width)
         ground, engine = Ground.under(grid, block.surface), compiled.result()
-        sight = Visibility(grid, ground, worth_compiling(grid)) if render.true_ortho else None
+        sight = visibility(grid, ground) if render.true_ortho else None
         blender = blender_for(options.blending, photos, grid, ground, seams, applied, engine, render, dtype, sight)
         if vectors is not None:
             beside_it.submit(prepare)

@@ -16,7 +16,6 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo, pull
 from geomosaic.product.pool import in_order
-from geomosaic.product.visibility import Visibility, worth_compiling
 from geomosaic.raster.sink import RasterSink
 from geomosaic.resample.engine import engine_for
 from geomosaic.resample.warp import MOST_SAMPLES, Colour
@@ -135,7 +134,11 @@ def ortho(
     below = Ground.under(grid, surface)
     colour = Colour.identity(info.bands)
     units = tiles(grid, options.tile)
-    sight = Visibility(grid, below, worth_compiling(grid)) if options.true_ortho else None
+    sight = None
+    if options.true_ortho:
+        from geomosaic.product.visibility import visibility
+
+        sight = visibility(grid, below)
 
     def render(unit: Window) -> tuple[AnyArray, ByteArray, list[tuple[float, float]], int]:
         values = np.zeros((unit.height, unit.width, info.bands), dtype=info.dtype)

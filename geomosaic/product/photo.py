@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.product.aligned import Offset, copied, is_identity, offset_on, table_of
-from geomosaic.product.visibility import Shades
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.source import Source
@@ -23,6 +22,9 @@ from geomosaic.sensor.lattice import Lattice, build
 from geomosaic.sensor.mapper import MapToImage
 from geomosaic.surface.model import Surface
 from geomosaic.types import AnyArray, ByteArray
+
+if TYPE_CHECKING:
+    from geomosaic.product.visibility import Shades
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 from geomosaic.product.corrections import Correction
 from geomosaic.product.layers import by_rank, under
-from geomosaic.product.options import MosaicOptions
+from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.order import index_of, ordered
 from geomosaic.product.photos import Photos
 from geomosaic.seam.partition import canonical

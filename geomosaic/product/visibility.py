@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from pyproj import CRS
 
+from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.resample.sight import STEP, Field, Relief
 from geomosaic.resample.sight import hidden as hidden_by_numpy
@@ -23,11 +24,6 @@ AHEAD = 8.0
 
 _FEW = 200_000
 """Output pixels that NumPy has looked from while the compiled kernel starts."""
-
-
-def worth_compiling(grid: Grid) -> bool:
-    """Whether an output is large enough for the compiled kernel."""
-    return grid.width * grid.height > _FEW
 
 
 Sight = tuple[Field, Relief] | None
@@ -124,7 +120,37 @@ class Visibility:
         if half == 0.0:
             quadratics[..., 1:] = 0.0
         shape = len(r), len(c)
-        return xy.reshape(*shape, 2), quadratics.transpose(1, 0, 2).reshape(*shape, 2, 3)
+        return xy.reshape(*shape, 2), _continued(quadratics.transpose(1, 0, 2).reshape(*shape, 2, 3))
+
+
+def visibility(grid: Grid, below: Ground) -> Visibility:
+    """What the surface hides from images of an output.
+
+    Raises
+    ------
+    InputError
+        There is no surface that could hide anything.
+    """
+    if below.surface is None or below.surface.range[0] == below.surface.range[1]:
+        raise InputError(
+            "a true ortho needs a surface model with the heights of what hides the ground",
+            mend="give --dem (in a project: [dem]), or leave out --true-ortho",
+        )
+    return Visibility(grid, below, grid.width * grid.height > _FEW)
+
+
+def _continued(slopes: FloatArray) -> FloatArray:
+    """Give nodes that the image does not see, beyond its horizon, the slopes of the nearest that it does.
+
+    A cell at the edge of what is seen has such nodes, and what is hidden there must be found all the same.
+    """
+    unknown = ~np.isfinite(slopes).all(axis=(2, 3))
+    if not unknown.any() or unknown.all():
+        return slopes
+    from scipy.ndimage import distance_transform_edt
+
+    row, col = distance_transform_edt(unknown, return_distances=False, return_indices=True)
+    return np.asarray(slopes[row, col])
 
 
 def _metres(crs: CRS) -> float:

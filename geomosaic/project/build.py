@@ -18,7 +18,6 @@ from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.project.camera import read_camera
 from geomosaic.project.corrections import read_corrections
-from geomosaic.project.doubts import check_orientation, looking_down
 from geomosaic.project.exterior import RECONSTRUCTIONS, Exterior
 from geomosaic.project.fiducials import read_fiducials
 from geomosaic.project.frames import DATUMS
@@ -68,10 +67,14 @@ def build_block(inputs: BlockInputs, *, ground: bool = True) -> Block:
     try:
         scenes = build(inputs, photos, crs)
     except SkyError as error:
+        from geomosaic.project.doubts import looking_down
+
         mends = looking_down(inputs, photos, crs, build) if crs is not None else []
         error.mend = f"all photos would look down if you {mends[0]}; else {error.mend}" if mends else error.mend
         raise
-    if ground:
+    if ground and (len(scenes) > 1 or control):  # what one photo alone says of itself is known
+        from geomosaic.project.doubts import check_orientation
+
         check_orientation(inputs, photos, crs, (scenes, surface, control), build)
     return Block(with_usable(inputs, scenes), surface, control, crs)
 

@@ -28,8 +28,8 @@ from geomosaic.surface.plane import Plane
 
 if TYPE_CHECKING:
     from geomosaic.geo.grid import Grid
+    from geomosaic.product.mosaic_options import MosaicOptions
     from geomosaic.product.mosaic_result import MosaicResult
-    from geomosaic.product.options import MosaicOptions
     from geomosaic.product.ortho import OrthoResult
 
 UPWARDS = "upwards"

@@ -26,8 +26,8 @@ from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import PathLike
 
 if TYPE_CHECKING:
+    from geomosaic.product.mosaic_options import MosaicOptions
     from geomosaic.product.mosaic_result import MosaicResult
-    from geomosaic.product.options import MosaicOptions
 
 COLUMNS = ("id", "image", "col", "row")
 

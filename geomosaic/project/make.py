@@ -25,8 +25,9 @@ from geomosaic.raster.info import inspect
 from geomosaic.surface.model import Surface
 
 if TYPE_CHECKING:
+    from geomosaic.product.mosaic_options import MosaicOptions
     from geomosaic.product.mosaic_result import MosaicResult
-    from geomosaic.product.options import MosaicOptions, RenderOptions
+    from geomosaic.product.options import RenderOptions
     from geomosaic.product.ortho import OrthoResult
 
 FAR = 6.0

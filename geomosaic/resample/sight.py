@@ -19,7 +19,7 @@ import numpy as np
 
 from geomosaic.types import ByteArray, Float32Array, FloatArray, IntArray
 
-STEP = 256
+STEP = 64
 """Output pixels between nodes of a field: lines of sight turn evenly over the ground."""
 TILE = 16
 NEAR = 4.0

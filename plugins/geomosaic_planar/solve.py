@@ -8,7 +8,7 @@ from geomosaic.errors import SolveError
 from geomosaic.types import FloatArray
 from geomosaic_planar.terms import AXES, article, basis, derivatives
 
-WORST_CONDITION = 1e8
+WORST_CONDITION = 1e6
 SURE = 3.0
 """Logarithm of the ratio of likelihoods from which control is taken for mirrored; e³ is about 20 to 1."""
 

@@ -29,7 +29,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     """Write the mosaic and what goes with it."""
     from geomosaic.product.edits import Retouch
     from geomosaic.product.mosaic import mosaic as make
-    from geomosaic.product.options import MosaicOptions, terms_of
+    from geomosaic.product.mosaic_options import MosaicOptions, terms_of
     from geomosaic.product.report.figures import data_uri
     from geomosaic.product.report.seams import place_pictures, seam_facts
     from geomosaic.raster.preview import png_bytes

@@ -18,6 +18,8 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import FloatArray
 
+LARGE = 0.01
+"""Errors, in parts of the image's diagonal, beyond which a fit is no map of it."""
 GROSS, GROSS_PIXELS = 6.0, 5.0
 """A blunder is gross from so many times the RMS of the others on, and so many pixels: it would be seen."""
 BETTER = 0.67
@@ -98,6 +100,28 @@ def deletion_advice(deletion: Deletion | None) -> list[Advice]:
         return []
     mend = "a larger threshold, or a fit of more parameters; look at the leave-one-out error, which deletion may worsen"
     return [Advice("threshold-not-reached", "warning", deletion.said, (), mend)]
+
+
+def odd_advice(choice: Choice | None, fit: ControlFit, named: Sequence[str]) -> list[Advice]:
+    """Name points that no kind of fit predicts and that take part all the same, where the search did not."""
+    odd = () if choice is None else tuple(name for name in choice.odd if name in fit.ids and name not in named)
+    if not odd:
+        return []
+    told = f"{len(odd)} of {len(fit.ids)} points fit{'s' * (len(odd) == 1)} no kind of transformation"
+    mend = f"measure again, or leave out: --without {' --without '.join(odd[:6])}, or --robust for all of them"
+    errors = np.hypot(*fit.leave_one_out.T)
+    gross = any(errors[fit.ids.index(name)] > GROSS_PIXELS for name in odd)
+    return [Advice("blunder", "error" if gross else "warning", f"{told}: {listed(odd)}", odd, mend)]
+
+
+def size_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
+    """Say so where errors are large for the image: whatever was fitted, it is no map of it."""
+    error = max((e for e in (fit.rms_total, fit.leave_one_out_rms) if np.isfinite(e)), default=0.0)
+    if error <= LARGE * float(np.hypot(*size)):
+        return []
+    what = f"points are missed by {error:.1f} px (RMS) in an image of {size[0]} x {size[1]} pixels"
+    mend = "look for wrong points, give more of them, or choose a fit of more parameters"
+    return [Advice("large-errors", "warning", what, (), mend)]
 
 
 def comparison_advice(choice: Choice | None, model: str) -> list[Advice]:

@@ -22,6 +22,8 @@ from geomosaic.product.georeference.examine import (
     blunder_advice,
     comparison_advice,
     deletion_advice,
+    odd_advice,
+    size_advice,
     stop_on_errors,
 )
 from geomosaic.product.georeference.request import FitRequest, kind_order
@@ -138,6 +140,8 @@ def solve(
     advice = (*advice, *deletion_advice(deletion), *comparison_advice(choice, name))
     if trial.search is not None:
         advice = (*advice, *blunder_advice(trial.search, searched, fit))
+    named = [name for found in advice for name in found.points]
+    advice = (*advice, *odd_advice(choice, fit, named), *size_advice(fit, size))
     stop_on_errors(advice, where, insist=request.insist)
     residuals = control.colrow - fit.model.ground_to_image(_spatial(control.xy))
     moved = np.einsum("nij,nj->ni", map_by_image(fit.model, _spatial(control.xy)), residuals)

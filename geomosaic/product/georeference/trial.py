@@ -71,7 +71,10 @@ def try_models(image: str, size: tuple[int, int], points: ImageControl, request:
     clean, suspects = points, tuple[str, ...]()
     for _ in range(ROUNDS):
         search, said = _search(builder(model, image, size, points), points, model)
-        found = search.blunders if search is not None and request.robust else tuple[str, ...]()
+        found = tuple[str, ...]()
+        # A blunder spoils the choice also where points are to be deleted afterwards.
+        if request.robust or (auto and request.threshold is not None):
+            found = search.blunders if search is not None else () if choice is None else choice.odd
         if found == suspects:
             break
         suspects = found
@@ -83,6 +86,8 @@ def try_models(image: str, size: tuple[int, int], points: ImageControl, request:
             model = choice.name
             break
         model = choice.name
+    if not request.robust:  # all take part, and deletion finds the worst itself
+        clean, suspects = points, ()
     return Trial(model, clean, suspects, choice, search, said)
 
 
