@@ -197,3 +197,8 @@ def test_drawn_shares_that_cannot_be_used(own, tell, change, said):
     assert code == 1
     assert said in err
     assert hashes(own) == before
+
+
+def test_a_forced_run_takes_nothing_of_the_earlier_one(own, tell):
+    assert tell("run", own, "mosaic", "--force")[0] == 0
+    assert facts(own)["reused"] == 0

@@ -42,10 +42,13 @@ class Context:
         Called with (done, total, stage); may raise to stop the step.
     digests : mapping
         SHA-256 of the step's inputs by path.
+    forced : bool
+        Nothing of an earlier run is to be taken.
     """
 
     progress: Progress
     digests: Mapping[Path, str] = field(default_factory=dict)
+    forced: bool = False
 
 
 @dataclass(frozen=True)

@@ -155,7 +155,10 @@ def _memory(project: Project, context: Context) -> Memory:
         "project": settings.project.model_dump(mode="json", include={"bands", "nodata", "margin"}),
         "versions": versions(),
     }
-    return Memory(project.state / "mosaic-units.json", scenes, digest_of(said))
+    remembered = project.state / "mosaic-units.json"
+    if context.forced:
+        remembered.unlink(missing_ok=True)
+    return Memory(remembered, scenes, digest_of(said))
 
 
 def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
