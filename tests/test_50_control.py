@@ -314,3 +314,19 @@ def test_real_files(real_data: Callable[[str], Path]) -> None:
     assert str(first.origins[0]) == f"{kite}, line 2"
     with pytest.raises(InputError, match="points of 22 images"):
         read_control(kite)
+
+
+@pytest.mark.parametrize("crs", [UTM, "EPSG:2263", "EPSG:4326"])
+def test_standard_deviations_on_the_ground_count_with_those_in_the_image(crs: str, write: Write) -> None:
+    """A pixel is 0.5 m: 2 m on the ground are 4 px, beside 3 px in the image 5 in all."""
+    metres = {UTM: (1.0, 1.0), "EPSG:2263": (0.3048006096,) * 2, "EPSG:4326": (111_195.0 * np.cos(0.7), 111_195.0)}[crs]
+    corner = (np.degrees(0.7), np.degrees(0.7)) if crs == "EPSG:4326" else (5e5, 2e5)
+    lines = [f"#CRS: {crs}", "id,x,y,col,row,sigma_px,sigma_xy"]
+    for i, (c, r) in enumerate([(0, 0), (100, 0), (0, 100), (100, 100), (50, 30)]):
+        x, y = corner[0] + 0.5 * c / metres[0], corner[1] - 0.5 * r / metres[1]
+        lines.append(f"p{i},{x:.12f},{y:.12f},{c},{r},3,{2 if i else 0}")
+    reading = read_control(write("\n".join(lines), "control.csv"))
+    np.testing.assert_allclose(reading.control.sigma, [3.0, 5.0, 5.0, 5.0, 5.0], rtol=2e-3)
+    assert any("sigma_xy" in note for note in reading.notes)
+    with pytest.raises(InputError, match="sigma_xy"):
+        read_control(write("#CRS: EPSG:32633\nx,y,col,row,sigma_xy\n1,2,3,4,-1\n5,2,9,4,1\n", "control.csv"))

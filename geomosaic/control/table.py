@@ -1,16 +1,20 @@
-"""geomosaic's own table: id, x, y, z, image, col, row, sigma_px, role, enabled, in any order, one line per point."""
+"""geomosaic's own table: id, x, y, z, image, col, row, sigma_px, sigma_xy, role, enabled, in any order."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
+import numpy as np
 from pyproj import CRS
 
-from geomosaic.control.points import Origin
+from geomosaic.control.finding import plane
+from geomosaic.control.pairs import pixel_on_ground
+from geomosaic.control.points import ImageControl, Origin
 from geomosaic.control.reading import Measured, Reading, choose_image, control_of, ground_crs
 from geomosaic.control.text import Line, delimiter_of, has_decimal_commas, number, read_lines, split
 from geomosaic.errors import InputError
-from geomosaic.types import PathLike
+from geomosaic.types import FloatArray, PathLike
 
 NEEDED = ("x", "y", "col", "row")
 EXAMPLE = "id,x,y,z,image,col,row"
@@ -23,12 +27,13 @@ WORDS: Mapping[str, tuple[str, ...]] = {
     "col": ("column",),
     "row": ("line",),
     "sigma_px": ("sigma",),
+    "sigma_xy": (),
     "role": (),
     "enabled": ("enable",),
 }
 """Columns, each with other names that can mean nothing else."""
 _NAMES = {other: word for word, others in WORDS.items() for other in (word, *others)}
-_NUMBERS = (*NEEDED, "z", "sigma_px")
+_NUMBERS = (*NEEDED, "z", "sigma_px", "sigma_xy")
 _FLAGS = {"1": True, "true": True, "yes": True, "": True, "0": False, "false": False, "no": False}
 
 
@@ -125,9 +130,35 @@ def read_table_control(
         )
         body = [line for line in body if line.fields[at] in chosen]
     points = [_point(index, line, column, commas, half) for index, line in enumerate(body, start=1)]
-    return Reading(control_of(points, ground_crs(comment_crs(lines), crs, where), where), "csv", tuple(notes))
+    control = control_of(points, ground_crs(comment_crs(lines), crs, where), where)
+    if "sigma_xy" in column:
+        spread = [_ground_sigma(line, line.fields[column["sigma_xy"]], commas) for line in body]
+        control, said = _with_ground_sigma(control, np.array(spread))
+        notes += said
+    return Reading(control, "csv", tuple(notes))
 
 
+def _ground_sigma(line: Line, text: str, commas: bool) -> float:
+    sigma = number(text, "sigma_xy", line.origin, commas=commas) if text else 0.0
+    if not sigma >= 0.0:
+        raise InputError(f"column 'sigma_xy' has {text}", where=str(line.origin), mend="give metres, 0 or more")
+    return sigma
+
+
+def _with_ground_sigma(control: ImageControl, spread: FloatArray) -> tuple[ImageControl, list[str]]:
+    """Add standard deviations on the ground (N,), metres, to those in the image: a fit weighs the two together."""
+    unit = control.crs.axis_info[0].unit_conversion_factor * (EARTH if control.crs.is_geographic else 1.0)
+    pixel = pixel_on_ground(control.colrow, plane(control)) * unit
+    if pixel <= 0.0 or not spread.any():
+        return control, []
+    return (
+        replace(control, sigma=np.hypot(control.sigma, spread / pixel)),
+        [f"sigma_xy counted in pixels of {pixel:.3g} m"],
+    )
+
+
+EARTH = 6.371e6
+"""Radius in metres: standard deviations need no better one."""
 _DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
 
 
