@@ -16,6 +16,7 @@ from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.crs import parse_map
 from geomosaic.project.control import read_control
+from geomosaic.project.control_check import examine
 from geomosaic.project.make import Area, plan, refuse_existing
 from geomosaic.project.names import stem
 from geomosaic.project.tables import read_table
@@ -90,6 +91,7 @@ def match_photos(inputs: EdgeInputs) -> EdgeMatch:
     names = [path.name for path in inputs.images]
     control, common = read_control(inputs.control, names), read_common(inputs.common, names)
     crs = parse_map(inputs.crs, "CRS of the control")
+    examine(control, crs, inputs.control)
     return match_edges(_started(inputs, crs, control, common), control, common, crs=crs, reach=inputs.reach)
 
 

@@ -12,6 +12,7 @@ from geomosaic.block.block import Block, ControlPoint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import horizontal, parse_map
+from geomosaic.project.control_check import examine
 from geomosaic.project.inputs import BlockInputs, PlanarInputs
 from geomosaic.project.photos import Photo, photos_of
 from geomosaic.project.planar_facts import chain_facts, growth_facts, joint_facts, single_facts
@@ -75,6 +76,8 @@ def build_planar(inputs: BlockInputs, wanted: PlanarInputs) -> tuple[Block, dict
     crs = _map(inputs, wanted)
     photos, _ = photos_of(inputs)
     block, points = read_block(photos, wanted.ties, inputs.control)
+    if points and wanted.kind != "uncontrolled":
+        examine(points, crs, inputs.control)
     placed = place(block, wanted)
     scenes = tuple(_scene(inputs, photo, placed.transforms[photo.name], crs) for photo in photos)
     known: tuple[ControlPoint, ...] = () if wanted.kind == "uncontrolled" else points

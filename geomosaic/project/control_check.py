@@ -1,0 +1,62 @@
+"""Control of several photos looked at before anything is computed with it, as `georeference` looks at that of one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.block.block import ControlPoint
+from geomosaic.control.finding import Advice
+from geomosaic.control.pairs import contradictions
+from geomosaic.control.placement import misplaced
+from geomosaic.control.points import ImageControl, Origin
+from geomosaic.errors import InputError
+
+
+def examine(points: Sequence[ControlPoint], crs: CRS, path: Path | None) -> None:
+    """Refuse control whose coordinates do not fit their CRS, or contradict each other.
+
+    Parameters
+    ----------
+    points : sequence of ControlPoint
+        Of all photos.
+    crs : CRS
+        Of their ground coordinates.
+    path : Path, optional
+        The table, for errors.
+
+    Raises
+    ------
+    InputError
+        Names the points, what they look like, and the mend.
+    """
+    where = "control" if path is None else str(path)
+    by_image: dict[str, list[ControlPoint]] = {}
+    for point in points:
+        by_image.setdefault(point.image, []).append(point)
+    once = list({point.id: point for point in points}.values())
+    found: list[tuple[str, Advice]] = [(where, advice) for advice in misplaced(_control(once, crs, where))]
+    for image, own in by_image.items():
+        # A point measured twice in a photo is another table's matter; the first counts here.
+        alone = list({point.id: point for point in reversed(own)}.values())
+        found += [(f"{where}, {image}", advice) for advice in contradictions(_control(alone, crs, where))]
+    for at, advice in found:
+        if advice.severity == "error":
+            raise InputError(f"{advice.what} ({advice.code})", where=at, mend=advice.mend)
+
+
+def _control(points: Sequence[ControlPoint], crs: CRS, where: str) -> ImageControl:
+    count = len(points)
+    return ImageControl(
+        tuple(point.id for point in points),
+        np.array([point.colrow for point in points]).reshape(-1, 2),
+        np.array([point.xyz[:2] for point in points]).reshape(-1, 2),
+        crs,
+        np.ones(count),
+        ("control",) * count,
+        np.ones(count, dtype=bool),
+        tuple(Origin(where, number, "point") for number in range(1, count + 1)),
+    )
