@@ -167,3 +167,12 @@ with progress(True) as report:
 """
     done = ended(script)
     assert done.stdout.splitlines() == ["on", f"stopped by {int(signal.SIGTERM)}"]
+
+
+def test_a_stopped_run_says_that_it_resumes(capsys: pytest.CaptureFixture[str]) -> None:
+    from geomosaic.cli.failure import stopped
+
+    assert stopped(KeyboardInterrupt(), False, resumes=True) == 130
+    assert "the same command resumes" in capsys.readouterr().err
+    assert stopped(KeyboardInterrupt(), False) == 130
+    assert "resumes" not in capsys.readouterr().err
