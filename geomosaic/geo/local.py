@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS, Proj
 
-from geomosaic.geo.crs import geocentric, geographic, horizontal, longitude_latitude_crs
+from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal, longitude_latitude_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.types import FloatArray
 
@@ -46,19 +46,29 @@ def map_place(crs: CRS, x: float, y: float) -> MapPlace:
     holds for every projection, axis order and unit.
     """
     flat = horizontal(crs)
-    to_geographic = Transform(flat, longitude_latitude_crs(flat))
-    longitude, latitude = to_geographic(np.array([[x, y]]))[0]
+    longitude, latitude = _on_ellipsoid(crs, np.array([[x, y]]))[0]
     if not flat.is_projected:
         return MapPlace(float(longitude), float(latitude), 0.0, 1.0)
     factors = Proj(flat).get_factors(longitude, latitude)
     scale = float(np.sqrt(factors.areal_scale))
     step = 10.0
-    ends = to_geographic(np.array([[x, y - step], [x, y + step]]))
+    ends = _on_ellipsoid(crs, np.array([[x, y - step], [x, y + step]]))
     ellipsoid = flat.get_geod()
     there, back, _ = ellipsoid.inv(*ends[0], *ends[1]) if ellipsoid else (0.0, 180.0, 0.0)
     # The azimuth turns along the step; at its middle it is the mean of both ends.
     turn = (back + 180.0 - there + 180.0) % 360.0 - 180.0
     return MapPlace(float(longitude), float(latitude), float(there + turn / 2), scale)
+
+
+def _on_ellipsoid(crs: CRS, xy: FloatArray) -> FloatArray:
+    """Longitude and latitude in degrees, (N, 2)."""
+    flat = horizontal(crs)
+    if not has_heights(crs):
+        return Transform(flat, longitude_latitude_crs(flat))(xy)
+    # PROJ looks long for an operation. The one to geocentric coordinates is needed for every camera anyway.
+    ecef = geocentric(crs)
+    xyz = Transform(crs, ecef)(np.column_stack([xy, np.zeros(len(xy))]))
+    return Transform(ecef, geographic(ecef))(xyz)[:, :2]
 
 
 @dataclass(frozen=True)

@@ -127,8 +127,12 @@ def _operation(source_wkt: str, target_wkt: str) -> _Operation | None:
         pair = source_wkt, target_wkt
         if pair not in _made:
             source, target = CRS.from_wkt(source_wkt), CRS.from_wkt(target_wkt)
+            # On one datum the way is a conversion: nothing is to be looked up in the registry, which takes PROJ 20 ms.
+            registry = "none" if _on_one_datum(source, target) else None
             try:
-                transformer = Transformer.from_crs(source, target, always_xy=True, allow_ballpark=False)
+                transformer = Transformer.from_crs(
+                    source, target, always_xy=True, allow_ballpark=False, authority=registry
+                )
             except ProjError as error:
                 raise _no_operation(source, target) from error
             _made[pair] = _Operation(transformer, backwards=False)
@@ -136,6 +140,12 @@ def _operation(source_wkt: str, target_wkt: str) -> _Operation | None:
             if transformer.description != "unavailable until proj_trans is called":
                 _made[pair[::-1]] = _Operation(transformer, backwards=True)
         return _made[pair]
+
+
+def _on_one_datum(source: CRS, target: CRS) -> bool:
+    if any(crs.is_compound or crs.is_bound for crs in (source, target)):
+        return False
+    return source.datum is not None and bool(source.datum == target.datum)
 
 
 def _no_operation(source: CRS, target: CRS) -> InputError:

@@ -20,7 +20,7 @@ from geomosaic.raster.sink import RasterSink
 from geomosaic.resample.engine import engine_for
 from geomosaic.resample.warp import MOST_SAMPLES, Colour
 from geomosaic.sensor.ground import Ground
-from geomosaic.sensor.lattice import BLOCK_HEIGHT, blocks
+from geomosaic.sensor.lattice import BLOCK_HEIGHT, blocks, finite_median
 from geomosaic.surface.model import Surface
 from geomosaic.types import AnyArray, ByteArray
 
@@ -83,7 +83,7 @@ class GeometryRecord:
     @property
     def scale(self) -> float:
         """Median scale."""
-        return float(np.nanmedian(self.scales)) if self.scales else float("nan")
+        return finite_median(np.array(self.scales))
 
 
 def tiles(grid: Grid, width: int) -> list[Window]:

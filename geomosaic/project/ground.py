@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import HeightDatumError, InputError
-from geomosaic.geo.crs import geographic, has_heights, horizontal
+from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.project.frames import declared, undeclared
 from geomosaic.project.inputs import BlockInputs
@@ -63,7 +63,7 @@ def build_surface(
             raise _undeclared_dem(inputs.dem, crs, photos, of_model)
         surface = Dem.open(inputs.dem, heights=inputs.dem_heights)
         try:
-            Transform(surface.crs, geographic(surface.crs))
+            Transform(surface.crs, geocentric(surface.crs))
         except HeightDatumError as error:
             raise HeightDatumError(
                 error.what,

@@ -52,8 +52,7 @@ def encode_tile(values: AnyArray, profile: Mapping[str, Any], *, classes: bool =
         steps = values.copy()
         steps[:, 1:] -= values[:, :-1]
         return zlib.compress(steps.tobytes(), int(profile["zlevel"]))
-    _, data = _one_tile_file(values, profile)
-    return data
+    return _one_tile_file(values, profile)
 
 
 @lru_cache(maxsize=256)
@@ -61,24 +60,17 @@ def _encode_constant(pixel: bytes, profile: tuple[tuple[str, Any], ...]) -> byte
     options = dict(profile)
     values = np.empty((BLOCK, BLOCK, options["count"]), dtype=options["dtype"])
     values[:] = np.frombuffer(pixel, dtype=options["dtype"])
-    _, data = _one_tile_file(values, options)
-    return data
+    return _one_tile_file(values, options)
 
 
-def _one_tile_file(values: AnyArray, profile: Mapping[str, Any], **described: Any) -> tuple[Directory, bytes]:
+def _one_tile_file(values: AnyArray, profile: Mapping[str, Any]) -> bytes:
     with environment(), MemoryFile() as memory:
-        tags, descriptions = described.pop("tags", {}), described.pop("descriptions", ())
-        with memory.open(**profile, **described) as dataset:
-            for band, text in enumerate(descriptions, start=1):
-                if text:
-                    dataset.set_band_description(band, text)
-            if tags:
-                dataset.update_tags(**tags)
+        with memory.open(**profile) as dataset:
             dataset.write(np.moveaxis(values, -1, 0))
         data = bytes(memory.getbuffer())
     directory = tiff.read_directories(BytesIO(data))[0]
     offset, count = directory[tiff.TILE_OFFSETS].integers[0], directory[tiff.TILE_COUNTS].integers[0]
-    return directory, data[offset : offset + count]
+    return data[offset : offset + count]
 
 
 def describe_raster(
@@ -97,18 +89,18 @@ def describe_raster(
     InputError
         GDAL refuses the creation options.
     """
-    values = np.zeros((BLOCK, BLOCK, profile["count"]), dtype=profile["dtype"])
-    values[0, 0] = 1  # not empty, so that the tile is written whatever the options say
     try:
-        directory, _ = _one_tile_file(
-            values,
-            profile,
-            crs=rasterio.crs.CRS.from_wkt(grid.crs.to_wkt()),
-            transform=grid.transform,
-            nodata=nodata,
-            tags=dict(tags),
-            descriptions=tuple(descriptions),
-        )
+        with environment(), MemoryFile() as memory:
+            crs = rasterio.crs.CRS.from_wkt(grid.crs.to_wkt())
+            with memory.open(**profile, crs=crs, transform=grid.transform, nodata=nodata) as dataset:
+                for band, text in enumerate(descriptions, start=1):
+                    if text:
+                        dataset.set_band_description(band, text)
+                if tags:
+                    dataset.update_tags(**tags)
+                if profile.get("compress", "NONE").upper() != "NONE":  # only a tile shows what the codec cannot do
+                    dataset.write(np.ones((profile["count"], BLOCK, BLOCK), dtype=profile["dtype"]))
+            directory = tiff.read_directories(BytesIO(bytes(memory.getbuffer())))[0]
     except (RasterioError, ValueError, OSError) as error:
         raise InputError(
             f"GDAL refuses these creation options ({error.__cause__ or error})",

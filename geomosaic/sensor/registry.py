@@ -24,18 +24,15 @@ class SensorEntry:
     target: str
 
 
-def _found() -> list[tuple[SensorEntry, EntryPoint]]:
-    pairs = []
-    for point in entry_points(group=GROUP):
-        dist = point.dist
-        entry = SensorEntry(point.name, dist.name if dist else "unknown", dist.version if dist else "", point.value)
-        pairs.append((entry, point))
-    return sorted(pairs, key=lambda pair: (pair[0].name, pair[0].distribution))
+def _entry(point: EntryPoint) -> SensorEntry:
+    """Read the distribution's metadata: parsing it takes longer than finding the sensor."""
+    dist = point.dist
+    return SensorEntry(point.name, dist.name if dist else "unknown", dist.version if dist else "", point.value)
 
 
 def installed() -> list[SensorEntry]:
     """List the installed sensors, in the order of their names; none is imported."""
-    return [entry for entry, _ in _found()]
+    return sorted(map(_entry, entry_points(group=GROUP)), key=lambda entry: (entry.name, entry.distribution))
 
 
 @lru_cache(maxsize=64)
@@ -47,19 +44,20 @@ def plugin(name: str) -> SensorPlugin:
     SensorError
         No such sensor, two of that name, or the plugin fails to import (with its cause).
     """
-    found = [(entry, point) for entry, point in _found() if entry.name == name]
+    found = list(entry_points(group=GROUP, name=name))
     if not found:
         names = [entry.name for entry in installed()]
         close = difflib.get_close_matches(name, names, 1)
         hint = f"did you mean '{close[0]}'? " if close else ""
         raise SensorError(f"no sensor named '{name}'", mend=f"{hint}installed are: {', '.join(names) or 'none'}")
-    if len({entry.target for entry, _ in found}) > 1:
-        owners = " and ".join(f"{e.distribution} {e.version} ({e.target})" for e, _ in found)
+    if len({point.value for point in found}) > 1:
+        entries = sorted(map(_entry, found), key=lambda entry: entry.distribution)
+        owners = " and ".join(f"{e.distribution} {e.version} ({e.target})" for e in entries)
         raise SensorError(f"two sensors are named '{name}': {owners}", mend="uninstall one of them")
-    entry, point = found[0]
     try:
-        loaded: SensorPlugin = point.load()
+        loaded: SensorPlugin = found[0].load()
     except Exception as error:
+        entry = _entry(found[0])
         raise SensorError(
             f"sensor '{name}' of {entry.distribution} {entry.version} cannot be loaded: "
             f"{type(error).__name__}: {error}",
@@ -67,7 +65,7 @@ def plugin(name: str) -> SensorPlugin:
         ) from error
     missing = [part for part in ("name", "summary", "inputs", "model", "build") if not hasattr(loaded, part)]
     if missing:
-        raise SensorError(f"sensor '{name}' of {entry.distribution} has no {', '.join(missing)}")
+        raise SensorError(f"sensor '{name}' of {_entry(found[0]).distribution} has no {', '.join(missing)}")
     return loaded
 
 
