@@ -145,7 +145,7 @@ def _operation(source_wkt: str, target_wkt: str) -> _Operation | None:
 def _on_one_datum(source: CRS, target: CRS) -> bool:
     if any(crs.is_compound or crs.is_bound for crs in (source, target)):
         return False
-    return source.datum is not None and bool(source.datum == target.datum)
+    return source.datum is not None and bool(source.datum.is_exact_same(target.datum))  # == takes PROJ 40 ms
 
 
 def _no_operation(source: CRS, target: CRS) -> InputError:
