@@ -352,6 +352,27 @@ def test_utm_convergence_by_formula():
     assert map_place(CRS.from_epsg(4326), *MUNICH).scale == 1.0
 
 
+@pytest.mark.parametrize("code", [25832, 2154, 27572, 2263, 5514, 3035])  # metres, grads from Paris, feet, y south
+def test_heights_do_not_change_a_place_on_the_map(code):
+    crs = CRS.from_epsg(code)
+    west, south, east, north = crs.area_of_use.bounds
+    middle = np.array([[(west + east) / 2, (south + north) / 2]])
+    x, y = Transform(CRS.from_epsg(4326), crs)(middle)[0]
+    flat, solid = map_place(crs, x, y), map_place(with_heights(crs, "ellipsoidal"), x, y)
+    assert (solid.longitude, solid.latitude) == pytest.approx((flat.longitude, flat.latitude), abs=1e-9)
+    assert (solid.convergence, solid.scale) == pytest.approx((flat.convergence, flat.scale), abs=1e-8)
+
+
+@pytest.mark.parametrize("code", [32631, 2154, 27572, 2263, 5514, 4807, 2193])
+def test_on_one_datum_the_registry_has_nothing_to_add(code):
+    """The short way gives the operation that PROJ finds after a look through its registry."""
+    crs = CRS.from_epsg(code)
+    for source, target in [(crs.to_3d(), geocentric(crs)), (geocentric(crs), geographic(crs))]:
+        ours = Transform(source, target)._operation.transformer
+        looked_up = pyproj.Transformer.from_crs(source, target, always_xy=True, allow_ballpark=False)
+        assert ours.definition == looked_up.definition
+
+
 @given(st.floats(-180, 180), st.floats(-90, 90))
 def test_enu_axes_are_right_handed(lon, lat):
     axes = enu_axes(lon, lat)
