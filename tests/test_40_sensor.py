@@ -163,7 +163,7 @@ class Astray(Camera):
 
 class WrongSlope(Camera):
     def jacobian(self, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
-        from geomosaic.sensor.solve.jacobian import difference_jacobian
+        from geomosaic.sensor.solve.derivatives import difference_jacobian
 
         by_parameters, by_ground = difference_jacobian(self, xyz)
         by_parameters[:, :, 4] *= 1.001

@@ -15,7 +15,8 @@ from geomosaic_frame.distortion import Lens, NoDistortion
 from geomosaic_frame.fisheye import Fisheye
 from geomosaic_frame.fold import LEAST_SLOPE, fold_radius
 from geomosaic_frame.lenses import lens_from_dict, lens_from_table
-from geomosaic_frame.polynomial import Brown, Rational
+from geomosaic_frame.polynomial import Brown
+from geomosaic_frame.rational import Rational
 from geomosaic_frame.read import choice, known_keys
 
 BROWN = Brown(k1=-0.264, k2=0.1019, k3=-0.0258, p1=7.3e-4, p2=-2.6e-4)

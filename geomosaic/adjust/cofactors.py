@@ -13,7 +13,7 @@ import numpy as np
 
 from geomosaic.errors import SolveError
 from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.solve.jacobian import jacobian
+from geomosaic.sensor.solve.derivatives import jacobian
 from geomosaic.types import FloatArray
 
 SINGULAR = 1e-12

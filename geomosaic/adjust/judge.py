@@ -6,7 +6,7 @@ import numpy as np
 
 from geomosaic.adjust.fit import ControlFit, fit_problem
 from geomosaic.adjust.problem import Problem
-from geomosaic.sensor.solve.jacobian import jacobian
+from geomosaic.sensor.solve.derivatives import jacobian
 from geomosaic.types import BoolArray, FloatArray
 
 

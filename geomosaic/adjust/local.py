@@ -8,7 +8,7 @@ from geomosaic.geo.crs import geographic
 from geomosaic.geo.local import enu_axes
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.solve.jacobian import jacobian
+from geomosaic.sensor.solve.derivatives import jacobian
 from geomosaic.types import FloatArray
 
 

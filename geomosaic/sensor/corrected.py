@@ -21,7 +21,7 @@ from geomosaic.sensor.correction_grid import CorrectionGrid
 from geomosaic.sensor.model import HasRays, SensorModel
 from geomosaic.sensor.parameters import Parameters
 from geomosaic.sensor.registry import plugin
-from geomosaic.sensor.solve.jacobian import jacobian
+from geomosaic.sensor.solve.derivatives import jacobian
 from geomosaic.types import FloatArray
 
 

@@ -24,7 +24,7 @@ from geomosaic.geo.crs import geographic, has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import HasJacobian, HasRays, SensorModel
 from geomosaic.sensor.solve import image_to_ground, image_to_height, resect
-from geomosaic.sensor.solve.jacobian import difference_jacobian
+from geomosaic.sensor.solve.derivatives import difference_jacobian
 from geomosaic.surface.plane import Plane
 from geomosaic.types import BoolArray, FloatArray
 

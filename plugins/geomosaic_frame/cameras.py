@@ -1,4 +1,4 @@
-"""The camera of a photo, from a table, a file or a reconstruction; a film with the marks of its scan."""
+"""The camera of a photo, from a table, a file or a reconstruction."""
 
 from __future__ import annotations
 
@@ -9,16 +9,12 @@ from typing import Any
 
 from geomosaic.errors import InputError
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic_frame.calibration import read_certificate
 from geomosaic_frame.camera import Camera
-from geomosaic_frame.film import FilmCamera
 from geomosaic_frame.foreign import READERS, read_foreign
 from geomosaic_frame.inside import Inside
-from geomosaic_frame.interior import KINDS
-from geomosaic_frame.marks import orient
 from geomosaic_frame.orientation import DIRECTIONS, FRAMES
 from geomosaic_frame.pose import WORLDS
-from geomosaic_frame.read import choice, flag, known_keys, need, numbers, table_of
+from geomosaic_frame.read import choice, known_keys, need, numbers, table_of
 
 FILM_OPTIONS = ("fiducials", "interior", "mirrored")
 
@@ -84,7 +80,9 @@ def camera_of(table: Mapping[str, Any], request: SensorRequest) -> tuple[Inside,
     """Camera for the image at hand, and what was done to it."""
     where = f"{request.image}, camera"
     if "fiducials" in table:
-        return _film(table, request, where)
+        from geomosaic_frame.filmscan import film_of
+
+        return film_of(table, request, where)
     for key in FILM_OPTIONS:
         if request.options.get(key) is not None:
             raise InputError(
@@ -100,21 +98,3 @@ def camera_of(table: Mapping[str, Any], request: SensorRequest) -> tuple[Inside,
     w, h = full.size
     factor = w / camera.size[0]
     return camera, [f"the image is a copy of the camera's {w} x {h} pixels, reduced by {factor:g}: camera scaled to it"]
-
-
-def _film(table: Mapping[str, Any], request: SensorRequest, where: str) -> tuple[FilmCamera, list[str]]:
-    """Certificate and measured marks to a camera of this scan."""
-    certificate = read_certificate(table, where)
-    options = request.options
-    text = "the fiducials measured in this scan, mark = [col, row] in pixels, for the interior orientation"
-    given = table_of(need(options, "fiducials", request.image, text), "fiducials", request.image)
-    kind = options.get("interior")
-    if kind is not None:
-        kind = choice(kind, KINDS, "interior", request.image)
-    mirrored = flag(options, "mirrored", request.image)
-    interior, notes = orient(given, certificate.fiducials, request.size, kind, mirrored, request.image)
-    camera = FilmCamera(request.size, certificate.lens, certificate.autocollimation, interior.matrix)
-    end, reach = certificate.lens.radial.end, camera.reach()
-    if reach > end:
-        notes.append(f"the distortion is given up to {end:.0f} mm, the scan reaches {reach:.0f} mm: continued linearly")
-    return camera, notes

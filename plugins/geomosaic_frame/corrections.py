@@ -15,7 +15,6 @@ from geomosaic.geo.local import map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.types import FloatArray
 from geomosaic_frame.bending import Bending, curvature_shift, refraction_constant, refraction_shift
-from geomosaic_frame.film import FilmCamera
 from geomosaic_frame.inside import Inside
 from geomosaic_frame.read import flag
 
@@ -85,7 +84,11 @@ def bending_of(
 
 def untold(camera: Inside, crs: CRS, position: FloatArray, ground: float | None, treatment: str) -> list[str]:
     """What the corrections that were not asked for would be worth on film, where that is half a pixel or more."""
-    if not isinstance(camera, FilmCamera) or ground is None or is_free(crs):
+    if ground is None or is_free(crs):
+        return []
+    from geomosaic_frame.film import FilmCamera
+
+    if not isinstance(camera, FilmCamera):
         return []
     top, bottom = _metres(crs, position, ground)
     if not 0.0 <= bottom < top <= HIGHEST:

@@ -7,7 +7,6 @@ from typing import Any, Protocol
 
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import Camera
-from geomosaic_frame.film import FilmCamera
 
 
 class Inside(Protocol):
@@ -36,4 +35,8 @@ class Inside(Protocol):
 
 def inside_from_dict(state: Mapping[str, Any]) -> Inside:
     """Rebuild a camera from its `to_dict`."""
-    return FilmCamera.from_dict(state) if "film" in state else Camera.from_dict(state)
+    if "film" in state:
+        from geomosaic_frame.film import FilmCamera
+
+        return FilmCamera.from_dict(state)
+    return Camera.from_dict(state)

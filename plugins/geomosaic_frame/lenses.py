@@ -1,4 +1,4 @@
-"""Lenses from the tables users write and from saved states."""
+"""Lenses from the tables users write and from saved states; a kind is loaded when it is met."""
 
 from __future__ import annotations
 
@@ -6,12 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from geomosaic.errors import InputError
-from geomosaic_frame.certificate import Corrections
 from geomosaic_frame.distortion import Lens, NoDistortion
-from geomosaic_frame.fisheye import Fisheye
-from geomosaic_frame.polynomial import Brown, Rational
+from geomosaic_frame.polynomial import Brown
 from geomosaic_frame.read import choice, known_keys, need, number
-from geomosaic_frame.shear import sheared
 
 COEFFICIENTS = {
     "none": (),
@@ -51,17 +48,21 @@ def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -
         k1, k2, k3, p1, p2, k4 = (values.get(key, 0.0) for key in COEFFICIENTS["brown"])
         if k4 or table.get("shear"):
             raise InputError("k4 and shear belong to the convention 'opencv'", where=where, mend="leave them out")
+        from geomosaic_frame.certificate import Corrections
+
         return Corrections.photogrammetric((k1, k2, k3), (p1, p2), focal)
-    return sheared(_make(model, values), number(table.get("shear", 0.0), "shear", where))
+    return _sheared(_make(model, values), number(table.get("shear", 0.0), "shear", where))
 
 
 def lens_from_dict(state: Mapping[str, Any]) -> Lens:
     """Lens of a saved state."""
     if state["model"] == "corrections":
         formula = {key: value for key, value in state["formula"].items() if key != "model"}
+        from geomosaic_frame.certificate import Corrections
+
         return Corrections(Brown(**formula))
     values = {key: value for key, value in state.items() if key not in ("model", "shear")}
-    return sheared(_make(state["model"], values), state.get("shear", 0.0))
+    return _sheared(_make(state["model"], values), state.get("shear", 0.0))
 
 
 def _make(model: str, values: dict[str, float]) -> Lens:
@@ -70,5 +71,17 @@ def _make(model: str, values: dict[str, float]) -> Lens:
     if model == "brown":
         return Brown(**values)
     if model == "opencv":
+        from geomosaic_frame.rational import Rational
+
         return Rational(**values)
+    from geomosaic_frame.fisheye import Fisheye
+
     return Fisheye(**values)
+
+
+def _sheared(lens: Lens, shear: float) -> Lens:
+    if shear == 0.0:
+        return lens
+    from geomosaic_frame.shear import Sheared
+
+    return Sheared(lens, shear)

@@ -65,8 +65,3 @@ class Sheared:
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
         return {**self.lens.to_dict(), "shear": self.shear}
-
-
-def sheared(lens: Lens, shear: float) -> Lens:
-    """Lens with a shear behind it; the lens itself where there is none."""
-    return Sheared(lens, shear) if shear else lens

@@ -17,7 +17,7 @@ from pyproj import CRS
 from geomosaic.adjust.edges.stations import Stations
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.solve.jacobian import jacobian, pixel_step
+from geomosaic.sensor.solve.derivatives import jacobian, pixel_step
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 

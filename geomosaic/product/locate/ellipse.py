@@ -23,7 +23,7 @@ from geomosaic.product.locate.certainty import Certainty
 from geomosaic.product.locate.metres import metres_per_unit
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve import jacobian
-from geomosaic.sensor.solve.jacobian import pixel_step
+from geomosaic.sensor.solve.derivatives import pixel_step
 from geomosaic.surface.model import Surface
 from geomosaic.types import FloatArray
 

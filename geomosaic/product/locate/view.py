@@ -12,7 +12,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.product.locate.metres import metres_per_unit
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve import image_to_ground
-from geomosaic.sensor.solve.jacobian import pixel_step
+from geomosaic.sensor.solve.derivatives import pixel_step
 from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray
 

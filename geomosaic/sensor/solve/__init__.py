@@ -1,16 +1,31 @@
 """What follows from a sensor model's one map: its inverse, its derivatives, and its parameters from control points.
 
 All of it works for every `SensorModel`, from `ground_to_image` alone; closed forms are used where a model has them.
+Names load their modules on first use: an ortho needs the inverse and nothing else.
 """
 
 from __future__ import annotations
 
-from geomosaic.sensor.solve.adjust import Resection, fit, resect
-from geomosaic.sensor.solve.inverse import image_to_ground, image_to_height
-from geomosaic.sensor.solve.jacobian import jacobian
-from geomosaic.sensor.solve.pose import poses
-from geomosaic.sensor.solve.quality import correlations, dangerous_cylinder
-from geomosaic.sensor.solve.three_points import Pose, three_point_poses
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from geomosaic.sensor.solve.adjust import Resection, fit, resect
+    from geomosaic.sensor.solve.derivatives import jacobian
+    from geomosaic.sensor.solve.inverse import image_to_ground, image_to_height
+    from geomosaic.sensor.solve.pose import poses
+    from geomosaic.sensor.solve.quality import correlations, dangerous_cylinder
+    from geomosaic.sensor.solve.three_points import Pose, three_point_poses
+
+_MODULES = {
+    "adjust": ("Resection", "fit", "resect"),
+    "inverse": ("image_to_ground", "image_to_height"),
+    "derivatives": ("jacobian",),
+    "pose": ("poses",),
+    "quality": ("correlations", "dangerous_cylinder"),
+    "three_points": ("Pose", "three_point_poses"),
+}
+_HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "Pose",
@@ -25,3 +40,9 @@ __all__ = [
     "resect",
     "three_point_poses",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")

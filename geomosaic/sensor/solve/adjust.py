@@ -9,7 +9,7 @@ import numpy as np
 
 from geomosaic.errors import SolveError
 from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.solve.jacobian import jacobian
+from geomosaic.sensor.solve.derivatives import jacobian
 from geomosaic.types import BoolArray, FloatArray
 
 Model = TypeVar("Model", bound=SensorModel)

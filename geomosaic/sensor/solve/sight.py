@@ -16,7 +16,7 @@ from geomosaic.errors import HeightDatumError
 from geomosaic.geo.crs import has_heights, in_degrees
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.solve.jacobian import pixel_step
+from geomosaic.sensor.solve.derivatives import pixel_step
 from geomosaic.sensor.solve.newton import ACCEPTED, ROUGHLY, solve_pairs
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
