@@ -15,13 +15,12 @@ from geomosaic.control.finding import Advice, listed
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
+from geomosaic.product.georeference.opinion import GROSS, GROSS_PIXELS, Opinion
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import FloatArray
 
 LARGE = 0.01
 """Errors, in parts of the image's diagonal, beyond which a fit is no map of it."""
-GROSS, GROSS_PIXELS = 6.0, 5.0
-"""A blunder is gross from so many times the RMS of the others on, and so many pixels: it would be seen."""
 BETTER = 0.67
 """Share of the leave-one-out error of the model asked for, below which another one is named."""
 SAME = {"poly1": "affine"}
@@ -86,12 +85,38 @@ def blunder_advice(search: BlunderSearch, searched: Sequence[str], fit: ControlF
             f"{len(names)} of {len(fit.ids)} points contradict{'s' * (len(names) == 1)} the others, which agree within "
             f"{typical:.2f} px: {told}"
         )
-        mend = f"measure again, or leave out: --without {' --without '.join(names[:6])}, or --robust for all of them"
-        found.append(Advice("blunder", "error" if gross else "warning", what, names, mend))
+        found.append(Advice("blunder", "error" if gross else "warning", what, names, _out(names)))
     if alone:
         what = f"one of two tests, but not the other, finds wrong: {listed(alone)}"
         found.append(Advice("suspect", "warning", what, alone, "look at these points again"))
     return found
+
+
+def opinion_advice(opinion: Opinion, fit: ControlFit, named: Sequence[str]) -> list[Advice]:
+    """Name points that take part and are wrong whatever the kind of fit, or of which some are."""
+    inside = set(fit.ids) - set(named)
+    names = tuple(name for name in opinion.blunders if name in inside)
+    if names:
+        told = ", ".join(f"{name} ({opinion.lengths[name]:.1f} px)" for name in names[:6])
+        told += f" and {len(names) - 6} more" if len(names) > 6 else ""
+        what = (
+            f"{len(names)} of {len(fit.ids)} points contradict{'s' * (len(names) == 1)} the others, which agree within "
+            f"{opinion.rms:.2f} px: {told}, {opinion.basis}"
+        )
+        severity = "error" if any(opinion.gross(name) for name in names) else "warning"
+        return [Advice("blunder", severity, what, names, _out(names))]
+    names = tuple(name for name in opinion.suspicious if name in inside)
+    if not names:
+        return []
+    what = f"the points contradict each other, and are too few to tell which is wrong; suspicious are {listed(names)}"
+    gross = any(opinion.gross(name) for name in names)
+    mend = "measure these again, and more points; or leave out one that is known to be wrong (--without)"
+    return [Advice("contradiction", "error" if gross else "warning", what, names, mend)]
+
+
+def _out(names: Sequence[str]) -> str:
+    """What to do with points that are wrong."""
+    return f"measure again, or leave out: --without {' --without '.join(names[:6])}, or --robust for all of them"
 
 
 def deletion_advice(deletion: Deletion | None) -> list[Advice]:
@@ -108,10 +133,9 @@ def odd_advice(choice: Choice | None, fit: ControlFit, named: Sequence[str]) -> 
     if not odd:
         return []
     told = f"{len(odd)} of {len(fit.ids)} points fit{'s' * (len(odd) == 1)} no kind of transformation"
-    mend = f"measure again, or leave out: --without {' --without '.join(odd[:6])}, or --robust for all of them"
     errors = np.hypot(*fit.leave_one_out.T)
     gross = any(errors[fit.ids.index(name)] > GROSS_PIXELS for name in odd)
-    return [Advice("blunder", "error" if gross else "warning", f"{told}: {listed(odd)}", odd, mend)]
+    return [Advice("blunder", "error" if gross else "warning", f"{told}: {listed(odd)}", odd, _out(odd))]
 
 
 def size_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
@@ -120,8 +144,11 @@ def size_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
     if error <= LARGE * float(np.hypot(*size)):
         return []
     what = f"points are missed by {error:.1f} px (RMS) in an image of {size[0]} x {size[1]} pixels"
+    lengths = np.hypot(*(fit.leave_one_out if np.isfinite(fit.leave_one_out).any() else fit.residuals).T)
+    worst = tuple(fit.ids[i] for i in np.argsort(-np.nan_to_num(lengths), kind="stable")[:3])
+    what += f", most of all {', '.join(worst)}"
     mend = "look for wrong points, give more of them, or choose a fit of more parameters"
-    return [Advice("large-errors", "warning", what, (), mend)]
+    return [Advice("large-errors", "error", what, (), mend)]
 
 
 def comparison_advice(choice: Choice | None, model: str) -> list[Advice]:

@@ -23,6 +23,7 @@ from geomosaic.product.georeference.examine import (
     comparison_advice,
     deletion_advice,
     odd_advice,
+    opinion_advice,
     size_advice,
     stop_on_errors,
 )
@@ -133,15 +134,16 @@ def solve(
             build, points.names, points.xy, points.colrow, points.sigma, threshold=request.threshold
         )
         fit = deletion.fit
-    elif choice is not None and choice.name == name:
-        fit = choice.fit  # the same points
+    elif choice is not None and choice.name == name and choice.fit.ids == points.names:
+        fit = choice.fit
     else:
         fit = fit_control(build, points.names, points.xy, points.colrow, points.sigma)
     advice = (*advice, *deletion_advice(deletion), *comparison_advice(choice, name))
     if trial.search is not None:
         advice = (*advice, *blunder_advice(trial.search, searched, fit))
-    named = [name for found in advice for name in found.points]
-    advice = (*advice, *odd_advice(choice, fit, named), *size_advice(fit, size))
+    if trial.opinion is not None:
+        advice = (*advice, *opinion_advice(trial.opinion, fit, _named(advice)))
+    advice = (*advice, *odd_advice(choice, fit, _named(advice)), *size_advice(fit, size))
     stop_on_errors(advice, where, insist=request.insist)
     residuals = control.colrow - fit.model.ground_to_image(_spatial(control.xy))
     moved = np.einsum("nij,nj->ni", map_by_image(fit.model, _spatial(control.xy)), residuals)
@@ -187,6 +189,10 @@ def _advised(
 ) -> tuple[Advice, ...]:
     kind, order = kind_order(name)
     return advise(control, kind=kind, order=order, size=size, near=near)
+
+
+def _named(advice: tuple[Advice, ...]) -> list[str]:
+    return [name for found in advice if found.code in ("blunder", "contradiction") for name in found.points]
 
 
 def _spatial(xy: FloatArray) -> FloatArray:
