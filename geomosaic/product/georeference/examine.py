@@ -191,6 +191,7 @@ def fold_advice(model: SensorModel, points: FloatArray, grid: Grid) -> list[Advi
     share = float(np.mean(here * side <= 0.0))
     if share == 0.0:
         return []
-    what = f"the fit folds the image over: in {share:.0%} of the output it runs backwards"
+    much = f"{share:.0%}" if share >= 0.01 else "less than 1%"
+    what = f"the fit folds the image over: in {much} of the output it runs backwards"
     mend = "measure points there, or choose a fit of fewer parameters"
     return [Advice("folded", "error", what, (), mend)]

@@ -18,6 +18,7 @@ from geomosaic.control.finding import SEVERITIES, Advice
 from geomosaic.control.points import ImageControl
 from geomosaic.control.reading import Reading
 from geomosaic.errors import InputError
+from geomosaic.product.check_advice import check_advice
 from geomosaic.product.georeference.examine import (
     blunder_advice,
     comparison_advice,
@@ -27,6 +28,7 @@ from geomosaic.product.georeference.examine import (
     size_advice,
     stop_on_errors,
 )
+from geomosaic.product.georeference.opinion import Opinion
 from geomosaic.product.georeference.request import FitRequest, kind_order
 from geomosaic.product.georeference.trial import builder, try_models
 from geomosaic.types import FloatArray
@@ -60,6 +62,8 @@ class Solution:
         Where points were enough for it.
     robust_said : str
         What it found, or why there is none.
+    opinion : Opinion, optional
+        On blunders, without the model.
     check : CheckStatistics, optional
         Of the check points, map units.
     advice : tuple of Advice
@@ -77,6 +81,7 @@ class Solution:
     deletion: Deletion | None
     robust: BlunderSearch | None
     robust_said: str
+    opinion: Opinion | None
     check: CheckStatistics | None
     advice: tuple[Advice, ...]
 
@@ -148,6 +153,10 @@ def solve(
     residuals = control.colrow - fit.model.ground_to_image(_spatial(control.xy))
     moved = np.einsum("nij,nj->ni", map_by_image(fit.model, _spatial(control.xy)), residuals)
     check = control.of_role("check")
+    judged = check_model(fit.model, check.names, check.xy, check.colrow, unit) if len(check) else None
+    if judged is not None:
+        pixels = check.colrow - fit.model.ground_to_image(_spatial(check.xy))
+        advice = (*advice, *check_advice(check.names, pixels, judged.errors, unit, fit.leave_one_out_rms))
     return Solution(
         name,
         choice.said.removeprefix(f"{name}: ") if choice is not None and auto else "as asked for",
@@ -161,7 +170,8 @@ def solve(
         deletion,
         trial.search,
         trial.said,
-        check_model(fit.model, check.names, check.xy, check.colrow, unit) if len(check) else None,
+        trial.opinion,
+        judged,
         tuple(sorted(advice, key=lambda found: SEVERITIES.index(found.severity))),
     )
 
