@@ -99,7 +99,8 @@ def check_count(problem: Problem, seed: int = 0) -> int:
     needed, count = points_needed(problem, seed), len(problem)
     if count < needed + 2:
         raise SolveError(
-            f"{counted(count, 'point')} {'is' if count == 1 else 'are'} too few to look for blunders: the kind needs {needed}, and two more to show it",
+            f"{counted(count, 'point')} {'is' if count == 1 else 'are'} too few to look for blunders: the kind needs "
+            f"{needed}, and two more to show it",
             mend=f"give {needed + 2} points or more, better twice as many",
         )
     return needed

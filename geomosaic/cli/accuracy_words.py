@@ -92,8 +92,8 @@ def georeference_words(made: Georeferenced) -> str:
     if solution.check is not None:
         check = made.facts["check"]
         lines.append(
-            f"{counted(check['check_points'], 'check point')}: RMS {check['px']['rms_total']:.3f} px, {check['rms_total']:.3g} "
-            f"{check['unit']}; {check['shift_statement']}"
+            f"{counted(check['check_points'], 'check point')}: RMS {check['px']['rms_total']:.3f} px, "
+            f"{check['rms_total']:.3g} {check['unit']}; {check['shift_statement']}"
         )
     lines.append(ortho_words(made.product))
     beside = [str(path) for path in (made.page, made.report, made.vectors) if path]
