@@ -28,7 +28,8 @@ def placement_words(facts: Mapping[str, Any]) -> list[str]:
     elif kind == "grown":
         lines.append(
             f"grown, {model}: {count} photos from {facts['photos'][0]['photo']}, "
-            f"{counted(len(facts['joins']), 'join')} checked, {len(facts['failed_joins'])} failed, gaps {facts['gaps_px']:.2f} px RMS"
+            f"{counted(len(facts['joins']), 'join')} checked, {len(facts['failed_joins'])} failed, "
+            f"gaps {facts['gaps_px']:.2f} px RMS"
         )
     elif facts["rectified"] == "singly":
         lines.append(

@@ -140,15 +140,19 @@ def odd_advice(choice: Choice | None, fit: ControlFit, named: Sequence[str]) -> 
 
 def size_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
     """Say so where errors are large for the image: whatever was fitted, it is no map of it."""
-    error = max((e for e in (fit.rms_total, fit.leave_one_out_rms) if np.isfinite(e)), default=0.0)
-    if error <= LARGE * float(np.hypot(*size)):
+    # The residuals of few points are smaller than errors are: their share of the redundancy is taken off.
+    own = max(fit.rms_total, fit.sigma0 * float(np.sqrt(2.0) * np.median(fit.sigma))) if fit.redundancy else np.nan
+    error = max((e for e in (own, fit.leave_one_out_rms) if np.isfinite(e)), default=0.0)
+    limit = LARGE * float(np.hypot(*size))
+    if error <= limit:
         return []
+    severity = "warning" if own <= limit else "error"
     what = f"points are missed by {error:.1f} px (RMS) in an image of {size[0]} x {size[1]} pixels"
     lengths = np.hypot(*(fit.leave_one_out if np.isfinite(fit.leave_one_out).any() else fit.residuals).T)
     worst = tuple(fit.ids[i] for i in np.argsort(-np.nan_to_num(lengths), kind="stable")[:3])
     what += f", most of all {', '.join(worst)}"
     mend = "look for wrong points, give more of them, or choose a fit of more parameters"
-    return [Advice("large-errors", "error", what, (), mend)]
+    return [Advice("large-errors", severity, what, (), mend)]
 
 
 def comparison_advice(choice: Choice | None, model: str) -> list[Advice]:
