@@ -30,7 +30,7 @@ RARE = 0.05
 """Probability of a point to be wrong, before anything is known."""
 FINEST = 0.05
 """Pixels: nobody measures better, so that points which agree by rounding do not outweigh everything."""
-SURE, DOUBTFUL, LIKELY = 0.9, 0.1, 0.6
+SURE, DOUBTFUL, LIKELY = 0.9, 0.1, 0.3
 """Probability from which on a point is called wrong, is suspicious, and from which on any is held to be wrong."""
 KINDS = ("conformal", "mirrored", "affine", "projective", "poly2")
 ROUNDS = 4

@@ -28,6 +28,8 @@ HOPELESS = ("few-points",)
 """Errors with which no fit is possible, whoever insists."""
 UNFIT = 0.4
 """Share of points that stand out from which on it is the fit that is wrong."""
+EVEN = 0.5
+"""Probability of a wrong point beyond which nothing is drawn."""
 STEPS = 33
 """Places along each side of the output at which a fold is looked for."""
 
@@ -108,9 +110,12 @@ def opinion_advice(opinion: Opinion, fit: ControlFit, named: Sequence[str]) -> l
     names = tuple(name for name in opinion.suspicious if name in inside)
     if not names:
         return []
-    what = f"the points contradict each other, and are too few to tell which is wrong; suspicious are {listed(names)}"
-    gross = any(opinion.gross(name) for name in names)
-    mend = "measure these again, and more points; or leave out one that is known to be wrong (--without)"
+    what = (
+        f"with a probability of {opinion.fault:.0%} {listed(names)} {'is' if len(names) == 1 else 'are'} wrong, else the "
+        f"image is bent: {len(fit.ids)} points are too few to be sure"
+    )
+    gross = opinion.fault > EVEN and any(opinion.gross(name) for name in names)
+    mend = f"measure again, and more points; or leave out what is known to be wrong: --without {names[0]}"
     return [Advice("contradiction", "error" if gross else "warning", what, names, mend)]
 
 

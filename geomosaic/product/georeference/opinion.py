@@ -28,7 +28,9 @@ class Opinion:
     ----------
     blunders : tuple of str
     suspicious : tuple of str
-        Points of which some are wrong, where it cannot be told which.
+        Points of which some may be wrong, where points are too few to be sure.
+    fault : float
+        Probability that any is wrong.
     lengths : mapping of str to float
         Errors of all points against what the good ones say, pixels.
     rms : float
@@ -41,6 +43,7 @@ class Opinion:
 
     blunders: tuple[str, ...]
     suspicious: tuple[str, ...]
+    fault: float
     lengths: Mapping[str, float]
     rms: float
     basis: str
@@ -73,10 +76,12 @@ def _of_few(found: Explanation) -> Opinion:
     if names:
         said += f"most probably {', '.join(names)} {'is' if len(names) == 1 else 'are'} wrong, under a {found.kind} fit"
     elif found.suspicious:
-        said += f"some are wrong (probability {found.fault:.0%}), probably of {', '.join(found.suspicious)}"
+        said += f"with a probability of {found.fault:.0%} some are wrong, of {', '.join(found.suspicious)}"
     else:
         said += "no blunder"
-    return Opinion(names, found.suspicious, lengths, found.rms, f"under a {found.kind} fit of the others", said)
+    return Opinion(
+        names, found.suspicious, found.fault, lengths, found.rms, f"under a {found.kind} fit of the others", said
+    )
 
 
 def _of_many(found: NeighbourSearch) -> Opinion:
@@ -84,4 +89,4 @@ def _of_many(found: NeighbourSearch) -> Opinion:
     limit = max(GROSS * found.rms, SEEN)
     names = tuple(name for name in found.blunders if lengths[name] > limit)
     said = NeighbourSearch(found.ids, names, found.errors, found.rms).said
-    return Opinion(names, (), lengths, found.rms, "against their neighbours", said)
+    return Opinion(names, (), float(bool(names)), lengths, found.rms, "against their neighbours", said)
