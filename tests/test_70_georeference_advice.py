@@ -223,3 +223,45 @@ def test_errors_that_are_large_for_the_image_are_told() -> None:
     points = replace(points, colrow=points.colrow + random.normal(0.0, 120.0, points.colrow.shape))
     assert "large-errors" in [found.code for found in solved(points, model="affine", insist=True).advice]
     assert "large-errors" not in [found.code for found in solved(control(4, 3), model="affine").advice]
+
+
+def test_a_spline_leaves_blunders_out_where_asked_to() -> None:
+    """One, and 30 % of 30, in an image bent by 30 px: named, and left out with --robust; the rest is the same spline."""
+    for wrong in ([13], [0, 4, 9, 11, 14, 18, 21, 26, 29]):
+        points = moved(control(6, 5, bend=30.0), wrong)
+        names = {f"P{i}" for i in wrong}
+        done = solved(points, model="tps", robust=True)
+        assert {name for name, state in zip(points.names, done.states, strict=True) if state == "suspect"} == names
+        assert not [found for found in done.advice if found.severity == "error"]
+        assert "contradict" in done.robust_said
+        clean = solved(points.without(sorted(names)), model="tps")
+        assert done.fit.model.parameters.values == pytest.approx(clean.fit.model.parameters.values)
+
+
+def test_auto_chooses_as_if_blunders_were_not_there() -> None:
+    for wrong in ([7], [1, 4, 8, 10, 15, 19]):
+        points = control(5, 4)
+        clean = solved(points.without([f"P{i}" for i in wrong]))
+        assert solved(moved(points, wrong), robust=True).model == clean.model
+        with pytest.raises(BadControlError) as caught:
+            solved(moved(points, wrong))
+        named = {name for found in caught.value.advice if found.severity == "error" for name in found.points}
+        assert named == {f"P{i}" for i in wrong}
+
+
+@pytest.mark.parametrize("count", [4, 5, 6, 7, 8])
+def test_of_few_good_points_nothing_wrong_is_said(count: int) -> None:
+    for tilt in (0.0, 1e-6, 2e-5, 1e-4):
+        for model in ("auto", "conformal", "affine")[: 1 + 2 * (tilt == 0.0)]:
+            told = solved(few(count, {}, tilt), model=model).advice
+            assert not [found for found in told if found.severity == "error"], (tilt, model, told)
+            assert not {"blunder", "contradiction"} & {found.code for found in told}, (tilt, model, told)
+
+
+def test_a_shift_of_all_check_points_makes_none_of_them_wrong() -> None:
+    points = with_checks(control(5, 4), [2, 6, 9, 13, 17], [])
+    shift = np.array([6.0 if role == "check" else 0.0 for role in points.roles])
+    done = solved(replace(points, ground=points.ground + shift[:, None]), model="affine")
+    assert "check-point" not in [found.code for found in done.advice]
+    assert done.check is not None
+    assert done.check.shifted

@@ -32,7 +32,7 @@ FINEST = 0.05
 """Pixels: nobody measures better, so that points which agree by rounding do not outweigh everything."""
 SURE, DOUBTFUL, LIKELY = 0.9, 0.1, 0.3
 """Probability from which on a point is called wrong, is suspicious, and from which on any is held to be wrong."""
-KINDS = ("conformal", "mirrored", "affine", "projective", "poly2")
+KINDS = ("conformal", "mirrored conformal", "affine", "projective", "poly2")
 ROUNDS = 4
 WORST = 1e-9
 
@@ -182,8 +182,8 @@ def _design(kind: str, places: FloatArray) -> FloatArray:
     """Derivatives (N, 2, P) of col, row by the parameters."""
     x, y = places.T
     one, zero = np.ones_like(x), np.zeros_like(x)
-    if kind in ("conformal", "mirrored"):
-        turn = 1.0 if kind == "mirrored" else -1.0
+    if kind.endswith("conformal"):
+        turn = 1.0 if kind.startswith("mirrored") else -1.0
         col, row = [one, zero, x, y], [zero, one, turn * y, -turn * x]
         return np.stack([np.column_stack(col), np.column_stack(row)], axis=1)
     terms = np.column_stack([one, x, y] + ([x * y, x**2, y**2] if kind == "poly2" else []))

@@ -31,6 +31,8 @@ OUT, BACK = 8.0, 6.0
 """Median errors from which on a point is put out, and within which it is let in again."""
 BETTER = 0.4
 """Share of the median error below which a perspective is taken off."""
+SMOOTH = 0.01
+"""Smoothing, in squares of the usual distance of points: two that nearly touch must not tilt the spline by their noise."""
 ROUNDS = 60
 BLOCK = 512
 
@@ -149,7 +151,7 @@ def _by_spline(places: FloatArray, image: FloatArray, near: IntArray, kept: Bool
     """Put out points that the spline through the others misses most, let in those it meets, until none changes."""
     errors = np.zeros_like(image)
     for _ in range(ROUNDS):
-        errors, variance = predictions(places, image, kept)
+        errors, variance = predictions(places, image, kept, SMOOTH / len(places))
         # Closer points than usual are predicted within what they are measured within, not better.
         length = np.hypot(*errors.T) / np.sqrt(variance + np.median(variance[kept]))
         typical = max(float(np.median(length[kept])), 1e-12)
@@ -164,8 +166,20 @@ def _by_spline(places: FloatArray, image: FloatArray, near: IntArray, kept: Bool
     return kept, errors
 
 
-def predictions(places: FloatArray, image: FloatArray, kept: BoolArray) -> tuple[FloatArray, FloatArray]:
+def predictions(
+    places: FloatArray, image: FloatArray, kept: BoolArray, smooth: float = 1e-10
+) -> tuple[FloatArray, FloatArray]:
     """Errors (N, 2) of all points under the thin plate spline through those kept, the point itself left out.
+
+    Parameters
+    ----------
+    places : array (N, 2)
+        On the map, |x|, |y| ≤ 1 or so.
+    image : array (N, 2)
+        Pixels.
+    kept : bool array (N,)
+    smooth : float
+        Added to the diagonal of K: the spline then passes near its points instead of through them.
 
     Returns
     -------
@@ -177,7 +191,7 @@ def predictions(places: FloatArray, image: FloatArray, kept: BoolArray) -> tuple
     nodes, values = places[kept], image[kept]
     count = len(nodes)
     matrix = np.zeros((count + 3, count + 3))
-    matrix[:count, :count] = _radial(nodes, nodes) + 1e-10 * np.eye(count)
+    matrix[:count, :count] = _radial(nodes, nodes) + smooth * np.eye(count)
     matrix[:count, count] = matrix[count, :count] = 1.0
     matrix[:count, count + 1 :] = nodes
     matrix[count + 1 :, :count] = nodes.T

@@ -43,7 +43,8 @@ def check_advice(
         for i in order[:6]
     )
     told += f"; and {len(wrong) - 6} more" if len(wrong) > 6 else ""
-    what = f"{len(wrong)} of {len(names)} check points {'is' if len(wrong) == 1 else 'are'} off: {told}"
+    who = f"{len(wrong)} of {len(names)} check points" if len(names) > 1 else "the check point"
+    what = f"{who} {'is' if len(wrong) == 1 else 'are'} off: {told}"
     rest = moved[~found.odd]
     if len(rest) >= 2:
         x, y = rest.mean(axis=0)

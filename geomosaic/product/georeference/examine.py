@@ -110,10 +110,9 @@ def opinion_advice(opinion: Opinion, fit: ControlFit, named: Sequence[str]) -> l
     names = tuple(name for name in opinion.suspicious if name in inside)
     if not names:
         return []
-    what = (
-        f"with a probability of {opinion.fault:.0%} {listed(names)} {'is' if len(names) == 1 else 'are'} wrong, else the "
-        f"image is bent: {len(fit.ids)} points are too few to be sure"
-    )
+    who = f"{listed(names)} {'is' if len(names) == 1 else 'are'}"
+    what = f"with a probability of {opinion.fault:.0%} {who} wrong, else the image is bent: {len(fit.ids)} points are "
+    what += "too few to be sure"
     gross = opinion.fault > EVEN and any(opinion.gross(name) for name in names)
     mend = f"measure again, and more points; or leave out what is known to be wrong: --without {names[0]}"
     return [Advice("contradiction", "error" if gross else "warning", what, names, mend)]

@@ -74,14 +74,15 @@ def _of_few(found: Explanation) -> Opinion:
     names = tuple(name for name in found.blunders if lengths[name] > SEEN)
     said = "every kind of fit tried with every choice of good points: "
     if names:
-        said += f"most probably {', '.join(names)} {'is' if len(names) == 1 else 'are'} wrong, under a {found.kind} fit"
+        said += (
+            f"most probably {', '.join(names)} {'is' if len(names) == 1 else 'are'} wrong, under the {found.kind} fit"
+        )
     elif found.suspicious:
         said += f"with a probability of {found.fault:.0%} some are wrong, of {', '.join(found.suspicious)}"
     else:
         said += "no blunder"
-    return Opinion(
-        names, found.suspicious, found.fault, lengths, found.rms, f"under a {found.kind} fit of the others", said
-    )
+    basis = f"under the {found.kind} fit of the others"
+    return Opinion(names, found.suspicious, found.fault, lengths, found.rms, basis, said)
 
 
 def _of_many(found: NeighbourSearch) -> Opinion:
