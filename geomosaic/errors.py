@@ -87,6 +87,11 @@ class GeomosaicWarning(UserWarning):
     """Something the user should know; the work goes on."""
 
 
+def counted(count: int, noun: str) -> str:
+    """'1 point', '2 points'."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """'did you mean ...?' with the closest known word, whatever the capitals; empty where none is close."""
     import difflib

@@ -74,9 +74,57 @@ def on_a_slope(points: ImageControl) -> ImageControl:
     return replace(points, colrow=points.colrow + np.column_stack([-60.0 * share, 25.0 * share]))
 
 
+def few(count: int, wrong: dict[int, tuple[float, float]], tilt: float = 2e-5) -> ImageControl:
+    """The corners, the middle and the sides of an oblique photo; some points measured elsewhere."""
+    share = [[0.06, 0.06], [0.94, 0.08], [0.05, 0.95], [0.94, 0.93], [0.5, 0.48], [0.52, 0.07], [0.07, 0.5], [0.9, 0.5]]
+    colrow = np.array(share[:count]) * SIZE
+    flat = ground(colrow) - (612_000, 5_412_000)
+    places = flat / (1.0 + tilt * flat[:, :1] - 1.5 * tilt * flat[:, 1:]) + (612_000, 5_412_000)
+    colrow += np.random.default_rng(6).normal(0.0, 0.3, colrow.shape)
+    for index, shift in wrong.items():
+        colrow[index] += shift
+    points = control(count, 1)
+    return replace(points, colrow=colrow, ground=places)
+
+
+def scattered() -> ImageControl:
+    points = control(4, 3)
+    return replace(points, colrow=points.colrow + np.random.default_rng(3).normal(0.0, 120.0, points.colrow.shape))
+
+
+def with_checks(points: ImageControl, judges: list[int], wrong: list[int], by: float = 60.0) -> ImageControl:
+    """Some of the points judge, and some of these were measured elsewhere."""
+    roles = tuple("check" if i in judges else "control" for i in range(len(points)))
+    return moved(replace(points, roles=roles), wrong, by)
+
+
 CASES: dict[str, tuple[str, ImageControl, str, dict[str, float]]] = {
     "one blunder of 12": ("`blunder` (error)", moved(control(4, 3), [7]), "affine", {}),
     "30 % of 20": ("`blunder` (error)", moved(control(5, 4), [1, 4, 8, 10, 15, 19]), "affine", {}),
+    "one of 30 that a spline would follow": ("`blunder` (error)", moved(control(6, 5, bend=30.0), [13]), "tps", {}),
+    "30 % of 30 that a spline would follow": (
+        "`blunder` (error)",
+        moved(control(6, 5, bend=30.0), [0, 4, 9, 11, 14, 18, 21, 26, 29]),
+        "tps",
+        {},
+    ),
+    "one that a rich polynomial would follow": ("`blunder` (error)", moved(control(6, 5), [8]), "poly5", {}),
+    "one of 7 in an oblique photo": ("`blunder` (error)", few(7, {5: (60.0, 10.0)}), "auto", {}),
+    "one of 6 in an oblique photo": ("`contradiction` (error)", few(6, {1: (12.0, -90.0)}), "auto", {}),
+    "one of 5": ("`blunder` (error)", few(5, {3: (60.0, 10.0)}, tilt=0.0), "auto", {}),
+    "points of nothing": ("`large-errors` (error)", scattered(), "affine", {}),
+    "a wrong check point": (
+        "`check-point` (warning)",
+        with_checks(control(5, 4), [2, 6, 9, 13, 17], [9]),
+        "affine",
+        {},
+    ),
+    "one check point, and that wrong": (
+        "`check-point` (warning)",
+        with_checks(control(5, 4), [9], [9]),
+        "affine",
+        {},
+    ),
     "a small one": ("`blunder` (warning)", moved(control(5, 4), [8], by=5.0), "affine", {}),
     "too poor a fit": ("`poor-fit` (warning)", control(6, 5, bend=30.0), "affine", {}),
     "too rich a fit": ("`poor-fit` (warning)", control(6, 5), "poly5", {}),
@@ -118,7 +166,16 @@ def test_every_case_is_found_and_the_docs_show_what_is_said():
 
 
 def test_the_blunders_named_are_those_made():
-    for name, wrong in (("one blunder of 12", [7]), ("30 % of 20", [1, 4, 8, 10, 15, 19]), ("a small one", [8])):
+    for name, wrong in (
+        ("one blunder of 12", [7]),
+        ("30 % of 20", [1, 4, 8, 10, 15, 19]),
+        ("one of 30 that a spline would follow", [13]),
+        ("30 % of 30 that a spline would follow", [0, 4, 9, 11, 14, 18, 21, 26, 29]),
+        ("one that a rich polynomial would follow", [8]),
+        ("one of 7 in an oblique photo", [5]),
+        ("one of 5", [3]),
+        ("a small one", [8]),
+    ):
         _, points, model, more = CASES[name]
         named = next(a.points for a in found(points, model, more) if a.code == "blunder")
         assert named == tuple(f"P{i}" for i in wrong), name
@@ -166,3 +223,45 @@ def test_errors_that_are_large_for_the_image_are_told() -> None:
     points = replace(points, colrow=points.colrow + random.normal(0.0, 120.0, points.colrow.shape))
     assert "large-errors" in [found.code for found in solved(points, model="affine", insist=True).advice]
     assert "large-errors" not in [found.code for found in solved(control(4, 3), model="affine").advice]
+
+
+def test_a_spline_leaves_blunders_out_where_asked_to() -> None:
+    """One, and 30 % of 30, in an image bent by 30 px: named, and left out with --robust; the rest is the same spline."""
+    for wrong in ([13], [0, 4, 9, 11, 14, 18, 21, 26, 29]):
+        points = moved(control(6, 5, bend=30.0), wrong)
+        names = {f"P{i}" for i in wrong}
+        done = solved(points, model="tps", robust=True)
+        assert {name for name, state in zip(points.names, done.states, strict=True) if state == "suspect"} == names
+        assert not [found for found in done.advice if found.severity == "error"]
+        assert "contradict" in done.robust_said
+        clean = solved(points.without(sorted(names)), model="tps")
+        assert done.fit.model.parameters.values == pytest.approx(clean.fit.model.parameters.values)
+
+
+def test_auto_chooses_as_if_blunders_were_not_there() -> None:
+    for wrong in ([7], [1, 4, 8, 10, 15, 19]):
+        points = control(5, 4)
+        clean = solved(points.without([f"P{i}" for i in wrong]))
+        assert solved(moved(points, wrong), robust=True).model == clean.model
+        with pytest.raises(BadControlError) as caught:
+            solved(moved(points, wrong))
+        named = {name for found in caught.value.advice if found.severity == "error" for name in found.points}
+        assert named == {f"P{i}" for i in wrong}
+
+
+@pytest.mark.parametrize("count", [4, 5, 6, 7, 8])
+def test_of_few_good_points_nothing_wrong_is_said(count: int) -> None:
+    for tilt in (0.0, 1e-6, 2e-5, 1e-4):
+        for model in ("auto", "conformal", "affine")[: 1 + 2 * (tilt == 0.0)]:
+            told = solved(few(count, {}, tilt), model=model).advice
+            assert not [found for found in told if found.severity == "error"], (tilt, model, told)
+            assert not {"blunder", "contradiction"} & {found.code for found in told}, (tilt, model, told)
+
+
+def test_a_shift_of_all_check_points_makes_none_of_them_wrong() -> None:
+    points = with_checks(control(5, 4), [2, 6, 9, 13, 17], [])
+    shift = np.array([6.0 if role == "check" else 0.0 for role in points.roles])
+    done = solved(replace(points, ground=points.ground + shift[:, None]), model="affine")
+    assert "check-point" not in [found.code for found in done.advice]
+    assert done.check is not None
+    assert done.check.shifted

@@ -100,7 +100,8 @@ class CheckStatistics:
         x, y = self.mean
         length = f"{np.hypot(x, y):.3g} {self.unit} (x {x:+.3g}, y {y:+.3g})"
         if np.isnan(self.shift_probability):
-            return f"the mean shift is {length}; {len(self)} check points are too few to tell whether it is systematic"
+            few = "one check point is" if len(self) == 1 else f"{len(self)} check points are"
+            return f"the {'mean ' * (len(self) > 1)}shift is {length}; {few} too few to tell whether it is systematic"
         if self.shifted:
             return (
                 f"the map is shifted by {length}, which chance would bring with a probability of "

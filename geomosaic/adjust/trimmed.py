@@ -10,7 +10,7 @@ import numpy as np
 
 from geomosaic.adjust.judge import probabilities, statistics
 from geomosaic.adjust.problem import Problem
-from geomosaic.errors import GeomosaicError, SolveError
+from geomosaic.errors import GeomosaicError, SolveError, counted
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
@@ -99,7 +99,8 @@ def check_count(problem: Problem, seed: int = 0) -> int:
     needed, count = points_needed(problem, seed), len(problem)
     if count < needed + 2:
         raise SolveError(
-            f"{count} points are too few to look for blunders: the kind needs {needed}, and two more to show it",
+            f"{counted(count, 'point')} {'is' if count == 1 else 'are'} too few to look for blunders: the kind needs "
+            f"{needed}, and two more to show it",
             mend=f"give {needed + 2} points or more, better twice as many",
         )
     return needed

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from geomosaic.cli.words import finite, grid_facts
+from geomosaic.errors import counted
 
 if TYPE_CHECKING:
     from geomosaic.product.accuracy import MapCheck
@@ -57,7 +58,7 @@ def check_words(found: MapCheck) -> str:
     if len(found.ids) > MOST:
         lines.append(f"... the {MOST} largest of {len(found.ids)}; --json has them all")
     (x, y), (col, row) = s.rms, found.pixel_rms
-    count = f"{len(s)} check point{'s' * (len(s) != 1)}"
+    count = counted(len(s), "check point")
     lines += [
         f"{count}: RMS x {x:.4g}, y {y:.4g}, total {s.rms_total:.4g} {unit}",
         f"in pixels: RMS col {col:.3f}, row {row:.3f}, total {found.pixel_rms_total:.3f}",
@@ -75,30 +76,46 @@ def georeference_words(made: Georeferenced) -> str:
 
     solution, accuracy = made.solution, made.facts["accuracy"]
     states = made.facts["control"]
-    counts = [f"{accuracy['points']} control points"]
+    counts = [counted(accuracy["points"], "control point")]
+    counts += [counted(states["check"], "check point")] * bool(states["check"])
     counts += [f"{states[state]} {word}" for state, word in STATES.items() if states[state]]
+    out = [name for name, state in zip(solution.control.names, solution.states, strict=True) if state == "suspect"]
+    counts += [f"left out as wrong: {', '.join(out[:12])}{f' and {len(out) - 12} more' * (len(out) > 12)}"] * bool(out)
     lines = [
         f"{solution.model}: {solution.why}",
         f"fitted in {made.facts['fit']['crs']}",
         f"{', '.join(counts)}; redundancy {accuracy['redundancy']}",
-        f"residuals: RMS {_pixels_metres(accuracy['residuals'], 'rms_total')}; "
-        f"95 % within {_pixels_metres(accuracy['residuals'], 'figure95')}",
-        f"leave-one-out: RMS {_pixels_metres(accuracy['leave_one_out'], 'rms_total')}",
+        *_errors(accuracy),
     ]
     if solution.deletion is not None:
         lines.append(solution.deletion.said)
     if solution.check is not None:
         check = made.facts["check"]
         lines.append(
-            f"{check['check_points']} check points: RMS {check['px']['rms_total']:.3f} px, {check['rms_total']:.3g} "
-            f"{check['unit']}; {check['shift_statement']}"
+            f"{counted(check['check_points'], 'check point')}: RMS {check['px']['rms_total']:.3f} px, "
+            f"{check['rms_total']:.3g} {check['unit']}; {check['shift_statement']}"
         )
     lines.append(ortho_words(made.product))
     beside = [str(path) for path in (made.page, made.report, made.vectors) if path]
     return "\n".join(lines + ([f"control report: {', '.join(beside)}"] if beside else []))
 
 
-STATES = {"check": "check points", "deleted": "deleted", "suspect": "left out as blunders", "disabled": "not enabled"}
+STATES = {"deleted": "deleted", "disabled": "not enabled"}
+
+
+def _errors(accuracy: dict[str, Any]) -> list[str]:
+    """Lines of the errors at control points; zero residuals of a fit that passes through them are no news."""
+    left_out = accuracy["leave_one_out"]
+    rms = f"leave-one-out: RMS {_pixels_metres(left_out, 'rms_total')}"
+    if accuracy["headline"] == "leave_one_out":
+        found = [f"{rms}; 95 % within {_pixels_metres(left_out, 'figure95')}"] if left_out["points"] else []
+        return [
+            *found,
+            "residuals: none, the fit passes through its points" + (", and nothing checks it" * (not found)),
+        ]
+    residuals = accuracy["residuals"]
+    within = _pixels_metres(residuals, "figure95")
+    return [f"residuals: RMS {_pixels_metres(residuals, 'rms_total')}; 95 % within {within}", rms]
 
 
 def _pixels_metres(part: dict[str, Any], key: str) -> str:

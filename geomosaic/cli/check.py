@@ -25,6 +25,7 @@ check_options = stack(
         help="Check points: any file of control, or a table with measured_x, measured_y.",
     ),
     control_options,
+    click.option("--without", multiple=True, metavar="POINT", help="Leave a point out; any number of times."),
     click.option("--raster-crs", metavar="CRS", help="CRS of the raster, where it names none."),
     click.option(
         "--survey-rms",
@@ -98,6 +99,7 @@ def command(raster: Path, points: Path, as_json: bool, **flags: Any) -> int:
             rows=flags["rows"],
             survey_rms=flags["survey_rms"],
             insist=flags["insist"],
+            without=tuple(flags["without"]),
         )
     for finding in found.advice:
         say(str(finding))

@@ -48,6 +48,11 @@ def linear_part(colrow: FloatArray, ground: FloatArray) -> tuple[float, FloatArr
     return float(np.sign(np.linalg.det(matrices)).mean()), np.median(matrices, axis=0)
 
 
+def is_mirrored(control: ImageControl) -> bool:
+    """Say whether ground and image (rows downwards) run the same way round."""
+    return len(control) >= 3 and linear_part(control.colrow, plane(control))[0] > _VOTE
+
+
 def mirrored(control: ImageControl) -> list[Advice]:
     """Find a mirrored image, and say what it most looks like if north is about up, down, left or right.
 

@@ -9,7 +9,7 @@ from pyproj import CRS
 
 from geomosaic.control.reading import Measured, Reading, choose_image, control_of, ground_crs
 from geomosaic.control.text import number, read_lines
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, counted
 from geomosaic.types import PathLike
 
 _UTM = re.compile(r"WGS\s?84\s+UTM\s+(?:zone\s+)?(\d{1,2})\s*([NS]?)", re.IGNORECASE)
@@ -85,6 +85,6 @@ def read_odm(path: PathLike, *, image: str | None = None, crs: str | CRS | None 
         name = fields[6] if len(fields) > 6 else f"line {origin.number}"
         points.append(Measured(name, (col + half, row + half), (x, y, z), origin))
     notes = [f"{half:g} added to image coordinates: pixels are counted by their centres"] * bool(half)
-    notes += [f"{len(split) - len(points)} points of other images left out"] * (len(split) > len(points))
-    notes += [f"{made} points without a name are called by their line"] * bool(made)
+    notes += [f"{counted(len(split) - len(points), 'point')} of other images left out"] * (len(split) > len(points))
+    notes += [f"{counted(made, 'point')} without a name called by line"] * bool(made)
     return Reading(control_of(points, ground_crs(stated, crs, where), where), "odm", tuple(notes))

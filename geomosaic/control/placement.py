@@ -60,7 +60,7 @@ def misplaced(control: ImageControl, near: tuple[float, float] | None = None, wi
     names = named(control, out)
     reach = f"near {near[0]:g}, {near[1]:g}" if near else f"in the area of use of '{crs.name}'"
     if out.mean() <= 0.5:
-        what = f"{len(names)} of {len(control)} points do not lie {reach}: {listed(names)}"
+        what = f"{len(names)} of {len(control)} points do{'es' * (len(names) == 1)} not lie {reach}: {listed(names)}"
         return [Advice("outside-crs-area", "error", what, names, "look for a digit lost or exchanged in them")]
     code, looks, mend = _cause(control, area, near)
     at = f"{xy[0, 0]:.10g}, {xy[0, 1]:.10g}"

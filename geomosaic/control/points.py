@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.transform import Transform
 from geomosaic.types import BoolArray, FloatArray
 
@@ -139,11 +139,20 @@ class ImageControl:
         """Return the enabled points of a role, 'control' or 'check'."""
         return self.select(self.enabled & np.array([own == role for own in self.roles], dtype=np.bool_))
 
-    def without(self, names: Sequence[str]) -> ImageControl:
-        """Return the same points with those of these names not enabled."""
+    def without(self, names: Sequence[str], where: str | None = None) -> ImageControl:
+        """Return the same points with those of these names not enabled.
+
+        Raises
+        ------
+        InputError
+            There is no such point.
+        """
         unknown = sorted(set(names) - set(self.names))
         if unknown:
-            raise InputError(f"there is no point '{unknown[0]}'", mend=f"there are {', '.join(self.names[:12])}")
+            hint = did_you_mean(unknown[0], self.names)
+            shown = ", ".join(self.names[:12]) + (" ..." if len(self) > 12 else "")
+            mend = f"{hint} there are {shown}".strip()
+            raise InputError(f"there is no point '{unknown[0]}'", where=where, mend=mend)
         return replace(self, enabled=self.enabled & ~np.isin(np.array(self.names), list(names)))
 
     def to_crs(self, crs: CRS) -> ImageControl:

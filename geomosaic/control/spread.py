@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from geomosaic.control.finding import Advice, listed, named, plane
+from geomosaic.control.handed import is_mirrored
 from geomosaic.control.points import ImageControl
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.types import BoolArray, FloatArray
@@ -64,10 +65,10 @@ def elongation(points: FloatArray) -> tuple[float, float]:
 def collinear(control: ImageControl, kind: str) -> list[Advice]:
     """Find points on a line, in the image or on the ground; for a projective fit also all but one of them.
 
-    A conformal fit is determined by two points, so a line of them is no fault there.
+    A conformal fit is determined by two points, so a line of them is no error there; it is said all the same.
     """
     count = len(control)
-    if kind == "conformal" or count < 3:
+    if count < 3:
         return []
     ground = plane(control)
     subsets = [np.arange(count)]
@@ -86,6 +87,9 @@ def collinear(control: ImageControl, kind: str) -> list[Advice]:
             else f"all points but {named(control, [_left(chosen, count)])[0]} lie"
         )
         what = f"{who} on a line{'' if hopeless else ', nearly'}: {across:.1f} px across, {along:.0f} px along (RMS)"
+        if kind == "conformal":
+            what += "; a conformal fit is determined by them, and nothing checks it beside the line"
+            return [Advice("collinear", "warning", what, names, "measure points on both sides of the line")]
         mend = "measure points on both sides of the line, or choose a conformal fit"
         return [Advice("collinear", "error" if hopeless else "warning", what, names, mend)]
     return []
@@ -96,7 +100,11 @@ def _left(chosen: np.ndarray[tuple[int], np.dtype[np.int64]], count: int) -> int
 
 
 def outside_image(control: ImageControl, size: tuple[int, int]) -> list[Advice]:
-    """Find points beyond the edges, and what most of them being there looks like."""
+    """Find points beyond the edges, and what most of them being there looks like.
+
+    Mirrored ground alone may be right, and so may a point beyond the edge; where both are mended by an exchange of
+    columns and rows, these are exchanged.
+    """
     colrow = control.colrow
     limit = np.array(size, dtype=np.float64)
     out: BoolArray = np.any((colrow < 0) | (colrow > limit), axis=1)
@@ -108,15 +116,21 @@ def outside_image(control: ImageControl, size: tuple[int, int]) -> list[Advice]:
     if most and ((turned >= 0) & (turned <= limit)).all():
         what, mend = "rows are negative: they count upwards", "change the sign of the rows"
         return [Advice("negative-rows", "error", what, names, mend)]
-    if most and ((swapped >= 0) & (swapped <= limit)).all():
-        what = f"points lie outside the image of {size[0]} × {size[1]} pixels, and inside with col and row exchanged"
+    if ((swapped >= 0) & (swapped <= limit)).all() and (most or is_mirrored(control)):
+        who = "all points lie" if len(names) == len(control) else _lie(len(names), len(control))
+        what = f"{who} outside the image of {size[0]} × {size[1]} pixels, and all inside with col and row exchanged"
+        if is_mirrored(control):
+            what += ", which also turns the mirrored ground the right way round"
         return [Advice("swapped-columns-rows", "error", what, names, "exchange the columns 'col' and 'row'")]
-    what = (
-        f"{len(names)} of {len(control)} points lie outside the image of {size[0]} × {size[1]} pixels: {listed(names)}"
-    )
+    who = _lie(len(names), len(control))
+    what = f"{who} outside the image of {size[0]} × {size[1]} pixels: {listed(names)}"
     reach = colrow.max(axis=0)
     mend = f"points reach column {reach[0]:g}, row {reach[1]:g}: is it the right image, at the size it was measured in?"
     return [Advice("outside-image", "error" if most else "warning", what, names, mend)]
+
+
+def _lie(some: int, count: int) -> str:
+    return f"{some} of {count} points lie{'s' * (some == 1)}"
 
 
 def hull_area(points: FloatArray) -> float:

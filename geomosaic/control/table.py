@@ -13,7 +13,7 @@ from geomosaic.control.pairs import pixel_on_ground
 from geomosaic.control.points import ImageControl, Origin
 from geomosaic.control.reading import Measured, Reading, choose_image, control_of, ground_crs
 from geomosaic.control.text import Line, delimiter_of, has_decimal_commas, number, read_lines, split
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, counted
 from geomosaic.types import FloatArray, PathLike
 
 NEEDED = ("x", "y", "col", "row")
@@ -125,9 +125,8 @@ def read_table_control(
         if empty is not None:
             raise InputError("column 'image' is empty", where=str(empty.origin), mend="name the image of every point")
         chosen = choose_image([line.fields[at] for line in body], image, where)
-        notes += [f"{sum(line.fields[at] not in chosen for line in body)} points of other images left out"] * (
-            len({line.fields[at] for line in body} - chosen) > 0
-        )
+        others = sum(line.fields[at] not in chosen for line in body)
+        notes += [f"{counted(others, 'point')} of other images left out"] * bool(others)
         body = [line for line in body if line.fields[at] in chosen]
     points = [_point(index, line, column, commas, half) for index, line in enumerate(body, start=1)]
     control = control_of(points, ground_crs(comment_crs(lines), crs, where), where)

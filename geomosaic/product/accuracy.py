@@ -13,9 +13,10 @@ from geomosaic.control.finding import Advice
 from geomosaic.control.points import ImageControl
 from geomosaic.control.positions import has_positions, read_positions
 from geomosaic.control.read import read_control
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, counted
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid
+from geomosaic.product.check_advice import check_advice
 from geomosaic.product.georeference.metres import short_unit
 from geomosaic.raster.info import SourceInfo, inspect
 from geomosaic.types import FloatArray
@@ -76,6 +77,7 @@ def check_map(
     rows: str | None = None,
     survey_rms: float = 0.0,
     insist: bool = False,
+    without: tuple[str, ...] = (),
 ) -> MapCheck:
     """Hold a georeferenced raster against points whose places are known.
 
@@ -95,6 +97,8 @@ def check_map(
         RMS length of the errors of the true places, map units of the raster.
     insist : bool
         Go on where coordinates look wrong.
+    without : tuple of str
+        Names of points that are left out.
 
     Raises
     ------
@@ -112,10 +116,11 @@ def check_map(
         found, notes = reading.control, reading.notes
         judges = [role == "check" for role in found.roles]
         if any(judges) and not all(judges):
-            notes = (*notes, f"{len(judges) - sum(judges)} control points left out")
+            notes = (*notes, f"{counted(len(judges) - sum(judges), 'control point')} left out")
             found = found.select(judges)
-        found = found.select(found.enabled)
         measured = found.colrow
+    found = found.without(without, str(points))
+    found, measured = found.select(found.enabled), measured[found.enabled]
     advice = _examined(found, measured, info.size)
     wrong = next((finding for finding in advice if finding.severity == "error"), None)
     if wrong is not None and not insist:
@@ -128,6 +133,7 @@ def check_map(
         what = f"the points lie {np.hypot(*per_axis):.0f} pixels (RMS) from where they should"
         mend = "are col and row measured in this raster, and not in the image it was made from?"
         advice = (*advice, Advice("far", "warning", what, (), mend))
+    advice = (*advice, *check_advice(found.names, pixel, statistics.errors, statistics.unit))
     return MapCheck(
         raster,
         points,

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from pyproj import CRS
 
 from geomosaic.block.footprint import Footprint, footprint
 from geomosaic.block.scene import Scene
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.geo.area import area_of_use, beyond, longitude_latitude
 from geomosaic.geo.crs import geographic, horizontal
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.transform import Transform
@@ -15,6 +18,8 @@ from geomosaic.surface.model import Surface
 
 # Rows, columns and tiles of a GeoTIFF are counted in 31 bits.
 _MOST, _TILE = 1 << 31, 512 * 512
+FAR = 6.0
+"""Degrees beyond the area of use of the output CRS, a zone's width, that are told."""
 
 
 def output_crs(scenes: tuple[Scene, ...], surface: Surface | None) -> CRS:
@@ -85,6 +90,20 @@ def output_grid(
             mend=f"give --bounds as left bottom right top in {crs.name}",
         )
     return grid
+
+
+def note_far_crs(crs: CRS, outlines: list[Footprint]) -> None:
+    """Say so where the output CRS is made for another part of the earth."""
+    ring = np.vstack([outline.ring for outline in outlines])
+    used = area_of_use(crs)
+    if used is not None and (beyond(longitude_latitude(ring, crs), used) > FAR).any():
+        west, south, east, north = used
+        warnings.warn(
+            f"the images lie far outside the area that {crs.name} is made for (longitude {west:g} to {east:g}, "
+            f"latitude {south:g} to {north:g}): lengths and areas are distorted there",
+            GeomosaicWarning,
+            stacklevel=3,
+        )
 
 
 def check_size(grid: Grid) -> None:

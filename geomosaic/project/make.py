@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,11 +13,10 @@ from pyproj import CRS
 
 from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
-from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
-from geomosaic.geo.area import area_of_use, beyond, longitude_latitude
+from geomosaic.errors import InputError, OutputExistsError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Bounds, Grid
-from geomosaic.product.extent import check_size, footprints, output_crs, output_grid
+from geomosaic.product.extent import check_size, footprints, note_far_crs, output_crs, output_grid
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs, PlanarInputs
 from geomosaic.raster.info import inspect
@@ -29,9 +27,6 @@ if TYPE_CHECKING:
     from geomosaic.product.mosaic_result import MosaicResult
     from geomosaic.product.options import RenderOptions
     from geomosaic.product.ortho import OrthoResult
-
-FAR = 6.0
-"""Degrees beyond the area of use of the output CRS, a zone's width, that are told."""
 
 
 @dataclass(frozen=True)
@@ -91,15 +86,7 @@ def _judge(crs: CRS, outlines: list[Footprint], resolution: float | None) -> Non
             f"one pixel of {resolution:g} {unit} would be larger than all the images show, {wide:.3g} x {tall:.3g}",
             mend=f"the resolution counts in units of the output CRS, {crs.name}: {unit}",
         )
-    used = area_of_use(crs)
-    if used is not None and (beyond(longitude_latitude(ring, crs), used) > FAR).any():
-        west, south, east, north = used
-        warnings.warn(
-            f"the images lie far outside the area that {crs.name} is made for (longitude {west:g} to {east:g}, "
-            f"latitude {south:g} to {north:g}): lengths and areas are distorted there",
-            GeomosaicWarning,
-            stacklevel=3,
-        )
+    note_far_crs(crs, outlines)
 
 
 def refuse_existing(path: Path, overwrite: bool, inputs: BlockInputs | None = None) -> None:

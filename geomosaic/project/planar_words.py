@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from geomosaic.errors import counted
+
 
 def placement_words(facts: Mapping[str, Any]) -> list[str]:
     """Say how the photos were placed and how well, in a line or two."""
@@ -20,13 +22,14 @@ def placement_words(facts: Mapping[str, Any]) -> list[str]:
         what = "control" if found["against"] == "control" else "ties alone"
         lines.append(
             f"accumulated error against all photos adjusted together on {what}: "
-            f"{found['by_step_px'][farthest]:.2f} px RMS {farthest} joins out, {found['best_fit_px']:.2f} px after "
-            "the best fit"
+            f"{found['by_step_px'][farthest]:.2f} px RMS {counted(int(farthest), 'join')} out, "
+            f"{found['best_fit_px']:.2f} px after the best fit"
         )
     elif kind == "grown":
         lines.append(
-            f"grown, {model}: {count} photos from {facts['photos'][0]['photo']}, {len(facts['joins'])} joins checked, "
-            f"{len(facts['failed_joins'])} failed, gaps {facts['gaps_px']:.2f} px RMS"
+            f"grown, {model}: {count} photos from {facts['photos'][0]['photo']}, "
+            f"{counted(len(facts['joins']), 'join')} checked, {len(facts['failed_joins'])} failed, "
+            f"gaps {facts['gaps_px']:.2f} px RMS"
         )
     elif facts["rectified"] == "singly":
         lines.append(

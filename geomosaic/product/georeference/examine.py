@@ -15,13 +15,12 @@ from geomosaic.control.finding import Advice, listed
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
+from geomosaic.product.georeference.opinion import GROSS, GROSS_PIXELS, Opinion
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import FloatArray
 
 LARGE = 0.01
 """Errors, in parts of the image's diagonal, beyond which a fit is no map of it."""
-GROSS, GROSS_PIXELS = 6.0, 5.0
-"""A blunder is gross from so many times the RMS of the others on, and so many pixels: it would be seen."""
 BETTER = 0.67
 """Share of the leave-one-out error of the model asked for, below which another one is named."""
 SAME = {"poly1": "affine"}
@@ -29,6 +28,8 @@ HOPELESS = ("few-points",)
 """Errors with which no fit is possible, whoever insists."""
 UNFIT = 0.4
 """Share of points that stand out from which on it is the fit that is wrong."""
+EVEN = 0.5
+"""Probability of a wrong point beyond which nothing is drawn."""
 STEPS = 33
 """Places along each side of the output at which a fold is looked for."""
 
@@ -86,12 +87,40 @@ def blunder_advice(search: BlunderSearch, searched: Sequence[str], fit: ControlF
             f"{len(names)} of {len(fit.ids)} points contradict{'s' * (len(names) == 1)} the others, which agree within "
             f"{typical:.2f} px: {told}"
         )
-        mend = f"measure again, or leave out: --without {' --without '.join(names[:6])}, or --robust for all of them"
-        found.append(Advice("blunder", "error" if gross else "warning", what, names, mend))
+        found.append(Advice("blunder", "error" if gross else "warning", what, names, _out(names)))
     if alone:
         what = f"one of two tests, but not the other, finds wrong: {listed(alone)}"
         found.append(Advice("suspect", "warning", what, alone, "look at these points again"))
     return found
+
+
+def opinion_advice(opinion: Opinion, fit: ControlFit, named: Sequence[str]) -> list[Advice]:
+    """Name points that take part and are wrong whatever the kind of fit, or of which some are."""
+    inside = set(fit.ids) - set(named)
+    names = tuple(name for name in opinion.blunders if name in inside)
+    if names:
+        told = ", ".join(f"{name} ({opinion.lengths[name]:.1f} px)" for name in names[:6])
+        told += f" and {len(names) - 6} more" if len(names) > 6 else ""
+        what = (
+            f"{len(names)} of {len(fit.ids)} points contradict{'s' * (len(names) == 1)} the others, which agree within "
+            f"{opinion.rms:.2f} px: {told}, {opinion.basis}"
+        )
+        severity = "error" if any(opinion.gross(name) for name in names) else "warning"
+        return [Advice("blunder", severity, what, names, _out(names))]
+    names = tuple(name for name in opinion.suspicious if name in inside)
+    if not names:
+        return []
+    who = f"{listed(names)} {'is' if len(names) == 1 else 'are'}"
+    what = f"with a probability of {opinion.fault:.0%} {who} wrong, else the image is bent: {len(fit.ids)} points are "
+    what += "too few to be sure"
+    gross = opinion.fault > EVEN and any(opinion.gross(name) for name in names)
+    mend = f"measure again, and more points; or leave out what is known to be wrong: --without {names[0]}"
+    return [Advice("contradiction", "error" if gross else "warning", what, names, mend)]
+
+
+def _out(names: Sequence[str]) -> str:
+    """What to do with points that are wrong."""
+    return f"measure again, or leave out: --without {' --without '.join(names[:6])}, or --robust for all of them"
 
 
 def deletion_advice(deletion: Deletion | None) -> list[Advice]:
@@ -108,20 +137,26 @@ def odd_advice(choice: Choice | None, fit: ControlFit, named: Sequence[str]) -> 
     if not odd:
         return []
     told = f"{len(odd)} of {len(fit.ids)} points fit{'s' * (len(odd) == 1)} no kind of transformation"
-    mend = f"measure again, or leave out: --without {' --without '.join(odd[:6])}, or --robust for all of them"
     errors = np.hypot(*fit.leave_one_out.T)
     gross = any(errors[fit.ids.index(name)] > GROSS_PIXELS for name in odd)
-    return [Advice("blunder", "error" if gross else "warning", f"{told}: {listed(odd)}", odd, mend)]
+    return [Advice("blunder", "error" if gross else "warning", f"{told}: {listed(odd)}", odd, _out(odd))]
 
 
 def size_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
     """Say so where errors are large for the image: whatever was fitted, it is no map of it."""
-    error = max((e for e in (fit.rms_total, fit.leave_one_out_rms) if np.isfinite(e)), default=0.0)
-    if error <= LARGE * float(np.hypot(*size)):
+    # The residuals of few points are smaller than errors are: their share of the redundancy is taken off.
+    own = max(fit.rms_total, fit.sigma0 * float(np.sqrt(2.0) * np.median(fit.sigma))) if fit.redundancy else np.nan
+    error = max((e for e in (own, fit.leave_one_out_rms) if np.isfinite(e)), default=0.0)
+    limit = LARGE * float(np.hypot(*size))
+    if error <= limit:
         return []
+    severity = "warning" if own <= limit else "error"
     what = f"points are missed by {error:.1f} px (RMS) in an image of {size[0]} x {size[1]} pixels"
+    lengths = np.hypot(*(fit.leave_one_out if np.isfinite(fit.leave_one_out).any() else fit.residuals).T)
+    worst = tuple(fit.ids[i] for i in np.argsort(-np.nan_to_num(lengths), kind="stable")[:3])
+    what += f", most of all {', '.join(worst)}"
     mend = "look for wrong points, give more of them, or choose a fit of more parameters"
-    return [Advice("large-errors", "warning", what, (), mend)]
+    return [Advice("large-errors", severity, what, (), mend)]
 
 
 def comparison_advice(choice: Choice | None, model: str) -> list[Advice]:
@@ -164,6 +199,7 @@ def fold_advice(model: SensorModel, points: FloatArray, grid: Grid) -> list[Advi
     share = float(np.mean(here * side <= 0.0))
     if share == 0.0:
         return []
-    what = f"the fit folds the image over: in {share:.0%} of the output it runs backwards"
+    much = f"{share:.0%}" if share >= 0.01 else "less than 1%"
+    what = f"the fit folds the image over: in {much} of the output it runs backwards"
     mend = "measure points there, or choose a fit of fewer parameters"
     return [Advice("folded", "error", what, (), mend)]

@@ -66,10 +66,16 @@ def error_facts(errors: FloatArray) -> dict[str, Any]:
     }
 
 
+def headline(fit: ControlFit) -> str:
+    """Which errors tell how good a fit is: 'residuals', or 'leave_one_out' where it passes through its points."""
+    return "residuals" if fit.redundancy > 0 else "leave_one_out"
+
+
 def accuracy_facts(fit: ControlFit, metres: FloatArray) -> dict[str, Any]:
     """What residuals and leave-one-out errors come to, in pixels, map units and metres (factors (2,) of x and y)."""
     return {
         "points": len(fit.ids),
+        "headline": headline(fit),
         "residuals": {
             "px": error_facts(fit.residuals),
             "map": error_facts(fit.map_residuals),

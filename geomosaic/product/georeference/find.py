@@ -7,7 +7,7 @@ from pathlib import Path
 
 from geomosaic.control.read import read_control
 from geomosaic.control.reading import Reading
-from geomosaic.errors import InputError, did_you_mean
+from geomosaic.errors import InputError
 from geomosaic.product.georeference.request import ControlInput
 from geomosaic.raster.info import SourceInfo, control_point_count
 
@@ -32,13 +32,7 @@ def find_control(info: SourceInfo, given: ControlInput) -> Reading:
     notes = list(reading.notes)
     if given.path is not None and info.transform is not None:
         notes.append("the georeference that the image has already is not used")
-    control = reading.control
-    unknown = sorted(set(given.without) - set(control.names))
-    if unknown:
-        hint = did_you_mean(unknown[0], control.names)
-        shown = ", ".join(control.names[:12]) + (" ..." if len(control) > 12 else "")
-        raise InputError(f"there is no point '{unknown[0]}'", where=str(path), mend=f"{hint} there are {shown}".strip())
-    control = control.without(given.without)
+    control = reading.control.without(given.without, str(path))
     return replace(reading, control=control, notes=tuple(notes))
 
 

@@ -22,6 +22,7 @@ from geomosaic.product.georeference.facts import (
     statistics_facts,
 )
 from geomosaic.product.georeference.metres import metres_per_unit, unit_name
+from geomosaic.product.georeference.opinion import Opinion
 from geomosaic.product.georeference.request import FitRequest, kind_order
 from geomosaic.product.georeference.solution import Solution
 from geomosaic.product.georeference.trial import SENSOR
@@ -72,7 +73,7 @@ def report_facts(
         "check": None if solution.check is None else _check(solution),
         "choice": _choice(solution.choice),
         "deletion": _deletion(solution.deletion),
-        "robust": _robust(solution.robust, solution.robust_said),
+        "robust": _robust(solution.robust, solution.robust_said, solution.opinion),
         "advice": advice_facts(solution.advice),
         "points": _points(solution, metres),
         "product": {
@@ -150,7 +151,21 @@ def _deletion(found: Deletion | None) -> dict[str, Any] | None:
     }
 
 
-def _robust(found: BlunderSearch | None, said: str) -> dict[str, Any]:
+def _robust(found: BlunderSearch | None, said: str, opinion: Opinion | None) -> dict[str, Any]:
+    if opinion is None:
+        return _search(found, said)
+    first = {
+        "said": opinion.said,
+        "blunders": list(opinion.blunders),
+        "suspicious": list(opinion.suspicious),
+        "rms_px": number(opinion.rms),
+        "errors_px": {name: number(length) for name, length in opinion.lengths.items()},
+    }
+    facts = _search(found, said)
+    return {**facts, "without_model": first, "blunders": list(dict.fromkeys([*facts["blunders"], *opinion.blunders]))}
+
+
+def _search(found: BlunderSearch | None, said: str) -> dict[str, Any]:
     if found is None:
         return {"said": said, "blunders": []}
     good = found.estimate.fit

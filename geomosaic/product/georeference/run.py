@@ -15,7 +15,7 @@ from geomosaic.control.finding import SEVERITIES, Advice
 from geomosaic.control.points import ImageControl
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_map
-from geomosaic.product.extent import check_size, output_grid, utm_zone
+from geomosaic.product.extent import check_size, note_far_crs, output_grid, utm_zone
 from geomosaic.product.georeference.examine import fold_advice, stop_on_errors
 from geomosaic.product.georeference.find import find_control
 from geomosaic.product.georeference.metres import short_unit
@@ -104,6 +104,7 @@ def georeference(
     scene = Scene(image.stem, str(image), SENSOR, solution.fit.model, bands=bands)
     out_crs = target if target is not None else crs if not crs.is_geographic else _zone_of(reading.control)
     outline = footprint(scene, None, out_crs)
+    note_far_crs(out_crs, [outline])
     grid = output_grid(out_crs, [outline], place.resolution, place.bounds)
     check_size(grid)
     folds = fold_advice(solution.fit.model, solution.fit.xyz, grid)

@@ -18,14 +18,17 @@ from geomosaic.control.finding import SEVERITIES, Advice
 from geomosaic.control.points import ImageControl
 from geomosaic.control.reading import Reading
 from geomosaic.errors import InputError
+from geomosaic.product.check_advice import check_advice
 from geomosaic.product.georeference.examine import (
     blunder_advice,
     comparison_advice,
     deletion_advice,
     odd_advice,
+    opinion_advice,
     size_advice,
     stop_on_errors,
 )
+from geomosaic.product.georeference.opinion import Opinion
 from geomosaic.product.georeference.request import FitRequest, kind_order
 from geomosaic.product.georeference.trial import builder, try_models
 from geomosaic.types import FloatArray
@@ -59,6 +62,8 @@ class Solution:
         Where points were enough for it.
     robust_said : str
         What it found, or why there is none.
+    opinion : Opinion, optional
+        On blunders, without the model.
     check : CheckStatistics, optional
         Of the check points, map units.
     advice : tuple of Advice
@@ -76,6 +81,7 @@ class Solution:
     deletion: Deletion | None
     robust: BlunderSearch | None
     robust_said: str
+    opinion: Opinion | None
     check: CheckStatistics | None
     advice: tuple[Advice, ...]
 
@@ -133,19 +139,24 @@ def solve(
             build, points.names, points.xy, points.colrow, points.sigma, threshold=request.threshold
         )
         fit = deletion.fit
-    elif choice is not None and choice.name == name:
-        fit = choice.fit  # the same points
+    elif choice is not None and choice.name == name and choice.fit.ids == points.names:
+        fit = choice.fit
     else:
         fit = fit_control(build, points.names, points.xy, points.colrow, points.sigma)
     advice = (*advice, *deletion_advice(deletion), *comparison_advice(choice, name))
     if trial.search is not None:
         advice = (*advice, *blunder_advice(trial.search, searched, fit))
-    named = [name for found in advice for name in found.points]
-    advice = (*advice, *odd_advice(choice, fit, named), *size_advice(fit, size))
+    if trial.opinion is not None:
+        advice = (*advice, *opinion_advice(trial.opinion, fit, _named(advice)))
+    advice = (*advice, *odd_advice(choice, fit, _named(advice)), *size_advice(fit, size))
     stop_on_errors(advice, where, insist=request.insist)
     residuals = control.colrow - fit.model.ground_to_image(_spatial(control.xy))
     moved = np.einsum("nij,nj->ni", map_by_image(fit.model, _spatial(control.xy)), residuals)
     check = control.of_role("check")
+    judged = check_model(fit.model, check.names, check.xy, check.colrow, unit) if len(check) else None
+    if judged is not None:
+        pixels = check.colrow - fit.model.ground_to_image(_spatial(check.xy))
+        advice = (*advice, *check_advice(check.names, pixels, judged.errors, unit, fit.leave_one_out_rms))
     return Solution(
         name,
         choice.said.removeprefix(f"{name}: ") if choice is not None and auto else "as asked for",
@@ -159,7 +170,8 @@ def solve(
         deletion,
         trial.search,
         trial.said,
-        check_model(fit.model, check.names, check.xy, check.colrow, unit) if len(check) else None,
+        trial.opinion,
+        judged,
         tuple(sorted(advice, key=lambda found: SEVERITIES.index(found.severity))),
     )
 
@@ -187,6 +199,10 @@ def _advised(
 ) -> tuple[Advice, ...]:
     kind, order = kind_order(name)
     return advise(control, kind=kind, order=order, size=size, near=near)
+
+
+def _named(advice: tuple[Advice, ...]) -> list[str]:
+    return [name for found in advice if found.code in ("blunder", "contradiction") for name in found.points]
 
 
 def _spatial(xy: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from geomosaic.adjust.problem import Build, registry_build
 from geomosaic.adjust.robust import BlunderSearch, search_blunders
 from geomosaic.control.points import ImageControl
 from geomosaic.errors import GeomosaicError
+from geomosaic.product.georeference.opinion import Opinion, second_opinion
 from geomosaic.product.georeference.request import FitRequest, kind_order
 from geomosaic.sensor.plugin import SensorRequest
 
@@ -31,11 +32,13 @@ class Trial:
     suspects : tuple of str
         Those left out as blunders; none unless that was asked for.
     choice : Choice, optional
-        All models compared on `points`, where points were enough for it.
+        All models compared, on points that are no suspects, where points were enough for it.
     search : BlunderSearch, optional
         With `model`, over `points` and suspects.
     said : str
         What the search found, or why there is none.
+    opinion : Opinion, optional
+        On blunders, without the model.
     """
 
     model: str
@@ -44,6 +47,7 @@ class Trial:
     choice: Choice | None
     search: BlunderSearch | None
     said: str
+    opinion: Opinion | None = None
 
 
 def try_models(image: str, size: tuple[int, int], points: ImageControl, request: FitRequest) -> Trial:
@@ -66,29 +70,36 @@ def try_models(image: str, size: tuple[int, int], points: ImageControl, request:
         No model can be chosen.
     """
     auto = request.model == "auto"
-    choice = _choose(image, size, points, needed=auto)
+    opinion = second_opinion(points, request.model)
+    blamed = opinion.blunders if opinion is not None else ()
+    # A blunder spoils the choice, whether or not it is to be left out of the fit.
+    suspects = blamed
+    clean = _without(points, suspects)
+    choice = _choose(image, size, clean, needed=auto)
     model = choice.name if auto and choice is not None else request.model
-    clean, suspects = points, tuple[str, ...]()
     for _ in range(ROUNDS):
-        search, said = _search(builder(model, image, size, points), points, model)
-        found = tuple[str, ...]()
-        # A blunder spoils the choice also where points are to be deleted afterwards.
+        search, said = _search(builder(model, image, size, points), points, model, opinion)
+        found = set(blamed)
         if request.robust or (auto and request.threshold is not None):
-            found = search.blunders if search is not None else () if choice is None else choice.odd
-        if found == suspects:
+            found |= set(search.blunders if search is not None else () if choice is None else choice.odd)
+        again = tuple(name for name in points.names if name in found)
+        if again == suspects:
             break
-        suspects = found
-        clean = points.select([name not in suspects for name in points.names])
+        suspects = again
+        clean = _without(points, suspects)
         choice = _choose(image, size, clean, needed=auto)
         if not auto or choice is None or choice.name == model:
             break
-        if choice.name == "tps":  # it passes through blunders: the search keeps the model that found them
-            model = choice.name
-            break
         model = choice.name
+        if model == "tps":  # it passes through blunders: the search keeps the model that found them
+            break
     if not request.robust:  # all take part, and deletion finds the worst itself
         clean, suspects = points, ()
-    return Trial(model, clean, suspects, choice, search, said)
+    return Trial(model, clean, suspects, choice, search, said, opinion)
+
+
+def _without(points: ImageControl, names: tuple[str, ...]) -> ImageControl:
+    return points.select([name not in names for name in points.names]) if names else points
 
 
 def builder(model: str, image: str, size: tuple[int, int], points: ImageControl) -> Build:
@@ -111,11 +122,14 @@ def _choose(image: str, size: tuple[int, int], points: ImageControl, *, needed: 
         return None
 
 
-def _search(build: Build, points: ImageControl, model: str) -> tuple[BlunderSearch | None, str]:
+def _search(
+    build: Build, points: ImageControl, model: str, opinion: Opinion | None
+) -> tuple[BlunderSearch | None, str]:
     if model == "tps":
-        return None, "a thin plate spline passes through all points, blunders too: look at the leave-one-out errors"
+        passes = "a thin plate spline passes through all points, blunders too"
+        return None, f"{passes}; {opinion.said}" if opinion is not None else f"{passes}, and points are too few to tell"
     try:
         found = search_blunders(build, points.names, points.xy, points.colrow, points.sigma)
     except GeomosaicError as error:
-        return None, error.what
+        return None, error.what if opinion is None else f"{error.what}; {opinion.said}"
     return found, found.said

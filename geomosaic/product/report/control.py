@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from geomosaic.errors import counted
 from geomosaic.product.report.control_figure import control_figure
 from geomosaic.product.report.numbers import decimals, number
 from geomosaic.product.report.page import environment
@@ -47,8 +48,11 @@ def render_control(data: Mapping[str, Any], image: Path) -> str:
     from geomosaic import __version__
 
     size = (data["image"]["width"], data["image"]["height"])
-    points = sorted(data["points"], key=_length, reverse=True)
-    metre = max(data["accuracy"]["residuals"]["m"]["rms_total"] or 0.0, 1e-6)
+    through = data["accuracy"]["headline"] == "leave_one_out"
+    key = "leave_one_out_px" if through else "residual_px"
+    points = sorted(data["points"], key=lambda point: _length(point[key] or point["residual_px"]), reverse=True)
+    drawn = [{**point, "residual_px": point[key] or point["residual_px"]} for point in data["points"]]
+    metre = max(data["accuracy"][data["accuracy"]["headline"]]["m"]["rms_total"] or 0.0, 1e-6)
     # Residuals in metres with as many decimals as their RMS asks for, millimetres at least.
     return (
         environment()
@@ -56,7 +60,8 @@ def render_control(data: Mapping[str, Any], image: Path) -> str:
         .render(
             **data,
             geomosaic=__version__,
-            figure=control_figure(data["points"], size, image),
+            figure=control_figure(drawn, size, image),
+            through=through,
             sorted_points=points,
             cards=cards(data),
             digits=min(decimals(metre, 2), 6),
@@ -77,57 +82,41 @@ def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
         digits = min(decimals(where[key], 2), 6)
         return f"{number(where[key], digits)} m" if where[key] is not None and what[key] is not None else ""
 
-    found: list[dict[str, Any]] = [
-        {
-            "title": "Control points, RMS",
-            "value": number(pixels["rms_total"], 2),
-            "unit": "px",
-            "text": f"{both(pixels, metres, 'rms_total')}, total of both axes, over {accuracy['points']} points.",
-            "passed": None,
-        },
-        {
-            "title": "Leave-one-out, RMS",
-            "value": number(accuracy["leave_one_out"]["px"]["rms_total"], 2),
-            "unit": "px",
-            "text": "Errors of points under the fit to all others: what places between the points may expect.",
-            "passed": None,
-        },
-        {
-            "title": "95 % of points within",
-            "value": number(pixels["figure95"], 2),
-            "unit": "px",
-            "text": f"{both(pixels, metres, 'figure95')}: 2.5 × RMS of one axis.",
-            "passed": None,
-        },
+    if accuracy["headline"] == "leave_one_out":  # zero residuals are no figure
+        residual = []
+        pixels, metres = accuracy["leave_one_out"]["px"], accuracy["leave_one_out"]["m"]
+        of = f"{both(pixels, metres, 'figure95')}: 2.5 × RMS of one axis, of leave-one-out errors."
+    else:
+        text = f"{both(pixels, metres, 'rms_total')}, total of both axes, over {accuracy['points']} points."
+        residual = [_card("Control points, RMS", number(pixels["rms_total"], 2), "px", text)]
+        of = f"{both(pixels, metres, 'figure95')}: 2.5 × RMS of one axis."
+    left_out = number(accuracy["leave_one_out"]["px"]["rms_total"], 2)
+    text = "Errors of points under the fit to all others: what places between the points may expect."
+    found = [
+        *residual,
+        _card("Leave-one-out, RMS", left_out, "px", text),
+        _card("95 % of points within", number(pixels["figure95"], 2), "px", of),
     ]
     if check is not None:
-        found.append(
-            {
-                "title": "Check points, RMS",
-                "value": number(check["px"]["rms_total"], 2),
-                "unit": "px",
-                "text": f"{check['rms_total']:.3g} {check['unit']}, total, over {check['check_points']} points.",
-                "passed": not check["shifted"],
-            }
-        )
-    found.append(
-        {
-            "title": "Redundancy",
-            "value": str(accuracy["redundancy"]),
-            "unit": "",
-            "text": "Observations more than the fit has parameters.",
-            "passed": accuracy["redundancy"] > 0,
-        }
-    )
+        text = f"{check['rms_total']:.3g} {check['unit']}, total, over {counted(check['check_points'], 'point')}."
+        rms = number(check["px"]["rms_total"], 2)
+        found.append(_card("Check points, RMS", rms, "px", text, passed=not check["shifted"]))
+    text = "Observations more than the fit has parameters."
+    redundancy = accuracy["redundancy"]
+    found.append(_card("Redundancy", str(redundancy), "", text, passed=redundancy > 0))
     count = len(robust["blunders"])
-    if "agree" in robust:
+    if "agree" in robust or "without_model" in robust:
         inside = {point["id"] for point in data["points"] if point["state"] == "control"} & set(robust["blunders"])
         left = "" if inside or not count else ", and left out"
-        text = f"Found by data snooping and by the M-estimator{left}."
-        found.append({"title": "Blunders", "value": str(count), "unit": "", "text": text, "passed": not inside})
+        how = "by data snooping and by the M-estimator" if "agree" in robust else "by what the other points say"
+        found.append(_card("Blunders", str(count), "", f"Found {how}{left}.", passed=not inside))
     return found
 
 
-def _length(point: Mapping[str, Any]) -> float:
-    pair = point["residual_px"]
-    return -1.0 if None in pair else math.hypot(*pair)
+def _card(title: str, value: str, unit: str, text: str, *, passed: bool | None = None) -> dict[str, Any]:
+    return {"title": title, "value": value, "unit": unit, "text": text, "passed": passed}
+
+
+def _length(pair: Sequence[float | None]) -> float:
+    known = [value for value in pair if value is not None]
+    return math.hypot(*known) if len(known) == len(pair) else -1.0

@@ -1,0 +1,216 @@
+"""Blunders that a fit passes through: each point is held against its neighbours, and the rest against a spline of them.
+
+A thin plate spline has no residuals. What it says of a point left out has: with K the matrix of r²·log r between the
+others, bordered by 1, x and y, the error of prediction is that of kriging with a generalised covariance (Matheron
+1981), and its variance grows with the distance to the others. Errors are divided by it, so that a corner which the
+others only extrapolate is no blunder. The start is a robust one: a plane through every three of the eight neighbours
+of a point, the one that most of them agree with (least quantile of squares, Rousseeuw 1984).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from geomosaic.adjust.fit import total_rms
+from geomosaic.adjust.perspective import without_perspective
+from geomosaic.errors import SolveError
+from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
+
+NEIGHBOURS = 8
+AGREE = 5
+"""Of them, a plane must fit so many: three may be wrong."""
+FEWEST = 12
+"""Points from which on neighbours tell."""
+MOST = 1500
+"""Points up to which the spline of all the others is tried; beyond, neighbours alone judge."""
+OUT, BACK = 8.0, 6.0
+"""Median errors from which on a point is put out, and within which it is let in again."""
+BETTER = 0.4
+"""Share of the median error below which a perspective is taken off."""
+SMOOTH = 0.01
+"""Smoothing, in squares of the usual distance of points: two that nearly touch must not tilt the spline by their noise."""
+ROUNDS = 60
+BLOCK = 512
+
+
+@dataclass(frozen=True, eq=False)
+class NeighbourSearch:
+    """Points that contradict those around them.
+
+    Attributes
+    ----------
+    ids : tuple of str
+    blunders : tuple of str
+    errors : array (N, 2)
+        Measured minus what the points that are no blunders say, without the point itself, pixels.
+    rms : float
+        Length, RMS, of the errors of the points that are no blunders.
+    """
+
+    ids: tuple[str, ...]
+    blunders: tuple[str, ...]
+    errors: FloatArray
+    rms: float
+
+    @property
+    def said(self) -> str:
+        """What was found, in a sentence."""
+        how = "each point held against a spline through the others: "
+        if not self.blunders:
+            return f"{how}none contradicts its neighbours ({self.rms:.3g} px RMS)"
+        more = f" and {len(self.blunders) - 8} more" if len(self.blunders) > 8 else ""
+        verb = "contradicts its" if len(self.blunders) == 1 else "contradict their"
+        return f"{how}{', '.join(self.blunders[:8])}{more} {verb} neighbours, the others agree within {self.rms:.3g} px"
+
+
+def search_neighbours(ids: Sequence[str], ground: AnyArray, colrow: AnyArray) -> NeighbourSearch:
+    """Look for points that contradict those around them, whatever smooth bend the image has.
+
+    Parameters
+    ----------
+    ids : sequence of str
+    ground : array (N, 2) or (N, 3)
+        Places on the map; x and y count.
+    colrow : array (N, 2)
+        Measured pixels.
+
+    Raises
+    ------
+    SolveError
+        Too few points.
+    """
+    count = len(ids)
+    if count < FEWEST:
+        raise SolveError(
+            f"{count} points are too few to hold each against its neighbours",
+            mend=f"give {FEWEST} points or more, or look for blunders with a kind of fewer parameters (not tps)",
+        )
+    image = np.array(colrow, dtype=np.float64)
+    places = np.array(ground, dtype=np.float64)[:, :2]
+    places = (places - places.mean(axis=0)) / max(float(np.abs(places - places.mean(axis=0)).max()), 1e-300)
+    near = _nearest(places)
+    # The image itself, and what a perspective leaves of it: the one of which points tell more about their neighbours.
+    found = [_contradicting(places, values, near) for values in (image, without_perspective(places, image))]
+    plain, flat = (float(np.median(np.hypot(*each[1].T))) for each in found)
+    kept, errors = found[1] if flat < BETTER * plain else found[0]
+    names = tuple(str(name) for name, good in zip(ids, kept, strict=True) if not good)
+    return NeighbourSearch(tuple(map(str, ids)), names, errors, total_rms(errors[kept]))
+
+
+def _contradicting(places: FloatArray, image: FloatArray, near: IntArray) -> tuple[BoolArray, FloatArray]:
+    """Points kept (N,) and the errors (N, 2) of all."""
+    errors, weight = _by_planes(places, image, near)
+    length = np.hypot(*errors.T) / np.sqrt(weight)
+    if len(places) > MOST:
+        return length <= OUT * np.median(length), errors
+    return _by_spline(places, image, near, length <= 3.0 * np.median(length))
+
+
+def _nearest(places: FloatArray) -> IntArray:
+    """Indices (N, 8) of the nearest other points."""
+    found = []
+    for start in range(0, len(places), BLOCK):
+        part = places[start : start + BLOCK]
+        apart = ((part[:, None, :] - places) ** 2).sum(axis=2)
+        apart[np.arange(len(part)), start + np.arange(len(part))] = np.inf
+        chosen = np.argpartition(apart, NEIGHBOURS - 1, axis=1)[:, :NEIGHBOURS]
+        found.append(np.sort(chosen, axis=1))
+    return np.vstack(found).astype(np.int64)
+
+
+def _by_planes(places: FloatArray, image: FloatArray, near: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Errors (N, 2) of points against planes through their neighbours, and the variances (N,) of them."""
+    around = places[near] - places[:, None, :]
+    around /= np.maximum(np.abs(around).max(axis=(1, 2), keepdims=True), 1e-300)
+    design = np.concatenate([np.ones((*near.shape, 1)), around], axis=2)
+    seen = image[near]
+    triples = np.array(list(combinations(range(NEIGHBOURS), 3)))
+    corner = design[:, triples]
+    good = np.abs(np.linalg.det(corner)) > 1e-3
+    corner = np.where(good[:, :, None, None], corner, np.eye(3))
+    planes = np.linalg.solve(corner, seen[:, triples])
+    missed = np.linalg.norm(seen[:, None] - design[:, None] @ planes, axis=3)
+    quantile = np.where(good, np.sort(missed, axis=2)[:, :, AGREE - 1], np.inf)
+    best = np.argmin(quantile, axis=1)
+    rows = np.arange(len(near))
+    own = missed[rows, best]
+    # Those that agree with the plane are averaged; where most of all planes fit badly, more may take part.
+    limit = np.maximum(2.5 * quantile[rows, best], 2.5 * np.median(quantile[rows, best]))
+    part = (own <= limit[:, None]).astype(np.float64)[:, :, None]
+    normal = np.einsum("nki,nkj->nij", design * part, design) + 1e-9 * np.eye(3)
+    inverse = np.linalg.inv(normal)
+    plane = inverse @ np.einsum("nki,nkj->nij", design * part, seen)
+    return image - plane[:, 0], 1.0 + inverse[:, 0, 0]
+
+
+def _by_spline(places: FloatArray, image: FloatArray, near: IntArray, kept: BoolArray) -> tuple[BoolArray, FloatArray]:
+    """Put out points that the spline through the others misses most, let in those it meets, until none changes."""
+    errors = np.zeros_like(image)
+    for _ in range(ROUNDS):
+        errors, variance = predictions(places, image, kept, SMOOTH / len(places))
+        # Closer points than usual are predicted within what they are measured within, not better.
+        length = np.hypot(*errors.T) / np.sqrt(variance + np.median(variance[kept]))
+        typical = max(float(np.median(length[kept])), 1e-12)
+        back = ~kept & (length <= BACK * typical)
+        # A blunder shows at its neighbours, too: of those around one place only the worst goes.
+        worst = np.where(kept[near], length[near], 0.0).max(axis=1)
+        out = kept & (length > OUT * typical) & (length >= worst)
+        more = (kept | back) & ~out
+        if (more == kept).all() or more.sum() < 0.5 * len(kept):
+            break
+        kept = more
+    return kept, errors
+
+
+def predictions(
+    places: FloatArray, image: FloatArray, kept: BoolArray, smooth: float = 1e-10
+) -> tuple[FloatArray, FloatArray]:
+    """Errors (N, 2) of all points under the thin plate spline through those kept, the point itself left out.
+
+    Parameters
+    ----------
+    places : array (N, 2)
+        On the map, |x|, |y| ≤ 1 or so.
+    image : array (N, 2)
+        Pixels.
+    kept : bool array (N,)
+    smooth : float
+        Added to the diagonal of K: the spline then passes near its points instead of through them.
+
+    Returns
+    -------
+    errors : array (N, 2)
+        Measured minus predicted.
+    variance : array (N,)
+        Of prediction, up to a factor.
+    """
+    nodes, values = places[kept], image[kept]
+    count = len(nodes)
+    matrix = np.zeros((count + 3, count + 3))
+    matrix[:count, :count] = _radial(nodes, nodes) + smooth * np.eye(count)
+    matrix[:count, count] = matrix[count, :count] = 1.0
+    matrix[:count, count + 1 :] = nodes
+    matrix[count + 1 :, :count] = nodes.T
+    inverse = np.linalg.inv(matrix)
+    coefficients = inverse[:, :count] @ values
+    errors, variance = np.zeros_like(image), np.zeros(len(image))
+    own = np.diagonal(inverse)[:count]
+    held = np.where(np.abs(own) > 1e-14, own, np.inf)
+    errors[kept] = coefficients[:count] / held[:, None]
+    variance[kept] = 1.0 / np.abs(held)
+    out = ~kept
+    if out.any():
+        row = np.column_stack([_radial(places[out], nodes), np.ones(out.sum()), places[out]])
+        errors[out] = image[out] - row @ coefficients
+        variance[out] = np.abs(np.einsum("ni,ij,nj->n", row, inverse, row))
+    return errors, variance
+
+
+def _radial(first: FloatArray, second: FloatArray) -> FloatArray:
+    squared = ((first[:, None, :] - second) ** 2).sum(axis=2)
+    radial: FloatArray = 0.5 * squared * np.log(np.where(squared > 0.0, squared, 1.0))
+    return radial

@@ -1,0 +1,93 @@
+"""A second opinion on which points are wrong, that does not rest on the kind of fit asked for or chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.adjust.explanation import FEWEST, MOST, Explanation, explain
+from geomosaic.adjust.neighbours import NeighbourSearch, search_neighbours
+from geomosaic.control.points import ImageControl
+from geomosaic.control.spread import needed
+
+GROSS, GROSS_PIXELS = 6.0, 5.0
+"""A blunder is gross from so many times the RMS of the others on, and so many pixels: it would be seen."""
+SEEN = 1.5
+"""Pixels below which no blunder is named: a hand misses by as much."""
+ROOM = 3
+"""Times the points a polynomial needs, from which on its own residuals show blunders."""
+
+
+@dataclass(frozen=True, eq=False)
+class Opinion:
+    """What was found.
+
+    Attributes
+    ----------
+    blunders : tuple of str
+    suspicious : tuple of str
+        Points of which some may be wrong, where points are too few to be sure.
+    fault : float
+        Probability that any is wrong.
+    lengths : mapping of str to float
+        Errors of all points against what the good ones say, pixels.
+    rms : float
+        Of the good ones.
+    basis : str
+        What the points were held against.
+    said : str
+        In a sentence.
+    """
+
+    blunders: tuple[str, ...]
+    suspicious: tuple[str, ...]
+    fault: float
+    lengths: Mapping[str, float]
+    rms: float
+    basis: str
+    said: str
+
+    def gross(self, name: str) -> bool:
+        """Whether the error of a point would be seen."""
+        return self.lengths[name] > max(GROSS * self.rms, GROSS_PIXELS)
+
+
+def second_opinion(points: ImageControl, model: str) -> Opinion | None:
+    """Hold few points against every kind of fit, more against their neighbours.
+
+    None where that says nothing more than the residuals of the model do, or where points are too few for any.
+    """
+    count = len(points)
+    if count < FEWEST:
+        return None
+    if count <= MOST:
+        return _of_few(explain(points.names, points.xy, points.colrow, points.sigma))
+    if model in ("auto", "tps") or (model.startswith("poly") and count < ROOM * needed(model)):
+        return _of_many(search_neighbours(points.names, points.xy, points.colrow))
+    return None
+
+
+def _of_few(found: Explanation) -> Opinion:
+    lengths = dict(zip(found.ids, np.hypot(*found.errors.T).tolist(), strict=True))
+    names = tuple(name for name in found.blunders if lengths[name] > SEEN)
+    said = "every kind of fit tried with every choice of good points: "
+    if names:
+        said += (
+            f"most probably {', '.join(names)} {'is' if len(names) == 1 else 'are'} wrong, under the {found.kind} fit"
+        )
+    elif found.suspicious:
+        said += f"with a probability of {found.fault:.0%} some are wrong, of {', '.join(found.suspicious)}"
+    else:
+        said += "no blunder"
+    basis = f"under the {found.kind} fit of the others"
+    return Opinion(names, found.suspicious, found.fault, lengths, found.rms, basis, said)
+
+
+def _of_many(found: NeighbourSearch) -> Opinion:
+    lengths = dict(zip(found.ids, np.hypot(*found.errors.T).tolist(), strict=True))
+    limit = max(GROSS * found.rms, SEEN)
+    names = tuple(name for name in found.blunders if lengths[name] > limit)
+    said = NeighbourSearch(found.ids, names, found.errors, found.rms).said
+    return Opinion(names, (), float(bool(names)), lengths, found.rms, "against their neighbours", said)
