@@ -50,8 +50,9 @@ def read_block(
         table = read_table(ties, "tie point table", ",".join(TIE_COLUMNS))
         table.require(*TIE_COLUMNS, what="tie points")
         for row, image in _rows(table, names):
-            found.append(Tie(row.text("id"), image, row.number("col"), row.number("row"), _sigma(row)))
+            found.append(Tie(row.text("id"), image, row.number("col"), row.number("row"), _sigma(row), row.where))
     points: list[ControlPoint] = []
+    lines: list[str] = []
     if control is not None:
         table = read_table(control, "control point table", ",".join(CONTROL_COLUMNS))
         table.require(*CONTROL_COLUMNS, what="control points")
@@ -59,6 +60,7 @@ def read_block(
             role = (row.values.get("role") or "control").strip().lower()
             if role not in ROLES:
                 raise InputError(f"role '{role}' is neither 'control' nor 'check'", where=row.where)
+            lines.append(row.where)
             points.append(
                 ControlPoint(
                     id=row.text("id"),
@@ -71,8 +73,8 @@ def read_block(
                 )
             )
     known = [
-        Control(p.id, p.xyz[0], p.xyz[1], p.image, *p.colrow, p.sigma_px, p.sigma_xy)
-        for p in points
+        Control(p.id, p.xyz[0], p.xyz[1], p.image, *p.colrow, p.sigma_px, p.sigma_xy, line)
+        for p, line in zip(points, lines, strict=True)
         if p.role == "control"
     ]
     own = {(point.id, point.photo) for point in known}
