@@ -14,6 +14,8 @@ from geomosaic.errors import GeomosaicWarning, InputError
 
 GROSS, GROSS_PIXELS = 6.0, 5.0
 """A blunder is gross from so many standard deviations of the others on, and so many pixels: it would be seen."""
+MISFIT = 1.5
+"""Standard deviation of unit weight from which on small contradictions may be the model's: only gross ones count."""
 NAMED = 6
 """Points named in one message."""
 POLICIES = ("stop", "leave", "keep")
@@ -51,6 +53,8 @@ class Wrong:
     Attributes
     ----------
     label : Label
+    shift : int
+        Its number in the network.
     size : float
         By how much, pixels.
     gross : bool
@@ -61,6 +65,7 @@ class Wrong:
     """
 
     label: Label
+    shift: int
     size: float
     gross: bool
     redundancy: float
@@ -142,8 +147,9 @@ def findings(shifts: Shifts, found: Search, labels: Sequence[Label]) -> Findings
     for index, alike in zip(found.taken, found.alike, strict=True):
         size = float(np.hypot(*found.state.shifts[index])) / labels[index].pixel
         gross = size > max(GROSS * agree, GROSS_PIXELS)
-        names = tuple(labels[k].name for k in alike)
-        wrong.append(Wrong(labels[index], size, gross, float(share[index]), names))
+        if gross or found.scale < MISFIT:
+            names = tuple(labels[k].name for k in alike)
+            wrong.append(Wrong(labels[index], index, size, gross, float(share[index]), names))
     unknown = np.isnan(found.state.statistic)
     return Findings(
         tuple(sorted(wrong, key=lambda each: -each.size)),
@@ -164,5 +170,5 @@ def together(parts: Sequence[Findings]) -> Findings:
         tuple(name for part in parts for name in part.unchecked),
         sum(part.redundancy for part in parts),
         float(np.median(agree)) if agree else float("nan"),
-        max((part.detectable for part in parts), default=float("nan")),
+        max((part.detectable for part in parts if part.measurements), default=float("nan")),
     )

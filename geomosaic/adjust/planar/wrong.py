@@ -83,7 +83,7 @@ def look(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | N
         The block cannot be adjusted, and no wrong point is to blame.
     """
     held, left = dict(fixed or {}), list[Doubt]()
-    said = Findings()
+    said, named = Findings(), list[Doubt]()
     for _ in range(ROUNDS):
         try:
             solution, _ = solve(without(block, left), kind, held, None)
@@ -92,18 +92,17 @@ def look(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | N
                 break
             if kind != "projective":
                 raise
-            said, left = _doubts(block, "affine", held)
-            if not left:
-                raise
-            continue
+            solution, _ = solve(block, "affine", held, None)
         shifts, labels, doubts = _shifts(block, solution, held, left)
         index = {doubt: k for k, doubt in enumerate(doubts)}
         found = search(shifts, [index[doubt] for doubt in left if doubt in index])
         said, before = findings(shifts, found, labels), set(left)
-        left = [doubts[k] for k in found.taken]
+        left, named = [doubts[k] for k in found.taken], [doubts[each.shift] for each in said.wrong]
         if set(left) == before:
+            if solution.kind != kind:  # neither kind has a wrong point to blame: let the error say what it is
+                solve(block, kind, held, None)
             break
-    return Looked(said, without(block, left), block)
+    return Looked(said, without(block, named), block)
 
 
 def look_somehow(block: PlanarBlock, kind: str, uncontrolled: bool) -> Looked:
@@ -139,14 +138,10 @@ def look_singly(block: PlanarBlock, kind: str) -> Looked:
             said.append(found.findings)
             kept = {point.id for point in found.block.control}
             left += [(point.id, photo.name) for point in own.control if point.id not in kept]
+    with suppress(SolveError):  # ties take no part, but gaps at them are told: a wrong one is worth a word
+        of_ties = [each for each in look(block, kind).findings.wrong if each.label.name.startswith("tie point")]
+        said.append(Findings(tuple(replace(each, gross=False) for each in of_ties)))
     return Looked(together(said), without(block, left), block)
-
-
-def _doubts(block: PlanarBlock, kind: str, held: dict[str, PlanarTransform]) -> tuple[Findings, list[Doubt]]:
-    solution, _ = solve(block, kind, held, None)
-    shifts, labels, doubts = _shifts(block, solution, held, [])
-    found = search(shifts)
-    return findings(shifts, found, labels), [doubts[k] for k in found.taken]
 
 
 def without(block: PlanarBlock, left: Sequence[Doubt]) -> PlanarBlock:
