@@ -18,6 +18,9 @@ import numpy as np
 from geomosaic.adjust.network.normals import Normals
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
+CHUNK = 512
+"""Right-hand sides solved at a time: bounds the memory."""
+
 
 @dataclass(frozen=True, eq=False)
 class Network:
@@ -122,4 +125,30 @@ class Network:
 
     def step(self) -> FloatArray:
         """Changes of all unknowns that least squares asks for."""
-        return self.normals.solve(self.design.T @ self.right)
+        right: FloatArray = self.design.T @ self.right
+        return self.normals.solve(right) if len(right) else right
+
+    def changes(self) -> tuple[FloatArray, FloatArray]:
+        """Changes of the parameters (U,) and of the points (S, 2), 0 for those that are held."""
+        step = self.step()
+        moved = np.zeros((len(self.moving), 2))
+        moved[self.moving] = step[self.unknowns :].reshape(-1, 2)
+        return step[: self.unknowns], moved
+
+    def cofactors(self) -> tuple[FloatArray, FloatArray]:
+        """Cofactors of the parameters (U, U), and of x and y of each point (S, 2, 2), 0 for those that are held."""
+        size, count = self.design.shape[1], self.unknowns
+        parameters, points = np.zeros((count, count)), np.zeros((int(self.moving.sum()), 2, 2))
+        for first in range(0, size, CHUNK):
+            own = np.arange(first, min(first + CHUNK, size))
+            unit = np.zeros((size, len(own)))
+            unit[own, np.arange(len(own))] = 1.0
+            solved = self.normals.solve(unit)
+            inner = own < count
+            parameters[:, own[inner]] = solved[:count, inner]
+            place, axis = np.divmod(own[~inner] - count, 2)
+            for k in (0, 1):
+                points[place, k, axis] = solved[count + 2 * place + k, np.flatnonzero(~inner)]
+        whole = np.zeros((len(self.moving), 2, 2))
+        whole[self.moving] = points
+        return (parameters + parameters.T) / 2.0, whole

@@ -18,11 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.adjust.network.linear import Network
+from geomosaic.adjust.network.linear import CHUNK, Network
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
-CHUNK = 512
-"""Right-hand sides solved at a time: bounds the memory."""
 UNCHECKED = 1e-6
 """Share of a measurement's own weight below which others do not check it."""
 
@@ -76,7 +74,7 @@ class Shifts:
         from scipy.sparse import coo_array
 
         n = self.network
-        rows: list[IntArray] = [(2 * self.views[:, None] + [0, 1]).ravel()]
+        rows: list[IntArray] = [(2 * self.views[:, None] + np.array([0, 1])).ravel()]
         cols = [np.arange(2 * len(self.views))]
         data: list[FloatArray] = [np.repeat(1.0 / n.sigma[self.views], 2)]
         for k, point in enumerate(self.given, start=len(self.views)):
