@@ -52,7 +52,6 @@ def read_block(
         for row, image in _rows(table, names):
             found.append(Tie(row.text("id"), image, row.number("col"), row.number("row"), _sigma(row), row.where))
     points: list[ControlPoint] = []
-    lines: list[str] = []
     if control is not None:
         table = read_table(control, "control point table", ",".join(CONTROL_COLUMNS))
         table.require(*CONTROL_COLUMNS, what="control points")
@@ -60,7 +59,6 @@ def read_block(
             role = (row.values.get("role") or "control").strip().lower()
             if role not in ROLES:
                 raise InputError(f"role '{role}' is neither 'control' nor 'check'", where=row.where)
-            lines.append(row.where)
             points.append(
                 ControlPoint(
                     id=row.text("id"),
@@ -70,11 +68,12 @@ def read_block(
                     sigma_xy=row.number("sigma_xy", 0.0),
                     sigma_px=_sigma(row),
                     role=role,
+                    where=row.where,
                 )
             )
     known = [
-        Control(p.id, p.xyz[0], p.xyz[1], p.image, *p.colrow, p.sigma_px, p.sigma_xy, line)
-        for p, line in zip(points, lines, strict=True)
+        Control(p.id, p.xyz[0], p.xyz[1], p.image, *p.colrow, p.sigma_px, p.sigma_xy, p.where)
+        for p in points
         if p.role == "control"
     ]
     own = {(point.id, point.photo) for point in known}

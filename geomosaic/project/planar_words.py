@@ -42,10 +42,10 @@ def placement_words(facts: Mapping[str, Any]) -> list[str]:
             f"{kind}, {model}: {counted(count, 'photo')} adjusted together, {facts['equations']} equations, redundancy "
             f"{facts['redundancy']}, residuals {facts['rms_px']:.2f} px RMS{weight}"
         )
-    return [*lines, *_wrong_words(facts["wrong_points"])]
+    return [*lines, *wrong_words(facts["wrong_points"])]
 
 
-def _wrong_words(found: Mapping[str, Any]) -> list[str]:
+def wrong_words(found: Mapping[str, Any]) -> list[str]:
     """Whether points are wrong, and what the redundancy allows to say of it."""
     if not found["measurements"]:
         return ["wrong points cannot be looked for: the points do not hold all photos together"]

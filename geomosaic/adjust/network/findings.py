@@ -37,6 +37,8 @@ class Label:
         File and line of each measurement, where known.
     pixel : float
         Units of its shift per pixel: 1, or map units per pixel for given coordinates.
+    control : bool
+        Whether the point has given coordinates.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Label:
     images: tuple[str, ...]
     where: tuple[str, ...]
     pixel: float = 1.0
+    control: bool = False
 
 
 @dataclass(frozen=True)
@@ -138,8 +141,19 @@ class Findings:
         warnings.warn(f"{where}: {what}{tail}", GeomosaicWarning, stacklevel=3)
 
 
-def findings(shifts: Shifts, found: Search, labels: Sequence[Label]) -> Findings:
-    """Name what a search found; `labels` are those of the shifts."""
+def findings(shifts: Shifts, found: Search, labels: Sequence[Label], *, bent: bool = False) -> Findings:
+    """Name what a search found.
+
+    Parameters
+    ----------
+    shifts : Shifts
+    found : Search
+    labels : sequence of Label
+        Of the shifts.
+    bent : bool
+        Photos may be bent as no model says: control is then named only where the model fits all the rest, and where
+        no other point would do in its place.
+    """
     share = shifts.share
     spread = float(np.median(shifts.network.sigma))
     agree = found.scale * spread
@@ -147,7 +161,9 @@ def findings(shifts: Shifts, found: Search, labels: Sequence[Label]) -> Findings
     for index, alike in zip(found.taken, found.alike, strict=True):
         size = float(np.hypot(*found.state.shifts[index])) / labels[index].pixel
         gross = size > max(GROSS * agree, GROSS_PIXELS)
-        if gross or found.scale < MISFIT:
+        fits = found.scale < MISFIT
+        # A photo that is bent leaves its corners, where the control is, and not its neighbours at a seam.
+        if (fits and not alike) if bent and labels[index].control else (gross or fits):
             names = tuple(labels[k].name for k in alike)
             wrong.append(Wrong(labels[index], index, size, gross, float(share[index]), names))
     unknown = np.isnan(found.state.statistic)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.adjust.network.findings import Findings, Label, findings, together
+from geomosaic.adjust.network.labels import Doubt, named
 from geomosaic.adjust.network.linear import Network
 from geomosaic.adjust.network.search import search
 from geomosaic.adjust.network.shifts import Shifts
@@ -22,15 +23,11 @@ from geomosaic.adjust.planar.simultaneous import solve
 from geomosaic.adjust.planar.solution import PlanarSolution
 from geomosaic.adjust.planar.transform import Frame, PlanarTransform, half
 from geomosaic.adjust.planar.uncontrolled import middle
-from geomosaic.adjust.planar.values import Control, PlanarBlock, Tie
+from geomosaic.adjust.planar.values import PlanarBlock, Tie
 from geomosaic.errors import SolveError
-from geomosaic.types import FloatArray
 
 ROUNDS = 8
 """Adjustments without what was found, until nothing else is: the search is linear, transformations need not be."""
-
-Doubt = tuple[str, str | None]
-"""A point in a photo; None in place of the photo: its coordinates on the ground."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +80,7 @@ def look(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | N
         The block cannot be adjusted, and no wrong point is to blame.
     """
     held, left = dict(fixed or {}), list[Doubt]()
-    said, named = Findings(), list[Doubt]()
+    said, out = Findings(), list[Doubt]()
     for _ in range(ROUNDS):
         try:
             solution, _ = solve(without(block, left), kind, held, None)
@@ -97,12 +94,12 @@ def look(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | N
         index = {doubt: k for k, doubt in enumerate(doubts)}
         found = search(shifts, [index[doubt] for doubt in left if doubt in index])
         said, before = findings(shifts, found, labels), set(left)
-        left, named = [doubts[k] for k in found.taken], [doubts[each.shift] for each in said.wrong]
+        left, out = [doubts[k] for k in found.taken], [doubts[each.shift] for each in said.wrong]
         if set(left) == before:
             if solution.kind != kind:  # neither kind has a wrong point to blame: let the error say what it is
                 solve(block, kind, held, None)
             break
-    return Looked(said, without(block, named), block)
+    return Looked(said, without(block, out), block)
 
 
 def look_somehow(block: PlanarBlock, kind: str, uncontrolled: bool) -> Looked:
@@ -191,45 +188,7 @@ def _shifts(
         np.where(given_sigma[chosen, None] > 0.0, given[chosen], 0.0), given_sigma[chosen],
         np.full(problem.unknowns, np.inf), np.zeros(problem.unknowns),
     )  # fmt: skip
-    return _labelled(block, solution, network, [views.ids[k] for k in chosen], photo[used], by_point[used])
-
-
-def _labelled(
-    block: PlanarBlock,
-    solution: PlanarSolution,
-    network: Network,
-    ids: list[str],
-    photo: FloatArray,
-    slopes: FloatArray,
-) -> tuple[Shifts, list[Label], list[Doubt]]:
-    """What may be wrong: each view of a point in several; of a point with two places, one of them stands for both."""
-    by_point: dict[int, list[int]] = {}
-    for view, point in enumerate(network.point.tolist()):
-        by_point.setdefault(point, []).append(view)
-    labels, doubts, chosen, given = list[Label](), list[Doubt](), list[int](), list[int]()
-    for point, seen in by_point.items():
-        measured = [block.by_photo[block.photos[int(photo[v])].name][ids[point]] for v in seen]
-        is_control = bool(np.isfinite(network.given_sigma[point]))
-        kind = "control point" if is_control else "tie point"
-        pair = len(seen) == 2 and not is_control
-        for view, one in zip(seen, measured, strict=True):
-            shown = measured if pair else [one]
-            images = tuple(m.photo for m in shown)
-            name = f"{kind} '{ids[point]}' in {' and '.join(images)}"
-            labels.append(Label(name, ids[point], images, tuple(m.where for m in shown if m.where)))
-            doubts.append((ids[point], one.photo))
-            chosen.append(view)
-            if pair:
-                break
-    views = len(chosen)
-    for point, seen in by_point.items():
-        if np.isfinite(network.given_sigma[point]) and len(seen) > 1:
-            measured = [block.by_photo[block.photos[int(photo[v])].name][ids[point]] for v in seen]
-            pixel = float(np.sqrt(1.0 / np.abs(np.linalg.det(slopes[seen[0]]))))
-            name = f"coordinates of control point '{ids[point]}'"
-            lines = tuple(m.where for m in measured if m.where and isinstance(m, Control))
-            labels.append(Label(name, ids[point], (), lines[:1], pixel))
-            doubts.append((ids[point], None))
-            given.append(point)
-    assert views + len(given) == len(labels)
-    return Shifts(network, np.array(chosen, dtype=np.int64), np.array(given, dtype=np.int64)), labels, doubts
+    images = [block.photos[int(k)].name for k in photo[used]]
+    ids = [views.ids[k] for k in chosen]
+    lines = [block.by_photo[name][ids[k]].where for name, k in zip(images, numbers, strict=True)]
+    return named(network, ids, images, lines, "tie point")
