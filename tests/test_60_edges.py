@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from edge_rig import SIZE, Rig, along_the_seam, rig, start, xyz
@@ -10,7 +12,7 @@ from scipy.optimize import least_squares
 from geomosaic.adjust.edges import CommonPoint, EdgeMatch, match_edges
 from geomosaic.block.block import ControlPoint
 from geomosaic.block.scene import Scene
-from geomosaic.errors import InputError, SolveError
+from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.solve import image_to_height
 
@@ -283,3 +285,32 @@ def test_refused() -> None:
     with pytest.raises(InputError, match="different names"):
         match_edges([r.photos[0], r.photos[0]], r.control, r.common)
     assert start("affine", 0).size == SIZE
+
+
+@pytest.mark.parametrize(("kind", "common"), [("affine", True), ("projective", True), ("affine", False)])
+def test_a_wrong_point_is_named_and_left_out(kind: str, common: bool) -> None:
+    """Common point p03 off by 30 px, or control c12 by 25, among bent photos; without it, as if it had not been.
+
+    Control at the corners is told from bending only where the model fits.
+    """
+    r = rig(2, kind, bend=3.0 if common else 0.0, tilt=4e-6 if common else 0.0)
+    clean = matched(r)
+    assert not clean.findings.wrong
+    bad_common = [replace(p, colrow=(p.colrow[0] + 30.0, p.colrow[1]), where="common.csv, line 4")
+                  if common and (p.id, p.image) == ("p03", "photo-1") else p for p in r.common]  # fmt: skip
+    bad_control = [replace(p, colrow=(p.colrow[0], p.colrow[1] + 25.0), where="gcps.csv, line 7")
+                   if not common and p.id == "c12" else p for p in r.control]  # fmt: skip
+    name, where = (
+        ("common point 'p03' in photo-0 and photo-1", "common.csv, line 4")
+        if common
+        else ("control point 'c12' in photo-1", "gcps.csv, line 7")
+    )
+    with pytest.raises(InputError, match=f"1 of 16 measurements contradicts the others.*{name}.*{where}"):
+        match_edges(r.photos, bad_control, bad_common)
+    with pytest.warns(GeomosaicWarning, match=f"{name}.*left out"):
+        left = match_edges(r.photos, bad_control, bad_common, wrong="leave")
+    assert left.findings.wrong[0].size == pytest.approx(30.0 if common else 25.0, abs=4.0)
+    corners = np.array([[0.0, 0.0], SIZE])
+    for a, b in zip(left.adjusted, clean.adjusted, strict=True):
+        places = [image_to_height(model, corners, 0.0, clean.crs) for model in (a, b)]
+        assert np.abs(places[0] - places[1]).max() < 3.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pyproj import CRS
 
@@ -30,6 +30,8 @@ class ControlPoint:
         Standard deviation of the measurement, pixels.
     role : str
         'control' takes part in adjustments, 'check' only judges them.
+    where : str
+        File and line, for messages.
     """
 
     id: str
@@ -40,6 +42,7 @@ class ControlPoint:
     sigma_z: float = 0.0
     sigma_px: float = 1.0
     role: str = "control"
+    where: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import click
 from geomosaic.cli.memory import note_memory
 from geomosaic.cli.mosaic import mosaic_flags
 from geomosaic.cli.options import FILE, machine_options, output_options, stack
+from geomosaic.cli.points import wrong_point_options
 from geomosaic.cli.request import area, mosaic_options
 from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.values import band_numbers
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     help="Where a correction has faded away.  [default: 3 gaps between common points]",
 )
 @click.option("-b", "--bidx", "bands", multiple=True, callback=band_numbers, metavar="NUMBERS", help="Bands to use.")
-@stack(output_options, mosaic_flags, machine_options)
+@stack(wrong_point_options, output_options, mosaic_flags, machine_options)
 def command(
     images: tuple[Path, ...],
     gcps: Path,
@@ -49,6 +50,8 @@ def command(
     bands: tuple[int, ...] | None,
     output: Path,
     as_json: bool,
+    robust: bool,
+    insist: bool,
     **flags: Any,
 ) -> None:
     """Adjust photos to control and common points together, join them exactly, and mosaic them.
@@ -56,9 +59,10 @@ def command(
     What crosses an edge through a common point meets itself. Misfits before and after are told.
     """
     from geomosaic.project.edges import EdgeInputs, make_edge_mosaic
+    from geomosaic.project.inputs import wrong_policy
 
     note_memory(flags["mem_limit"], flags["threads"])
-    inputs = EdgeInputs(images, gcps, common, crs, model, reach, bands)
+    inputs = EdgeInputs(images, gcps, common, crs, model, reach, bands, wrong_policy(robust, insist))
     with notes(), progress(as_json) as report:
         matched, made = make_edge_mosaic(inputs, area(flags), output, mosaic_options(flags, report))
     facts = {**mosaic_facts(made), "edges": _facts(matched)}
@@ -66,10 +70,13 @@ def command(
 
 
 def _facts(matched: EdgeMatch) -> dict[str, Any]:
+    from geomosaic.project.planar_facts import wrong_facts
+
     s = matched.stations
     return {
         "sigma0": finite(matched.sigma0),
         "redundancy": matched.redundancy,
+        **wrong_facts(matched.findings),
         "before": _misfit(matched.before),
         "after": _misfit(matched.after),
         "joined": _misfit(matched.joined),
@@ -90,6 +97,9 @@ def _misfit(misfit: Misfit) -> dict[str, Any]:
 
 
 def _words(matched: EdgeMatch) -> str:
+    from geomosaic.project.planar_facts import wrong_facts
+    from geomosaic.project.planar_words import wrong_words
+
     stages = (
         ("each photo by its own control", matched.before),
         ("adjusted together", matched.after),
@@ -97,4 +107,5 @@ def _words(matched: EdgeMatch) -> str:
     )
     lines = [f"misfit at {len(set(matched.after.ids))} shared points, in pixels:      rms  largest"]
     lines += [f"  {name:<40} {stage.rms:7.3f}  {stage.largest:7.3f}" for name, stage in stages]
-    return "\n".join([*lines, f"sigma0 {matched.sigma0:.2f}, redundancy {matched.redundancy}"])
+    lines.append(f"sigma0 {matched.sigma0:.2f}, redundancy {matched.redundancy}")
+    return "\n".join([*lines, *wrong_words(wrong_facts(matched.findings)["wrong_points"])])

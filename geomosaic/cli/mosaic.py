@@ -10,6 +10,7 @@ import click
 from geomosaic.cli.memory import note_memory
 from geomosaic.cli.merging import blend_flags, merge_flags
 from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack, true_ortho_option
+from geomosaic.cli.points import wrong_point_options
 from geomosaic.cli.request import area, block_inputs, mosaic_options, planar_inputs
 from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.values import band_numbers, pairs
@@ -118,6 +119,7 @@ planar_flags = stack(
         type=click.Choice(["singly", "together"]),
         help="Controlled photos.  [default: singly where each has 4 control points]",
     ),
+    wrong_point_options,
 )
 
 

@@ -41,3 +41,8 @@ near_option: Any = click.option(
     metavar="LON LAT",
     help="A place near the image, degrees: tells a wrong zone from the right one.",
 )
+
+wrong_point_options = stack(
+    click.option("--robust", is_flag=True, help="Leave out tie and control points that contradict the others."),
+    click.option("--insist", is_flag=True, help="Go on with points that are grossly wrong."),
+)

@@ -59,9 +59,10 @@ def block_inputs(
 def planar_inputs(flags: Mapping[str, Any]) -> PlanarInputs | None:
     """How photos are placed together by plane transformations; None where nothing asks for it."""
     from geomosaic.errors import InputError
-    from geomosaic.project.inputs import PlanarInputs
+    from geomosaic.project.inputs import PlanarInputs, wrong_policy
 
     own = [name for name in ("model", "ties", "gcps", "scale", "azimuth", "rectify") if flags[name] is not None]
+    own += [name for name in ("robust", "insist") if flags[name]]
     if flags["kind"] is None:
         if own:
             raise InputError(
@@ -76,7 +77,8 @@ def planar_inputs(flags: Mapping[str, Any]) -> PlanarInputs | None:
         )
     scale = 1.0 if flags["scale"] is None else flags["scale"]
     azimuth = flags["azimuth"] or 0.0
-    return PlanarInputs(flags["kind"], flags["model"], flags["ties"], scale, azimuth, flags["rectify"])
+    wrong = wrong_policy(flags["robust"], flags["insist"])
+    return PlanarInputs(flags["kind"], flags["model"], flags["ties"], scale, azimuth, flags["rectify"], wrong)
 
 
 def value(text: str) -> Any:

@@ -64,6 +64,7 @@ def read_control(path: PathLike, images: Sequence[str]) -> tuple[ControlPoint, .
                 sigma_z=row.number("sigma_z", 0.0),
                 sigma_px=row.number("sigma_px", 1.0),
                 role=role,
+                where=row.where,
             )
         )
     return tuple(points)

@@ -51,6 +51,8 @@ class EdgeInputs:
     reach : float, optional
         Pixels, see `match_edges`.
     bands : tuple of int, optional
+    wrong : str
+        See `match_edges`.
     """
 
     images: tuple[Path, ...]
@@ -60,6 +62,7 @@ class EdgeInputs:
     kind: str = "affine"
     reach: float | None = None
     bands: tuple[int, ...] | None = None
+    wrong: str = "stop"
 
 
 def read_common(path: PathLike, images: Sequence[str]) -> tuple[CommonPoint, ...]:
@@ -78,7 +81,8 @@ def read_common(path: PathLike, images: Sequence[str]) -> tuple[CommonPoint, ...
         image = by_stem.get(stem(row.text("image")))
         if image is not None:
             place = (row.number("col"), row.number("row"))
-            points.append(CommonPoint(row.text("id"), image, place, row.number("sigma_px", 1.0), row.number("z", 0.0)))
+            sigma, z = row.number("sigma_px", 1.0), row.number("z", 0.0)
+            points.append(CommonPoint(row.text("id"), image, place, sigma, z, row.where))
     if not points:
         raise InputError(
             "the table has no point of these images", where=str(path), mend="check the names of the images"
@@ -92,7 +96,8 @@ def match_photos(inputs: EdgeInputs) -> EdgeMatch:
     control, common = read_control(inputs.control, names), read_common(inputs.common, names)
     crs = parse_map(inputs.crs, "CRS of the control")
     examine(control, crs, inputs.control)
-    return match_edges(_started(inputs, crs, control, common), control, common, crs=crs, reach=inputs.reach)
+    photos, tables = _started(inputs, crs, control, common), f"{inputs.control.name} and {inputs.common.name}"
+    return match_edges(photos, control, common, crs=crs, reach=inputs.reach, wrong=inputs.wrong, tables=tables)
 
 
 def make_edge_mosaic(

@@ -31,6 +31,8 @@ class PlanarInputs:
         Direction of its top in degrees, clockwise from the map's north.
     rectify : str, optional
         'singly' or 'together', for controlled mosaics; unless given singly where each photo has enough control.
+    wrong : str
+        What is done with wrong points: 'stop' where one is gross, 'leave' all of them out, or 'keep' them.
     """
 
     kind: str
@@ -39,6 +41,7 @@ class PlanarInputs:
     scale: float = 1.0
     azimuth: float = 0.0
     rectify: str | None = None
+    wrong: str = "stop"
 
 
 @dataclass(frozen=True)
@@ -170,3 +173,8 @@ def _named_in(value: Any, base: Path) -> tuple[Path, ...]:
         return (base / value,) if isinstance(value, str) and value and (base / value).is_file() else ()
     except (OSError, ValueError):  # too long, or not what a name can be
         return ()
+
+
+def wrong_policy(robust: bool, insist: bool) -> str:
+    """What is done with wrong points; to leave them out comes first."""
+    return "leave" if robust else "keep" if insist else "stop"

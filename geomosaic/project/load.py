@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.project.camera import read_toml
-from geomosaic.project.inputs import BlockInputs, PlanarInputs
+from geomosaic.project.inputs import BlockInputs, PlanarInputs, wrong_policy
 from geomosaic.project.printed import Printed
 from geomosaic.project.schema import ProjectFile
 from geomosaic.project.tables import read_text
@@ -112,7 +112,8 @@ class Project:
         s = self.settings.planar
         if s is None:
             return None
-        return PlanarInputs(s.kind, s.model, self.file(s.ties), s.scale, s.azimuth, s.rectify)
+        wrong = wrong_policy(s.robust, s.insist)
+        return PlanarInputs(s.kind, s.model, self.file(s.ties), s.scale, s.azimuth, s.rectify, wrong)
 
 
 def _sides(margin: float | tuple[float, float, float, float] | None) -> tuple[float, float, float, float] | None:

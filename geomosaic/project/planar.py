@@ -15,7 +15,7 @@ from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.project.control_check import examine
 from geomosaic.project.inputs import BlockInputs, PlanarInputs
 from geomosaic.project.photos import Photo, photos_of
-from geomosaic.project.planar_facts import chain_facts, growth_facts, joint_facts, single_facts
+from geomosaic.project.planar_facts import chain_facts, growth_facts, joint_facts, single_facts, wrong_facts
 from geomosaic.project.planar_tables import read_block
 from geomosaic.project.planar_words import placement_words
 from geomosaic.project.usable import with_usable
@@ -23,6 +23,7 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build
 
 if TYPE_CHECKING:
+    from geomosaic.adjust.network.findings import Findings
     from geomosaic.adjust.planar.transform import PlanarTransform
     from geomosaic.adjust.planar.values import PlanarBlock
 
@@ -78,15 +79,18 @@ def build_planar(inputs: BlockInputs, wanted: PlanarInputs) -> tuple[Block, dict
     block, points = read_block(photos, wanted.ties, inputs.control)
     if points and wanted.kind != "uncontrolled":
         examine(points, crs, inputs.control)
-    placed = place(block, wanted)
+    tables = " and ".join(path.name for path in (wanted.ties, inputs.control) if path is not None)
+    placed = place(block, wanted, tables)
     scenes = tuple(_scene(inputs, photo, placed.transforms[photo.name], crs) for photo in photos)
     known: tuple[ControlPoint, ...] = () if wanted.kind == "uncontrolled" else points
     facts = {"summary": placement_words(placed.facts), **placed.facts, "unused": _unused(block)}
     return Block(scenes, None, known, crs if known else None), facts
 
 
-def place(block: PlanarBlock, wanted: PlanarInputs) -> Placed:
-    """Place the photos of a block the way that was asked for."""
+def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and control points") -> Placed:
+    """Place the photos of a block the way that was asked for; `tables` are named where points are wrong."""
+    from geomosaic.adjust.planar.wrong import adjust_checked, look_singly, look_somehow
+
     usual, allowed = MODELS[wanted.kind]
     model = wanted.model or usual
     if model not in allowed:
@@ -96,10 +100,12 @@ def place(block: PlanarBlock, wanted: PlanarInputs) -> Placed:
             + (", controlled takes projective" if wanted.kind == "semicontrolled" else ""),
         )
     if wanted.kind == "uncontrolled":
-        return _uncontrolled(block, model, wanted)
+        block, found = look_somehow(block, model, True).settled(tables, wanted.wrong)
+        return _uncontrolled(block, model, wanted, found)
     if wanted.kind == "grown":
         from geomosaic.adjust.planar.grow import grow
 
+        block, found = look_somehow(block, model, False).settled(tables, wanted.wrong)
         grown = grow(block, model)
         for one in grown.failed:
             warnings.warn(
@@ -108,20 +114,19 @@ def place(block: PlanarBlock, wanted: PlanarInputs) -> Placed:
                 GeomosaicWarning,
                 stacklevel=2,
             )
-        return Placed(grown.transforms, growth_facts(block, grown, model))
+        return Placed(grown.transforms, growth_facts(block, grown, model) | wrong_facts(found))
     if wanted.kind == "controlled" and _singly(block, wanted):
         from geomosaic.adjust.planar.single import rectify_singly
 
+        block, found = look_singly(block, model).settled(tables, wanted.wrong)
         single = rectify_singly(block, model)
         transforms = {name: solution.transforms[name] for name, solution in single.items()}
-        return Placed(transforms, single_facts(block, single, model))
-    from geomosaic.adjust.planar.simultaneous import adjust
-
-    solution = adjust(block, model)
-    return Placed(dict(solution.transforms), joint_facts(solution, wanted.kind))
+        return Placed(transforms, single_facts(block, single, model) | wrong_facts(found))
+    solution, found = adjust_checked(block, model, policy=wanted.wrong, where=tables)
+    return Placed(dict(solution.transforms), joint_facts(solution, wanted.kind) | wrong_facts(found))
 
 
-def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs) -> Placed:
+def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs, found: Findings) -> Placed:
     from geomosaic.adjust.planar.compare import compare, reference
     from geomosaic.adjust.planar.uncontrolled import chain
 
@@ -135,7 +140,7 @@ def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs) -> Place
             )
     adjusted, against = reference(block, made, model)
     error = compare(block, made, adjusted.transforms, against, adjusted.kind)
-    return Placed(made.transforms, chain_facts(block, made, model, error))
+    return Placed(made.transforms, chain_facts(block, made, model, error) | wrong_facts(found))
 
 
 def _singly(block: PlanarBlock, wanted: PlanarInputs) -> bool:

@@ -12,6 +12,7 @@ from geomosaic.adjust.planar.joins import joins
 from geomosaic.product.check import ControlResidual, rms
 
 if TYPE_CHECKING:
+    from geomosaic.adjust.network.findings import Findings
     from geomosaic.adjust.planar.compare import Accumulated
     from geomosaic.adjust.planar.grow import Growth
     from geomosaic.adjust.planar.solution import PlanarSolution
@@ -101,6 +102,33 @@ def control_facts(residuals: Sequence[ControlResidual]) -> dict[str, Any]:
     """RMS of control and check points against the placed photos, pixels; None without any."""
     return {f"rms_{role}_px": finite(rms(list(residuals), role)) for role in ("control", "check")} | {
         "checks": [asdict(one) for one in residuals if one.role == "check"]
+    }
+
+
+def wrong_facts(found: Findings) -> dict[str, Any]:
+    """Of the search for wrong points."""
+    return {
+        "wrong_points": {
+            "measurements": found.measurements,
+            "redundancy": found.redundancy,
+            "agree_px": finite(found.agree),
+            "detectable_px": finite(found.detectable),
+            "unchecked": list(found.unchecked),
+            "left_out": found.done == "leave",
+            "found": [
+                {
+                    "point": each.label.id,
+                    "images": list(each.label.images),
+                    "what": each.label.name,
+                    "where": list(each.label.where),
+                    "px": each.size,
+                    "gross": each.gross,
+                    "redundancy": each.redundancy,
+                    "or": list(each.alike),
+                }
+                for each in found.wrong
+            ],
+        }
     }
 
 

@@ -50,7 +50,7 @@ def read_block(
         table = read_table(ties, "tie point table", ",".join(TIE_COLUMNS))
         table.require(*TIE_COLUMNS, what="tie points")
         for row, image in _rows(table, names):
-            found.append(Tie(row.text("id"), image, row.number("col"), row.number("row"), _sigma(row)))
+            found.append(Tie(row.text("id"), image, row.number("col"), row.number("row"), _sigma(row), row.where))
     points: list[ControlPoint] = []
     if control is not None:
         table = read_table(control, "control point table", ",".join(CONTROL_COLUMNS))
@@ -68,10 +68,11 @@ def read_block(
                     sigma_xy=row.number("sigma_xy", 0.0),
                     sigma_px=_sigma(row),
                     role=role,
+                    where=row.where,
                 )
             )
     known = [
-        Control(p.id, p.xyz[0], p.xyz[1], p.image, *p.colrow, p.sigma_px, p.sigma_xy)
+        Control(p.id, p.xyz[0], p.xyz[1], p.image, *p.colrow, p.sigma_px, p.sigma_xy, p.where)
         for p in points
         if p.role == "control"
     ]

@@ -16,7 +16,7 @@ def placement_words(facts: Mapping[str, Any]) -> list[str]:
         found = facts["accumulated"]
         farthest = max(found["by_step_px"], key=int)
         lines.append(
-            f"uncontrolled, {model}: {count} photos joined outwards from {facts['start']}, "
+            f"uncontrolled, {model}: {counted(count, 'photo')} joined outwards from {facts['start']}, "
             f"gaps {facts['gaps_px']:.2f} px RMS"
         )
         what = "control" if found["against"] == "control" else "ties alone"
@@ -27,18 +27,35 @@ def placement_words(facts: Mapping[str, Any]) -> list[str]:
         )
     elif kind == "grown":
         lines.append(
-            f"grown, {model}: {count} photos from {facts['photos'][0]['photo']}, "
-            f"{counted(len(facts['joins']), 'join')} checked, {len(facts['failed_joins'])} failed, "
-            f"gaps {facts['gaps_px']:.2f} px RMS"
+            f"grown, {model}: {counted(count, 'photo')} from {facts['photos'][0]['photo']}, "
+            f"{counted(len(facts['joins']), 'join')} checked, "
+            f"{len(facts['failed_joins'])} failed, gaps {facts['gaps_px']:.2f} px RMS"
         )
     elif facts["rectified"] == "singly":
         lines.append(
-            f"controlled, {model}: {count} photos rectified singly, gaps at ties {facts['gaps_px']:.2f} px RMS"
+            f"controlled, {model}: {counted(count, 'photo')} rectified singly, "
+            f"gaps at ties {facts['gaps_px']:.2f} px RMS"
         )
     else:
         weight = f", {facts['sigma0']:.2f} times their sigmas" if facts["sigma0"] is not None else ""
         lines.append(
-            f"{kind}, {model}: {count} photos adjusted together, {facts['equations']} equations, redundancy "
+            f"{kind}, {model}: {counted(count, 'photo')} adjusted together, {facts['equations']} equations, redundancy "
             f"{facts['redundancy']}, residuals {facts['rms_px']:.2f} px RMS{weight}"
         )
-    return lines
+    return [*lines, *wrong_words(facts["wrong_points"])]
+
+
+def wrong_words(found: Mapping[str, Any]) -> list[str]:
+    """Whether points are wrong, and what the redundancy allows to say of it."""
+    if not found["measurements"]:
+        return ["wrong points cannot be looked for: the points do not hold all photos together"]
+    wrong, unchecked = found["found"], found["unchecked"]
+    done = "left out" if found["left_out"] else "taking part"
+    named = f"{counted(len(wrong), 'wrong one')}, {done}" if wrong else "none wrong"
+    size = found["detectable_px"]
+    seen = "no redundancy to find one" if size is None else f"errors of {size:.1f} px would be found"
+    line = f"measurements: {found['measurements']}, {named} (redundancy {found['redundancy']}: {seen})"
+    if unchecked:
+        more = f" and {len(unchecked) - 3} more" if len(unchecked) > 3 else ""
+        line += f"; nothing checks {', '.join(unchecked[:3])}{more}"
+    return [line]

@@ -130,6 +130,8 @@ class PlanarSection(Section):
     scale: Positive = 1.0
     azimuth: Finite = 0.0
     rectify: Literal["singly", "together"] | None = None
+    robust: bool = False
+    insist: bool = False
 
 
 class OutputSection(Section):

@@ -14,6 +14,8 @@ from geomosaic.adjust.edges.solve import Solution, solve
 from geomosaic.adjust.edges.spread import spread
 from geomosaic.adjust.edges.start import common_ground, grown, own_fits
 from geomosaic.adjust.edges.stations import CommonPoint, Stations, map_crs
+from geomosaic.adjust.edges.wrong import look, without
+from geomosaic.adjust.network.findings import Findings
 from geomosaic.block.block import ControlPoint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError, SolveError
@@ -26,6 +28,8 @@ FADES = 3.0
 """Reach of a correction, in largest gaps between neighbouring points of one edge: it sags little between them."""
 FLATTEST = 10.0
 """Reach of a correction, in lengths of the largest one: a large one takes its way to fade."""
+ROUNDS = 4
+"""Adjustments without wrong points until no other is found."""
 ALONE = 0.125
 """Reach of the correction of a single point, in widths of the photo."""
 
@@ -67,6 +71,8 @@ class EdgeMatch:
         Map of ground and misfits.
     iterations : int
     condition : float
+    findings : Findings
+        Of the search for wrong points.
     """
 
     photos: tuple[Scene, ...]
@@ -87,6 +93,7 @@ class EdgeMatch:
     crs: CRS
     iterations: int
     condition: float
+    findings: Findings
 
 
 def match_edges(
@@ -96,6 +103,8 @@ def match_edges(
     *,
     crs: CRS | None = None,
     reach: float | None = None,
+    wrong: str = "stop",
+    tables: str = "control and common points",
 ) -> EdgeMatch:
     """Adjust two photos or a block to control and common points together, and join them exactly at shared points.
 
@@ -121,11 +130,15 @@ def match_edges(
         Pixels from a common point to where its correction has faded away. By default three times the largest gap
         between neighbouring points of an edge (an eighth of the photo's width where an edge has one point), but at
         least ten times the largest correction.
+    wrong : str
+        What is done with wrong points: 'stop' where one is gross, 'leave' all of them out, or 'keep' them.
+    tables : str
+        What messages call the tables.
 
     Raises
     ------
     InputError
-        Points of photos that are not there, measured twice, without coordinates or height, ...
+        A point is grossly wrong. Points of photos that are not there, measured twice, without coordinates, ...
     SolveError
         The points do not determine the photos, or contradict each other so closely that no smooth correction helps.
     """
@@ -133,13 +146,18 @@ def match_edges(
         raise InputError("edge matching needs photos of different names", mend="rename one")
     if reach is not None and not 0.0 < reach < np.inf:
         raise InputError(f"a reach of {reach} pixels is not a positive number")
-    stations, map_ = Stations.of(photos, control, common), map_crs(photos, crs)
-    given = [photo.model for photo in photos]
-    problem = Problem.of(tuple(photo.name for photo in photos), given, stations, map_)
-    alone, fitted = own_fits(problem, given)
-    start = grown(problem, alone, fitted)
-    ground = common_ground(problem, start, np.ones(len(photos), dtype=bool))
-    solution = solve(problem, start, ground)
+    map_ = map_crs(photos, crs)
+    problem, alone, fitted, solution = _solved(photos, control, common, map_)
+    found, left = look(problem, solution)
+    found.settle(tables, wrong)
+    for _ in range(ROUNDS if wrong == "leave" else 0):
+        if not left:
+            break
+        control, common = without(control, common, left)
+        problem, alone, fitted, solution = _solved(photos, control, common, map_)
+        more, left = look(problem, solution)  # what the gross ones hid
+        more.settle(tables, wrong)
+        found = replace(more, wrong=(*found.wrong, *more.wrong))
     grids = _grids(problem, solution, reach)
     joined = [
         model if grid is None else Corrected.of(model, grid, photo.sensor)
@@ -150,7 +168,7 @@ def match_edges(
         models=tuple(joined),
         adjusted=tuple(solution.models),
         grids=tuple(grids),
-        stations=stations,
+        stations=problem.stations,
         ground=solution.ground,
         ground_covariance=solution.ground_cofactors,
         residuals=solution.residuals,
@@ -164,7 +182,21 @@ def match_edges(
         crs=map_,
         iterations=solution.iterations,
         condition=solution.condition,
+        findings=replace(found, done=wrong),
     )
+
+
+def _solved(
+    photos: Sequence[Scene], control: Sequence[ControlPoint], common: Sequence[CommonPoint], crs: CRS
+) -> tuple[Problem, list[SensorModel], BoolArray, Solution]:
+    """Adjust; with the photos fitted to their own control alone, and which of them that determines."""
+    given = [photo.model for photo in photos]
+    names = tuple(photo.name for photo in photos)
+    problem = Problem.of(names, given, Stations.of(photos, control, common), crs)
+    alone, fitted = own_fits(problem, given)
+    start = grown(problem, alone, fitted)
+    ground = common_ground(problem, start, np.ones(len(photos), dtype=bool))
+    return problem, alone, fitted, solve(problem, start, ground)
 
 
 def _grids(problem: Problem, solution: Solution, reach: float | None) -> list[CorrectionGrid | None]:

@@ -1,10 +1,9 @@
-"""The combined adjustment, linearised: residuals on the image coordinates, ground of the stations eliminated.
+"""The combined adjustment: residuals on the image coordinates, photos and stations unknown together.
 
 Each measurement is one equation p + v = f(Δ; X): image position, its residual, the photo's map ground → image with
-parameters Δ, the station's place. Where X is unknown it is eliminated station by station: with the rows of one station
-whitened by their sigmas, A its derivatives by X (2n × 2), B those by Δ and A = [Q₁ Q₂] R, the rows Q₂ᵀ(B Δ = f) no
-longer know X. These are the conditions "the photos of a common point meet" of the edge matching of Bellman, Deakin and
-Rollings (equations 6 to 9, A v + B Δ = f with cofactors A Q Aᵀ), already divided by the root of their cofactors.
+parameters Δ, the station's place. Eliminating X from those of one station leaves the conditions "the photos of a common
+point meet" of the edge matching of Bellman, Deakin and Rollings (equations 6 to 9, A v + B Δ = f, cofactors A Q Aᵀ).
+Here that is left to the sparse factorisation of all unknowns, see `network.linear`.
 """
 
 from __future__ import annotations
@@ -15,27 +14,11 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.adjust.edges.stations import Stations
+from geomosaic.adjust.network.linear import Network
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve.derivatives import jacobian, pixel_step
 from geomosaic.types import BoolArray, FloatArray, IntArray
-
-
-@dataclass(frozen=True)
-class Eliminated:
-    """Rows without ground, and how the ground follows.
-
-    Attributes
-    ----------
-    design : array (M, P)
-    right : array (M,)
-    back : list of (station, R⁻¹Q₁ᵀB (2, P), R⁻¹Q₁ᵀr (2,), R⁻¹ (2, 2))
-        dX = second − first · Δ.
-    """
-
-    design: FloatArray
-    right: FloatArray
-    back: list[tuple[int, FloatArray, FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True)
@@ -110,41 +93,25 @@ class Problem:
         held = self.free & np.isfinite(self.priors)
         return total + float((((values - self.start)[held] / self.priors[held]) ** 2).sum())
 
-    def eliminate(
+    def network(
         self, models: list[SensorModel], residuals: FloatArray, ground: FloatArray, values: FloatArray
-    ) -> Eliminated:
-        """Linearise at the present values and ground, and eliminate the unknown ground."""
+    ) -> Network:
+        """Linearise at the present values and ground; unknowns are the free parameters, photo after photo."""
         s = self.stations
-        by_values = np.zeros((len(s.photo), 2, len(self.free)))
+        most = int(np.diff(self.offsets).max())
+        by_values, columns = np.zeros((len(s.photo), 2, most)), np.full((len(s.photo), most), -1, dtype=np.int64)
         by_xy = np.zeros((len(s.photo), 2, 2))
+        number = np.where(self.free, np.cumsum(self.free) - 1, -1)
         for index, model in enumerate(models):
             mine = np.flatnonzero(s.photo == index)
             if len(mine):
-                columns = slice(self.offsets[index], self.offsets[index + 1])
-                by_values[mine, :, columns], by_xy[mine] = self._derivatives(index, model, ground[s.station[mine]])
-        weight = 1.0 / s.sigma_px[:, None, None]
-        by_values, by_xy = by_values[:, :, self.free] * weight, by_xy * weight
-        left = residuals * weight[:, :, 0]
-        held = s.held[s.station]
-        design = [by_values[held].reshape(-1, by_values.shape[2])]
-        right = [left[held].ravel()]
-        back = []
-        for station in np.flatnonzero(~s.held):
-            mine = s.station == station
-            a, b, r = by_xy[mine].reshape(-1, 2), by_values[mine].reshape(-1, by_values.shape[2]), left[mine].ravel()
-            if np.isfinite(s.sigma[station]):  # the given coordinates are observations too
-                a = np.vstack([a, np.eye(2) / s.sigma[station]])
-                b = np.vstack([b, np.zeros((2, b.shape[1]))])
-                r = np.concatenate([r, (s.xyz[station, :2] - ground[station, :2]) / s.sigma[station]])
-            q, upper = np.linalg.qr(a, mode="complete")
-            inverse = np.linalg.inv(upper[:2])
-            design.append(q[:, 2:].T @ b)
-            right.append(q[:, 2:].T @ r)
-            back.append((int(station), inverse @ (q[:, :2].T @ b), inverse @ (q[:, :2].T @ r), inverse))
-        prior = np.isfinite(self.priors[self.free])
-        rows = np.eye(len(prior))[prior] / self.priors[self.free][prior][:, None]
-        from_start = (self.start - values)[self.free][prior] / self.priors[self.free][prior]
-        return Eliminated(np.vstack([*design, rows]), np.concatenate([*right, from_start]), back)
+                own = slice(self.offsets[index], self.offsets[index + 1])
+                count = own.stop - own.start
+                by_values[mine, :, :count], by_xy[mine] = self._derivatives(index, model, ground[s.station[mine]])
+                columns[mine, :count] = number[own]
+        given = np.where(np.isfinite(s.sigma)[:, None], s.xyz[:, :2] - ground[:, :2], 0.0)
+        priors, from_start = self.priors[self.free], (self.start - values)[self.free]
+        return Network(s.station, columns, by_values, by_xy, residuals, s.sigma_px, given, s.sigma, priors, from_start)
 
     def _derivatives(self, index: int, model: SensorModel, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Of image coordinates by the photo's parameters (n, 2, P) and by map x, y (n, 2, 2)."""

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.adjust.edges.problem import Eliminated, Problem
+from geomosaic.adjust.edges.problem import Problem
+from geomosaic.adjust.network.linear import Network
 from geomosaic.errors import SolveError
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import AnyArray, FloatArray
@@ -14,7 +15,8 @@ from geomosaic.types import AnyArray, FloatArray
 ROUNDS = 50
 HALVINGS = 20
 GOAL = 1e-9
-WORST_CONDITION = 1e9
+WORST_CONDITION = 1e7
+"""Of the design. Beyond it half of the digits of a solution are noise."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,9 @@ class Solution:
     redundancy : int
     iterations : int
     condition : float
+        Of the design of all unknowns, columns of unit length.
+    network : Network
+        Linearised there.
     """
 
     models: list[SensorModel]
@@ -48,6 +53,7 @@ class Solution:
     redundancy: int
     iterations: int
     condition: float
+    network: Network
 
 
 def solve(problem: Problem, models: list[SensorModel], ground: FloatArray) -> Solution:
@@ -73,16 +79,14 @@ def solve(problem: Problem, models: list[SensorModel], ground: FloatArray) -> So
     _need_seen(problem, residuals)
     cost = problem.cost(residuals, ground, values)
     for iteration in range(1, ROUNDS + 1):
-        rows = problem.eliminate(models, residuals, ground, values)
-        triangle, turned, scale = _triangle(rows)
-        left, singular, right = _need_determined(triangle, labels)
-        step = right.T @ (left.T @ turned / singular) / scale
+        network = problem.network(models, residuals, ground, values)
+        _need_determined(network, labels)
+        step, shift = network.changes()
         factor = 1.0
         for _ in range(HALVINGS):
             trial_values, trial_ground = values.copy(), ground.copy()
             trial_values[free] += factor * step
-            for station, by_step, shift, _ in rows.back:
-                trial_ground[station, :2] += factor * (shift - by_step @ step)
+            trial_ground[:, :2] += factor * shift
             trial_models = _with(problem, models, trial_values)
             trial_residuals = problem.residuals(trial_models, trial_ground)
             trial_cost = problem.cost(trial_residuals, trial_ground, trial_values)
@@ -123,28 +127,17 @@ def _need_seen(problem: Problem, residuals: FloatArray) -> None:
         )
 
 
-def _triangle(rows: Eliminated) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """R and Qᵀ f of the design with its columns scaled to length one, and the lengths."""
-    if not rows.design.shape[1]:
-        return np.zeros((0, 0)), np.zeros(0), np.zeros(0)
-    scale = np.linalg.norm(rows.design, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    q, triangle = np.linalg.qr(rows.design / scale)
-    return triangle, q.T @ rows.right, scale
-
-
-def _need_determined(triangle: FloatArray, labels: AnyArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Singular value decomposition; refuse a design whose columns depend on each other."""
-    if not len(labels):
-        return np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
-    left, singular, right = np.linalg.svd(triangle)
-    if len(triangle) < len(labels) or singular[-1] * WORST_CONDITION < singular[0]:
-        together = labels[np.abs(right[-1]) > 0.1]
+def _need_determined(network: Network, labels: AnyArray) -> float:
+    """Condition number; refuse a design whose columns depend on each other."""
+    condition, direction = network.normals.condition() if sum(network.design.shape[1:]) else (1.0, np.zeros(0))
+    if network.redundancy < 0 or not condition < WORST_CONDITION:
+        share = np.abs(direction[: network.unknowns])
+        together = labels[share > 0.1 * share.max(initial=0.0)]
         raise SolveError(
             f"control and common points do not determine {', '.join(together)}",
             mend="add control or common points, spread over the photos, or choose a simpler model",
         )
-    return left, singular, right
+    return condition
 
 
 def _solution(
@@ -157,17 +150,11 @@ def _solution(
     iterations: int,
     labels: AnyArray,
 ) -> Solution:
-    rows = problem.eliminate(models, residuals, ground, values)
-    triangle, _, scale = _triangle(rows)
-    _, singular, right = _need_determined(triangle, labels)
-    root = (right.T / singular) / scale[:, None]
-    small = root @ root.T
+    network = problem.network(models, residuals, ground, values)
+    condition = _need_determined(network, labels)
+    small, of_ground = network.cofactors()
     cofactors = np.zeros((len(problem.free), len(problem.free)))
     cofactors[np.ix_(problem.free, problem.free)] = small
-    of_ground = np.zeros((len(ground), 2, 2))
-    for station, by_step, _, inverse in rows.back:
-        of_ground[station] = inverse @ inverse.T + by_step @ small @ by_step.T
-    redundancy = len(rows.right) - len(labels)
+    redundancy = network.redundancy
     sigma0 = float(np.sqrt(cost / redundancy)) if redundancy > 0 else float("nan")
-    condition = float(singular[0] / singular[-1]) if len(singular) else 1.0
-    return Solution(models, ground, of_ground, residuals, cofactors, sigma0, redundancy, iterations, condition)
+    return Solution(models, ground, of_ground, residuals, cofactors, sigma0, redundancy, iterations, condition, network)

@@ -32,6 +32,8 @@ class CommonPoint:
         Standard deviation of the measurement, pixels.
     z : float
         Height of the point in the CRS of the control; needed only where a photo's model uses heights.
+    where : str
+        File and line, for messages.
     """
 
     id: str
@@ -39,6 +41,7 @@ class CommonPoint:
     colrow: tuple[float, float]
     sigma_px: float = 1.0
     z: float = float("nan")
+    where: str = ""
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,8 @@ class Stations:
     colrow : array (N, 2)
         Where, in pixels.
     sigma_px : array (N,)
+    where : tuple of str (N,)
+        File and line, or empty.
     """
 
     ids: tuple[str, ...]
@@ -66,6 +71,7 @@ class Stations:
     station: IntArray
     colrow: FloatArray
     sigma_px: FloatArray
+    where: tuple[str, ...]
 
     @property
     def held(self) -> BoolArray:
@@ -123,7 +129,14 @@ class Stations:
             if count > 1:
                 raise InputError(f"point '{names[station]}' is measured twice", where=photos[first].name)
         stations = cls(
-            names, np.array(xyz).reshape(-1, 3), np.array(sigma), photo, index, table[:, 2:4], table[:, 4].copy()
+            names,
+            np.array(xyz).reshape(-1, 3),
+            np.array(sigma),
+            photo,
+            index,
+            table[:, 2:4],
+            table[:, 4].copy(),
+            tuple(point.where for point in points),
         )
         alone = np.isinf(stations.sigma) & ~stations.shared
         if alone.any():

@@ -11,7 +11,7 @@ import numpy as np
 from geomosaic.adjust.planar.kinds import LEAST
 from geomosaic.adjust.planar.transform import PlanarTransform, photo_coordinates
 from geomosaic.adjust.planar.values import PlanarBlock
-from geomosaic.errors import GeomosaicWarning, SolveError
+from geomosaic.errors import GeomosaicWarning, SolveError, counted
 from geomosaic.types import FloatArray
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def check_determined(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTr
     for photo, own in photos.items():
         if len(own) < LEAST[kind] and photo not in fixed:
             raise SolveError(
-                f"photo '{photo}' shares {len(own)} points with other photos or the ground; "
+                f"photo '{photo}' shares {counted(len(own), 'point')} with other photos or the ground; "
                 f"{_article(kind)} transformation needs {LEAST[kind]}",
                 where=where,
                 mend="measure more tie or control points in it, choose a simpler model, or leave the photo out",
@@ -56,7 +56,7 @@ def check_determined(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTr
         if len(own) < LEAST[kind]:
             rest = f": {_some(sorted(piece))}" if len(piece) < len(block.photos) else ""
             raise SolveError(
-                f"{len(own)} control points hold {len(piece)} connected photos{rest}; "
+                f"{counted(len(own), 'control point')} for {counted(len(piece), 'connected photo')}{rest}; "
                 f"{_article(kind)} transformation needs {LEAST[kind]}",
                 where=where,
                 mend="add control points, tie these photos to the others, or make an uncontrolled mosaic",

@@ -17,7 +17,7 @@ from geomosaic.adjust.planar.kinds import LEAST
 from geomosaic.adjust.planar.solution import PlanarSolution
 from geomosaic.adjust.planar.transform import PlanarTransform
 from geomosaic.adjust.planar.values import Control, PlanarBlock
-from geomosaic.errors import SolveError
+from geomosaic.errors import SolveError, counted
 from geomosaic.types import FloatArray
 
 ACCEPTED = 2.0
@@ -82,8 +82,8 @@ def grow(block: PlanarBlock, kind: str = "affine", *, start: str | None = None, 
     block.photo(first)
     if len(control[first]) < LEAST[kind]:
         raise SolveError(
-            f"no photo to begin with: '{first}' has {len(control[first])} control points, the {kind} transformation "
-            f"needs {LEAST[kind]}",
+            f"no photo to begin with: '{first}' has {counted(len(control[first]), 'control point')}, "
+            f"the {kind} transformation needs {LEAST[kind]}",
             mend="add control points to one photo, choose a simpler model, or adjust all photos together",
         )
     solutions: dict[str, PlanarSolution] = {}
@@ -100,7 +100,7 @@ def grow(block: PlanarBlock, kind: str = "affine", *, start: str | None = None, 
         name = max(near, key=lambda one: (len(points[one]), -waiting.index(one)))
         if len(points[name]) < LEAST[kind]:
             raise SolveError(
-                f"photo '{name}' has {len(points[name])} points on the map or on the photos made before; "
+                f"photo '{name}' has {counted(len(points[name]), 'point')} on the map or on the photos made before; "
                 f"the {kind} transformation needs {LEAST[kind]}",
                 mend="measure more control or tie points in it",
             )

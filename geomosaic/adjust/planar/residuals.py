@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from geomosaic.adjust.network.normals import Normals
 from geomosaic.adjust.planar.equations import GROUND
 from geomosaic.adjust.planar.kinds import by_parameters, by_photo
-from geomosaic.adjust.planar.normals import Normals
 from geomosaic.adjust.planar.problem import Problem
 from geomosaic.adjust.planar.transform import PlanarTransform
 from geomosaic.types import FloatArray, IntArray
@@ -80,11 +80,11 @@ def standardised(
         photos = views.photo[seen]
         inner = [k for k in range(len(seen)) if photos[k] != GROUND]
         for k in inner:
-            by = [(float(m == k) - share[m]) * slopes[seen[m]] for m in inner]
+            by = {m: (float(m == k) - share[m]) * slopes[seen[m]] for m in inner if m == k or share[m] > 0.0}
             known = np.zeros((2, 2))
-            for m, a in enumerate(inner):
-                for n, b in enumerate(inner):
-                    known += by[m] @ cofactors[int(photos[a]), int(photos[b])] @ by[n].T
+            for a in by:
+                for b in by:
+                    known += by[a] @ cofactors[int(photos[a]), int(photos[b])] @ by[b].T
             ground = np.eye(2) * (sigma[seen[k]] ** 2 - spread) - known
             to_pixels = np.linalg.inv(across[seen[k]])
             variance = np.diag(to_pixels @ ground @ to_pixels.T)

@@ -13,9 +13,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from geomosaic.adjust.network.normals import Normals
 from geomosaic.adjust.planar.check import check_determined, check_plausible, ill_conditioned
 from geomosaic.adjust.planar.equations import mean_positions, views_of, weights_of_pairs
-from geomosaic.adjust.planar.normals import Normals
 from geomosaic.adjust.planar.problem import Problem, frame_of
 from geomosaic.adjust.planar.residuals import cofactor_blocks, image_residuals, standardised
 from geomosaic.adjust.planar.solution import PlanarSolution
@@ -57,14 +57,20 @@ def adjust(
         ill-conditioned or divergent solution, as strong relief causes it.
     """
     held = {name: transform for name, transform in (fixed or {}).items() if name in block.index}
-    if kind != "projective":
-        solution, start = _solve(block, kind, held, None, where), None
-    else:
-        check_determined(block, kind, held, where)
-        start = _solve(block, "affine", held, None, where)
-        solution = _solve(block, kind, held, start, where)
+    solution, start = solve(block, kind, held, where)
     check_plausible(solution, start, where)
     return solution
+
+
+def solve(
+    block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform], where: str | None
+) -> tuple[PlanarSolution, PlanarSolution | None]:
+    """Adjust without a look at what comes out; and the affine adjustment that a projective one started from."""
+    if kind != "projective":
+        return _solve(block, kind, fixed, None, where), None
+    check_determined(block, kind, fixed, where)
+    start = _solve(block, "affine", fixed, None, where)
+    return _solve(block, kind, fixed, start, where), start
 
 
 def _solve(

@@ -15,7 +15,7 @@ from geomosaic.adjust.planar.joins import positions_by
 from geomosaic.adjust.planar.kinds import LEAST
 from geomosaic.adjust.planar.transform import Frame, PlanarTransform, half
 from geomosaic.adjust.planar.values import PlanarBlock
-from geomosaic.errors import SolveError
+from geomosaic.errors import SolveError, counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,8 @@ def chain(
         if not ready:
             most = max(waiting, key=lambda name: len(known[name][0]))
             raise SolveError(
-                f"photo '{most}' shares {len(known[most][0])} points with the photos that are joined; it takes 2",
+                f"photo '{most}' shares {counted(len(known[most][0]), 'point')} with the photos that are joined; "
+                "it takes 2",
                 mend="measure more tie points between them, or leave it out",
             )
         ring = {name: 1 + min(steps[before] for before in known[name][1]) for name in ready}

@@ -32,6 +32,8 @@ class Tie:
         Pixels, corner-based.
     sigma : float
         Standard deviation of each coordinate in pixels.
+    where : str
+        File and line, for messages.
     """
 
     id: str
@@ -39,6 +41,7 @@ class Tie:
     col: float
     row: float
     sigma: float = 1.0
+    where: str = ""
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,8 @@ class Control:
         Standard deviation of each image coordinate in pixels.
     sigma_xy : float
         Standard deviation of each map coordinate in map units; 0 where they are held fixed.
+    where : str
+        File and line, for messages.
     """
 
     id: str
@@ -67,6 +72,7 @@ class Control:
     row: float
     sigma: float = 1.0
     sigma_xy: float = 0.0
+    where: str = ""
 
 
 @dataclass(frozen=True)

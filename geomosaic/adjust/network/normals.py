@@ -63,7 +63,7 @@ class Normals:
         size = self.matrix.shape[0]
         start = np.random.default_rng(0).normal(size=size)
         if self.factors is None:
-            return np.inf, start
+            return np.inf, _null(self.matrix, start)
         most, _ = _largest(lambda v: self.matrix @ v, start)
         inverse, direction = _largest(self.factors.solve, start)
         return float(np.sqrt(most * inverse)), direction
@@ -79,6 +79,15 @@ class Normals:
             for key, rows in wanted.items():
                 found[key] = solved[rows]
         return found
+
+
+def _null(matrix: Any, start: FloatArray) -> FloatArray:
+    """Direction (U,) that a singular matrix loses, by inverse iteration a hair beside it."""
+    from scipy.sparse import eye_array
+    from scipy.sparse.linalg import splu
+
+    beside = splu((matrix + 1e-12 * eye_array(matrix.shape[0])).tocsc())
+    return _largest(beside.solve, start)[1]
 
 
 def _largest(apply: Any, start: FloatArray) -> tuple[float, FloatArray]:
