@@ -36,7 +36,12 @@ rpc_options = stack(
     ),
     click.option("--tags", is_flag=True, help="Write the RPC into the tags of the images (GeoTIFF), in place."),
     click.option("--text", is_flag=True, help="Write IMAGE_RPC.TXT."),
-    click.option("--folder", type=FILE, help="Folder of the text files.  [default: beside the images]"),
+    click.option(
+        "--grid",
+        is_flag=True,
+        help="Write IMAGE_RPC_grid.csv, what the fitted RPC cannot follow of the sensor: --corrections takes it.",
+    ),
+    click.option("--folder", type=FILE, help="Folder of text files and grids.  [default: beside the images]"),
     click.option("--overwrite", is_flag=True, help="Replace an RPC that the image or the file has."),
 )
 
@@ -58,8 +63,10 @@ def command(images: tuple[Path, ...], as_json: bool, **flags: Any) -> None:
 
     if flags["sensor"] is None and not (flags["exterior"] or flags["camera"]):
         flags["sensor"] = SENSOR
-    if flags["folder"] is not None and not flags["text"]:
-        raise click.UsageError("--folder is for the text files: add --text")
+    if flags["folder"] is not None and not (flags["text"] or flags["grid"]):
+        raise click.UsageError("--folder is for the text files and grids: add --text or --grid")
+    if flags["grid"] and not (flags["text"] or flags["tags"]):
+        raise click.UsageError("--grid goes with the RPC that is written: add --text or --tags")
     inputs = RpcInputs(
         block_inputs(images, flags, flags["gcps"]),
         heights=flags["height_range"] or None,
@@ -69,6 +76,7 @@ def command(images: tuple[Path, ...], as_json: bool, **flags: Any) -> None:
         sigma_px=flags["sigma_px"],
         tags=flags["tags"],
         text=flags["text"],
+        grid=flags["grid"],
         folder=flags["folder"],
         overwrite=flags["overwrite"],
     )
@@ -89,6 +97,12 @@ def _words(one: ImageRpc) -> list[str]:
         lines.append(
             f"  fitted to ellipsoidal heights from {low:g} to {high:g} m: {facts['fit_rms_px']:.2g} px RMS, "
             f"{facts['fit_worst_px']:.2g} px at most at {facts['fit_checks']} points between those of the fit"
+        )
+    if "grid_worst_px" in facts:
+        columns, rows = facts["grid_nodes"]
+        lines.append(
+            f"  with the grid ({columns} x {rows} nodes; --corrections, geomosaic only): {facts['grid_rms_px']:.2g} px "
+            f"RMS, {facts['grid_worst_px']:.2g} px at most"
         )
     if "rms_before_px" in facts:
         lines.append(f"  residuals {facts['rms_before_px']:.3f} px RMS before, {facts['rms_after_px']:.3f} px after")

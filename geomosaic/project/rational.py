@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pyproj import CRS
@@ -13,7 +14,9 @@ from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError, OutputExistsError, SensorError, SolveError, did_you_mean
 from geomosaic.geo.transform import Transform
 from geomosaic.project.build import build_block
+from geomosaic.project.corrections import write_corrections
 from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.rational_grid import GridFit, fit_pair
 from geomosaic.project.rational_refine import ImageRpc, Wanted, refined
 from geomosaic.raster.output import partial, remove, sync
 from geomosaic.raster.rpc import read_rpc_tags, write_rpc_tags
@@ -49,8 +52,10 @@ class RpcInputs:
         Standard deviation of tie points.
     tags, text : bool
         Write the tags of the images, and text files.
+    grid : bool
+        Write what a fitted RPC cannot follow of its sensor as a correction grid.
     folder : Path, optional
-        For the text files; beside the images unless given.
+        For the text files and grids; beside the images unless given.
     overwrite : bool
     """
 
@@ -62,6 +67,7 @@ class RpcInputs:
     sigma_px: float = 0.5
     tags: bool = False
     text: bool = False
+    grid: bool = False
     folder: Path | None = None
     overwrite: bool = False
 
@@ -90,6 +96,11 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
         )
     if own and inputs.refine is None and (inputs.block.control or inputs.ties):
         raise InputError("nothing says how the RPC is refined", mend=f"give --refine {', '.join(tool.kinds)}")
+    if own and inputs.grid:
+        raise InputError(
+            "--grid is what an RPC cannot follow of the sensor it is fitted to, and these images have their own",
+            mend="name their sensor with --sensor, or leave it out",
+        )
     options = {**inputs.block.options, "refine": "none"} if own else inputs.block.options
     block = build_block(replace(inputs.block, options=options))
     places = [_targets(scene, inputs) for scene in block.scenes]
@@ -97,7 +108,7 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
     if inputs.refine is not None and (inputs.ties or inputs.block.control):
         made = refined(tool, block, made, Wanted(inputs.refine, inputs.ties, inputs.fixed, inputs.sigma_px))
     out = []
-    for (model, done), scene, (tags, text) in zip(made, block.scenes, places, strict=True):
+    for (model, done), scene, (tags, text, grid) in zip(made, block.scenes, places, strict=True):
         again = tool.rewrite_rational(model)
         whole = model if again is None else again.model
         facts = done.facts if again is None else {**done.facts, "rewritten_worst_px": again.worst}
@@ -105,7 +116,10 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
             write_rpc_tags(tags, tool.rational_tags(whole))
         if text is not None:
             _write_text(text, tool.rational_text(whole))
-        out.append(replace(done, facts=facts, written=tuple(p for p in (tags, text) if p is not None), name=scene.name))
+        if grid is not None and done.grid is not None:
+            write_corrections(grid, done.grid, overwrite=inputs.overwrite)
+        written = tuple(path for path in (tags, text, grid) if path is not None)
+        out.append(replace(done, facts=facts, written=written, name=scene.name))
     return tuple(out)
 
 
@@ -120,8 +134,12 @@ def _rational(tool: HasRational, scene: Scene, block: Block, inputs: RpcInputs) 
     """The RPC of an image: its own, or one fitted to its model."""
     if inputs.block.sensor == SENSOR and inputs.block.corrections is None:
         return scene.model, ImageRpc(scene.name, "as it came", {})
+    heights = inputs.heights or _heights(scene, block)
     try:
-        fit = tool.fit_rational(scene.model, inputs.heights or _heights(scene, block))
+        if inputs.grid:
+            model, pair = fit_pair(tool, scene.model, scene.sensor, heights)
+            return model, ImageRpc(scene.name, "fitted", _facts_of_pair(pair, heights), grid=pair.grid)
+        fit = tool.fit_rational(scene.model, heights)
     except SolveError as error:
         error.where = error.where or scene.name
         raise
@@ -132,6 +150,18 @@ def _rational(tool: HasRational, scene: Scene, block: Block, inputs: RpcInputs) 
         "heights_m": [float(fit.heights[0]), float(fit.heights[1])],
     }
     return fit.model, ImageRpc(scene.name, "fitted", facts)
+
+
+def _facts_of_pair(pair: GridFit, heights: tuple[float, float]) -> dict[str, Any]:
+    return {
+        "fit_rms_px": pair.alone_rms,
+        "fit_worst_px": pair.alone_worst,
+        "fit_checks": pair.checks,
+        "heights_m": [float(heights[0]), float(heights[1])],
+        "grid_rms_px": pair.rms,
+        "grid_worst_px": pair.worst,
+        "grid_nodes": list(pair.grid.nodes.shape[1::-1]),
+    }
 
 
 def _heights(scene: Scene, block: Block) -> tuple[float, float]:
@@ -155,22 +185,26 @@ def _heights(scene: Scene, block: Block) -> tuple[float, float]:
     return low - more, high + more
 
 
-def _targets(scene: Scene, inputs: RpcInputs) -> tuple[Path | None, Path | None]:
+def _targets(scene: Scene, inputs: RpcInputs) -> tuple[Path | None, Path | None, Path | None]:
     """Files to write for an image; refused before any work where they hold an RPC already."""
     path = Path(scene.path)
     tags = path if inputs.tags else None
-    text = (inputs.folder or path.parent) / f"{path.stem}_RPC.TXT" if inputs.text else None
-    if text is not None and not text.parent.is_dir():
-        raise InputError("the folder of the RPC files does not exist", where=str(text.parent), mend="make it")
+    folder = inputs.folder or path.parent
+    text = folder / f"{path.stem}_RPC.TXT" if inputs.text else None
+    grid = folder / f"{path.stem}_RPC_grid.csv" if inputs.grid else None
+    if (text or grid) and not folder.is_dir():
+        raise InputError("the folder of the RPC files does not exist", where=str(folder), mend="make it")
     if inputs.overwrite:
-        return tags, text
+        return tags, text, grid
     if text is not None and text.exists():
         raise OutputExistsError("the RPC file exists", where=str(text), mend="give another --folder, or --overwrite")
+    if grid is not None and grid.exists():
+        raise OutputExistsError("the grid exists", where=str(grid), mend="give another --folder, or --overwrite")
     if tags is not None and read_rpc_tags(tags):
         raise OutputExistsError(
             "the image carries an RPC already", where=str(tags), mend="write --text instead, or give --overwrite"
         )
-    return tags, text
+    return tags, text, grid
 
 
 def _write_text(path: Path, text: str) -> None:

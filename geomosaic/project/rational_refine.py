@@ -14,6 +14,7 @@ from geomosaic.block.block import Block, ControlPoint
 from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.transform import Transform
 from geomosaic.project.rational_ties import read_ties
+from geomosaic.sensor.correction_grid import CorrectionGrid
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.rational import HasRational
 from geomosaic.types import FloatArray
@@ -31,12 +32,15 @@ class ImageRpc:
     facts : mapping
         Numbers of the fit and the refinement, plain values.
     written : tuple of Path
+    grid : CorrectionGrid, optional
+        What a fitted RPC cannot follow of its sensor.
     """
 
     name: str
     how: str
     facts: dict[str, Any]
     written: tuple[Path, ...] = ()
+    grid: CorrectionGrid | None = None
 
 
 @dataclass(frozen=True)

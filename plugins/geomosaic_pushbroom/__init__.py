@@ -19,7 +19,7 @@ class PushbroomPlugin:
 
     name = "pushbroom"
     summary = (
-        "line scanner: SPOT 1 to 5 and Pléiades by metadata, strips by a GNSS track, scenes by control points alone"
+        "line scanner: SPOT 1 to 7 and Pléiades by metadata, strips by a GNSS track, scenes by control points alone"
     )
     inputs: tuple[SensorInput, ...] = INPUTS
     example = EXAMPLE

@@ -54,9 +54,9 @@ def build_pushbroom(request: SensorRequest) -> PushbroomModel:
     way = "metadata" if metadata else "track" if options.get("track") is not None else "points"
     _need_only(options, way, where)
     if metadata is not None:
-        band = int(number(options["band"], "band", where)) if options.get("band") is not None else None
+        band = options.get("band")
         try:
-            reported = read_metadata(metadata, band)
+            reported = read_metadata(metadata, None if band is None else str(band))
         except InputError as error:
             error.where = f"{where} ({error.where})"
             raise

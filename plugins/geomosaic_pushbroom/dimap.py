@@ -8,6 +8,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
+from geomosaic_pushbroom.bands import choose
 from geomosaic_pushbroom.look import Look
 from geomosaic_pushbroom.orbit import Orbit
 from geomosaic_pushbroom.paths import AnglePath
@@ -18,14 +19,14 @@ _ANGLES = ("PITCH", "ROLL", "YAW")
 _STRIP = ".//Data_Strip"
 
 
-def read_spot(root: Element, where: str, band: int | None = None) -> Reported:
+def read_spot(root: Element, where: str, band: str | None = None) -> Reported:
     """Read a scene.
 
     Parameters
     ----------
     root : Element
         Of the document.
-    band : int, optional
+    band : str, optional
         BAND_INDEX whose look angles are taken; needed where those of the bands differ by more than a tenth of a pixel.
 
     Raises
@@ -130,35 +131,14 @@ def _need_cover(times: FloatArray, scene: FloatArray, where: str) -> None:
         )
 
 
-def _look(root: Element, band: int | None, where: str) -> tuple[Look, tuple[str, ...]]:
+def _look(root: Element, band: str | None, where: str) -> tuple[Look, tuple[str, ...]]:
     """Look directions, u = (−tan ψy, tan ψx, −1), of the band asked for or of all where they are the same."""
-    looks: dict[int, Look] = {}
+    looks: dict[str, Look] = {}
     for part in each(root, ".//Instrument_Look_Angles_List/Instrument_Look_Angles"):
         detector, psi_x, psi_y = children(
             part, "Look_Angles_List/Look_Angles", ("DETECTOR_ID", "PSI_X", "PSI_Y"), where
         ).T
-        looks[int(number(part, "BAND_INDEX", where))] = Look.of(detector - 0.5, -psi_y, psi_x, where, angular=True)
+        looks[text(part, "BAND_INDEX", where)] = Look.of(detector - 0.5, -psi_y, psi_x, where, angular=True)
     if not looks:
         find(root, ".//Instrument_Look_Angles_List/Instrument_Look_Angles", where)
-    if band is not None:
-        if band not in looks:
-            known = ", ".join(map(str, looks))
-            raise InputError(f"there are no look angles of band {band}", where=where, mend=f"known bands are: {known}")
-        return looks[band], (f"look angles of band {band}",)
-    first = next(iter(looks.values()))
-    apart = max(_apart(first, look) for look in looks.values())
-    if apart > 0.1:
-        raise InputError(
-            f"the bands look apart by up to {apart:.2f} pixels, and nothing says which one is meant",
-            where=where,
-            mend=f"give band = {' or '.join(map(str, looks))}, and rectify each band by itself",
-        )
-    return first, ()
-
-
-def _apart(one: Look, other: Look) -> float:
-    """Largest distance in pixels between the directions of two bands."""
-    cols = np.linspace(one.cols[0], one.cols[-1], 101)
-    pixel = abs(one.across[-1] - one.across[0]) / (one.cols[-1] - one.cols[0])
-    pairs = zip(one.slopes(cols), other.slopes(cols), strict=True)
-    return float(max(np.nanmax(np.abs(a - b)) for a, b in pairs) / pixel)
+    return choose(looks, band, where)

@@ -7,11 +7,12 @@ from geomosaic.sensor.plugin import SensorInput
 INPUTS = (
     SensorInput(
         "metadata",
-        "file with orbit, attitude and look angles: METADATA.DIM of SPOT 1 to 5 (level 1A), DIMAP of Pléiades with its "
-        "physical model, or an OSSIM keyword list of SPOT 5; none: there is none, and what lies beside is not taken",
-        default="METADATA.DIM, or NAME.DIM, beside the image",
+        "file with orbit, attitude and look angles: METADATA.DIM of SPOT 1 to 5 (level 1A), DIM_....XML of SPOT 6 and "
+        "7, Pléiades and Pléiades Neo (level SENSOR), or an OSSIM keyword list of SPOT 5; none: there is none, and "
+        "what lies beside is not taken",
+        default="METADATA.DIM, NAME.DIM, or DIM_x.XML of IMG_x.TIF, beside the image",
     ),
-    SensorInput("band", "band whose look angles are taken, where those of the bands differ (BAND_INDEX)"),
+    SensorInput("band", "band whose look angles are taken, where those of the bands differ (BAND_INDEX, BAND_ID)"),
     SensorInput(
         "offset",
         "column and row of a cut image's upper-left corner in the scene of the metadata",

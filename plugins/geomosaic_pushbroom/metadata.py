@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from geomosaic.errors import InputError
 from geomosaic_pushbroom.dimap import read_spot
 from geomosaic_pushbroom.ossim import read_ossim
 from geomosaic_pushbroom.pleiades import PART, read_pleiades
+from geomosaic_pushbroom.refined import PART as REFINED
+from geomosaic_pushbroom.refined import read_refined
 from geomosaic_pushbroom.reported import Reported
 from geomosaic_pushbroom.xml import parse
 
@@ -16,16 +19,19 @@ _LARGEST = 256 * 2**20
 
 
 def find_beside(image: str | None) -> Path | None:
-    """Metadata beside an image: METADATA.DIM, or a .DIM or .dim of the image's name."""
+    """Metadata beside an image: METADATA.DIM, a .DIM of its name, or DIM_x.XML of IMG_x.TIF or IMG_x_R1C1.TIF."""
     if image is None:
         return None
     path = Path(image)
     names = [path.with_suffix(suffix) for suffix in (".DIM", ".dim")] + [path.with_name(name) for name in BESIDE]
+    dimap = re.fullmatch(r"IMG_(.+?)(?:_R\d+C\d+)?", path.stem)
+    if dimap:
+        names += [path.with_name(f"DIM_{dimap[1]}{suffix}") for suffix in (".XML", ".xml")]
     return next((file for file in names if file.is_file()), None)
 
 
-def read_metadata(path: Path, band: int | None = None) -> Reported:
-    """Read a metadata file: DIMAP of SPOT 1 to 5 or Pléiades, or an OSSIM keyword list of SPOT 5.
+def read_metadata(path: Path, band: str | None = None) -> Reported:
+    """Read a metadata file: DIMAP of SPOT 1 to 7 or Pléiades, or an OSSIM keyword list of SPOT 5.
 
     Raises
     ------
@@ -42,7 +48,7 @@ def read_metadata(path: Path, band: int | None = None) -> Reported:
     return read_bytes(data, where, band)
 
 
-def read_bytes(data: bytes, where: str, band: int | None = None) -> Reported:
+def read_bytes(data: bytes, where: str, band: str | None = None) -> Reported:
     """Read the contents of a metadata file."""
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         return read_ossim(data, where)
@@ -53,10 +59,12 @@ def read_bytes(data: bytes, where: str, band: int | None = None) -> Reported:
         )
     if root.find(PART) is not None:
         return read_pleiades(root, where)
-    if root.find(".//Rational_Sensor_Model") is not None or root.find(".//Refined_Model") is not None:
+    if root.find(REFINED) is not None:
+        return read_refined(root, where, band)
+    if root.find(".//Rational_Sensor_Model") is not None or root.find(".//Rational_Function_Model") is not None:
         raise InputError(
-            "this DIMAP has no physical model that is read here",
+            "this DIMAP has an RPC, but no physical model",
             where=where,
-            mend="use the sensor 'rpc' with the scene's RPC file",
+            mend="give the product's own file DIM_....XML, or use the sensor 'rpc' with this one",
         )
     return read_spot(root, where, band)

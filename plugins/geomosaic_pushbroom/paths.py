@@ -1,4 +1,4 @@
-"""Three ways to know the flight of a scanner: orbit and attitude angles, orbit and quaternions, a table of poses."""
+"""Ways to know the flight of a scanner: orbit and attitude angles, orbit and quaternions, a table of poses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.orbit import Orbit, horner
-from geomosaic_pushbroom.pose import Pose, cross, of_quaternions, turned, unit
+from geomosaic_pushbroom.pose import Pose, cross, of_quaternions, satellite_pose, turned, unit
+from geomosaic_pushbroom.quaternion_table import QuaternionTable
 
 
 class Path(Protocol):
@@ -93,8 +94,7 @@ class QuaternionPath:
     def pose(self, times: FloatArray) -> Pose:
         """Pose at times (N,)."""
         position, _ = self.orbit.at(times)
-        turns = of_quaternions(horner(self.quaternion, (times[:, None] - self.offset) / self.scale))
-        return Pose(position, np.stack([turns[:, :, 1], turns[:, :, 0], -turns[:, :, 2]], axis=1))
+        return satellite_pose(position, horner(self.quaternion, (times[:, None] - self.offset) / self.scale))
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
@@ -163,6 +163,6 @@ class TrackPath:
         return cls(np.array(state["times"]), np.array(state["positions"]), np.array(state["quaternions"]))
 
 
-PATHS: dict[str, type[AnglePath] | type[QuaternionPath] | type[TrackPath]] = {
-    path.kind: path for path in (AnglePath, QuaternionPath, TrackPath)
+PATHS: dict[str, type[AnglePath] | type[QuaternionPath] | type[QuaternionTable] | type[TrackPath]] = {
+    path.kind: path for path in (AnglePath, QuaternionPath, QuaternionTable, TrackPath)
 }

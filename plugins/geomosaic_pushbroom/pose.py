@@ -111,6 +111,26 @@ def quaternions_of(matrices: FloatArray) -> FloatArray:
     best = np.argmax(squares, axis=1)
     q: FloatArray = forms[np.arange(len(m)), best]
     q = q / np.linalg.norm(q, axis=1)[:, None]
-    sign = np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
-    q[1:] *= np.cumprod(sign)[:, None]
-    return q
+    return same_side(q)
+
+
+def satellite_pose(position: FloatArray, quaternions: FloatArray) -> Pose:
+    """Pose of a satellite whose axes point forward, right and to the ground.
+
+    Parameters
+    ----------
+    position : array (N, 3)
+        Geocentric metres.
+    quaternions : array (N, 4)
+        From the satellite's to geocentric axes, scalar first, of any length.
+    """
+    turns = of_quaternions(quaternions)
+    return Pose(position, np.stack([turns[:, :, 1], turns[:, :, 0], -turns[:, :, 2]], axis=1))
+
+
+def same_side(quaternions: FloatArray) -> FloatArray:
+    """Quaternions (K, 4) with signs such that no neighbours are opposite: q and −q are the same turn."""
+    away = (quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0.0
+    signs = np.concatenate([[1.0], np.cumprod(np.where(away, -1.0, 1.0))])
+    turned: FloatArray = quaternions * signs[:, None]
+    return turned

@@ -91,6 +91,8 @@ def moment(text: str, where: str) -> tuple[int, float]:
         if found is None:
             raise ValueError
         year, month, day, hour, minute = (int(found[i]) for i in range(1, 6))
+        if hour > 23 or minute > 59 or not float(found[6]) < 61.0:
+            raise ValueError
         return date(year, month, day).toordinal(), hour * 3600.0 + minute * 60.0 + float(found[6])
     except ValueError:
         raise InputError(
