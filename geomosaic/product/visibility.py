@@ -19,9 +19,11 @@ from geomosaic.types import AnyArray, ByteArray, FloatArray
 LEVELS = np.cos((2 * np.arange(3) + 1) * np.pi / 6)
 """Chebyshev nodes: s is a quadratic in height between them."""
 _TO_QUADRATIC = np.linalg.inv(np.vander(LEVELS, 3, increasing=True))
-AHEAD = 8.0
-"""Output pixels of a difference, upwards too: short against the ground's relief, long against rounding."""
+AHEAD = 0.5
+"""Output pixels of a difference, upwards too: short, so that lines of sight are not bent; long against rounding."""
 
+DETAIL = 4.0
+"""Parts of an output pixel over which heights may be means: a mean of roof and ground is the height of neither."""
 _FEW = 200_000
 """Output pixels that NumPy has looked from while the compiled kernel starts."""
 

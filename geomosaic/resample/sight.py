@@ -25,6 +25,8 @@ TILE = 8
 NEAR = 4.0
 SHARE = 0.6
 WALL = 3.0
+TOUCH = 1e-6
+"""Nodes: a cell of which a line of sight passes less is not in its way; places are at nodes but for rounding."""
 STEEP = 0.73
 """Ground that rises by less than this share of a line of sight is not in its way beyond NEAR."""
 
@@ -151,7 +153,7 @@ def hidden(field: Field, relief: Relief, wanted: ByteArray, out: ByteArray) -> N
         inside = (col >= 0) & (row >= 0) & (col < wide) & (row < high) & (level < relief.top)
         i, j = np.where(inside, row, 0).astype(np.int64), np.where(inside, col, 0).astype(np.int64)
         leave = np.minimum(next_x, next_y)
-        counts = (leave > t) & ((t >= NEAR) | (relief.ranges[i, j] > wall))
+        counts = (leave > t + TOUCH) & ((t >= NEAR) | (relief.ranges[i, j] > wall))
         blocked = inside & counts & (relief.cells[i, j] > level)
         out[rows[on[blocked]], cols[on[blocked]]] = 1
         by_x = next_x <= next_y

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from geomosaic.resample.sight import NEAR, SHARE, STEP, TILE, WALL
+from geomosaic.resample.sight import NEAR, SHARE, STEP, TILE, TOUCH, WALL
 
 GROUP = 16
 """Pixels along a group's side; a divisor of `STEP`."""
@@ -187,7 +187,7 @@ def blocked(x, y, z, ux, uy, rise, wall, top, cells, ranges, tiles):
             tile_col, tile_row = col // TILE, row // TILE
             empty = tiles[tile_row, tile_col] <= level
         leave = min(next_x, next_y)
-        if not empty and leave > t and cells[row, col] > level and (t >= NEAR or ranges[row, col] > wall):
+        if not empty and leave > t + TOUCH and cells[row, col] > level and (t >= NEAR or ranges[row, col] > wall):
             return 1
         if next_x <= next_y:
             col += step_x
