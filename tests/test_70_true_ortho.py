@@ -176,7 +176,8 @@ def sensors() -> dict[str, tuple[str, dict[str, Any]]]:
             "field_of_view": 80.0, "focal_length": 600.0, "pixel_size": 0.5, "image_motion": 10.0,
         }),
         "pushbroom": ("pushbroom", {
-            "track": "track.csv", "focal_length_px": 900.0, "columns": "right", "start_time": 100.0, "line_period": 0.02,
+            "track": "track.csv", "focal_length_px": 900.0, "columns": "right", "start_time": 100.0,
+            "line_period": 0.02,
         }),
     }  # fmt: skip
 

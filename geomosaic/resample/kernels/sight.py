@@ -31,10 +31,11 @@ def hidden(field, relief, wanted, out):
         last_row = min(first_row + GROUP, wanted.shape[0])
         for first_col in range(0, wanted.shape[1], GROUP):
             last_col = min(first_col + GROUP, wanted.shape[1])
-            if any_of(wanted, first_row, last_row, first_col, last_col):
-                if may_be_hidden(field, relief, first_row, first_col):
-                    for row in range(first_row, last_row):
-                        follow(field, relief, row, first_col, last_col, wanted, (left, right, at), out)
+            if not any_of(wanted, first_row, last_row, first_col, last_col):
+                continue
+            if may_be_hidden(field, relief, first_row, first_col):
+                for row in range(first_row, last_row):
+                    follow(field, relief, row, first_col, last_col, wanted, (left, right, at), out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
