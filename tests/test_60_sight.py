@@ -29,7 +29,7 @@ def look(lines: Field, relief: Relief, wanted: ByteArray) -> tuple[ByteArray, By
     hidden(lines, relief, wanted, one)
     compiled(
         (lines.nodes, lines.z_middle, lines.z_inverse, lines.width),
-        (relief.heights, relief.cells, relief.ranges, relief.tiles, relief.top),
+        (relief.heights, relief.cells, relief.ranges, relief.tiles, relief.walls, relief.top),
         wanted,
         other,
     )
@@ -50,7 +50,7 @@ def test_both_engines_give_the_same(seed: int) -> None:
     heights[rng.integers(0, 170, 30), rng.integers(0, 190, 30)] = np.nan
     direction = ((0.6, -0.4), (0.0, 0.5), (-0.7, 0.0), (-0.3, -0.3), (1e-9, 1.2), (0.25, 0.9))[seed]
     wanted = (rng.random(SHAPE) < 0.8).astype(np.uint8)
-    one, other = look(field(direction, 0.3, 0.5), Relief.of(heights), wanted)
+    one, other = look(field(direction, 0.3, 0.5), Relief.of(heights, 1.6, 0.5), wanted)
     np.testing.assert_array_equal(one, other)
     assert 0.05 < one.mean() < 0.8
     assert not one[wanted == 0].any()
@@ -63,7 +63,7 @@ def test_the_shadow_of_a_wall_has_the_length_of_the_closed_form(direction: tuple
     heights[80:90, 90:100] = 20.0
     lines = field(direction)
     lines.nodes[..., 3], lines.nodes[..., 7] = 0.0, 0.0
-    one, other = look(lines, Relief.of(heights), np.ones(SHAPE, dtype=np.uint8))
+    one, other = look(lines, Relief.of(heights, 0.6, 1.0), np.ones(SHAPE, dtype=np.uint8))
     np.testing.assert_array_equal(one, other)
     rows, cols = np.nonzero(one)
     rows, cols = rows + 40, cols + 40
@@ -83,7 +83,7 @@ def test_slopes_hide_nothing_until_they_are_as_steep_as_the_line_of_sight() -> N
         heights = np.broadcast_to(slope * x, plain().shape).astype(np.float32)
         lines = field((direction, 0.0))
         lines.nodes[..., 3] = 0.0  # the same at all heights
-        one, other = look(lines, Relief.of(heights), np.ones(SHAPE, dtype=np.uint8))
+        one, other = look(lines, Relief.of(heights, 0.6, 1.0), np.ones(SHAPE, dtype=np.uint8))
         np.testing.assert_array_equal(one, other)
         # Lines of sight rise by 1 / 0.6 m per node. Below that nothing is hidden, above all is but the edge.
         assert one.mean() < 1e-9 if seen else one.mean() > 0.9
@@ -92,7 +92,7 @@ def test_slopes_hide_nothing_until_they_are_as_steep_as_the_line_of_sight() -> N
 def test_rough_ground_does_not_hide_itself() -> None:
     rng = np.random.default_rng(5)
     heights = (0.25 * rng.random(plain().shape)).astype(np.float32)
-    relief = Relief.of(heights)
+    relief = Relief.of(heights, 0.45, 0.5)
     one, _ = look(field((0.4, 0.2), width=0.5), relief, np.ones(SHAPE, dtype=np.uint8))
     assert not one.any()
     assert not relief.may_hide(0.45, 0.5)

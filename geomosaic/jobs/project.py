@@ -18,6 +18,7 @@ from geomosaic.jobs.steps.check import check, failure
 from geomosaic.jobs.steps.mosaic import mosaic, orthos
 from geomosaic.jobs.steps.orient import orient
 from geomosaic.jobs.steps.report import report
+from geomosaic.product.rules import LABELLED
 from geomosaic.project.load import Project
 
 
@@ -31,7 +32,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     reference, said_of_reference = with_companions(project, (against,) if against is not None else ())
     like = project.file(settings.mosaic.reference)
     master, said_of_master = with_companions(project, (like,) if like is not None else ())
-    said = (settings.mosaic.cutlines, settings.mosaic.mask, settings.mosaic.region)
+    said = (settings.mosaic.cutlines, settings.mosaic.water, settings.mosaic.mask, settings.mosaic.region)
     layers = project.files([*settings.mosaic.follow, *settings.mosaic.avoid])
     drawn = (*(file for name in said if (file := project.file(name)) is not None), *layers)
     usable = () if inputs.usable is None else (inputs.usable,)
@@ -51,7 +52,8 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     }
     place: dict[str, Any] = {"output": settings.output.model_dump(mode="json", exclude={"folder", "orthos"})}
     blend: dict[str, Any] = {"mosaic": settings.mosaic.model_dump(mode="json"), **said_of_master}
-    wants_labels = (layout.labels,) if settings.mosaic.labels else ()
+    by_rule = settings.mosaic.rule is not None and settings.mosaic.rule not in LABELLED
+    wants_labels = (layout.labels,) if settings.mosaic.labels and not by_rule else ()
     nowhere = settings.planar is not None and settings.planar.kind == "uncontrolled"
     wants_views = (layout.views,) if settings.mosaic.views else ()
     rasters = (layout.mosaic, *wants_labels, *wants_views, layout.vectors, *(() if nowhere else (layout.item,)))

@@ -244,8 +244,12 @@ class Blender:
             own, seen = np.zeros_like(values), np.zeros_like(valid)
             self._pull(i, ground, own, seen, need, lattices, shades)
             new = (seen > 0) & (valid == 0)
-            values[new], valid[new], label[new] = own[new], 1, i + 1
-            filled = filled or bool(new.any())
+            if not new.any():
+                continue
+            np.copyto(values, own, where=new[..., None])
+            np.copyto(valid, 1, where=new)
+            np.copyto(label, i + 1, where=new)
+            filled = True
         return filled
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from geomosaic.block.block import Block
 from geomosaic.block.footprint import Footprint
@@ -14,7 +16,8 @@ from geomosaic.product.mosaic_result import Clock, MosaicResult
 from geomosaic.product.order import ordered
 from geomosaic.product.ortho import samples
 from geomosaic.product.photos import Photos
-from geomosaic.product.records import write_item
+from geomosaic.product.records import gains, write_item, write_vectors
+from geomosaic.product.provenance import source_facts
 from geomosaic.product.rules import LABELLED, Ruler, check_rule, output_info
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output
@@ -41,6 +44,8 @@ def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, opt
     MosaicResult
         Under other rules than first and last, `pixels` counts for each image the pixels that no image before it shows.
     """
+    from shapely import Polygon
+
     rule, render = options.rule or "", options.render
     check_rule(rule)
     order = ordered(block.scenes, outlines, options.order, None)
@@ -49,7 +54,8 @@ def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, opt
         order = with_base if rule != "last" else [with_base[-1], *with_base[:-1]]
     labels = beside(output, "-labels", ".tif") if options.labels and rule in LABELLED else None
     item = beside(output, "", ".stac.json") if options.stac and not grid.crs.is_engineering else None
-    for path in (output, labels, item):
+    vectors = beside(output, "", ".gpkg") if options.vectors else None
+    for path in (output, labels, vectors, item):
         if path is not None:
             check_output(path, overwrite=render.overwrite)
     seconds: dict[str, float] = {}
@@ -65,14 +71,24 @@ def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, opt
         )
         with Clock(seconds, "mosaic"):
             pixels, _, record = _render(ruler, output, labels, options, None)
+        photos.again()
+        about = source_facts(photos, options.about)
     finally:
         photos.close()
     with Clock(seconds, "records"):
+        if vectors is not None:  # footprints alone: there are no seams
+            nobody = [Polygon() for _ in outlines]
+            write_vectors(
+                vectors, grid, outlines, nobody, solved, pixels, [], sources=about, overwrite=render.overwrite
+            )
         if item is not None:
             images, shapes = [Path(scene.path) for scene in block.scenes], [outline.polygon for outline in outlines]
-            sums = {output: sha256(output)}
-            write_item(item, output, labels, None, grid, shapes, images, sums, overwrite=render.overwrite)
+            sources: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels, **about}
+            write_item(
+                item, output, labels, vectors, grid, shapes, images, {output: sha256(output)}, sources,
+                overwrite=render.overwrite,
+            )  # fmt: skip
     return MosaicResult(
-        output, labels, None, item, grid, sum(pixels), pixels, solved, 0.0, record.error, render.tolerance,
+        output, labels, vectors, item, grid, sum(pixels), pixels, solved, 0.0, record.error, render.tolerance,
         record.scale, seconds,
     )  # fmt: skip

@@ -30,7 +30,7 @@ from geomosaic.product.records import gains, write_item, write_vectors
 from geomosaic.product.reuse import LOSSLESS, Reuse
 from geomosaic.product.seam_quality import judge_seams, worst_places
 from geomosaic.product.shares import shares_of
-from geomosaic.product.visibility import visibility
+from geomosaic.product.visibility import DETAIL, visibility
 from geomosaic.product.visible import outlines_of
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
@@ -118,7 +118,8 @@ def mosaic(
             shapes = [Polygon() if i in out else shape for i, shape in enumerate(shown)]
             shares = shares_of(photos, shapes, applied, options)
         seams = Seams(shares, shapes, width)
-        ground, engine = Ground.under(grid, block.surface), compiled.result()
+        ground = Ground.under(grid, block.surface, DETAIL if render.true_ortho else 1.0)
+        engine = compiled.result()
         sight = visibility(grid, ground) if render.true_ortho else None
         blender = blender_for(options.blending, photos, grid, ground, seams, applied, engine, render, dtype, sight)
         if vectors is not None:

@@ -131,13 +131,13 @@ def ortho(
     info = photo.source.info
     engine = engine_for(samples(grid, [outline]), options.resampling)
     record, seen, hidden = GeometryRecord(), 0, 0
-    below = Ground.under(grid, surface)
     colour = Colour.identity(info.bands)
     units = tiles(grid, options.tile)
-    sight = None
+    sight, below = None, Ground.under(grid, surface)
     if options.true_ortho:
-        from geomosaic.product.visibility import visibility
+        from geomosaic.product.visibility import DETAIL, visibility
 
+        below = Ground.under(grid, surface, DETAIL)
         sight = visibility(grid, below)
 
     def render(unit: Window) -> tuple[AnyArray, ByteArray, list[tuple[float, float]], int]:

@@ -19,9 +19,11 @@ from geomosaic.types import AnyArray, ByteArray, FloatArray
 LEVELS = np.cos((2 * np.arange(3) + 1) * np.pi / 6)
 """Chebyshev nodes: s is a quadratic in height between them."""
 _TO_QUADRATIC = np.linalg.inv(np.vander(LEVELS, 3, increasing=True))
-AHEAD = 8.0
-"""Output pixels of a difference, upwards too: short against the ground's relief, long against rounding."""
+AHEAD = 0.5
+"""Output pixels of a difference, upwards too: short, so that lines of sight are not bent; long against rounding."""
 
+DETAIL = 4.0
+"""Parts of an output pixel over which heights may be means: a mean of roof and ground is the height of neither."""
 _FEW = 200_000
 """Output pixels that NumPy has looked from while the compiled kernel starts."""
 
@@ -75,7 +77,6 @@ class Visibility:
         patch = surface.patch((left, bottom, right, top), self.below.spacing)
         if min(patch.heights.shape) < 2:
             return None
-        relief = Relief.of(patch.heights)
         t = patch.transform
         nodes = np.empty((*xy.shape[:2], 8))
         nodes[..., 0] = t.a * xy[..., 0] + t.b * xy[..., 1] + t.c - 0.5
@@ -84,6 +85,7 @@ class Visibility:
         nodes[..., 5:8] = t.d * slopes[:, :, 0] + t.e * slopes[:, :, 1]
         longest = np.nanmax(np.hypot(np.abs(nodes[..., 2:5]).sum(axis=-1), np.abs(nodes[..., 5:8]).sum(axis=-1)))
         width = _metres(surface.crs) / math.sqrt(abs(t.determinant))
+        relief = Relief.of(patch.heights, float(longest), width)
         if not relief.may_hide(float(longest), width):
             return None
         half = (high - low) / 2
@@ -174,18 +176,34 @@ class Shades:
     ground: BlockGround
     mask: ByteArray
     _known: dict[int, tuple[MapToImage, Sight]] = field(default_factory=dict)
+    _asked: dict[int, ByteArray] = field(default_factory=dict)
 
     def hide(self, mapper: MapToImage, out: AnyArray, valid: ByteArray) -> None:
-        """Take from an image's pixels those that it cannot see, and note them."""
-        found = self.hidden(mapper, valid)
-        if found is not None:
-            here = found > 0
-            out[here], valid[here], self.mask[here] = 0, 0, 1
+        """Take from an image's pixels those that it cannot see, and note them.
+
+        Right after `worthwhile` only of the places asked about there: what they hide is known, and no others count.
+        """
+        found = self._asked.pop(id(mapper), None)
+        if found is None:
+            found = self.hidden(mapper, valid)
+        else:
+            np.bitwise_and(found, valid, out=found)
+        if found is not None and found.any():
+            here = found.view(np.bool_)
+            np.copyto(out, 0, where=here[..., None])
+            np.copyto(valid, 0, where=here)
+            np.bitwise_or(self.mask, found, out=self.mask)
 
     def worthwhile(self, mapper: MapToImage, missing: AnyArray) -> AnyArray:
         """Of places still missing (bool, rows, cols), those where an image may show something or tell what it hides."""
+        self._asked.clear()
         found = self.hidden(mapper, missing.view(np.uint8))
-        return missing if found is None else missing & ((found == 0) | (self.mask == 0))
+        if found is None:
+            return missing
+        worth: AnyArray = missing & ((found == 0) | (self.mask == 0))
+        if worth.any():
+            self._asked[id(mapper)] = found
+        return worth
 
     def hidden(self, mapper: MapToImage, wanted: ByteArray) -> ByteArray | None:
         """1 where the surface is in the way of what is wanted (uint8, rows, cols); None where it nowhere is."""
@@ -201,7 +219,7 @@ class Shades:
 
             hidden(
                 (lines.nodes, lines.z_middle, lines.z_inverse, lines.width),
-                (relief.heights, relief.cells, relief.ranges, relief.tiles, relief.top),
+                (relief.heights, relief.cells, relief.ranges, relief.tiles, relief.walls, relief.top),
                 wanted,
                 out,
             )

@@ -184,7 +184,9 @@ class MosaicSection(Section):
     limit: bool | None = None
     order: Literal["list", "name", "resolution", "date"] = "list"
     base: str | None = None
-    balance: bool = True
+    rule: Literal["first", "last", "min", "max", "mean", "median", "sum", "count"] | None = None
+    water: FilePath | None = None
+    balance: bool | None = None
     colour: str = "auto"
     mask: FilePath | None = None
     histogram: Literal["overlap", "whole", "sequence"] | None = None
@@ -207,9 +209,14 @@ class MosaicSection(Section):
 
     @model_validator(mode="after")
     def _matched(self) -> MosaicSection:
-        if self.histogram is None and not self.balance and (self.master or self.reference):
+        if self.histogram is None and not self.balanced and (self.master or self.reference):
             raise ValueError("a master or reference is of use with balance or histogram only")
         return self
+
+    @property
+    def balanced(self) -> bool:
+        """Whether colours are balanced: as asked; unless asked, where there are seams."""
+        return self.rule is None if self.balance is None else self.balance
 
 
 class QualitySection(Section):

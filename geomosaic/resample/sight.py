@@ -21,10 +21,12 @@ from geomosaic.types import ByteArray, Float32Array, FloatArray, IntArray
 
 STEP = 64
 """Output pixels between nodes of a field: lines of sight turn evenly over the ground."""
-TILE = 16
+TILE = 8
 NEAR = 4.0
 SHARE = 0.6
 WALL = 3.0
+TOUCH = 1e-6
+"""Nodes: a cell of which a line of sight passes less is not in its way; places are at nodes but for rounding."""
 STEEP = 0.73
 """Ground that rises by less than this share of a line of sight is not in its way beyond NEAR."""
 
@@ -63,6 +65,8 @@ class Relief:
         Between its highest and lowest node.
     tiles : float32 array
         Highest of `TILE` × `TILE` cells.
+    walls : float32 array
+        Highest of those of them that may be walls to the line of sight that rises least.
     top : float
         Highest of all.
     steepest : float
@@ -73,31 +77,54 @@ class Relief:
     cells: Float32Array
     ranges: Float32Array
     tiles: Float32Array
+    walls: Float32Array
     top: float
     steepest: float
 
     @classmethod
-    def of(cls, heights: Float32Array) -> Relief:
-        """Prepare a patch of two rows and columns or more."""
+    def of(cls, heights: Float32Array, longest: float, width: float) -> Relief:
+        """Prepare a patch of two rows and columns or more.
+
+        Parameters
+        ----------
+        heights : float32 array (rows, cols)
+        longest : float
+            Nodes per metre by which lines of sight go sideways at most.
+        width : float
+            Of a cell, metres.
+        """
         pairs, lower = np.fmax(heights[1:], heights[:-1]), np.fmin(heights[1:], heights[:-1])
         cells = np.fmax(pairs[:, 1:], pairs[:, :-1])
         ranges = cells - np.fmin(lower[:, 1:], lower[:, :-1])
         unknown = np.isnan(cells)
         if unknown.any():
             cells[unknown], ranges[unknown] = -np.inf, 0.0
-        rows, cols = -(-cells.shape[0] // TILE), -(-cells.shape[1] // TILE)
-        padded = np.full((rows * TILE, cols * TILE), np.float32(-np.inf))
-        padded[: cells.shape[0], : cells.shape[1]] = cells
-        tiles = padded.reshape(rows, TILE, cols, TILE).max(axis=(1, 3))
+        walls = np.where(ranges > _least_wall(longest, width), cells, np.float32(-np.inf))
         rises = [float(np.fmax.reduce(np.abs(np.diff(heights, axis=axis)), axis=None, initial=0.0)) for axis in (0, 1)]
-        return cls(heights, cells, ranges, tiles, float(cells.max()), float(np.hypot(rises[0], rises[1])))
+        return cls(
+            heights, cells, ranges, _highest(cells), _highest(walls), float(cells.max()), float(np.hypot(*rises))
+        )
 
     def may_hide(self, longest: float, width: float) -> bool:
         """Whether anything can be in the way of lines of sight that go sideways by up to `longest` nodes per metre."""
         if longest == 0.0:
             return False
-        walls = float(self.ranges.max()) > min(SHARE / longest, WALL * width)
+        walls = float(self.ranges.max()) > _least_wall(longest, width)
         return walls or self.steepest * longest >= STEEP
+
+
+def _least_wall(longest: float, width: float) -> float:
+    """Rise of a cell from which on it may be a wall to some line of sight."""
+    return min(SHARE / longest, WALL * width) if longest > 0.0 else WALL * width
+
+
+def _highest(cells: Float32Array) -> Float32Array:
+    """Highest of each tile of cells."""
+    rows, cols = -(-cells.shape[0] // TILE), -(-cells.shape[1] // TILE)
+    padded = np.full((rows * TILE, cols * TILE), np.float32(-np.inf))
+    padded[: cells.shape[0], : cells.shape[1]] = cells
+    by_rows = np.maximum.reduce(padded.reshape(rows, TILE, cols * TILE), axis=1)
+    return np.asarray(np.maximum.reduce(by_rows.reshape(rows, cols, TILE), axis=2))
 
 
 def hidden(field: Field, relief: Relief, wanted: ByteArray, out: ByteArray) -> None:
@@ -126,7 +153,7 @@ def hidden(field: Field, relief: Relief, wanted: ByteArray, out: ByteArray) -> N
         inside = (col >= 0) & (row >= 0) & (col < wide) & (row < high) & (level < relief.top)
         i, j = np.where(inside, row, 0).astype(np.int64), np.where(inside, col, 0).astype(np.int64)
         leave = np.minimum(next_x, next_y)
-        counts = (leave > t) & ((t >= NEAR) | (relief.ranges[i, j] > wall))
+        counts = (leave > t + TOUCH) & ((t >= NEAR) | (relief.ranges[i, j] > wall))
         blocked = inside & counts & (relief.cells[i, j] > level)
         out[rows[on[blocked]], cols[on[blocked]]] = 1
         by_x = next_x <= next_y

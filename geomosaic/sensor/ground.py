@@ -50,7 +50,8 @@ class Ground:
     to_surface : Transform or None
         Output map to the surface's map.
     spacing : float
-        Size of an output pixel in units of the surface's map, at the middle of the grid.
+        Over which heights may be means, in units of the surface's map: the size of an output pixel at the middle of the
+        grid, or a part of it.
     """
 
     surface: Surface | None
@@ -59,15 +60,15 @@ class Ground:
     spacing: float = 0.0
 
     @classmethod
-    def under(cls, grid: Grid, surface: Surface | None) -> Ground:
-        """Put a surface under a grid."""
+    def under(cls, grid: Grid, surface: Surface | None, detail: float = 1.0) -> Ground:
+        """Put a surface under a grid; `detail` is in how many parts of an output pixel its heights may differ."""
         if surface is None:
             return cls(None, grid, None)
         to_surface = Transform(horizontal(grid.crs), horizontal(surface.crs))
         middle = np.array([grid.width / 2, grid.height / 2])
         place, right, below = to_surface(grid.xy(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
         spacing = float(min(np.hypot(*(right - place)), np.hypot(*(below - place))))
-        return cls(surface, grid, to_surface, spacing if np.isfinite(spacing) else 0.0)
+        return cls(surface, grid, to_surface, spacing / detail if np.isfinite(spacing) else 0.0)
 
     def block(self, window: Window) -> BlockGround:
         """Read the heights of one block."""

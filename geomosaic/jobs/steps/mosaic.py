@@ -44,7 +44,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         options = MosaicOptions(
             replace(render_options(project, machine, context.progress), true_ortho=wanted.true_ortho),
             wanted.feather if isinstance(wanted.feather, float) else None,
-            wanted.balance,
+            wanted.balanced,
             wanted.labels,
             histogram=wanted.histogram,
             master=wanted.master,
@@ -56,7 +56,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             follow=project.files(wanted.follow),
             avoid=project.files(wanted.avoid),
             cutlines=project.file(wanted.cutlines),
-            seam_quality=wanted.seam_quality,
+            seam_quality=wanted.seam_quality and wanted.rule is None,
             views=wanted.views,
             about=_about(project, context),
             exclude=tuple(wanted.exclude),
@@ -68,6 +68,8 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             stretch=wanted.stretch,
             order=wanted.order,
             base=wanted.base,
+            rule=wanted.rule,
+            water=project.file(wanted.water),
             blending=Blending(wanted.blend, _width(wanted.feather), wanted.ramp, wanted.limit),
         )
         result = make(block, grid, outlines, layout.mosaic, options)
@@ -88,7 +90,8 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         "resampling": project.settings.output.resampling,
         "seams": wanted.seams,
         "feather": result.feather,
-        "balanced": wanted.balance or wanted.histogram is not None,
+        "rule": wanted.rule,
+        "balanced": wanted.balanced or wanted.histogram is not None,
         "histogram": wanted.histogram,
         "overlaps": result.balance.overlaps,
         "before": result.balance.before,
@@ -145,7 +148,7 @@ def _memory(project: Project, context: Context) -> Memory:
     layout, settings, digests = Layout(project), project.settings, context.digests
     scenes = [f"{digests[image]} {digests[model]}" for image, model in zip(project.images, layout.models, strict=True)]
     # Of all other files, those that only move seams or colours show in the seams and colours themselves.
-    own_files = (settings.mosaic.cutlines, settings.mosaic.reference, settings.mosaic.mask, settings.mosaic.region)
+    own_files = (settings.mosaic.cutlines, settings.mosaic.water, settings.mosaic.reference, settings.mosaic.mask, settings.mosaic.region)
     elsewhere = {project.file(name) for name in own_files}
     elsewhere |= {*project.files(settings.mosaic.follow), *project.files(settings.mosaic.avoid)}
     own = {*project.images, *layout.models, *elsewhere}

@@ -1,4 +1,8 @@
-"""Following lines of sight, compiled; `resample.sight` says what is computed, and does the same in NumPy."""
+"""Following lines of sight, compiled; `resample.sight` says what is computed, and does the same in NumPy.
+
+Most places see the sensor, and most of what a surface model holds is in nobody's way. So groups of places are judged
+together first: where nothing along all of their lines of sight is high enough, none of them is followed.
+"""
 
 from __future__ import annotations
 
@@ -7,81 +11,154 @@ import math
 import numpy as np
 from numba import njit
 
-from geomosaic.resample.sight import NEAR, SHARE, STEP, TILE, WALL
+from geomosaic.resample.sight import NEAR, SHARE, STEP, TILE, TOUCH, WALL
 
-CELL = 64
+GROUP = 16
+"""Pixels along a group's side; a divisor of `STEP`."""
+PARTS = 6
+"""Parts of their lines of sight that are looked at one by one."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def hidden(field, relief, wanted, out):
     """Set `out` to 1 where the surface hides what is `wanted`.
 
-    `field` is (nodes, z_middle, z_inverse, width), `relief` (heights, cells, ranges, tiles, top): see
+    `field` is (nodes, z_middle, z_inverse, width), `relief` (heights, cells, ranges, tiles, walls, top): see
     `resample.sight.Field` and `Relief`.
     """
-    nodes, z_middle, z_inverse, width = field
-    heights, cells, ranges, tiles, top = relief
-    low = z_middle - (1.0 / z_inverse if z_inverse > 0.0 else 0.0)
     left, right, at = np.empty(8), np.empty(8), np.empty(8)
-    for first_row in range(0, wanted.shape[0], CELL):
-        for first_col in range(0, wanted.shape[1], CELL):
-            ni, nj = first_row // STEP, first_col // STEP
-            near = highest(nodes, ni, nj, first_row, first_col, low, top, tiles, cells.shape)
-            if not near > low:
+    for first_row in range(0, wanted.shape[0], GROUP):
+        last_row = min(first_row + GROUP, wanted.shape[0])
+        for first_col in range(0, wanted.shape[1], GROUP):
+            last_col = min(first_col + GROUP, wanted.shape[1])
+            if not any_of(wanted, first_row, last_row, first_col, last_col):
                 continue
-            around = heights, cells, ranges, tiles, near
-            for i in range(first_row, min(first_row + CELL, wanted.shape[0])):
-                v = (i + 0.5) / STEP - ni
-                for k in range(8):
-                    left[k] = nodes[ni, nj, k] + (nodes[ni + 1, nj, k] - nodes[ni, nj, k]) * v
-                    right[k] = nodes[ni, nj + 1, k] + (nodes[ni + 1, nj + 1, k] - nodes[ni, nj + 1, k]) * v
-                for j in range(first_col, min(first_col + CELL, wanted.shape[1])):
-                    if not wanted[i, j]:
-                        continue
-                    u = (j + 0.5) / STEP - nj
-                    for k in range(8):
-                        at[k] = left[k] + (right[k] - left[k]) * u
-                    z = bilinear(heights, at[0], at[1])
-                    if not z < near:
-                        continue
-                    t = (z - z_middle) * z_inverse
-                    sx = at[2] + t * (at[3] + t * at[4])
-                    sy = at[5] + t * (at[6] + t * at[7])
-                    length = math.sqrt(sx * sx + sy * sy)
-                    if length > 1e-12:
-                        rise = 1.0 / length
-                        out[i, j] = blocked(at[0], at[1], z, sx * rise, sy * rise, rise, width, around)
+            if may_be_hidden(field, relief, first_row, first_col):
+                for row in range(first_row, last_row):
+                    follow(field, relief, row, first_col, last_col, wanted, (left, right, at), out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def highest(nodes, ni, nj, first_row, first_col, low, top, tiles, shape):
-    """Highest place that lines of sight from 64 x 64 pixels may pass; it only saves looking, and changes no answer."""
+def follow(field, relief, row, first_col, last_col, wanted, room, out):
+    """Follow the lines of sight of a row of pixels of one group."""
+    nodes, z_middle, z_inverse, width = field
+    heights, cells, ranges, tiles, _, top = relief
+    left, right, at = room
+    i, j = row // STEP, first_col // STEP
+    v = (row + 0.5) / STEP - i
+    for k in range(8):
+        left[k] = nodes[i, j, k] + (nodes[i + 1, j, k] - nodes[i, j, k]) * v
+        right[k] = nodes[i, j + 1, k] + (nodes[i + 1, j + 1, k] - nodes[i, j + 1, k]) * v
+    for col in range(first_col, last_col):
+        if not wanted[row, col]:
+            continue
+        u = (col + 0.5) / STEP - j
+        for k in range(8):
+            at[k] = left[k] + (right[k] - left[k]) * u
+        z = bilinear(heights, at[0], at[1])
+        if not z < top:  # nor where it is not known
+            continue
+        t = (z - z_middle) * z_inverse
+        sx = at[2] + t * (at[3] + t * at[4])
+        sy = at[5] + t * (at[6] + t * at[7])
+        length = math.sqrt(sx * sx + sy * sy)
+        if length > 1e-12:
+            rise = 1.0 / length
+            wall = min(SHARE * rise, WALL * width)
+            out[row, col] = blocked(at[0], at[1], z, sx * rise, sy * rise, rise, wall, top, cells, ranges, tiles)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def any_of(wanted, first_row, last_row, first_col, last_col):
+    """Whether any pixel of a group is wanted."""
+    for row in range(first_row, last_row):
+        for col in range(first_col, last_col):
+            if wanted[row, col]:
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def may_be_hidden(field, relief, first_row, first_col):
+    """Whether anything is as high as a line of sight from a group of places may be there.
+
+    What all lines pass between two heights lies in a box. Up to `NEAR` nodes away only walls count.
+    """
+    nodes, z_middle, z_inverse, _ = field
+    tiles, walls, top = relief[3], relief[4], relief[5]
+    ni, nj = first_row // STEP, first_col // STEP
+    v, u = first_row / STEP - ni, first_col / STEP - nj
+    size = GROUP / STEP
     x_low, x_high, y_low, y_high = np.inf, -np.inf, np.inf, -np.inf
-    climb = top - low
     for a in range(2):
         for b in range(2):
-            v, u = (first_row + a * CELL) / STEP - ni, (first_col + b * CELL) / STEP - nj
-            x, y = corner(nodes, ni, nj, v, u, 0), corner(nodes, ni, nj, v, u, 1)
-            for t in (-1.0, 0.0, 1.0):
-                sx = corner(nodes, ni, nj, v, u, 2) + t * (
-                    corner(nodes, ni, nj, v, u, 3) + t * corner(nodes, ni, nj, v, u, 4)
-                )
-                sy = corner(nodes, ni, nj, v, u, 5) + t * (
-                    corner(nodes, ni, nj, v, u, 6) + t * corner(nodes, ni, nj, v, u, 7)
-                )
-                if not (math.isfinite(x + sx) and math.isfinite(y + sy)):
-                    return top
-                x_low, x_high = min(x_low, x, x + sx * climb), max(x_high, x, x + sx * climb)
-                y_low, y_high = min(y_low, y, y + sy * climb), max(y_high, y, y + sy * climb)
-    # Between these heights a line of sight may go farther aside by a little: eight nodes.
+            q, p = v + a * size, u + b * size
+            x, y = corner(nodes, ni, nj, q, p, 0), corner(nodes, ni, nj, q, p, 1)
+            x_low, x_high, y_low, y_high = min(x_low, x), max(x_high, x), min(y_low, y), max(y_high, y)
+    if not (math.isfinite(x_low + x_high) and math.isfinite(y_low + y_high)):
+        return True
+    lowest, highest = between(relief[0], x_low, x_high, y_low, y_high)
+    if not lowest < top:
+        return False
+    if over(walls, x_low - NEAR, x_high + NEAR, y_low - NEAR, y_high + NEAR, lowest):
+        return True
+    sx_low, sx_high, sy_low, sy_high = np.inf, -np.inf, np.inf, -np.inf
+    first, last = (lowest - z_middle) * z_inverse, (highest - z_middle) * z_inverse
+    bulge = (last - first) ** 2 / 4.0
+    for a in range(2):
+        for b in range(2):
+            q, p = v + a * size, u + b * size
+            x0, x1, x2 = corner(nodes, ni, nj, q, p, 2), corner(nodes, ni, nj, q, p, 3), corner(nodes, ni, nj, q, p, 4)
+            y0, y1, y2 = corner(nodes, ni, nj, q, p, 5), corner(nodes, ni, nj, q, p, 6), corner(nodes, ni, nj, q, p, 7)
+            for t in (first, last):
+                sx, sy = x0 + t * (x1 + t * x2), y0 + t * (y1 + t * y2)
+                if not (math.isfinite(sx) and math.isfinite(sy)):
+                    return True
+                sx_low, sx_high = min(sx_low, sx - bulge * abs(x2)), max(sx_high, sx + bulge * abs(x2))
+                sy_low, sy_high = min(sy_low, sy - bulge * abs(y2)), max(sy_high, sy + bulge * abs(y2))
+    longest = math.hypot(max(abs(sx_low), abs(sx_high)), max(abs(sy_low), abs(sy_high)))
+    level = lowest + (NEAR / longest if longest > 1e-12 else np.inf)
+    part = (top - level) / PARTS
+    for _ in range(PARTS):
+        if not level < top:
+            return False
+        least, most = max(0.0, level - highest), level + part - lowest
+        if over(
+            tiles,
+            x_low + min(sx_low * least, sx_low * most),
+            x_high + max(sx_high * least, sx_high * most),
+            y_low + min(sy_low * least, sy_low * most),
+            y_high + max(sy_high * least, sy_high * most),
+            level,
+        ):
+            return True
+        level += part
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def between(heights, x_low, x_high, y_low, y_high):
+    """Lowest and highest node that heights within a box are interpolated from; inf and −inf where none is known."""
+    rows, cols = heights.shape
+    lowest, highest = np.inf, -np.inf
+    for i in range(max(0, math.floor(y_low - 1e-6)), min(rows, math.floor(y_high + 1e-6) + 2)):
+        for j in range(max(0, math.floor(x_low - 1e-6)), min(cols, math.floor(x_high + 1e-6) + 2)):
+            z = heights[i, j]
+            lowest, highest = (z if z < lowest else lowest), (z if z > highest else highest)
+    return lowest, highest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def over(tiles, x_low, x_high, y_low, y_high, level):
+    """Whether a tile that meets a box, and a cell around it for the sake of rounding, is above a level."""
     rows, cols = tiles.shape
-    r0, r1 = max(0, math.floor((y_low - 8.0) / TILE)), min(rows - 1, math.floor((y_high + 8.0) / TILE))
-    c0, c1 = max(0, math.floor((x_low - 8.0) / TILE)), min(cols - 1, math.floor((x_high + 8.0) / TILE))
-    found = -np.inf
+    r0, r1 = max(0, math.floor((y_low - 1.0) / TILE)), min(rows - 1, math.floor((y_high + 1.0) / TILE))
+    c0, c1 = max(0, math.floor((x_low - 1.0) / TILE)), min(cols - 1, math.floor((x_high + 1.0) / TILE))
     for r in range(r0, r1 + 1):
         for c in range(c0, c1 + 1):
-            found = max(found, tiles[r, c])
-    return found
+            if tiles[r, c] > level - 1e-3:
+                return True
+    return False
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -93,16 +170,14 @@ def corner(nodes, ni, nj, v, u, k):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def blocked(x, y, z, ux, uy, rise, width, relief):
+def blocked(x, y, z, ux, uy, rise, wall, top, cells, ranges, tiles):
     """1 where the surface is in the way of one line of sight, else 0."""
-    _, cells, ranges, tiles, top = relief
     high, wide = cells.shape
     col, row = math.floor(x), math.floor(y)
     step_x, step_y = (1 if ux > 0.0 else -1), (1 if uy > 0.0 else -1)
     across, down = abs(1.0 / ux), abs(1.0 / uy)
     next_x = np.inf if ux == 0.0 else (col + (ux > 0.0) - x) / ux
     next_y = np.inf if uy == 0.0 else (row + (uy > 0.0) - y) / uy
-    wall = min(SHARE * rise, WALL * width)
     tile_col, tile_row, empty = -1, -1, False
     t = 0.0
     while True:
@@ -113,7 +188,7 @@ def blocked(x, y, z, ux, uy, rise, width, relief):
             tile_col, tile_row = col // TILE, row // TILE
             empty = tiles[tile_row, tile_col] <= level
         leave = min(next_x, next_y)
-        if not empty and leave > t and cells[row, col] > level and (t >= NEAR or ranges[row, col] > wall):
+        if not empty and leave > t + TOUCH and cells[row, col] > level and (t >= NEAR or ranges[row, col] > wall):
             return 1
         if next_x <= next_y:
             col += step_x
