@@ -13,6 +13,7 @@ from rasterio.errors import RasterioError
 from geomosaic.errors import OutputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.codec import BLOCK
+from geomosaic.raster.earlier import EarlierTiles
 from geomosaic.raster.options import check_nodata, check_type, creation_options
 from geomosaic.raster.output import check_output, partial, remove, sync
 from geomosaic.raster.tilefile import TileFile
@@ -158,6 +159,24 @@ class RasterSink:
         try:
             self._tiles.write(window, values, valid, blank=blank)
         except (OSError, RasterioError) as error:
+            self._tiles.close()
+            raise self._failed(error) from error
+
+    def copies(self, earlier: EarlierTiles) -> bool:
+        """Take what is kept from an earlier file from now on; whether its tiles are of the same form."""
+        return self._tiles.copies(earlier)
+
+    def keep(self, window: Window) -> None:
+        """Take a window from the earlier file, to the byte; windows as in `write`.
+
+        Raises
+        ------
+        OutputError
+            The disk is full, or the earlier file is damaged.
+        """
+        try:
+            self._tiles.keep(window)
+        except (OSError, ValueError, RasterioError) as error:
             self._tiles.close()
             raise self._failed(error) from error
 
