@@ -72,9 +72,9 @@ def test_kept_and_written_are_the_same(tmp_path, options, dtype, bands, holes):
     kept = set(GRID.window.split(UNIT, 512)) - changed
     assert len(kept) == 8
     whole = write(tmp_path / "whole.tif", after, seen, **options)
-    with EarlierTiles(tmp_path / "old.tif") as earlier:
-        assert write(tmp_path / "some.tif", after, seen, earlier, kept, **options) == whole
-        assert write(tmp_path / "all.tif", before, valid, earlier, set(GRID.window.split(UNIT, 512)), **options)
+    earlier = tmp_path / "old.tif"
+    assert write(tmp_path / "some.tif", after, seen, earlier, kept, **options) == whole
+    assert write(tmp_path / "all.tif", before, valid, earlier, set(GRID.window.split(UNIT, 512)), **options)
     assert (tmp_path / "all.tif").read_bytes() == (tmp_path / "old.tif").read_bytes()
     assert (tmp_path / "some.tif").read_bytes() != (tmp_path / "old.tif").read_bytes()
 
@@ -88,19 +88,20 @@ def test_a_mask_comes_and_goes_with_the_pixels(tmp_path, old_holes, new_holes):
     write(tmp_path / "old.tif", values, holes if old_holes else none)
     whole = write(tmp_path / "whole.tif", values, holes if new_holes else none)
     kept = set(GRID.window.split(UNIT, 512)) - {first}
-    with EarlierTiles(tmp_path / "old.tif") as earlier:
-        assert write(tmp_path / "some.tif", values, holes if new_holes else none, earlier, kept) == whole
+    assert write(tmp_path / "some.tif", values, holes if new_holes else none, tmp_path / "old.tif", kept) == whole
+    # In its own place, too.
+    assert write(tmp_path / "old.tif", values, holes if new_holes else none, tmp_path / "old.tif", kept) == whole
 
 
 def test_a_file_of_another_form_is_not_taken(tmp_path):
     values = picture(1, "uint8")
     write(tmp_path / "old.tif", values, None)
-    with EarlierTiles(tmp_path / "old.tif") as earlier:
-        for options in ({"creation": {"COMPRESS": "ZSTD"}}, {"creation": {"PREDICTOR": "NO"}}, {"driver": "GTiff"}):
-            with RasterSink(tmp_path / "new.tif", GRID, 1, "uint8", **options) as sink:
-                assert not sink.copies(earlier)
-        with RasterSink(tmp_path / "new.tif", GRID, 2, "uint8") as sink:
-            assert not sink.copies(earlier)
+    for options in ({"creation": {"COMPRESS": "ZSTD"}}, {"creation": {"PREDICTOR": "NO"}}, {"driver": "GTiff"}):
+        with RasterSink(tmp_path / "new.tif", GRID, 1, "uint8", **options) as sink:
+            assert not sink.copies(tmp_path / "old.tif")
+    with RasterSink(tmp_path / "new.tif", GRID, 2, "uint8") as sink:
+        assert not sink.copies(tmp_path / "old.tif")
+        assert not sink.copies(tmp_path / "nothing.tif")
     (tmp_path / "text.tif").write_text("II*\0 and nothing else")
     with pytest.raises(ValueError, match="no file of tiles"):
         EarlierTiles(tmp_path / "text.tif")

@@ -13,7 +13,6 @@ from rasterio.errors import RasterioError
 from geomosaic.errors import OutputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.codec import BLOCK
-from geomosaic.raster.earlier import EarlierTiles
 from geomosaic.raster.options import check_nodata, check_type, creation_options
 from geomosaic.raster.output import check_output, partial, remove, sync
 from geomosaic.raster.tilefile import TileFile
@@ -162,8 +161,14 @@ class RasterSink:
             self._tiles.close()
             raise self._failed(error) from error
 
-    def copies(self, earlier: EarlierTiles) -> bool:
-        """Take what is kept from an earlier file from now on; whether its tiles are of the same form."""
+    def copies(self, earlier: Path) -> bool:
+        """Take what is kept from an earlier file from now on, which may be the one that this one replaces.
+
+        Returns
+        -------
+        bool
+            Whether its tiles are of the same form; where not, nothing can be kept.
+        """
         return self._tiles.copies(earlier)
 
     def keep(self, window: Window) -> None:

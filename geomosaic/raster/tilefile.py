@@ -121,6 +121,8 @@ class TileFile:
             self._pool.shutdown(wait=True, cancel_futures=True)
         for file in self._files:
             file.close()
+        if self._earlier is not None:
+            self._earlier.close()
 
     def write(self, window: Window, values: AnyArray, valid: ByteArray | None, *, blank: bool = False) -> None:
         """Add a window that covers whole blocks (but for the image's edge).
@@ -144,9 +146,15 @@ class TileFile:
             tile = self._tile(index, values[rows, cols], None if valid is None else valid[rows, cols])
             self._add(tile, blank=blank)
 
-    def copies(self, earlier: EarlierTiles) -> bool:
-        """Take tiles that are kept from an earlier file from now on; whether that file's tiles are like this one's."""
+    def copies(self, path: Path) -> bool:
+        """Take tiles that are kept from an earlier file from now on; false where it is none of this form."""
+        try:
+            earlier = EarlierTiles(path)
+        except (OSError, ValueError):
+            return False
         self._earlier = earlier if earlier.fits(self._directory, self._levels) else None
+        if self._earlier is None:
+            earlier.close()
         return self._earlier is not None
 
     def keep(self, window: Window) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -23,6 +24,13 @@ from geomosaic.project.frames import describe
 from geomosaic.project.load import Project
 from geomosaic.project.make import reference_scene
 from geomosaic.project.mosaic_grid import plan_mosaic
+
+_SEAMS = ("seams", "seam_weights", "order", "base")
+_NO_COLOUR = (
+    *_SEAMS, "follow", "avoid", "cutlines", "seam_quality", "views", "labels", "exclude", "retouch", "stretch",
+    "feather", "blend", "ramp", "limit", "true_ortho",
+)  # fmt: skip
+"""What plays no part when colours are solved. New settings count until they are named here."""
 
 
 def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
@@ -155,10 +163,23 @@ def _memory(project: Project, context: Context) -> Memory:
         "project": settings.project.model_dump(mode="json", include={"bands", "nodata", "margin"}),
         "versions": versions(),
     }
+    wanted = settings.mosaic.model_dump(mode="json")
+    colour = {
+        "files": [digests.get(path) for name in own_files[1:] if (path := project.file(name)) is not None],
+        "wanted": {name: value for name, value in wanted.items() if name not in _NO_COLOUR},
+    }
+    seams = {
+        "files": [
+            digests.get(path)
+            for path in (*project.files(settings.mosaic.follow), *project.files(settings.mosaic.avoid))
+        ],
+        "wanted": {name: wanted[name] for name in _SEAMS},
+    }
     remembered = project.state / "mosaic-units.json"
     if context.forced:
         remembered.unlink(missing_ok=True)
-    return Memory(remembered, scenes, digest_of(said))
+        shutil.rmtree(remembered.with_name("found"), ignore_errors=True)
+    return Memory(remembered, scenes, digest_of(said), digest_of(colour), digest_of(seams), context.digest)
 
 
 def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
