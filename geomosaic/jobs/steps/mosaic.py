@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -44,6 +45,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     from geomosaic.seam.cost import SeamWeights
 
     layout, wanted = Layout(project), project.settings.mosaic
+    started, spent = time.perf_counter(), time.process_time()
     layout.mosaic.parent.mkdir(parents=True, exist_ok=True)
     with heard() as notes:
         block = restore_block(project)
@@ -119,6 +121,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         "seconds": result.seconds,
         "reused": result.reused,
         "units": result.units,
+        "recalled": list(result.recalled),
         "warnings": notes,
         "seam_quality": judged,
     }
@@ -126,6 +129,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     seen = None if drawn is None else data_uri(png_bytes(drawn, np.ones(drawn.shape[:2], dtype=np.uint8)))
     facts["colour"]["picture"] = seen
     write_json(layout.places, place_pictures(result.places, judged["rows"] if judged else []))
+    facts["total_seconds"], facts["processor_seconds"] = time.perf_counter() - started, time.process_time() - spent
     write_json(layout.facts("mosaic"), facts)
     return {"pixels": result.valid_pixels, "lattice_error_px": result.lattice_error}
 
