@@ -1,4 +1,4 @@
-"""Make six overlapping orthos once: `python -m benchmarks.orthos FOLDER [--small]`. The same numbers, the same bytes."""
+"""Make six overlapping orthos once: `python -m benchmarks.orthos FOLDER [--small]`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from benchmarks.data import TILED, texture
 from benchmarks.scene import CENTRE, CRS, RESOLUTION
 
 ACROSS, DOWN, STRIP, OVERLAP, TURN = 3, 2, 256, 0.2, 3.0
-"""Rows and columns of orthos, lines made at once, share of their sides that overlaps, degrees that the photo lies askew."""
+"""Orthos side by side, lines at once, share of a side that overlaps, degrees by which what they show is turned."""
 FORMAT = "1"
 
 

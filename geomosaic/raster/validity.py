@@ -45,10 +45,17 @@ def missing_by_value(values: AnyArray, nodata: Sequence[float | None]) -> BoolAr
             bad = ~np.isfinite(values[:, :, band])
             if bad.any():
                 found = bad if found is None else found | bad
+    ordinary = values.dtype.kind == "u"
+    if values.dtype.kind != "f":  # compared with a float, every value would first become one
+        nodata = [None if value is None else values.dtype.type(value) for value in nodata]
+    one = nodata[0] if ordinary and len(set(nodata)) == 1 else None
+    if one is not None and values.flags.c_contiguous and not (values == one).any():
+        return found  # one look along the memory takes a tenth of one at each band
     if any(value is not None for value in nodata):
-        ordinary = values.dtype.kind == "u"
         marked: BoolArray | None = None
         for band, value in enumerate(nodata):
+            if ordinary and marked is not None and not marked.any():
+                break
             if value is None:
                 hit = np.zeros(values.shape[:2], dtype=bool)
             else:
