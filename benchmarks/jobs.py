@@ -190,6 +190,30 @@ def mosaic(s: Setting) -> Result:
     return result
 
 
+def merge(s: Setting) -> Result:
+    """Six orthos on one grid: matched and feathered, and blended in bands, beside rasterio's plain merge."""
+    home, out, other = s.data / "orthos", s.work / "ours.tif", s.work / "merged.tif"
+    helper("orthos", str(home), *(["--small"] if s.small else []))
+    inputs = sorted(str(path) for path in home.glob("*.tif"))
+    command: Command = (
+        *s.programs.geomosaic, "mosaic", *inputs, "--histogram", "overlap", "--no-labels", *RAW, "--json",
+        "-o", str(out),
+    )  # fmt: skip
+    beside = tuple(s.work / f"ours{end}" for end in (".tif", ".gpkg", ".stac.json"))
+    kinds = {"feather": 1.0, "multiband": 2.0}
+    tools = [Tool(f"geomosaic {kind}", ((*command, "--blend", kind),), beside) for kind in kinds]
+    plain: Command = (s.python, str(ROOT / "benchmarks" / "merged.py"), str(other), *inputs)
+    tools = warm([*tools, Tool("rasterio.merge", (plain,), (other,))], s.work)
+    times = take(tools, s.rounds, s.work, tell)
+    result = Result("merge", "six orthos of 28 Mpx RGB on one grid: histograms matched and blended; plain merge", times)
+    for kind, most in kinds.items():
+        ours = f"geomosaic {kind}"
+        result.at_most(f"{kind}: wall / rasterio.merge", times.ratio(ours, "rasterio.merge"), most)
+        result.at_most(f"{kind}: CPU / rasterio.merge", times.ratio(ours, "rasterio.merge", "cpu"), most)
+        result.at_most(f"{kind}: peak memory, MB", peak(result, ours), 700)
+    return result
+
+
 def georeference(s: Setting) -> Result:
     """A large scan onto 200 control points: the same fit and kernel in GDAL's warper."""
     out, other = s.work / "ours.tif", s.work / "warped.tif"
@@ -279,6 +303,7 @@ JOBS: dict[str, Callable[[Setting], Result]] = {
     "small": small,
     "ortho": ortho,
     "mosaic": mosaic,
+    "merge": merge,
     "georeference": georeference,
     "memory": memory,
 }

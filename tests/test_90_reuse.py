@@ -96,6 +96,8 @@ def test_an_edited_seam_costs_what_it_touches(own, tell, tmp_path):
     found = facts(own)
     assert 0 < found["reused"] < found["units"]
     assert f"{found['units'] - found['reused']} of {found['units']} units computed" in out
+    assert "as before: balance, " in out
+    assert "pieces of seams" in out
     after = hashes(own)
     assert after[0] != before[0]
     assert after[1] != before[1]
@@ -158,6 +160,11 @@ def test_the_report_tells_what_a_rerun_cost(own, tell):
     assert tell("run", own)[0] == 0
     page, found = (own.parent / "output" / "report.html").read_text(), facts(own)
     assert f"{found['units'] - found['reused']} of {found['units']} computed; {found['reused']} taken from" in page
+    assert "<dt>As before</dt><dd>balance, " in page
+    assert "s of processors" in page
+    # Nothing to do: nothing is said of what an earlier run did.
+    code, out, _ = tell("run", own)
+    assert (code, "computed" in out, "as before" in out) == (0, False, False)
 
 
 def test_a_changed_photo_or_option_is_no_reason_to_reuse(own, tell):

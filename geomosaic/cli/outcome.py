@@ -29,7 +29,25 @@ def outcome_words(done: Outcome) -> str:
     width = max(len(state.name) for state in done.states)
     lines = [f"{s.name:<{width}}  {'fresh' if s.fresh else f'{s.seconds:.1f} s ({s.reason})'}" for s in done.states]
     facts = done.facts
-    return "\n".join([*lines, *accuracy_words(facts), *(f"{k}: {v}" for k, v in facts["outputs"].items())])
+    ran = any(state.name == "mosaic" and not state.fresh for state in done.states)
+    return "\n".join(
+        [
+            *lines,
+            *(reuse_words(facts["mosaic"]) if ran else ()),
+            *accuracy_words(facts),
+            *(f"{k}: {v}" for k, v in facts["outputs"].items()),
+        ]
+    )
+
+
+def reuse_words(made: Mapping[str, Any]) -> list[str]:
+    """Say what a run of the mosaic took from the run before."""
+    lines = []
+    if made.get("reused"):
+        lines.append(f"mosaic: {made['units'] - made['reused']} of {made['units']} units computed, the rest kept")
+    if made.get("recalled"):
+        lines.append(f"as before: {', '.join(made['recalled'])}")
+    return lines
 
 
 def accuracy_words(facts: Mapping[str, Any]) -> list[str]:
@@ -47,8 +65,6 @@ def accuracy_words(facts: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"geometry: interpolated within {made['lattice_error_px']:.4f} px (tolerance {made['tolerance_px']:g} px)"
         )
-        if made.get("reused"):
-            lines.append(f"mosaic: {made['units'] - made['reused']} of {made['units']} units computed, the rest kept")
         if made["overlaps"] and made["balanced"]:
             before, after = rms(made["before"]), rms(made["after"])
             lines.append(colour_words(made["overlaps"], before, after))

@@ -90,7 +90,7 @@ def run(
                 parts = _ingredients(job, step, hashes)
                 started = time.perf_counter()
                 digests = {path: hashes.of(path) for path in step.inputs}
-                facts = _execute(step, Context(stop.watching(progress), digests, forced), executor)
+                facts = _execute(step, Context(stop.watching(progress), digests, forced, hashes.of), executor)
                 record = _record(job, step, parts, facts, time.perf_counter() - started, hashes)
                 manifest.records[step.name] = record
                 manifest.save()

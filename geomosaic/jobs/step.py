@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from geomosaic.raster.checksum import sha256
+
 Progress = Callable[[int, int, str], None]
 
 
@@ -44,11 +46,14 @@ class Context:
         SHA-256 of the step's inputs by path.
     forced : bool
         Nothing of an earlier run is to be taken.
+    digest : callable
+        SHA-256 of any file; one that has not changed since it was last asked for is not read again.
     """
 
     progress: Progress
     digests: Mapping[Path, str] = field(default_factory=dict)
     forced: bool = False
+    digest: Callable[[Path], str] = sha256
 
 
 @dataclass(frozen=True)

@@ -119,16 +119,24 @@ def _tile(a: FloatArray, b: FloatArray, margin: int, reach: int) -> tuple[tuple[
 
 def _whole(template: FloatArray, b: FloatArray, margin: int, reach: int) -> tuple[int, int]:
     """Whole-pixel shift with the largest normalised cross-correlation."""
-    from scipy.signal import fftconvolve
-
     t = template - template.mean()
     size = template.size
     window = b[margin - reach : b.shape[0] - margin + reach, margin - reach : b.shape[1] - margin + reach]
     window = window - window.mean()
-    cross = fftconvolve(window, t[::-1, ::-1], mode="valid")
-    box = np.ones_like(t)
-    mean = fftconvolve(window, box, mode="valid") / size
-    power = fftconvolve(window**2, box, mode="valid") / size - mean**2
+    cross, box = _slid(window, t), np.ones_like(t)
+    mean = _slid(window, box) / size
+    power = _slid(window**2, box) / size - mean**2
     score = cross / np.sqrt(np.maximum(power, 1e-12))
     row, col = np.unravel_index(int(np.argmax(score)), score.shape)
     return int(col) - reach, int(row) - reach
+
+
+def _slid(window: FloatArray, template: FloatArray) -> FloatArray:
+    """Sums of products at all places of a template within a window, by Fourier transforms of the window's size.
+
+    What wraps around at the ends is not among them. (SciPy has this too, but its import takes a second and more.)
+    """
+    shape = window.shape
+    product = np.fft.rfft2(window) * np.conj(np.fft.rfft2(template, shape))
+    whole = np.fft.irfft2(product, shape)
+    return np.asarray(whole[: shape[0] - template.shape[0] + 1, : shape[1] - template.shape[1] + 1])

@@ -101,11 +101,17 @@ def copied(
         slice(part.row - window.row, part.stop_row - window.row),
         slice(part.col - window.col, part.stop_col - window.col),
     )
-    if table is not None:
-        values = _looked_up(values, table, compiled)
     mask = None if need is None or need.all() else _pixels(need)[inside]
     if valid is not None:
         mask = valid > 0 if mask is None else mask & (valid > 0)
+    if table is not None and compiled:
+        from geomosaic.resample.kernels.lookup import lookup
+
+        wanted_pixels = _EVERY if mask is None else mask.view(np.uint8)
+        lookup(values, table, wanted_pixels, mask is not None, out[inside], out_valid[inside])
+        return [_exact(window, offset)]
+    if table is not None:
+        values = _looked_up(values, table)
     if mask is None:
         out[inside], out_valid[inside] = values, 1
     else:
@@ -131,16 +137,14 @@ def table_of(colour: Colour | Curve, scale: float, source: np.dtype[Any], out: n
     return (np.clip(np.floor(values + 0.5), low, high) if whole else values).astype(out)
 
 
-def _looked_up(values: AnyArray, table: AnyArray, compiled: bool) -> AnyArray:
+def _looked_up(values: AnyArray, table: AnyArray) -> AnyArray:
     out = np.empty(values.shape, dtype=table.dtype)
-    if compiled:
-        from geomosaic.resample.kernels.lookup import lookup
-
-        lookup(values, table, out)
-    else:
-        for band in range(values.shape[2]):
-            out[..., band] = table[band].take(values[..., band])
+    for band in range(values.shape[2]):
+        out[..., band] = table[band].take(values[..., band])
     return out
+
+
+_EVERY = np.ones((1, 1), dtype=np.uint8)
 
 
 def _pixels(need: ByteArray) -> AnyArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -18,6 +19,7 @@ from geomosaic.product.blend import Blender, Seams
 from geomosaic.product.blenders import blender_for
 from geomosaic.product.colour import colours
 from geomosaic.product.corrections import corrections
+from geomosaic.product.earlier import Earlier
 from geomosaic.product.edits import numbers_of, retouched, steady
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import Clock, MosaicResult
@@ -27,8 +29,8 @@ from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.product.provenance import source_facts, write_views
 from geomosaic.product.records import gains, write_item, write_vectors
-from geomosaic.product.reuse import LOSSLESS, Reuse
-from geomosaic.product.seam_quality import judge_seams, worst_places
+from geomosaic.product.reuse import KeptUnit, Reuse, reuse_of
+from geomosaic.product.seam_quality import worst_places
 from geomosaic.product.shares import shares_of
 from geomosaic.product.visibility import DETAIL, visibility
 from geomosaic.product.visible import outlines_of
@@ -96,27 +98,29 @@ def mosaic(
     seconds: dict[str, float] = {}
     photos = Photos(block, grid, outlines, render.memory_limit // 2, options.depth)
     beside_it = ThreadPoolExecutor(1)
+    earlier = Earlier(photos, options)
     reuse: Reuse | None = None
     about: dict[str, list[Any]] = {}
     try:
         # What costs time to import gets it where a processor would idle.
         compiled = beside_it.submit(engine_for, 2 * samples(grid, outlines), render.resampling)
         with Clock(seconds, "balance"):
-            solved = steady(_balanced(photos, options))
-        names = [outline.name for outline in outlines]
-        applied = retouched(corrections(solved), names, options.retouch)
-        dtype, stretch = photos.info.dtype, None
+            solved = earlier.balance(lambda: steady(_balanced(photos, options)))
+        names, own = [outline.name for outline in outlines], corrections(solved)
+        applied, dtype, stretch = retouched(own, names, options.retouch), photos.info.dtype, None
         if options.stretch is not None:
-            from geomosaic.product.stretch import DTYPE, stretched
+            from geomosaic.product.stretch import DTYPE, stretch_of, stretched
 
-            with Clock(seconds, "stretch"):
-                (applied, stretch), dtype = stretched(photos, render, applied, options.stretch), DTYPE
+            with Clock(seconds, "stretch"):  # of what was not touched up: one photo's change is not that of all
+                text, dtype = options.stretch, DTYPE
+                stretch = earlier.stretch(lambda: stretch_of(photos, render, own, text))
+                own, applied = stretched(stretch, own), stretched(stretch, applied)
         out = numbers_of(options.exclude, names, "left out")
         photos.leave_out(out)
         with Clock(seconds, "seams"):
             shown = outlines_of(photos, render)
             shapes = [Polygon() if i in out else shape for i, shape in enumerate(shown)]
-            shares = shares_of(photos, shapes, applied, options)
+            shares = shares_of(photos, shapes, own, options, earlier)
         seams = Seams(shares, shapes, width)
         ground = Ground.under(grid, block.surface, DETAIL if render.true_ortho else 1.0)
         engine = compiled.result()
@@ -124,7 +128,8 @@ def mosaic(
         blender = blender_for(options.blending, photos, grid, ground, seams, applied, engine, render, dtype, sight)
         if vectors is not None:
             beside_it.submit(prepare)
-        reuse = _reuse(blender, output, labels, options)
+        files = {"mosaic": output, "labels": labels, "views": views}
+        reuse = reuse_of(options, blender, {name: path for name, path in files.items() if path is not None})
         with Clock(seconds, "mosaic"):
             pixels, hidden, record = _render(blender, output, labels, options, reuse)
         photos.again()
@@ -132,21 +137,21 @@ def mosaic(
             about = source_facts(photos, options.about)
         if views is not None and labels is not None:
             with Clock(seconds, "views"):
-                write_views(views, labels, photos, render)
+                write_views(views, labels, photos, render, reuse)
         pixel = grid.resolution[0]
         parts, quality, places = segments(shares, pixel, SEGMENT * pixel), [], []
         if options.seam_quality:
             with Clock(seconds, "seam quality"):
-                parts = segments(shares, pixel, max(SEGMENT * pixel, sum(p.line.length for p in parts) / MOST_SEGMENTS))
-                quality = judge_seams(blender, parts, render)
+                # In whole steps, so that a longer seam does not cut all others elsewhere.
+                steps = max(1, math.ceil(sum(p.line.length for p in parts) / (MOST_SEGMENTS * SEGMENT * pixel)))
+                parts = parts if steps == 1 else segments(shares, pixel, steps * SEGMENT * pixel)
+                quality = earlier.judged(blender, parts)
                 places = worst_places(blender, parts, quality, output)
     finally:
-        if reuse is not None:
-            reuse.close()
         photos.close()
         beside_it.shutdown(wait=False)
     with Clock(seconds, "records"), ThreadPoolExecutor(1) as beside_it:
-        checksum = beside_it.submit(sha256, output)
+        checksum = beside_it.submit(sha256 if options.memory is None else options.memory.digest, output)
         if vectors is not None:
             write_vectors(
                 vectors, grid, outlines, shares, solved, pixels, parts, quality, about, overwrite=render.overwrite
@@ -158,13 +163,14 @@ def mosaic(
             write_item(
                 item, output, labels, vectors, grid, shapes, images, sums, sources, views, overwrite=render.overwrite
             )
-        if reuse is not None and labels is not None:
-            reuse.save(output, labels)
+        if reuse is not None:
+            reuse.save()
     feather = width * grid.resolution[0] if np.isfinite(width) else 0.0
     return MosaicResult(
-        output, labels, vectors, item, grid, sum(pixels), pixels, solved, feather, record.error,
-        render.tolerance, record.scale, seconds, 0 if reuse is None else reuse.taken, len(tiles(grid, render.tile)),
-        stretch, parts, quality, places, hidden if render.true_ortho else None,
+        output, labels, vectors, item, grid, sum(pixels), pixels, solved, feather, record.error, render.tolerance,
+        record.scale, seconds, 0 if reuse is None else len(reuse.taken), len(tiles(grid, render.tile)), stretch, parts,
+        quality, places, hidden if render.true_ortho else None,
+        tuple(earlier.recall.recalled),
     )  # fmt: skip
 
 
@@ -177,17 +183,6 @@ def _balanced(photos: Photos, options: MosaicOptions) -> Balance:
     return colours(photos, options) if options.balance else solve(len(photos), photos.info.bands, [])
 
 
-def _reuse(blender: Blender, output: Path, labels: Path | None, options: MosaicOptions) -> Reuse | None:
-    """Units of the earlier run, where it is known and its file holds what was computed."""
-    compression = options.render.creation.get("COMPRESS", "DEFLATE").upper()
-    if options.memory is None or labels is None or compression not in LOSSLESS:
-        return None
-    render = options.render
-    parts = (render.resampling, repr(render.tolerance), render.tile, repr(blender.seams.feather), render.true_ortho)
-    said = f"{' '.join(map(str, parts))} {blender.said}"
-    return Reuse(options.memory, blender, output, labels, said)
-
-
 def _render(
     blender: Blender | Ruler, output: Path, labels: Path | None, options: MosaicOptions, reuse: Reuse | None
 ) -> tuple[list[int], int, GeometryRecord]:
@@ -197,13 +192,8 @@ def _render(
     counts, record = np.zeros(number + 2, dtype=np.int64), GeometryRecord()
     units = tiles(grid, render.tile)
 
-    def unit(window: Window) -> MosaicUnit:
-        key = "" if reuse is None else reuse.key(window)
-        before = None if reuse is None else reuse.unit(key, window)
-        made = before or computed(window)
-        if reuse is not None:
-            reuse.made(key, made.facts, taken=before is not None)
-        return made
+    def unit(window: Window) -> MosaicUnit | KeptUnit:
+        return computed(window) if reuse is None else reuse.unit(window, computed)
 
     def computed(window: Window) -> MosaicUnit:
         made = MosaicUnit.empty(window, info.bands, blender.dtype, number)
@@ -227,11 +217,21 @@ def _render(
                     driver=render.driver, overwrite=render.overwrite, threads=render.threads,
                 )
             )  # fmt: skip
+        copied = sink.copies(output) if reuse is not None else False
+        if labels is not None and label_sink is not None:
+            copied = copied and label_sink.copies(labels)
+        if reuse is not None and not copied:
+            reuse.forget()
         for done, (window, made) in enumerate(in_order(unit, units, blender.engine.threads(render.threads))):
-            sink.write(window, made.values, made.valid, blank=render.nodata is None)
-            if label_sink is not None:
-                known = (made.label > 0).view(np.uint8) if render.true_ortho else made.valid
-                label_sink.write(window, made.label[..., None], known, blank=True)
+            if isinstance(made, KeptUnit):
+                sink.keep(window)
+                if label_sink is not None:
+                    label_sink.keep(window)
+            else:
+                sink.write(window, made.values, made.valid, blank=render.nodata is None)
+                if label_sink is not None:
+                    known = (made.label > 0).view(np.uint8) if render.true_ortho else made.valid
+                    label_sink.write(window, made.label[..., None], known, blank=True)
             counts += made.counts
             for fact in made.facts:
                 record.add(*fact)
@@ -240,8 +240,6 @@ def _render(
         if not counts[1:-1].any():
             raise InputError("no image shows anything of the output area", mend="check --bounds and the DEM's extent")
         render.report(0, 1, "writing")
-        if reuse is not None:
-            reuse.close()
         sink.finish()
         if label_sink is not None:
             label_sink.finish()

@@ -50,6 +50,8 @@ class MosaicResult:
         The worst of them.
     hidden_pixels : int, optional
         Pixels that images cover and the surface hides from them all; None where that was not asked.
+    recalled : tuple of str
+        What was taken from an earlier run besides pixels.
     """
 
     path: Path
@@ -72,6 +74,7 @@ class MosaicResult:
     quality: list[SeamQuality] = field(default_factory=list)
     places: list[SeamPlace] = field(default_factory=list)
     hidden_pixels: int | None = None
+    recalled: tuple[str, ...] = ()
 
 
 class Clock:

@@ -12,6 +12,7 @@ from geomosaic.geo.grid import Window
 from geomosaic.product.blend import Blender
 from geomosaic.product.photo import pull
 from geomosaic.resample.pyramid import reduce
+from geomosaic.seam.voronoi import regions
 from geomosaic.types import FloatArray
 
 SIDE = 128
@@ -30,7 +31,8 @@ def usual_difference(blender: Blender) -> float:
     makes: half of 1 for whole numbers, 1e-4 of the values for others. Infinite where nothing could be compared.
     """
     found = []
-    places = _places(blender.seams.regions, blender.seams.outlines)
+    # Not where seams are now: an edited seam is not to change what is blended elsewhere.
+    places = _places(regions(blender.seams.outlines, blender.photos.centres), blender.seams.outlines)
     step = max(1, -(-len(places) // MOST))
     for i, j, x, y in places[::step]:
         spread = _spread(blender, i, j, np.array([[x, y]]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.sensor.view import Views, views
 from geomosaic.types import AnyArray, FloatArray
+
+if TYPE_CHECKING:
+    from geomosaic.product.reuse import Reuse
 
 BANDS = ("view angle, degrees", "ground sampling distance, metres")
 UNIT = 512
@@ -70,7 +73,7 @@ def seen_from(photo: Photo, photos: Photos, grid: Grid, xy: FloatArray) -> Views
     return views(photo.mapper, xy, z, metres, float(photos.grid.resolution[0] * metres[0]))
 
 
-def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions) -> None:
+def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions, reuse: Reuse | None = None) -> None:
     """Write view angle and ground sampling distance of each pixel's main source, NaN where there is none.
 
     Parameters
@@ -81,11 +84,15 @@ def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions
         Raster of source images.
     photos : Photos
     options : RenderOptions
+    reuse : Reuse, optional
+        Says which units of the mosaic are as they were; so are their views.
     """
     grid = photos.grid
     units = grid.window.split(UNIT, UNIT)
 
-    def one(window: Window) -> AnyArray:
+    def one(window: Window) -> AnyArray | None:
+        if window in kept:
+            return None
         label = source.read(window)[0][..., 0]
         found = np.full((*label.shape, 2), np.nan, dtype=np.float32)
         for number in np.unique(label[label > 0]).tolist():
@@ -101,8 +108,13 @@ def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions
             overwrite=options.overwrite, threads=options.threads,
         ) as sink,
     ):  # fmt: skip
+        same = reuse is not None and reuse.views and sink.copies(path)
+        kept = {part for unit in reuse.taken for part in unit.split(UNIT, UNIT)} if same and reuse else set()
         for done, (window, values) in enumerate(in_order(one, units, options.threads)):
-            sink.write(window, values, np.isfinite(values[..., 0]).view(np.uint8), blank=False)
+            if values is None:
+                sink.keep(window)
+            else:
+                sink.write(window, values, np.isfinite(values[..., 0]).view(np.uint8), blank=False)
             options.report(done + 1, len(units), "views")
         sink.finish()
 

@@ -2,31 +2,37 @@
 
 A unit of the output depends on the images near it, their models and corrections, the heights below, and the parts of
 the shares and footprints that lie within reach of its seams. All that goes into its key. Where the key is known from
-the run that made the file at hand, the pixels are taken from that file, and the bytes of the new one are the same as if
-they had been computed.
+the run that made the files at hand, the compressed tiles are taken from those, and the bytes of the new ones are the
+same as if they had been computed.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import geomosaic
+from geomosaic.errors import GeomosaicError
 from geomosaic.geo.grid import Window
 from geomosaic.product.blend import Blender
+from geomosaic.product.corrections import Correction
 from geomosaic.product.mosaic_unit import MosaicUnit
+from geomosaic.product.options import RenderOptions
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.shade import Shade
 from geomosaic.raster.checksum import sha256
-from geomosaic.raster.source import Source
+from geomosaic.types import IntArray
 
-VERSION = 2
+if TYPE_CHECKING:
+    from geomosaic.product.mosaic_options import MosaicOptions
+
+VERSION = 3
 """Raised when the code gives other pixels."""
 LOSSLESS = ("NONE", "DEFLATE", "ZSTD", "LZW", "PACKBITS", "LZMA")
 
@@ -44,58 +50,82 @@ class Memory:
     scenes : sequence of str
         Digest of each image and its model.
     ground : str
-        Digest of the surface.
+        Digest of the surface, and of all else that every pixel depends on.
+    colour, seams : str
+        Digest of what the balance depends on besides, and what the program's own seams do.
+    digest : callable
+        SHA-256 of a file, perhaps remembered.
     """
 
     file: Path
     scenes: Sequence[str]
     ground: str
+    colour: str = ""
+    seams: str = ""
+    digest: Callable[[Path], str] = sha256
+
+
+@dataclass(frozen=True)
+class KeptUnit:
+    """A unit that is as it was.
+
+    Attributes
+    ----------
+    window : Window
+    counts, facts
+        As in `MosaicUnit`.
+    """
+
+    window: Window
+    counts: IntArray
+    facts: list[Fact]
 
 
 class Reuse:
-    """Keys of all units, those of the earlier run, and its pixels.
+    """Keys of all units, and those of the earlier run.
 
     Parameters
     ----------
     memory : Memory
     blender : Blender
-    output, labels : Path
-        Of the earlier run, which the new one replaces.
-    said : str
-        Everything that is the same for all units, as text.
+    files : mapping of str to Path
+        Rasters of the earlier run, which the new ones replace; `mosaic`, and perhaps `labels` and `views`.
+    render : RenderOptions
     """
 
-    def __init__(self, memory: Memory, blender: Blender, output: Path, labels: Path, said: str) -> None:
-        self._memory, self._blender = memory, blender
+    def __init__(self, memory: Memory, blender: Blender, files: dict[str, Path], render: RenderOptions) -> None:
+        self._memory, self._blender, self._files = memory, blender, files
         info, grid = blender.photos.info, blender.grid
+        hidden = len(blender.photos) if render.true_ortho else None  # their label comes after those of all images
         self._base = "|".join(
             [
-                f"{geomosaic.__version__} {VERSION}", said, memory.ground, blender.dtype, str(info.bands),
-                grid.crs.to_wkt(), repr(tuple(grid.transform)), repr(grid.shape),
+                f"{geomosaic.__version__} {VERSION}", memory.ground, blender.dtype, str(info.bands), grid.crs.to_wkt(),
+                repr(tuple(grid.transform)), repr(grid.shape), render.resampling, repr(render.tolerance),
+                repr(render.tile), repr(blender.seams.feather), str(render.true_ortho), blender.said, render.driver,
+                repr(render.nodata), str(hidden), json.dumps(dict(render.creation), sort_keys=True),
             ]
         )  # fmt: skip
-        self._known: dict[str, list[Fact]] = self._load(output, labels)
-        self._sources = self._open(output, labels) if self._known else None
-        self._facts: dict[str, list[Fact]] = {}
-        self.taken = 0
+        self.views = False
+        """Whether the earlier views are at hand."""
+        self._known = self._load()
+        self._kept: dict[str, Any] = {}
+        self.taken: set[Window] = set()
 
-    def _load(self, output: Path, labels: Path) -> dict[str, list[Fact]]:
-        """Keys of the files at hand; none where they are not those that the keys were kept of."""
+    def _load(self) -> dict[str, Any]:
+        """What was kept of the files at hand; nothing where they are not those that it was kept of."""
         try:
             kept = json.loads(self._memory.file.read_text())
-            if kept["mosaic"] != sha256(output) or kept["labels"] != sha256(labels):
+            same = {name: kept.get(name) == self._memory.digest(path) for name, path in self._files.items()}
+            if not all(same[name] for name in same if name != "views"):
                 return {}
-            return {key: [(float(e), float(s)) for e, s in facts] for key, facts in kept["units"].items()}
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            self.views = same.get("views", False)
+            return dict(kept["units"])
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, GeomosaicError):
             return {}
 
-    def _open(self, output: Path, labels: Path) -> tuple[Source, Source] | None:
-        found, info = (Source(str(output)), Source(str(labels))), self._blender.photos.info
-        if (found[0].info.bands, found[0].info.dtype) == (info.bands, self._blender.dtype):
-            return found
-        for source in found:
-            source.close()
-        return None
+    def forget(self) -> None:
+        """Take nothing over."""
+        self._known = {}
 
     def key(self, window: Window) -> str:
         """Digest of all that a unit depends on."""
@@ -111,7 +141,7 @@ class Reuse:
             # Centres say who fills gaps; their last digits may differ from run to run.
             centre = [round(v / step) for v in outline.centre]
             digest.update(f"|{i} {self._memory.scenes[i]} {centre}".encode())
-            digest.update(_colour(blender.colours[i]))
+            digest.update(colour_bytes(blender.colours[i]))
             for shape in (blender.seams.regions[i], blender.seams.outlines[i]):
                 part = shapely.intersection(shape, frame)
                 # A border that is cut elsewhere is the same here but for its last digits: thousandths of pixels count.
@@ -119,33 +149,28 @@ class Reuse:
                 digest.update(shapely.to_wkb(shapely.normalize(part)))
         return digest.hexdigest()
 
-    def unit(self, key: str, window: Window) -> MosaicUnit | None:
-        """Pixels of the earlier run, where it has them."""
-        if key not in self._known or self._sources is None:
-            return None
-        (values, _), (labels, _) = (source.read(window) for source in self._sources)
-        label = labels[..., 0]
-        number = len(self._blender.photos)
-        valid = ((label > 0) & (label <= number)).view(np.uint8)
-        counts = np.bincount(label.ravel(), minlength=number + 2)
-        return MosaicUnit(window, np.where(valid[..., None] > 0, values, 0), valid, label, counts, self._known[key])
+    def unit(self, window: Window, compute: Callable[[Window], MosaicUnit]) -> KeptUnit | MosaicUnit:
+        """A unit, as it was where it is known."""
+        key = self.key(window)
+        known = self._known.get(key)
+        if known is None:
+            made = compute(window)
+            counts = {str(i): int(made.counts[i]) for i in np.flatnonzero(made.counts)}
+            self._kept[key] = {"counts": counts, "facts": made.facts}
+            return made
+        self._kept[key] = known
+        self.taken.add(window)
+        counted = np.zeros(len(self._blender.photos) + 2, dtype=np.int64)
+        for i, number in known["counts"].items():
+            counted[int(i)] = number
+        return KeptUnit(window, counted, [(float(e), float(s)) for e, s in known["facts"]])
 
-    def made(self, key: str, facts: Sequence[Fact], *, taken: bool) -> None:
-        """Note a unit of this run."""
-        self._facts[key] = list(facts)
-        self.taken += taken
-
-    def close(self) -> None:
-        """Close the earlier files."""
-        for source in self._sources or ():
-            source.close()
-        self._sources = None
-
-    def save(self, output: Path, labels: Path) -> None:
+    def save(self) -> None:
         """Keep the keys of this run for the next."""
         from geomosaic.raster.output import partial, remove
 
-        kept: dict[str, Any] = {"mosaic": sha256(output), "labels": sha256(labels), "units": self._facts}
+        kept: dict[str, Any] = {name: self._memory.digest(path) for name, path in self._files.items()}
+        kept["units"] = self._kept
         self._memory.file.parent.mkdir(parents=True, exist_ok=True)
         unfinished = partial(self._memory.file)
         try:
@@ -155,7 +180,16 @@ class Reuse:
             remove(unfinished)
 
 
-def _colour(colour: Any) -> bytes:
+def reuse_of(options: MosaicOptions, blender: Blender, files: dict[str, Path]) -> Reuse | None:
+    """Units of the earlier run, where there is a memory and files hold what was computed."""
+    compression = options.render.creation.get("COMPRESS", "DEFLATE").upper()
+    if options.memory is None or compression not in LOSSLESS:
+        return None
+    return Reuse(options.memory, blender, files, options.render)
+
+
+def colour_bytes(colour: Correction) -> bytes:
+    """All that decides what a correction does."""
     if isinstance(colour, Curve):
         return b"".join(x.tobytes() + y.tobytes() for x, y in colour.knots) + repr(colour.slope).encode()
     if isinstance(colour, Shade):

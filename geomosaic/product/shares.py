@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from geomosaic.product.corrections import Correction
+from geomosaic.product.earlier import Earlier
 from geomosaic.product.layers import by_rank, under
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.order import index_of, ordered
@@ -17,15 +18,22 @@ _STEP = 1e-6
 """Pixels."""
 
 
-def shares_of(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
+def shares_of(
+    photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions, earlier: Earlier
+) -> list[Any]:
     """Shares of all images, in the output map."""
     step = _STEP * photos.grid.resolution[0]
-    return [canonical(share, step) for share in _shares(photos, shapes, colours, options)]
+    return [canonical(share, step) for share in _shares(photos, shapes, colours, options, earlier)]
 
 
-def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
+def _shares(
+    photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions, earlier: Earlier
+) -> list[Any]:
+    def laid() -> list[Any]:
+        return earlier.shares(shapes, colours, lambda: _with_water(photos, shapes, colours, options))
+
     if options.cutlines is None:
-        return _with_water(photos, shapes, colours, options)
+        return laid()
     from geomosaic.product.cutlines import read_cutlines
     from geomosaic.seam.cutlines import covers, with_cutlines
 
@@ -33,7 +41,7 @@ def _shares(photos: Photos, shapes: list[Any], colours: Sequence[Correction], op
     drawn = read_cutlines(options.cutlines, names, shapes, photos.grid.crs)
     if covers(drawn, shapes):  # an edited layer has all shares: no others need to be laid
         return with_cutlines(regions(shapes, photos.centres), drawn)
-    return with_cutlines(_with_water(photos, shapes, colours, options), drawn)
+    return with_cutlines(laid(), drawn)
 
 
 def _with_water(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:

@@ -55,19 +55,22 @@ def read(text: str) -> tuple[bool, float, float]:
     return values, low, high
 
 
-def stretched(
-    photos: Photos, options: RenderOptions, applied: Sequence[Correction], text: str
-) -> tuple[list[Correction], Stretch]:
-    """Corrections with the stretch in them."""
+def stretch_of(photos: Photos, options: RenderOptions, applied: Sequence[Correction], text: str) -> Stretch:
+    """The stretch of images of these corrections that a text such as '2,98' asks for."""
     values, low, high = read(text)
     how = "values" if values else f"percentiles {low:g} and {high:g}"
     if not values:
         low, high = (float(end) for end in np.percentile(_shown(photos, options, applied), [low, high]))
     if not low < high:
         raise InputError(f"all of the mosaic is {low:g}: it cannot be stretched", mend="leave out --stretch")
-    gain = (HIGHEST - LOWEST) / (high - low)
-    offset = LOWEST - gain * low
-    return [then(colour, gain, offset) for colour in applied], Stretch(low, high, how)
+    return Stretch(low, high, how)
+
+
+def stretched(stretch: Stretch, applied: Sequence[Correction]) -> list[Correction]:
+    """Corrections with the stretch in them."""
+    gain = (HIGHEST - LOWEST) / (stretch.high - stretch.low)
+    offset = LOWEST - gain * stretch.low
+    return [then(colour, gain, offset) for colour in applied]
 
 
 def _shown(photos: Photos, options: RenderOptions, applied: Sequence[Correction]) -> FloatArray:

@@ -21,6 +21,10 @@ from geomosaic.raster.tiff import Directory, Field
 from geomosaic.types import AnyArray, ByteArray
 
 BLOCK = 512
+PIXEL_TAGS = {
+    tiff.BITS, tiff.COMPRESSION, tiff.PHOTOMETRIC, tiff.SAMPLES, tiff.PLANAR, tiff.TILE_WIDTH, tiff.TILE_LENGTH,
+    tiff.PREDICTOR, tiff.EXTRA_SAMPLES, tiff.SAMPLE_FORMAT,
+}  # fmt: skip
 
 
 def tile_profile(bands: int, dtype: str, options: Mapping[str, str]) -> dict[str, Any]:
@@ -71,6 +75,28 @@ def _one_tile_file(values: AnyArray, profile: Mapping[str, Any]) -> bytes:
     directory = tiff.read_directories(BytesIO(data))[0]
     offset, count = directory[tiff.TILE_OFFSETS].integers[0], directory[tiff.TILE_COUNTS].integers[0]
     return data[offset : offset + count]
+
+
+def decode_tile(directory: Directory, data: bytes) -> AnyArray:
+    """Values (BLOCK, BLOCK, bands) of a tile as it stands in a TIFF of that directory.
+
+    Raises
+    ------
+    ValueError
+        GDAL cannot read it.
+    """
+    one = {tag: field for tag, field in directory.items() if tag in PIXEL_TAGS}
+    one |= {tiff.WIDTH: Field.of(4, BLOCK), tiff.LENGTH: Field.of(4, BLOCK)}
+    one |= {tiff.TILE_OFFSETS: Field.of(4, 8), tiff.TILE_COUNTS: Field.of(4, len(data))}
+    at = 8 + len(data) + len(data) % 2
+    whole = tiff.header(at, big=False) + data + bytes(len(data) % 2) + tiff.lay_out([one], at, big=False)
+    try:
+        with environment(), MemoryFile(whole) as memory, memory.open() as dataset:
+            values = np.empty((BLOCK, BLOCK, dataset.count), dtype=dataset.dtypes[0])
+            dataset.read(out=np.moveaxis(values, -1, 0))
+    except RasterioError as error:
+        raise ValueError(f"a tile cannot be read ({error})") from error
+    return values
 
 
 def describe_raster(

@@ -72,5 +72,5 @@ def png_bytes(rgb: ByteArray, valid: ByteArray | None = None) -> bytes:
 
     pixels = rgb if valid is None or valid.all() else np.dstack([rgb, np.where(valid != 0, 255, 0).astype(np.uint8)])
     stream = BytesIO()
-    Image.fromarray(pixels).save(stream, format="PNG", optimize=True)
+    Image.fromarray(pixels).save(stream, format="PNG")
     return stream.getvalue()

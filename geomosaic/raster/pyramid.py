@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,29 +99,88 @@ def _rounded(means: AnyArray, dtype: np.dtype[np.generic]) -> AnyArray:
     return (means if dtype.kind == "f" else np.rint(means)).astype(dtype)
 
 
-class Parents:
-    """Tiles of the next levels under construction from the halves of four tiles each."""
+@dataclass(frozen=True)
+class Kept:
+    """A tile that is as it was in an earlier file."""
 
-    def __init__(self, sizes: list[Level], bands: int, dtype: np.dtype[np.generic]) -> None:
-        self._sizes, self._bands, self._dtype = sizes, bands, dtype
-        self._open: dict[tuple[int, int], tuple[AnyArray, ByteArray, list[int]]] = {}
+    level: int
+    index: int
+
+
+@dataclass
+class _Open:
+    """A tile under construction: children that are still to come, and those that were kept and not looked at."""
+
+    left: int
+    kept: list[int]
+    values: AnyArray | None = None
+    valid: ByteArray | None = None
+
+
+Half = tuple[AnyArray, ByteArray | None]
+
+
+class Parents:
+    """Tiles of the next levels under construction from the halves of four tiles each.
+
+    Parameters
+    ----------
+    sizes : list of Level
+    bands, dtype
+        Of the raster.
+    again : callable
+        Gives (level, index) of a kept tile's half, where a tile beside it has changed.
+    """
+
+    def __init__(
+        self, sizes: list[Level], bands: int, dtype: np.dtype[np.generic], again: Callable[[int, int], Half]
+    ) -> None:
+        self._sizes, self._bands, self._dtype, self._again = sizes, bands, dtype, again
+        self._open: dict[tuple[int, int], _Open] = {}
 
     def add(self, level: int, index: int, values: AnyArray, valid: ByteArray | None) -> Tile | None:
         """Put the half of a tile in its place; returns the parent when that was its last part."""
-        size, above = self._sizes[level], self._sizes[level + 1]
-        row, col = divmod(index, size.across)
-        parent = (row // 2) * above.across + col // 2
-        key = (level + 1, parent)
+        self._put(self._parent(level, index), level, index, values, valid)
+        whole = self._arrived(level, index)
+        assert not isinstance(whole, Kept)
+        return whole
+
+    def keep(self, level: int, index: int) -> Tile | Kept | None:
+        """Note that a tile is as it was; so is the parent, where all its parts are."""
+        self._parent(level, index).kept.append(index)
+        return self._arrived(level, index)
+
+    def _key(self, level: int, index: int) -> tuple[int, int]:
+        row, col = divmod(index, self._sizes[level].across)
+        return level + 1, (row // 2) * self._sizes[level + 1].across + col // 2
+
+    def _parent(self, level: int, index: int) -> _Open:
+        key, size = self._key(level, index), self._sizes[level]
         if key not in self._open:
+            row, col = divmod(index, size.across)
             children = min(2, size.down - row // 2 * 2) * min(2, size.across - col // 2 * 2)
-            whole = np.zeros((BLOCK, BLOCK, self._bands), dtype=self._dtype)
-            self._open[key] = (whole, np.zeros((BLOCK, BLOCK), dtype=np.uint8), [children])
-        whole, whole_valid, left = self._open[key]
+            self._open[key] = _Open(children, [])
+        return self._open[key]
+
+    def _put(self, parent: _Open, level: int, index: int, values: AnyArray, valid: ByteArray | None) -> None:
+        if parent.values is None or parent.valid is None:
+            parent.values = np.zeros((BLOCK, BLOCK, self._bands), dtype=self._dtype)
+            parent.valid = np.zeros((BLOCK, BLOCK), dtype=np.uint8)
+        row, col = divmod(index, self._sizes[level].across)
         place = np.s_[row % 2 * HALF : row % 2 * HALF + HALF, col % 2 * HALF : col % 2 * HALF + HALF]
-        whole[place] = values
-        whole_valid[place] = 1 if valid is None else valid
-        left[0] -= 1
-        if left[0]:
+        parent.values[place] = values
+        parent.valid[place] = 1 if valid is None else valid
+
+    def _arrived(self, level: int, index: int) -> Tile | Kept | None:
+        key = self._key(level, index)
+        parent = self._open[key]
+        parent.left -= 1
+        if parent.left:
             return None
         del self._open[key]
-        return Tile(level + 1, parent, whole, None if whole_valid.all() else whole_valid)
+        if parent.values is None:
+            return Kept(*key)
+        for child in parent.kept:
+            self._put(parent, level, child, *self._again(level, child))
+        valid = parent.valid
+        return Tile(*key, parent.values, None if valid is None or valid.all() else valid)

@@ -161,6 +161,30 @@ class RasterSink:
             self._tiles.close()
             raise self._failed(error) from error
 
+    def copies(self, earlier: Path) -> bool:
+        """Take what is kept from an earlier file from now on, which may be the one that this one replaces.
+
+        Returns
+        -------
+        bool
+            Whether its tiles are of the same form; where not, nothing can be kept.
+        """
+        return self._tiles.copies(earlier)
+
+    def keep(self, window: Window) -> None:
+        """Take a window from the earlier file, to the byte; windows as in `write`.
+
+        Raises
+        ------
+        OutputError
+            The disk is full, or the earlier file is damaged.
+        """
+        try:
+            self._tiles.keep(window)
+        except (OSError, ValueError, RasterioError) as error:
+            self._tiles.close()
+            raise self._failed(error) from error
+
     def finish(self) -> Path:
         """Complete the file and give it its final name.
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import BinaryIO
 
 NEW_SUBFILE_TYPE, WIDTH, LENGTH, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
-SAMPLES, PLANAR = 277, 284
+SAMPLES, PLANAR, PREDICTOR, EXTRA_SAMPLES, SAMPLE_FORMAT = 277, 284, 317, 338, 339
 TILE_WIDTH, TILE_LENGTH, TILE_OFFSETS, TILE_COUNTS = 322, 323, 324, 325
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
@@ -136,3 +136,11 @@ def _directory(directory: Directory, start: int, big: bool) -> tuple[bytearray, 
             extra += field.data
         table += struct.pack(entry, tag, field.type, field.count, data)
     return table + bytes(room) + extra, link
+
+
+def needs_big(option: str, raw_bytes: float) -> bool:
+    """Decide as GDAL does: IF_SAFER takes BigTIFF from 2 GB uncompressed, IF_NEEDED from 4 GB."""
+    choice = str(option).upper()
+    if choice in ("YES", "NO"):
+        return choice == "YES"
+    return raw_bytes > (4_000_000_000 if choice == "IF_NEEDED" else 2_000_000_000)

@@ -18,8 +18,10 @@ import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster import codec, tiff
+from geomosaic.raster.blank import filled
 from geomosaic.raster.codec import BLOCK
-from geomosaic.raster.pyramid import Level, Parents, Tile, halve, levels
+from geomosaic.raster.earlier import EarlierTiles, inside_of
+from geomosaic.raster.pyramid import Kept, Level, Parents, Tile, halve, levels
 from geomosaic.raster.tiff import Directory, Field
 from geomosaic.raster.tilestore import TileStore, write_all
 from geomosaic.types import AnyArray, ByteArray
@@ -80,13 +82,14 @@ class TileFile:
         self._overviews, self._classes, self._cog = overviews, classes, cog
         self._profile: dict[str, Any] = codec.tile_profile(bands, dtype, options)
         raw_bytes = grid.width * grid.height * bands * self._dtype.itemsize
-        self._big = _needs_big(self._profile.pop("bigtiff", "IF_SAFER"), raw_bytes * (4 / 3 if overviews else 1))
+        self._big = tiff.needs_big(self._profile.pop("bigtiff", "IF_SAFER"), raw_bytes * (4 / 3 if overviews else 1))
         self._directory = codec.describe_raster(
             grid, self._profile, nodata=nodata, descriptions=descriptions, tags=tags or {}, where=str(path)
         )
         self._raw = self._directory[tiff.COMPRESSION].integers[0] == 1
         self._levels = levels(grid.width, grid.height) if overviews else [Level(grid.width, grid.height)]
-        self._parents = Parents(self._levels, bands, self._dtype)
+        self._parents = Parents(self._levels, bands, self._dtype, self._half_again)
+        self._earlier: EarlierTiles | None = None
         self._blank: bytes | None = None
         self._jobs: deque[Future[tuple[Tile, bytes, _Half | None]]] = deque()
         self._most_jobs = 4 * threads
@@ -118,6 +121,8 @@ class TileFile:
             self._pool.shutdown(wait=True, cancel_futures=True)
         for file in self._files:
             file.close()
+        if self._earlier is not None:
+            self._earlier.close()
 
     def write(self, window: Window, values: AnyArray, valid: ByteArray | None, *, blank: bool = False) -> None:
         """Add a window that covers whole blocks (but for the image's edge).
@@ -140,6 +145,50 @@ class TileFile:
             index = (part.row // BLOCK) * across + part.col // BLOCK
             tile = self._tile(index, values[rows, cols], None if valid is None else valid[rows, cols])
             self._add(tile, blank=blank)
+
+    def copies(self, path: Path) -> bool:
+        """Take tiles that are kept from an earlier file from now on; false where it is none of this form."""
+        try:
+            earlier = EarlierTiles(path)
+        except (OSError, ValueError):
+            return False
+        self._earlier = earlier if earlier.fits(self._directory, self._levels) else None
+        if self._earlier is None:
+            earlier.close()
+        return self._earlier is not None
+
+    def keep(self, window: Window) -> None:
+        """Take a window that covers whole blocks from the earlier file as it stands there."""
+        while self._jobs:  # what comes behind them would wait in memory
+            self._place(*self._jobs.popleft().result())
+        for part in window.split(BLOCK, BLOCK):
+            self._keep(Kept(0, (part.row // BLOCK) * self._levels[0].across + part.col // BLOCK))
+
+    def _keep(self, tile: Kept) -> None:
+        store, earlier, size = self._stores[tile.level], self._earlier, self._levels[tile.level]
+        if earlier is None:
+            raise ValueError("there is no earlier file")
+        data = earlier.tile(tile.level, tile.index)
+        if self._keep_mask:
+            inside = codec.encode_mask(inside_of(size, tile.index))
+            store.masks[tile.index] = mask = earlier.mask(tile.level, tile.index) or inside
+            self._masked = self._masked or (tile.level == 0 and mask != inside)
+        store.add(tile.index, data, zero=self._raw and not np.frombuffer(data, dtype=np.uint8).any())
+        if tile.level + 1 < len(self._levels):
+            self._go_on(self._parents.keep(tile.level, tile.index))
+
+    def _half_again(self, level: int, index: int) -> _Half:
+        """Half of a tile of the earlier file, whose neighbours have changed."""
+        if self._earlier is None:
+            raise ValueError("there is no earlier file")
+        values, valid = self._earlier.decoded(level, index, self._levels[level], self._nodata)
+        return halve(values, valid, self._overviews or "average")
+
+    def _go_on(self, parent: Tile | Kept | None) -> None:
+        if isinstance(parent, Kept):
+            self._keep(parent)
+        elif parent is not None:
+            self._add(parent)
 
     def _tile(self, index: int, values: AnyArray, valid: ByteArray | None) -> Tile:
         """Copy to a whole tile."""
@@ -168,7 +217,7 @@ class TileFile:
     def _pieces(self, tile: Tile, blank: bool) -> tuple[Tile, bytes, _Half | None]:
         """Fill, compress and halve a tile; changes nothing of this object, so any thread may do it."""
         if not blank:
-            tile = Tile(tile.level, tile.index, _filled(tile.values, tile.valid, self._nodata), tile.valid)
+            tile = Tile(tile.level, tile.index, filled(tile.values, tile.valid, self._nodata), tile.valid)
         data = b"" if self._raw else codec.encode_tile(tile.values, self._profile, classes=self._classes)
         half = None
         if tile.level + 1 < len(self._levels):
@@ -186,9 +235,7 @@ class TileFile:
         else:
             store.add(tile.index, data)
         if half is not None:
-            parent = self._parents.add(tile.level, tile.index, *half)
-            if parent is not None:
-                self._add(parent)
+            self._go_on(self._parents.add(tile.level, tile.index, *half))
 
     def finish(self) -> None:
         """Complete the file.
@@ -259,42 +306,3 @@ class TileFile:
 
 
 _Half = tuple[AnyArray, ByteArray | None]
-
-
-def _filled(values: AnyArray, valid: ByteArray | None, nodata: float | None) -> AnyArray:
-    """Set invalid pixels to nodata, or zero, and move valid ones off nodata."""
-    if nodata is not None:
-        values = _off_nodata(values, nodata)
-    if valid is None:
-        return values
-    blank = values.dtype.type(0 if nodata is None else nodata)
-    if not valid.any():
-        return np.full_like(values, blank)
-    if nodata is None and values.dtype.kind in "iu":  # several times as fast as choosing
-        filled: AnyArray = values * valid[..., None].astype(values.dtype)
-        return filled
-    return np.where(valid[..., None] != 0, values, blank)
-
-
-def _off_nodata(values: AnyArray, nodata: float) -> AnyArray:
-    """Move valid pixels that happen to equal nodata to the next value, so that they stay valid."""
-    if np.isnan(nodata):
-        return values
-    same = values == nodata
-    if values.dtype.kind == "u" and values.shape[2] > 1:  # see validity.missing_by_value
-        same = same.all(axis=2, keepdims=True)
-    if not same.any():
-        return values
-    if values.dtype.kind == "f":
-        near = np.nextafter(values.dtype.type(nodata), values.dtype.type(0 if nodata else 1))
-    else:
-        near = nodata - 1 if nodata == np.iinfo(values.dtype).max else nodata + 1
-    return np.where(same, values.dtype.type(near), values)
-
-
-def _needs_big(option: str, raw_bytes: float) -> bool:
-    """Decide as GDAL does: IF_SAFER takes BigTIFF from 2 GB uncompressed, IF_NEEDED from 4 GB."""
-    choice = str(option).upper()
-    if choice in ("YES", "NO"):
-        return choice == "YES"
-    return raw_bytes > (4_000_000_000 if choice == "IF_NEEDED" else 2_000_000_000)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import shutil
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -24,6 +26,13 @@ from geomosaic.project.load import Project
 from geomosaic.project.make import reference_scene
 from geomosaic.project.mosaic_grid import plan_mosaic
 
+_SEAMS = ("seams", "seam_weights", "order", "base")
+_NO_COLOUR = (
+    *_SEAMS, "follow", "avoid", "cutlines", "seam_quality", "views", "labels", "exclude", "retouch", "stretch",
+    "feather", "blend", "ramp", "limit", "true_ortho",
+)  # fmt: skip
+"""What plays no part when colours are solved. New settings count until they are named here."""
+
 
 def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
     """Write the mosaic and what goes with it."""
@@ -36,6 +45,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     from geomosaic.seam.cost import SeamWeights
 
     layout, wanted = Layout(project), project.settings.mosaic
+    started, spent = time.perf_counter(), time.process_time()
     layout.mosaic.parent.mkdir(parents=True, exist_ok=True)
     with heard() as notes:
         block = restore_block(project)
@@ -114,6 +124,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         "seconds": result.seconds,
         "reused": result.reused,
         "units": result.units,
+        "recalled": list(result.recalled),
         "warnings": notes,
         "seam_quality": judged,
     }
@@ -121,6 +132,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     seen = None if drawn is None else data_uri(png_bytes(drawn, np.ones(drawn.shape[:2], dtype=np.uint8)))
     facts["colour"]["picture"] = seen
     write_json(layout.places, place_pictures(result.places, judged["rows"] if judged else []))
+    facts["total_seconds"], facts["processor_seconds"] = time.perf_counter() - started, time.process_time() - spent
     write_json(layout.facts("mosaic"), facts)
     return {"pixels": result.valid_pixels, "lattice_error_px": result.lattice_error}
 
@@ -158,10 +170,23 @@ def _memory(project: Project, context: Context) -> Memory:
         "project": settings.project.model_dump(mode="json", include={"bands", "nodata", "margin"}),
         "versions": versions(),
     }
+    wanted = settings.mosaic.model_dump(mode="json")
+    colour = {
+        "files": [digests.get(path) for name in own_files[1:] if (path := project.file(name)) is not None],
+        "wanted": {name: value for name, value in wanted.items() if name not in _NO_COLOUR},
+    }
+    seams = {
+        "files": [
+            digests.get(path)
+            for path in (*project.files(settings.mosaic.follow), *project.files(settings.mosaic.avoid))
+        ],
+        "wanted": {name: wanted[name] for name in _SEAMS},
+    }
     remembered = project.state / "mosaic-units.json"
     if context.forced:
         remembered.unlink(missing_ok=True)
-    return Memory(remembered, scenes, digest_of(said))
+        shutil.rmtree(remembered.with_name("found"), ignore_errors=True)
+    return Memory(remembered, scenes, digest_of(said), digest_of(colour), digest_of(seams), context.digest)
 
 
 def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
