@@ -80,6 +80,21 @@ class Programs:
     rio: str | None
     oty: str | None
     gdal_translate: str | None
+    peers: Path | None = None
+
+    def peer(self, name: str) -> str | None:
+        """Path of any other program."""
+        return find(name, self.peers)
+
+    def python_with(self, *modules: str) -> str | None:
+        """The peers' Python, if it can import these modules."""
+        python = str(self.peers / "bin" / "python") if self.peers else sys.executable
+        asked = [python, "-W", "ignore", "-c", f"import {', '.join(modules)}"]
+        try:
+            done = subprocess.run(asked, capture_output=True, check=False)
+        except OSError:
+            return None
+        return None if done.returncode else python
 
     @classmethod
     def found(cls, peers: Path | None) -> Programs:
@@ -87,7 +102,7 @@ class Programs:
         own = Path(sys.executable).parent
         script = own / "geomosaic"
         ours: Command = (str(script),) if script.is_file() else (sys.executable, "-c", _ENTRY)
-        return cls(ours, find("rio", peers, own), find("oty", peers), find("gdal_translate"))
+        return cls(ours, find("rio", peers, own), find("oty", peers), find("gdal_translate"), peers)
 
     def versions(self) -> dict[str, str]:
         """Version of each, as it says itself."""

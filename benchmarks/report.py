@@ -20,6 +20,8 @@ def page(jobs: Mapping[str, Mapping[str, Any]]) -> str:
         lines += ["", f"## {name}: {job['title']}", "", _where(job), "", *_times(job)]
         if job["accuracy"]:
             lines += ["", *_accuracy(job["accuracy"])]
+        if job.get("quality"):
+            lines += ["", *_quality(job["quality"])]
         lines += ["", *_targets(job["targets"])]
     return "\n".join(lines) + "\n"
 
@@ -29,6 +31,9 @@ def _where(job: Mapping[str, Any]) -> str:
     versions = ", ".join(f"{name} {number}" for name, number in job["versions"].items())
     trust = "" if job["trusted"] else " **(T) the machine gave less than its cores: times are not to be trusted.**"
     output = f" Output {job['facts']['output']}." if "output" in job["facts"] else ""
+    absent = job["facts"].get("absent")
+    if absent:
+        output += f" Not on this machine: {', '.join(absent)}."
     return (
         f"{job['date']}; {machine.get('processor')}, {machine.get('cores')} cores; effective cores in "
         f"{len(cores)} rounds {min(cores):.2f} to {max(cores):.2f}; {versions}.{output}{trust}"
@@ -54,6 +59,19 @@ def _accuracy(found: Mapping[str, Mapping[str, Any]]) -> list[str]:
     lines = ["| geometry | treatment of the camera | pixels | RMS px | largest px |", "|---|---|---|---|---|"]
     for name, e in found.items():
         lines.append(f"| {name} | {e['treatment']} | {e['pixels']} | {e['rms_px']:.4f} | {e['max_px']:.4f} |")
+    return lines
+
+
+def _quality(found: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Any measures, as columns."""
+    heads = list(next(iter(found.values())))
+    lines = [
+        "| quality | " + " | ".join(head.replace("_", " ") for head in heads) + " |",
+        "|" + "---|" * (len(heads) + 1),
+    ]
+    for name, e in found.items():
+        cells = [str(e[head]) if isinstance(e[head], int | str) else f"{e[head]:.2f}" for head in heads]
+        lines.append("| " + " | ".join([name, *cells]) + " |")
     return lines
 
 

@@ -37,6 +37,7 @@ class Result:
     megapixels: float | None = None
     facts: dict[str, Any] = field(default_factory=dict)
     accuracy: dict[str, dict[str, Any]] = field(default_factory=dict)
+    quality: dict[str, dict[str, Any]] = field(default_factory=dict)
     targets: list[Target] = field(default_factory=list)
 
     def at_most(self, what: str, value: float | None, limit: float) -> None:
@@ -60,5 +61,6 @@ class Result:
             "tools": self.times.table(),
             "wall_ratios": ratios,
             "accuracy": self.accuracy,
+            "quality": self.quality,
             "targets": [{**asdict(target), "verdict": target.verdict} for target in self.targets],
         }

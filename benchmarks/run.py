@@ -11,12 +11,14 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmarks.jobs import JOBS, Setting
+from benchmarks import blend, growth, jobs
+from benchmarks.jobs import Setting
 from benchmarks.machine import description
 from benchmarks.process import Programs, helper
 from benchmarks.report import page
 from benchmarks.rounds import tell
 
+JOBS = {**jobs.JOBS, "blend": blend.blend, "growth": growth.growth}
 HERE = Path(__file__).resolve().parent
 RAM_DISK = Path("/dev/shm")
 
@@ -28,7 +30,7 @@ def parser() -> argparse.ArgumentParser:
     words.add_argument("--rounds", type=int, default=3, help="runs of each tool (default 3)")
     words.add_argument("--small", action="store_true", help="small data: tries the machinery, shows no speed")
     words.add_argument("--work", type=Path, help="folder for data and outputs, about 6 GB (default a RAM disk)")
-    words.add_argument("--peers", type=Path, help="environment or folder where orthority's `oty` is (default the PATH)")
+    words.add_argument("--peers", type=Path, help="environment of the other tools (default the PATH)")
     words.add_argument(
         "--out", type=Path, help="folder for results.md and results.json (default benchmarks/; --small: WORK)"
     )
@@ -51,7 +53,8 @@ def main(arguments: list[str] | None = None) -> None:
         if getattr(programs, name) is None:
             tell(f"`{name}` was not found: its rows are left out (see benchmarks/README.md)")
     tell(f"data in {data}")
-    helper("data", str(data), *(["--small"] if words.small else []))
+    if set(words.jobs or JOBS) & set(jobs.JOBS):
+        helper("data", str(data), *(["--small"] if words.small else []))
     setting = Setting(data, work, words.small, words.rounds, programs, sys.executable)
     out = words.out or (data if words.small else HERE)
     out.mkdir(parents=True, exist_ok=True)

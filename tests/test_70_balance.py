@@ -230,3 +230,24 @@ def test_without_vignetting_exposures_of_the_sample_come_back_to_half_a_percent(
     off, _ = sample_gains(sample, files, tmp_path / "exterior.csv")
     assert (rms(off) < 0.005).all(), rms(off)
     assert np.abs(off).max() < 0.01, np.abs(off).max()
+
+
+def test_tiles_that_share_a_line_of_pixels_keep_their_values(tmp_path: Path) -> None:
+    """Tiles of one image: along a shared line cells are half of one tile and half of the other; that says nothing.
+
+    Ground that gets brighter across the line would look like a difference in exposure.
+    """
+    from mosaic_rig import read, run, scene, write
+
+    rows, cols, cut = 300, 400, 200
+    whole = scene(rows, cols)
+    whole[:, cut - 1 :] *= 0.6
+    whole = whole.astype(np.uint8)
+    files = [
+        write(tmp_path / "left.tif", whole[:, :cut]),
+        write(tmp_path / "right.tif", whole[:, cut - 1 :], col=cut - 1),
+    ]
+    for colour in (("gain",), ("auto",)):
+        made = run(files, tmp_path / "m.tif", balance=True, colour=colour, labels=False, vectors=False)
+        assert (made.balance.gain == 1).all(), made.balance.gain
+        assert np.array_equal(read(tmp_path / "m.tif")[0], whole)

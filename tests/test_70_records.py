@@ -70,6 +70,24 @@ def test_gsd_is_in_metres(tmp_path: Path, grid: Grid, gsd: float) -> None:
     assert made(tmp_path, grid)["properties"]["gsd"] == pytest.approx(gsd, rel=1e-5)
 
 
+def test_a_mosaic_in_an_unknown_datum_has_an_item_without_a_place(tmp_path: Path) -> None:
+    """As of old files: UTM by its numbers, the ellipsoid named, the datum not. Nothing is guessed, nothing fails."""
+    import pystac
+
+    somewhere = 'GEOGCS["unknown",DATUM["Unknown based on WGS 84 ellipsoid",SPHEROID["WGS 84",6378137,298.257223563]],'
+    degree = 'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]'
+    utm = (
+        f'PROJCS["of old",{somewhere}{degree},PROJECTION["Transverse_Mercator"],PARAMETER["central_meridian",-75],'
+        'PARAMETER["scale_factor",0.9996],PARAMETER["false_easting",500000],UNIT["metre",1]]'
+    )
+    for text, place, gsd in ((utm, METRES, 0.5), (somewhere + degree, DEGREES, 1.1141)):
+        facts = made(tmp_path / text[:6], Grid(CRS.from_wkt(text), place.transform, 100, 100))
+        assert facts["geometry"] is None
+        assert "bbox" not in facts
+        assert facts["properties"]["gsd"] == pytest.approx(gsd, rel=1e-4)
+        assert pystac.Item.from_dict(facts).properties["proj:projjson"]["name"] in ("of old", "unknown")
+
+
 def test_an_item_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made(tmp_path, METRES)
     with pytest.raises(OutputExistsError):

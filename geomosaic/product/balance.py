@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from geomosaic.resample.warp import Colour, value_range
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import BLOCK_HEIGHT, BLOCK_WIDTH
 from geomosaic.surface.model import Surface
-from geomosaic.types import FloatArray
+from geomosaic.types import ByteArray, FloatArray
 
 CELLS = 96
 """Cells across a footprint at which images are compared: coarse, so that small misfits of geometry do not count."""
@@ -87,7 +88,23 @@ def comparison_grid(photos: Photos, cells: int = CELLS) -> Grid:
 
 def _mean(photos: Photos, index: int, window: Window, grid: Grid) -> Thumbnail:
     with photos.using(index) as photo:
-        return thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
+        found = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
+    return replace(found, valid=_inner(found.valid))
+
+
+def _inner(valid: ByteArray) -> ByteArray:
+    """Cells whose eight neighbours are valid as well.
+
+    Along the edge of an image a cell may be half seen, and its mean is that of the seen half: other ground than in the
+    image that goes on there. Tiles that share a line of pixels only would be balanced by nothing else.
+    """
+    wide = np.pad(valid, 1)
+    rows, cols = valid.shape
+    out = valid.copy()
+    for row in range(3):
+        for col in range(3):
+            out &= wide[row : row + rows, col : col + cols]
+    return out
 
 
 def thumbnail(

@@ -14,7 +14,7 @@ import numpy as np
 from pyproj import CRS, Geod
 
 from geomosaic.block.footprint import Footprint
-from geomosaic.errors import OutputError
+from geomosaic.errors import InputError, OutputError
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
@@ -162,7 +162,7 @@ def write_item(
         "stac_extensions": list(STAC_EXTENSIONS),
         "id": mosaic.stem,
         "geometry": geometry,
-        "bbox": box,
+        **({"bbox": box} if box else {}),
         "properties": properties,
         "links": [],
         "assets": {
@@ -201,13 +201,18 @@ def _asset(file: Path, kind: str, role: str, checksum: str) -> dict[str, Any]:
     }
 
 
-def _outline(grid: Grid, outlines: list[Any]) -> tuple[dict[str, Any], list[float]]:
-    """GeoJSON of what the images cover, in longitude and latitude, and its bounds."""
+def _outline(grid: Grid, outlines: list[Any]) -> tuple[dict[str, Any] | None, list[float] | None]:
+    """GeoJSON of what the images cover, in longitude and latitude, and its bounds; None where the datum is unknown."""
     import shapely
+
+    try:
+        to_degrees = Transform(horizontal(grid.crs), parse_crs("OGC:CRS84"))
+    except InputError:
+        return None, None  # a STAC item may do without a place; the mosaic needs none
 
     hull = shapely.union_all(outlines)
     outer = hull if hull.geom_type == "Polygon" else hull.convex_hull
-    ring = Transform(horizontal(grid.crs), parse_crs("OGC:CRS84"))(np.asarray(outer.exterior.coords)[:, :2])
+    ring = to_degrees(np.asarray(outer.exterior.coords)[:, :2])
     geometry: dict[str, Any] = shapely.geometry.mapping(shapely.Polygon(ring).normalize())
     return geometry, [float(v) for v in (*ring.min(axis=0), *ring.max(axis=0))]
 
@@ -218,8 +223,9 @@ def _metres(grid: Grid) -> float:
     if not crs.is_geographic:
         return float(grid.resolution[0] * crs.axis_info[0].unit_conversion_factor)
     middle = np.array([grid.width / 2, grid.height / 2])
-    (x, y), (x1, y1) = Transform(crs, parse_crs("OGC:CRS84"))(grid.xy(middle + np.array([[0.0, 0.0], [0.0, 1.0]])))
-    return float(Geod(ellps="WGS84").inv(x, y, x1, y1)[2])
+    ends = grid.xy(middle + np.array([[0.0, 0.0], [0.0, 1.0]])) * crs.axis_info[0].unit_conversion_factor
+    geod = crs.get_geod() or Geod(ellps="WGS84")
+    return float(geod.inv(*ends.ravel(), radians=True)[2])
 
 
 def _times(images: list[Path]) -> tuple[str, str]:
