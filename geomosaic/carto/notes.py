@@ -28,11 +28,14 @@ def crs_title(crs: CRS) -> str:
     return f"{name} ({code[0]}:{code[1]})" if code else str(name)
 
 
-def crs_words(page: Page, place: MapPlace, heights: str | None) -> list[str]:
-    """Lines of the block on CRS and datum."""
+def crs_words(page: Page, place: MapPlace | None, heights: str | None) -> list[str]:
+    """Lines of the block on CRS and datum; `place` is None in a local frame."""
     flat = page.crs
     unit = flat.axis_info[0].unit_name if flat.axis_info else "unit"
     lines = [crs_title(flat)]
+    if place is None:
+        lines.append(f"Local frame, {unit}: not tied to the Earth")
+        return lines + ([f"Heights: {heights}"] if heights else [])
     operation = flat.coordinate_operation
     method = operation.method_name if operation is not None else ""
     lines.append(f"{method}, {unit}" if method else unit)
@@ -98,7 +101,7 @@ def accuracy_words(report: Mapping[str, Any], scale: float) -> str:
 
 
 def blocks(
-    layout: Layout, page: Page, place: MapPlace, heights: str | None, accuracy: str
+    layout: Layout, page: Page, place: MapPlace | None, heights: str | None, accuracy: str
 ) -> list[tuple[str, list[str]]]:
     """Headed blocks of text for the margin, in their order; empty ones are left out."""
     notes = layout.notes

@@ -10,6 +10,7 @@ from pyproj import CRS
 from geomosaic.carto.layout import PAPERS, Layout, paper_size
 from geomosaic.carto.nice import metres_per_unit, nice_scale
 from geomosaic.errors import InputError
+from geomosaic.geo.crs import is_local
 from geomosaic.geo.grid import Bounds
 from geomosaic.types import FloatArray
 
@@ -52,7 +53,7 @@ class Page:
     side : str
         Where the panel is: 'right', 'bottom' or 'none'.
     crs : CRS
-        Projected; of the map.
+        Of the map: projected, or a local frame.
     bounds : Bounds
         Left, bottom, right, top of the neatline in `crs`.
     scale : float
@@ -109,7 +110,7 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
     ----------
     layout : Layout
     crs : CRS
-        Of the map; must be projected.
+        Of the map: projected, or a local frame in units of length.
     extent : Bounds
         What there is a picture of, in `crs`.
     where : str, optional
@@ -120,7 +121,7 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
     InputError
         A map without a scale (geographic CRS), an area beside the picture or larger than the paper.
     """
-    if not crs.is_projected:
+    if not (crs.is_projected or is_local(crs)):
         raise InputError(
             f"'{crs.name}' is not projected, so a sheet in it has no scale",
             where=where,

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyproj import CRS
 
 from geomosaic.carto.contours import Contour
 from geomosaic.carto.draw.canvas import drawing, missing_glyphs
 from geomosaic.carto.draw.save import FileOptions, check_format, write_sheet
 from geomosaic.carto.draw.sheet import SheetParts
-from geomosaic.carto.layout import GridPart, Layout
+from geomosaic.carto.layout import GraticulePart, GridPart, Layout
 from geomosaic.carto.lines import MapGrid, map_grid
 from geomosaic.carto.nice import metres_per_unit
 from geomosaic.carto.notes import accuracy_words, blocks
@@ -25,7 +24,7 @@ from geomosaic.carto.picture import picture, raster_grid
 from geomosaic.carto.series.neatline import SheetPlace
 from geomosaic.carto.style import Style, plain
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.geo.crs import geographic, horizontal, parse_crs
+from geomosaic.geo.crs import geographic, horizontal, is_local, parse_crs
 from geomosaic.geo.local import map_place
 from geomosaic.product.contours import sheet_contours
 from geomosaic.product.enhance import band_curves, finishing, shown_bands
@@ -68,8 +67,8 @@ class SheetResult:
         Metres; 0 without contours.
     layers : mapping of str to int
         Objects drawn, by title.
-    convergence : float
-        Degrees.
+    convergence : float or None
+        Degrees; None in a local frame.
     image_dpi : float
         Pixels of the raster in an inch of paper.
     """
@@ -80,7 +79,7 @@ class SheetResult:
     contours: int
     contour_interval: float
     layers: Mapping[str, int]
-    convergence: float
+    convergence: float | None
     image_dpi: float
 
 
@@ -103,7 +102,7 @@ def make_sheet(
     Parameters
     ----------
     raster : Path
-        North up, in a projected CRS: that of the map.
+        North up, in a projected CRS or a local frame: that of the map.
     output : Path
         .pdf and .png are the whole page; .tif is the map cut at the neatline, georeferenced.
     layout : Layout
@@ -188,7 +187,7 @@ def _parts(
 ) -> SheetParts:
     """Bring everything to the page."""
     left, bottom, right, top = page.bounds
-    place = map_place(page.crs, (left + right) / 2, (bottom + top) / 2)
+    place = None if is_local(page.crs) else map_place(page.crs, (left + right) / 2, (bottom + top) / 2)
     contours: list[Contour] = []
     interval, datum = 0.0, None
     if dem is not None:
@@ -197,22 +196,29 @@ def _parts(
             dem, page.crs, page.bounds, NODE_MM / page.mm_per_unit, interval=part.interval, index=part.index,
             tolerance=part.tolerance, heights=dem_heights,
         )  # fmt: skip
-    graticule = parse_crs(layout.graticule.crs) if layout.graticule.crs else geographic(page.crs)
-    grids = (
-        _grid(layout.grid, parse_crs(layout.grid.crs) if layout.grid.crs else page.crs, page, GRID_MM),
-        _grid(layout.graticule, graticule, page, GRATICULE_MM),
-    )
+    grids = (_grid(layout.grid, page, GRID_MM), _grid(layout.graticule, page, GRATICULE_MM))
     layers = tuple(_layer(vector, page, k) for k, vector in enumerate(vectors))
     accuracy = accuracy_words(report, page.scale) if report is not None else ""
     if report is not None and not accuracy and not layout.notes.accuracy:
         warnings.warn("the report measured no accuracy, so the sheet states none", GeomosaicWarning, stacklevel=2)
     texts = tuple(blocks(layout, page, place, datum, accuracy))
-    return SheetParts(page, layout, grids, layers, tuple(contours), interval, texts, place.convergence)
+    return SheetParts(
+        page, layout, grids, layers, tuple(contours), interval, texts, place.convergence if place else None
+    )
 
 
-def _grid(part: GridPart, crs: CRS, page: Page, spacing: float) -> MapGrid | None:
+def _grid(part: GridPart, page: Page, spacing: float) -> MapGrid | None:
+    """Grid where one is wanted; without a CRS of its own it is that of the map, a graticule longitude and latitude."""
     if part.style == "none":
         return None
+    if part.crs:
+        crs = parse_crs(part.crs)
+    elif not isinstance(part, GraticulePart):
+        crs = page.crs
+    elif is_local(page.crs):
+        return None
+    else:
+        crs = geographic(page.crs)
     return map_grid(crs, page.crs, page.bounds, spacing / page.mm_per_unit, part.interval)
 
 

@@ -14,6 +14,7 @@ from geomosaic.carto.draw.sheet import Pixels, SheetParts, draw_map, draw_sheet
 from geomosaic.carto.geopdf import add_georeference
 from geomosaic.carto.page import Page
 from geomosaic.errors import InputError, OutputError
+from geomosaic.geo.crs import is_local
 from geomosaic.geo.grid import Grid
 from geomosaic.raster.output import check_output, partial, remove, sync
 from geomosaic.raster.sink import RasterSink
@@ -74,6 +75,12 @@ def write_sheet(
     check_output(path, overwrite=overwrite)
     suffix = path.suffix.lower()
     page = parts.page
+    if suffix in WEB and is_local(page.crs):
+        raise InputError(
+            f"'{page.crs.name}' is not tied to the Earth, so its map has no place on the web",
+            where=str(path),
+            mend="write .pdf, .png or .tif",
+        )
     if suffix != ".pdf" and page.width * page.height * (dpi / 25.4) ** 2 > MOST_PIXELS:
         raise InputError(
             f"a sheet of {page.width:g} x {page.height:g} mm at {dpi} dpi has too many pixels",

@@ -44,7 +44,7 @@ class SheetParts:
     blocks : tuple of (heading, lines)
         Notes.
     convergence : float
-        Degrees, at the centre.
+        Degrees, at the centre; None in a local frame, which has no north.
     series : SheetPlace, optional
         The sheet's place in its series.
     """
@@ -56,7 +56,7 @@ class SheetParts:
     contours: tuple[Contour, ...]
     interval: float
     blocks: tuple[tuple[str, list[str]], ...]
-    convergence: float
+    convergence: float | None
     series: SheetPlace | None = None
 
 
