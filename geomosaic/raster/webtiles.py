@@ -51,8 +51,8 @@ def write_web(path: PathLike, grid: Grid, pixels: ByteArray, *, title: str, over
     target = rasterio.crs.CRS.from_epsg(3857 if driver == "MBTiles" else 4326)
     unfinished: Path | None = None
     try:
-        hidden = partial(path.resolve())
-        unfinished = hidden.with_name(hidden.name.replace(".", "_").lstrip("_") + path.suffix.lower())
+        # The drivers look at the end of the name, and that of KMZ takes the first .kmz in it for the archive.
+        unfinished = partial(path.resolve().with_suffix(""), path.suffix.lower())
         with MemoryFile() as memory, warnings.catch_warnings():
             # rasterio multiplies affines in a way that the affine library wants to end.
             warnings.simplefilter("ignore", PendingDeprecationWarning)
