@@ -27,8 +27,8 @@ def paint(points: np.ndarray) -> np.ndarray:
     colour[rosette] = (0.88, 0.70, 0.26)
     eye = ring < 1
     colour[eye] = (0.16, 0.22, 0.42)
-    star = (np.abs(np.mod(turn * 8 / (2 * np.pi), 1.0) - 0.5) < 0.06 / np.maximum(polar, 0.02)) & (np.degrees(polar) > 7)
-    colour[eye & star & (np.degrees(polar) < 9)] = (0.95, 0.88, 0.55)
+    star = np.abs(np.mod(turn * 8 / (2 * np.pi), 1.0) - 0.5) < 0.06 / np.maximum(polar, 0.02)
+    colour[eye & star & (np.abs(np.degrees(polar) - 8) < 1)] = (0.95, 0.88, 0.55)
     colour[np.abs(np.degrees(polar) - 12.0) < 0.9] = (0.92, 0.80, 0.42)
     colour[np.degrees(polar) > 82] = (0.45, 0.42, 0.38)
     light = 0.78 + 0.22 * np.cos(turn - 0.7) * np.sin(polar)
@@ -53,7 +53,7 @@ def photo(centre: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def dome(folder: Path) -> None:
-    """Write `dome.tif`: four photos from the floor, placed by their orientation, developed to true lengths from the top."""
+    """Write `dome.tif`: four photos from the floor, developed so that lengths from the top are true."""
     lines = ["image,x,y,z," + ",".join(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))]
     names = []
     for k in range(4):

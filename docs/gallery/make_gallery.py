@@ -19,7 +19,7 @@ from dome import dome  # noqa: E402
 from scenes import Ground, command, old_photo, sample_mosaic, write_vectors  # noqa: E402
 
 SPOT = Ground("EPSG:32633", (400_000.0, 5_500_000.0), (6_900.0, 5_300.0), 5.0, 4.0)
-PUWG = Ground("EPSG:2180", (556_700.0, 242_400.0), (5_000.0, 5_200.0), 4.0, 3.0, rise=1.2, seed=11)
+PUWG = Ground("EPSG:2180", (555_930.0, 239_580.0), (4_800.0, 4_900.0), 4.0, 3.0, rise=1.2, seed=11)
 ZONES = Ground("EPSG:32633", (718_600.0, 5_480_000.0), (6_900.0, 5_300.0), 5.0, 4.5, rise=3.0, seed=23)
 PUWG_SHEET = "M-34-64-D-c-3"
 

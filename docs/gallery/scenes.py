@@ -94,22 +94,19 @@ def write_vectors(path: Path, crs: str, centre: tuple[float, float], larger: flo
         lines.append(np.column_stack((aside, along) if northward else (along, aside)))
     brook = np.column_stack([along, river(along)[0]])
     frame = parse_crs(crs)
-    rings = [shapely.Point(u, v).buffer(150.0) for _, u, v in AREAS]
+    course = shapely.LineString(middle + larger * brook)
+    summits = [shapely.Point(middle + larger * hill[1:3]) for hill in HILLS]
+    rings = [shapely.Point(middle + larger * np.array(place)).buffer(150.0 * larger) for _, *place in AREAS]
     write_layers(
         path,
         {
-            "water": Layer(frame, "LineString", [shapely.LineString(middle + larger * brook)], {"name": ["Sample Brook"]}),
+            "water": Layer(frame, "LineString", [course], {"name": ["Sample Brook"]}),
             "roads": Layer(
                 frame, "LineString", [shapely.LineString(middle + larger * line) for line in lines],
                 {"class": [road[5] for road in ROADS], "name": [road[6] for road in ROADS]},
             ),
-            "hills": Layer(
-                frame, "Point", [shapely.Point(middle + larger * hill[1:3]) for hill in HILLS], {"name": list(HILL_NAMES)}
-            ),
-            "areas": Layer(
-                frame, "Polygon", [shapely.transform(ring, lambda xy: middle + larger * xy) for ring in rings],
-                {"name": [name for name, _, _ in AREAS]},
-            ),
+            "hills": Layer(frame, "Point", summits, {"name": list(HILL_NAMES)}),
+            "areas": Layer(frame, "Polygon", rings, {"name": [name for name, _, _ in AREAS]}),
         },
         overwrite=True,
     )  # fmt: skip

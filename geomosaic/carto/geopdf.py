@@ -15,7 +15,7 @@ import numpy as np
 from pyproj.enums import WktVersion
 
 from geomosaic.carto.nice import metres_per_unit
-from geomosaic.carto.page import Page
+from geomosaic.carto.page import Box, Page
 from geomosaic.geo.area import longitude_latitude
 from geomosaic.geo.crs import horizontal, is_local
 
@@ -39,7 +39,8 @@ def add_georeference(path: Path, page: Page) -> None:
     if not start or trailer is None or len(pages) != 1:
         raise ValueError("not a plain PDF of one page")
     number, body = int(pages[0][1]), pages[0][2]
-    update = b"%d 0 obj\n<<%s\n/VP [ %s ]\n>>\nendobj\n" % (number, body.rstrip(), viewport(page).encode("ascii"))
+    more = f"{boxes(page)}/VP [ {viewport(page)} ]"
+    update = b"%d 0 obj\n<<%s\n%s\n>>\nendobj\n" % (number, body.rstrip(), more.encode("ascii"))
     offset = len(data)
     table = b"xref\n%d 1\n%010d 00000 n \n" % (number, offset)
     kept = re.sub(rb"/Prev\s+\d+", b"", trailer[1]).strip()
@@ -47,9 +48,27 @@ def add_georeference(path: Path, page: Page) -> None:
     path.write_bytes(data + update + table + end)
 
 
+def _points(page: Page, box: Box) -> list[float]:
+    """A rectangle of the page in PDF's units, counted from the corner of all paper."""
+    left, bottom = page.paper[:2]
+    return [(v - (left, bottom)[k % 2]) * 72.0 / 25.4 for k, v in enumerate(box)]
+
+
+def boxes(page: Page) -> str:
+    """Where the paper is cut, and how far beyond it is printed (ISO 32000-2, 14.11.2); '' without bleed."""
+    if page.bleed <= 0:
+        return ""
+    bleed = page.bleed
+    found = (
+        ("TrimBox", (0.0, 0.0, page.width, page.height)),
+        ("BleedBox", (-bleed, -bleed, page.width + bleed, page.height + bleed)),
+    )
+    return "".join(f"/{name} [ {' '.join(f'{v:.6f}' for v in _points(page, box))} ]\n" for name, box in found)
+
+
 def viewport(page: Page) -> str:
     """Viewport dictionary of a map, in PDF's notation."""
-    points = [v * 72.0 / 25.4 for v in page.neatline]
+    points = _points(page, page.neatline)
     head = f"<< /Type /Viewport /Name (Map) /BBox [ {' '.join(f'{v:.6f}' for v in points)} ] "
     if is_local(page.crs):
         return f"{head}/Measure {_rectilinear(page)} >>"
@@ -71,7 +90,8 @@ def viewport(page: Page) -> str:
 def _rectilinear(page: Page) -> str:
     """Measure dictionary in metres; its origin is that of the map's coordinates."""
     metres = 25.4 / 72.0 / page.mm_per_unit * metres_per_unit(page.crs)
-    x, y = (page.to_page(np.zeros((1, 2)))[0] * 72.0 / 25.4).tolist()
+    origin = page.to_page(np.zeros((1, 2)))[0].tolist()
+    x, y = _points(page, (*origin, *origin))[:2]
     square = "<< /Type /NumberFormat /U (sq m) /C 1 /D 1000 >>"
     return (
         f"<< /Type /Measure /Subtype /RL /R ({_string(f'1 : {page.scale:g}')}) "

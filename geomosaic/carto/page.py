@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pyproj import CRS
@@ -26,6 +26,8 @@ NARROWEST, COLUMNS = 140.0, 168.0
 """Width in mm from which a panel at the bottom has room for its three columns, and which they take where they can."""
 FOOT = 16.0
 """Height in mm of the strip for the scale below a map that has no panel there."""
+CROP_MARK = 5.0
+"""Length in mm of the marks where bleed is cut off."""
 GAP = 3.0
 SMALLEST = 30.0
 """Shortest side of a map in mm that is worth a sheet."""
@@ -60,6 +62,8 @@ class Page:
         Denominator.
     outline : tuple of points, optional
         Neatline in `crs` where it is no rectangle, not closed; `bounds` is the box around it.
+    bleed : float
+        Paper in mm beyond the trim, which is (0, 0, width, height).
     """
 
     width: float
@@ -74,6 +78,13 @@ class Page:
     bounds: Bounds
     scale: float
     outline: tuple[tuple[float, float], ...] | None = None
+    bleed: float = 0.0
+
+    @property
+    def paper(self) -> Box:
+        """All that is written: the trim, or bleed and crop marks around it."""
+        out = self.bleed + CROP_MARK if self.bleed > 0 else 0.0
+        return (-out, -out, self.width + out, self.height + out)
 
     @property
     def mm_per_unit(self) -> float:
@@ -155,7 +166,7 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
             where=where,
             mend="give a smaller scale, a larger paper, or smaller [map] bounds",
         )
-    return best
+    return replace(best, bleed=layout.sheet.bleed)
 
 
 def _area(layout: Layout, extent: Bounds, where: str | None) -> Bounds:

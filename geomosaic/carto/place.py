@@ -77,6 +77,11 @@ class Placer:
         """Keep a square around a symbol free."""
         self._take(corners(Spot(x, y), size, size))
 
+    def inside(self, x: float, y: float) -> bool:
+        """Whether a point lies in the frame."""
+        left, bottom, right, top = self.frame
+        return left <= x <= right and bottom <= y <= top
+
     def free(self, box: FloatArray) -> bool:
         """Whether a box lies inside the frame and touches no other."""
         left, bottom, right, top = self.frame

@@ -107,6 +107,7 @@ def facts(made: SheetResult) -> dict[str, Any]:
         "output": str(made.path),
         "scale": page.scale,
         "paper_mm": [page.width, page.height],
+        "bleed_mm": page.bleed,
         "neatline_mm": list(page.neatline),
         "bounds": list(page.bounds),
         "crs": f"{code[0]}:{code[1]}" if code else page.crs.to_wkt(),

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.carto.contours import Contour
 from geomosaic.carto.draw.canvas import drawing, missing_glyphs
 from geomosaic.carto.draw.save import FileOptions, check_format, write_sheet
 from geomosaic.carto.draw.sheet import SheetParts
@@ -26,8 +25,8 @@ from geomosaic.carto.style import Style, plain
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import geographic, horizontal, is_local, parse_crs
 from geomosaic.geo.local import map_place
-from geomosaic.product.contours import sheet_contours
 from geomosaic.product.enhance import band_curves, finishing, shown_bands
+from geomosaic.product.relief import SheetRelief, sheet_relief
 from geomosaic.raster.output import check_output
 from geomosaic.raster.source import Source
 from geomosaic.raster.vector import read_layer
@@ -188,22 +187,30 @@ def _parts(
     """Bring everything to the page."""
     left, bottom, right, top = page.bounds
     place = None if is_local(page.crs) else map_place(page.crs, (left + right) / 2, (bottom + top) / 2)
-    contours: list[Contour] = []
-    interval, datum = 0.0, None
+    shown = SheetRelief()
     if dem is not None:
         part = layout.contours
-        contours, interval, datum = sheet_contours(
+        spacing = part.spot_spacing / page.mm_per_unit if part.spots else None
+        shown = sheet_relief(
             dem, page.crs, page.bounds, NODE_MM / page.mm_per_unit, interval=part.interval, index=part.index,
-            tolerance=part.tolerance, heights=dem_heights,
+            tolerance=part.tolerance, heights=dem_heights, spots=spacing, prominence=part.spot_prominence,
         )  # fmt: skip
     grids = (_grid(layout.grid, page, GRID_MM), _grid(layout.graticule, page, GRATICULE_MM))
     layers = tuple(_layer(vector, page, k) for k, vector in enumerate(vectors))
     accuracy = accuracy_words(report, page.scale) if report is not None else ""
     if report is not None and not accuracy and not layout.notes.accuracy:
         warnings.warn("the report measured no accuracy, so the sheet states none", GeomosaicWarning, stacklevel=2)
-    texts = tuple(blocks(layout, page, place, datum, accuracy))
+    texts = tuple(blocks(layout, page, place, shown.datum, accuracy))
     return SheetParts(
-        page, layout, grids, layers, tuple(contours), interval, texts, place.convergence if place else None
+        page,
+        layout,
+        grids,
+        layers,
+        shown.contours,
+        shown.interval,
+        shown.spots,
+        texts,
+        place.convergence if place else None,
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from geomosaic.carto.contrast import halo_of, on_paper
 from geomosaic.carto.draw.canvas import Canvas, text_size
 from geomosaic.carto.layout import GridPart
 from geomosaic.carto.lines import GridLine, MapGrid
@@ -23,7 +24,7 @@ def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None
     """Lines or crosses inside the neatline."""
     if part.style == "lines":
         paths = [page.to_page(piece) for line in grid.lines for piece in line.pieces]
-        canvas.lines(paths, "#ffffff", 2.2 * part.width, opacity=0.45)
+        canvas.lines(paths, halo_of(part.color), 2.2 * part.width, opacity=0.45)
         canvas.lines(paths, part.color, part.width)
     if part.style == "crosses":
         at = page.to_page(grid.crossings)
@@ -32,12 +33,25 @@ def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None
             step = [0.0, 0.0]
             step[axis] = CROSS / 2
             arms += list(at[:, None, :] + np.array([[-step[0], -step[1]], [step[0], step[1]]]))
-        canvas.lines(arms, "#ffffff", 3.0 * part.width, opacity=0.6)
+        canvas.lines(arms, halo_of(part.color), 3.0 * part.width, opacity=0.6)
         canvas.lines(arms, part.color, 1.5 * part.width)
     if part.style == "ticks":
         inner = [_tick(page, side, x, y, -CROSS) for side, x, y in _ends(grid)]
-        canvas.lines(inner, "#ffffff", 3.0 * part.width, opacity=0.6)
+        canvas.lines(inner, halo_of(part.color), 3.0 * part.width, opacity=0.6)
         canvas.lines(inner, part.color, 1.5 * part.width)
+
+
+def draw_crop_marks(canvas: Canvas, page: Page) -> None:
+    """Two marks outside the bleed at each corner of the trim; nothing without bleed."""
+    if page.bleed <= 0:
+        return
+    left, bottom, right, top = page.paper
+    bleed, marks = page.bleed, []
+    for y in (0.0, page.height):
+        marks += [[(left, y), (-bleed, y)], [(page.width + bleed, y), (right, y)]]
+    for x in (0.0, page.width):
+        marks += [[(x, bottom), (x, -bleed)], [(x, page.height + bleed), (x, top)]]
+    canvas.lines(marks, "#000000", 0.1)
 
 
 def draw_edge(canvas: Canvas, page: Page) -> None:
@@ -71,7 +85,7 @@ def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None
             ticks = [
                 _tick(page, side, x, y, TICK if stop else long) for (_, x, y), stop in zip(marks, blocked, strict=True)
             ]
-            canvas.lines(ticks, part.color, max(part.width, 0.12))
+            canvas.lines(ticks, on_paper(part.color), max(part.width, 0.12))
             taken += kept
 
 
@@ -91,7 +105,7 @@ def _draw_row(
         first, last = along[i] - widths[i] / 2, along[i] + widths[i] / 2
         if first >= low and last <= high:
             x, y = _outside(page, side, along[i], aside)
-            canvas.centred(x, y, texts[i], part.size, angle=90.0 if axis else 0.0, color=part.color)
+            canvas.centred(x, y, texts[i], part.size, angle=90.0 if axis else 0.0, color=on_paper(part.color))
             kept.append((first, last))
     return kept
 

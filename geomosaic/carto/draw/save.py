@@ -145,8 +145,9 @@ def sheet_grid(page: Page, dpi: float) -> Grid:
 def page_grid(page: Page, dpi: float) -> Grid:
     """Pixels of the whole page at a print resolution, in the map's CRS: they start at its upper left corner."""
     size = 25.4 / dpi / page.mm_per_unit
-    width, height = (max(1, round(v * dpi / 25.4)) for v in (page.width, page.height))
-    left, top = page.to_map(np.array([[0.0, page.height]]))[0].tolist()
+    box = page.paper
+    width, height = (max(1, round((box[k + 2] - box[k]) * dpi / 25.4)) for k in (0, 1))
+    left, top = page.to_map(np.array([[box[0], box[3]]]))[0].tolist()
     return Grid(page.crs, Affine(size, 0.0, left, 0.0, -size, top), width, height)
 
 
