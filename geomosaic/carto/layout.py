@@ -111,7 +111,7 @@ class LegendPart:
 
 @dataclass(frozen=True)
 class NotesPart:
-    """`[notes]`: what stands in the margin; empty lines are left out."""
+    """`[notes]`: what stands in the margin; what is empty is taken from the records of the raster, if there."""
 
     sources: str = ""
     photography: str = ""  # date of the photos
@@ -119,6 +119,7 @@ class NotesPart:
     credits: str = ""
     publisher: str = ""
     edition: str = ""
+    records: bool = True  # look for the report and the STAC item beside the raster
 
 
 @dataclass(frozen=True)

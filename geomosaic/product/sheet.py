@@ -70,6 +70,8 @@ class SheetResult:
         Degrees; None in a local frame.
     image_dpi : float
         Pixels of the raster in an inch of paper.
+    records : tuple of str
+        Files that notes were taken from.
     """
 
     path: Path
@@ -80,6 +82,7 @@ class SheetResult:
     layers: Mapping[str, int]
     convergence: float | None
     image_dpi: float
+    records: tuple[str, ...] = ()
 
 
 def make_sheet(
@@ -114,7 +117,8 @@ def make_sheet(
     shade : Path, optional
         DEM of the hillshade; that of the contours where it is not given.
     report : mapping, optional
-        A project's report, for the accuracy statement.
+        A project's report and STAC item (under `stac`), for accuracy, sources and date of photography; names of the
+        files under `read`.
     series : SheetPlace, optional
         Place of the sheet in a series: its neatline, number and neighbours win over the layout.
     files : FileOptions, optional
@@ -161,7 +165,7 @@ def make_sheet(
     return SheetResult(
         output, page, (intervals[0], intervals[1]), len(parts.contours), parts.interval,
         {layer.title: layer.count for layer in parts.layers}, parts.convergence,
-        25.4 / (page.mm_per_unit * grid.resolution[0]),
+        25.4 / (page.mm_per_unit * grid.resolution[0]), tuple((report or {}).get("read", ())),
     )  # fmt: skip
 
 
@@ -197,10 +201,10 @@ def _parts(
         )  # fmt: skip
     grids = (_grid(layout.grid, page, GRID_MM), _grid(layout.graticule, page, GRATICULE_MM))
     layers = tuple(_layer(vector, page, k) for k, vector in enumerate(vectors))
-    accuracy = accuracy_words(report, page.scale) if report is not None else ""
-    if report is not None and not accuracy and not layout.notes.accuracy:
+    measured = layout.notes.accuracy or accuracy_words(report or {}, page.scale)
+    if not measured and {"orient", "check"} & set(report or {}):
         warnings.warn("the report measured no accuracy, so the sheet states none", GeomosaicWarning, stacklevel=2)
-    texts = tuple(blocks(layout, page, place, shown.datum, accuracy))
+    texts = tuple(blocks(layout, page, place, shown.datum, report or {}))
     return SheetParts(
         page,
         layout,
