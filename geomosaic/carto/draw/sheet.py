@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from geomosaic.carto.contours import Contour
-from geomosaic.carto.contrast import legend_line
+from geomosaic.carto.contrast import halo_of, legend_line
 from geomosaic.carto.draw.canvas import Canvas
 from geomosaic.carto.draw.frame import draw_crop_marks, draw_edge, draw_grid, draw_labels
 from geomosaic.carto.draw.margin import Entry, draw_head, draw_panel
@@ -22,7 +22,7 @@ from geomosaic.carto.page import Box, Page
 from geomosaic.carto.place import Placer
 from geomosaic.carto.series.neatline import SheetPlace
 from geomosaic.carto.spots import SpotHeight
-from geomosaic.carto.style import Symbol
+from geomosaic.carto.style import Marker, Symbol
 from geomosaic.types import ByteArray
 
 Pixels = Callable[[Box], ByteArray]
@@ -130,6 +130,9 @@ def legend(parts: SheetParts) -> list[Entry]:
         for main, text, width in shown:
             if any(c.index == main for c in parts.contours):
                 entries.append(Entry(text, Symbol(line=legend_line(part.color, width)), line))
+    if parts.spots:
+        dot = Marker("circle", 1.0, part.color, halo_of(part.color), 0.15)
+        entries.append(Entry("Spot heights, metres", Symbol(marker=dot), frozenset({"point"})))
     for grid, looks in zip(parts.grids, (parts.layout.grid, parts.layout.graticule), strict=True):
         if grid is not None:
             entries.append(Entry(grid_words(grid), Symbol(line=legend_line(looks.color, max(looks.width, 0.15))), line))
