@@ -17,9 +17,9 @@ GALLERY = Path(__file__).resolve().parent.parent / "docs" / "gallery"
 A3, A4 = (420.0, 297.0), (210.0, 297.0)
 EXPECTED: dict[str, dict[str, Any]] = {
     "photomap": {
-        "paper": A3, "scale": 5_000, "bar": 100.0, "crs": 32633, "bounds": (399_200, 5_499_460, 400_700, 5_500_580),
+        "paper": A3, "scale": 5_000, "bar": 100.0, "crs": 32633, "bounds": (399_180, 5_499_460, 400_680, 5_500_580),
         "text": ["Sample Valley", "Sheet 33-117-4", "Long Hill", "Date of photography: 2024-06-21", "12 images",
-                 "sensor", "Sample Brook", "400 000", "1 : 5 000", "13°37′00″ E", "4°12′ east"],
+                 "Sample Brook", "400 000", "1 : 5 000", "13°37′00″ E", "4°12′ east"],
     },
     "spot": {
         "paper": A3, "scale": 25_000, "bar": 80.0, "crs": 32633,

@@ -132,7 +132,7 @@ def make_contours(
         "deviation": [round(c.deviation, 4) for c in found],
     }
     layers = {"contours": Layer(surface.grid.crs, "LineString", lines, columns)}
-    if prominence > 0:
+    if spots:
         layers["spot_heights"] = _spot_layer(spots, surface.grid.crs)
     write_layers(output, layers, overwrite=overwrite)
     return ContourResult(

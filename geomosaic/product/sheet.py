@@ -29,7 +29,7 @@ from geomosaic.product.enhance import band_curves, finishing, shown_bands
 from geomosaic.product.relief import SheetRelief, sheet_relief
 from geomosaic.raster.output import check_output
 from geomosaic.raster.source import Source
-from geomosaic.raster.vector import read_layer
+from geomosaic.raster.vector import layer_counts, read_layer
 from geomosaic.types import ByteArray
 
 GRID_MM, GRATICULE_MM = 40.0, 50.0
@@ -235,7 +235,8 @@ def _grid(part: GridPart, page: Page, spacing: float) -> MapGrid | None:
 
 def _layer(vector: VectorInput, page: Page, number: int) -> Overlay:
     """Read a vector layer and bring it to the map."""
-    frame = read_layer(vector.path, vector.layer)
+    name = vector.layer or _first_layer(vector.path)
+    frame = read_layer(vector.path, name)
     where = f"{vector.path}, layer '{vector.layer}'" if vector.layer else str(vector.path)
     if frame.crs is None:
         raise InputError(
@@ -255,6 +256,20 @@ def _layer(vector: VectorInput, page: Page, number: int) -> Overlay:
     for note in made.notes:
         warnings.warn(f"{where}: {note}", GeomosaicWarning, stacklevel=2)
     return made
+
+
+def _first_layer(path: Path) -> str | None:
+    """The first layer that has objects; the others that have some are named in a note."""
+    full = [name for name, count in layer_counts(path).items() if count]
+    # GPX has each track a second time, as its points.
+    others = [name for name in full[1:] if name not in ("track_points", "route_points")]
+    if others:
+        warnings.warn(
+            f"{path}: layer '{full[0]}' is drawn; name one with FILE#LAYER for {', '.join(others)}",
+            GeomosaicWarning,
+            stacklevel=3,
+        )
+    return full[0] if full else None
 
 
 def _kind(geometries: Sequence[Any]) -> str:
