@@ -76,18 +76,19 @@ class SheetPdf:
                     found.append(self._moved(np.array([v.value for v in box]) * MM))
         return np.array(found)
 
+    def map_box(self) -> np.ndarray:
+        """Left, bottom, right, top of the viewport, mm."""
+        return self._moved(self._numbers(b"/BBox") * MM)
+
+    def _numbers(self, key: bytes) -> np.ndarray:
+        found = re.search(key + rb" \[ ([^\]]*)\]", self.data[self.data.rindex(b"/Type /Viewport") :])
+        assert found, key
+        return np.array([float(v) for v in found[1].split()])
+
     def viewport(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Box of the map (4,) in mm, its corners as parts of it (4, 2), and their longitude and latitude (4, 2)."""
-
-        data = self.data[self.data.rindex(b"/Type /Viewport") :]
-
-        def numbers(key: bytes) -> np.ndarray:
-            found = re.search(key + rb" \[ ([^\]]*)\]", data)
-            assert found, key
-            return np.array([float(v) for v in found[1].split()])
-
-        degrees = numbers(b"/GPTS").reshape(-1, 2)[:, ::-1]
-        return self._moved(numbers(b"/BBox") * MM), numbers(b"/LPTS").reshape(-1, 2), degrees
+        degrees = self._numbers(b"/GPTS").reshape(-1, 2)[:, ::-1]
+        return self.map_box(), self._numbers(b"/LPTS").reshape(-1, 2), degrees
 
     def fonts_embedded(self) -> bool:
         """Whether every font that is described is in the file."""

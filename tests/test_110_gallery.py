@@ -91,7 +91,7 @@ def test_a_sheet_of_the_gallery(
     frames = sheet.paths(range(4, 7))
     frames = frames[((frames[:, 2:] - frames[:, :2]) > 25.0).all(axis=1)]  # neatline, border, panel
     assert len(frames) >= 3
-    neatline = sheet.viewport()[0]
+    neatline = sheet.map_box()
     for frame in (*frames, neatline):
         cut = [letters[k] for k in crossing(boxes, frame)]
         # Names of neighbours stand in gaps of the border; a curved neatline is no rectangle.

@@ -81,7 +81,7 @@ def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> li
         for layer in parts.layers:
             draw_overlay(canvas, page, layer)
         left, bottom, right, top = page.neatline
-        placer = Placer((left + 0.8, bottom + 0.8, right - 0.8, top - 0.8))
+        placer = Placer((left + 0.8, bottom + 0.8, right - 0.8, top - 0.8), outline=page.outline_mm)
         keep_free(page, parts.spots, placer)
         names, lost = place_names(page, parts.layers, placer)
         draw_spots(
