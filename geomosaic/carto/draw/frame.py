@@ -12,11 +12,14 @@ from geomosaic.carto.layout import GridPart
 from geomosaic.carto.lines import GridLine, MapGrid
 from geomosaic.carto.page import BAND, Page
 from geomosaic.carto.place import spread
+from geomosaic.types import FloatArray
 
 CROSS = 3.0
 """Arm to arm of a grid cross, mm."""
 TICK = 2.0
 """Length of a tick outside the neatline, mm; inside it is longer where there are no lines."""
+LONGEST_GAP = 12.0
+"""Length in mm beyond which a line outside the neatline is no end of one that crosses it."""
 NEATLINE, BORDER = 0.3, 0.6
 
 
@@ -87,6 +90,19 @@ def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None
             ]
             canvas.lines(ticks, on_paper(part.color), max(part.width, 0.12))
             taken += kept
+    for grid, part in grids:
+        if grid is not None and page.outline_mm is not None:
+            canvas.lines(_gaps(page, grid), on_paper(part.color), max(part.width, 0.12))
+
+
+def _gaps(page: Page, grid: MapGrid) -> list[FloatArray]:
+    """Ends of grid lines between a neatline that is no rectangle and the ticks on the rectangle around it."""
+    import shapely
+
+    inside = shapely.Polygon(page.outline_mm)
+    pieces = [shapely.LineString(page.to_page(piece)) for line in grid.lines for piece in line.pieces]
+    parts = shapely.get_parts(shapely.difference(np.array(pieces, dtype=object), inside)).tolist() if pieces else []
+    return [np.asarray(part.coords) for part in parts if part.geom_type == "LineString" and part.length < LONGEST_GAP]
 
 
 def _draw_row(
