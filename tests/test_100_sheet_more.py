@@ -284,4 +284,4 @@ def test_rules_of_foreign_styles_are_told(raster: Path, tmp_path: Path, capsys: 
     words = ("--vector", f"{tmp_path / 'walk.gpx'}:{tmp_path / 'walk.sld'}")
     _, told = sheet(capsys, raster, *words, "-o", tmp_path / "a.pdf")
     assert "not understood" in told
-    assert "BBOX" in told
+    assert "the rule 2 by its filter (BBOX)" in told
