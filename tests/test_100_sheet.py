@@ -232,7 +232,7 @@ def test_contours_on_sheet_and_in_a_geopackage(
     out = tmp_path / "contours.gpkg"
     assert run(["contours", str(dem), "--interval", "20", "--index", "2", "-o", str(out), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    frame = geopandas.read_file(out)
+    frame = geopandas.read_file(out, layer="contours")
     assert frame.crs.to_epsg() == 32633
     assert facts["lines"] == len(frame)
     assert facts["heights"] == "EGM96 height"

@@ -274,6 +274,24 @@ def test_labels_never_touch() -> None:
     assert all(shapely.box(*frame).contains(box) for box in boxes)
 
 
+def test_labels_stay_within_a_slanted_neatline() -> None:
+    """Every corner of every text is inside; some that the frame alone would have taken are not there."""
+    ring = np.array([(5.0, 0.0), (100.0, 6.0), (95.0, 100.0), (0.0, 94.0)])
+    rng = np.random.default_rng(5)
+    slanted, plain = Placer((0.0, 0.0, 100.0, 100.0), outline=ring), Placer((0.0, 0.0, 100.0, 100.0))
+    count = 0
+    for x, y in rng.uniform(0, 100, (300, 2)):
+        placed = slanted.place("name", 12.0, 2.0, around_point(x, y, 12.0, 2.0, 1.0))
+        count += plain.place("name", 12.0, 2.0, around_point(x, y, 12.0, 2.0, 1.0)) is not None
+        if placed is not None:
+            box = shapely.Polygon(corners(placed.spot, placed.width, placed.height))
+            assert shapely.Polygon(ring).contains(box)
+            count -= 1
+    assert count > 0
+    assert slanted.inside(50.0, 50.0)
+    assert not slanted.inside(1.0, 1.0)
+
+
 def test_a_lone_name_stands_upper_right() -> None:
     spot = around_point(10.0, 10.0, 8.0, 2.0, 1.5)[0]
     assert spot.x > 10.0

@@ -27,6 +27,7 @@ class SheetPart:
     paper: str = ""
     orientation: str = a_choice("auto", "auto", "portrait", "landscape")
     margin: float = a_number(10.0, least=0.0, most=200.0)
+    bleed: float = a_number(0.0, least=0.0, most=50.0)  # mm of paper beyond the trim, with crop marks
     panel: str = a_choice("auto", "auto", "right", "bottom", "none")
     dpi: int = a_number(300, least=72, most=2400)
 
@@ -110,7 +111,7 @@ class LegendPart:
 
 @dataclass(frozen=True)
 class NotesPart:
-    """`[notes]`: what stands in the margin; empty lines are left out."""
+    """`[notes]`: what stands in the margin; what is empty is taken from the records of the raster, if there."""
 
     sources: str = ""
     photography: str = ""  # date of the photos
@@ -118,6 +119,7 @@ class NotesPart:
     credits: str = ""
     publisher: str = ""
     edition: str = ""
+    records: bool = True  # look for the report and the STAC item beside the raster
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,9 @@ class ContoursPart:
     index_width: float = a_number(0.25, above=0.0, most=5.0)
     labels: bool = True
     size: float = a_number(5.5, above=0.0, most=72.0)
+    spots: bool = True  # spot heights on summits and in hollows
+    spot_prominence: float | None = a_number(None, above=0.0)  # metres; the interval by default
+    spot_spacing: float = a_number(20.0, least=0.0, most=1000.0)  # mm on paper
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ class MapGrid:
     @property
     def degrees(self) -> bool:
         """Whether it counts in degrees."""
-        return not self.crs.is_projected
+        return bool(self.crs.is_geographic)
 
     def label(self, line: GridLine) -> str:
         """What stands beside a line."""
@@ -88,11 +88,11 @@ def map_grid(crs: CRS, map_crs: CRS, bounds: Bounds, spacing: float, interval: f
     if not np.isfinite(edge).all():
         raise InputError(f"the grid of '{flat.name}' is not defined on this sheet", mend="choose another grid CRS")
     low, high = edge.min(axis=0), edge.max(axis=0)
-    if not flat.is_projected and high[0] - low[0] > 180.0:
+    if flat.is_geographic and high[0] - low[0] > 180.0:
         raise InputError("the sheet crosses the 180th meridian", mend='give [graticule] style = "none"')
     if interval is None:
         size = np.array([bounds[2] - bounds[0], bounds[3] - bounds[1]])
-        interval = nice_step(float(spacing * np.max((high - low) / size)), degrees=not flat.is_projected)
+        interval = nice_step(float(spacing * np.max((high - low) / size)), degrees=bool(flat.is_geographic))
     if max((high - low) / interval) > 200:
         raise InputError(
             f"an interval of {interval:g} gives {max((high - low) / interval):.0f} lines on this sheet",

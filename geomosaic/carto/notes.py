@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -28,11 +29,14 @@ def crs_title(crs: CRS) -> str:
     return f"{name} ({code[0]}:{code[1]})" if code else str(name)
 
 
-def crs_words(page: Page, place: MapPlace, heights: str | None) -> list[str]:
-    """Lines of the block on CRS and datum."""
+def crs_words(page: Page, place: MapPlace | None, heights: str | None) -> list[str]:
+    """Lines of the block on CRS and datum; `place` is None in a local frame."""
     flat = page.crs
     unit = flat.axis_info[0].unit_name if flat.axis_info else "unit"
     lines = [crs_title(flat)]
+    if place is None:
+        lines.append(f"Local frame, {unit}: not tied to the Earth")
+        return lines + ([f"Heights: {heights}"] if heights else [])
     operation = flat.coordinate_operation
     method = operation.method_name if operation is not None else ""
     lines.append(f"{method}, {unit}" if method else unit)
@@ -97,15 +101,62 @@ def accuracy_words(report: Mapping[str, Any], scale: float) -> str:
     return f"{text[0].upper()}{text[1:]}. {PLOTTABLE_MM:g} mm on the sheet are {PLOTTABLE_MM * scale / 1000:g} m."
 
 
+def photography_words(records: Mapping[str, Any]) -> str:
+    """When the images were taken, from the STAC item: one day or the first and the last; '' where none says it."""
+    known = [str(image.get("acquired") or "")[:10] for image in _images(records)]
+    days = sorted(day for day in known if day)
+    if not days:
+        return ""
+    text = days[0] if days[0] == days[-1] else f"{days[0]} to {days[-1]}"
+    return text if len(days) == len(known) else f"{text} ({len(days)} of {len(known)} images say when)"
+
+
+def source_words(records: Mapping[str, Any]) -> str:
+    """What the raster was made of, from the STAC item and the report; '' where nothing is known."""
+    images = _images(records)
+    if not images:
+        return ""
+    names = [str(image.get("image")) for image in images]
+    text = names[0] if len(names) == 1 else f"{len(names)} images, {names[0]} to {names[-1]}"
+    sensor = (records.get("orient") or {}).get("sensor")
+    text += f", sensor {sensor}" if sensor else ""
+    sizes = [float(image["gsd_metres"]) for image in images if _number(image.get("gsd_metres"))]
+    if sizes:
+        low, high = (f"{value:.2g}" for value in (min(sizes), max(sizes)))
+        text += f", ground pixels of {low if low == high else f'{low} to {high}'} m"
+    software = (_item(records).get("processing:software") or {}).get("geomosaic")
+    return f"{text}. Mosaic by geomosaic {software}." if software else f"{text}."
+
+
+def _item(records: Mapping[str, Any]) -> Mapping[str, Any]:
+    found: Mapping[str, Any] = (records.get("stac") or {}).get("properties") or {}
+    return found
+
+
+def _images(records: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    return [image for image in _item(records).get("geomosaic:sources") or () if isinstance(image, Mapping)]
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)
+
+
 def blocks(
-    layout: Layout, page: Page, place: MapPlace, heights: str | None, accuracy: str
+    layout: Layout, page: Page, place: MapPlace | None, heights: str | None, records: Mapping[str, Any]
 ) -> list[tuple[str, list[str]]]:
     """Headed blocks of text for the margin, in their order; empty ones are left out."""
     notes = layout.notes
+    photography = notes.photography or photography_words(records)
     found = [
         ("Coordinate reference system", crs_words(page, place, heights)),
-        ("Accuracy", [notes.accuracy or accuracy]),
-        ("Sources", [notes.sources, f"Date of photography: {notes.photography}" if notes.photography else ""]),
+        ("Accuracy", [notes.accuracy or accuracy_words(records, page.scale)]),
+        (
+            "Sources",
+            [
+                notes.sources or source_words(records),
+                f"Date of photography: {photography}" if photography else "",
+            ],
+        ),
         ("", [notes.publisher, notes.edition, notes.credits]),
     ]
     kept = [(head, [line for text in lines for line in text.splitlines() if line.strip()]) for head, lines in found]

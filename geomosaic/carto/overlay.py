@@ -88,6 +88,7 @@ def to_map(geometries: AnyArray, crs: CRS, map_crs: CRS, bounds: Bounds, straigh
     flat, target = horizontal(crs), horizontal(map_crs)
     operation = Transform(flat, target)
     if not flat.equals(target, ignore_axis_order=True):
+        operation = Transform(flat, target)
         shapes = shapely.segmentize(shapes, max_segment_length=_in_units_of(flat, straight, target, bounds))
 
         def move(points: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pyproj import CRS
@@ -10,6 +10,7 @@ from pyproj import CRS
 from geomosaic.carto.layout import PAPERS, Layout, paper_size
 from geomosaic.carto.nice import metres_per_unit, nice_scale
 from geomosaic.errors import InputError
+from geomosaic.geo.crs import is_local
 from geomosaic.geo.grid import Bounds
 from geomosaic.types import FloatArray
 
@@ -25,6 +26,8 @@ NARROWEST, COLUMNS = 140.0, 168.0
 """Width in mm from which a panel at the bottom has room for its three columns, and which they take where they can."""
 FOOT = 16.0
 """Height in mm of the strip for the scale below a map that has no panel there."""
+CROP_MARK = 5.0
+"""Length in mm of the marks where bleed is cut off."""
 GAP = 3.0
 SMALLEST = 30.0
 """Shortest side of a map in mm that is worth a sheet."""
@@ -52,13 +55,15 @@ class Page:
     side : str
         Where the panel is: 'right', 'bottom' or 'none'.
     crs : CRS
-        Projected; of the map.
+        Of the map: projected, or a local frame.
     bounds : Bounds
         Left, bottom, right, top of the neatline in `crs`.
     scale : float
         Denominator.
     outline : tuple of points, optional
         Neatline in `crs` where it is no rectangle, not closed; `bounds` is the box around it.
+    bleed : float
+        Paper in mm beyond the trim, which is (0, 0, width, height).
     """
 
     width: float
@@ -73,6 +78,13 @@ class Page:
     bounds: Bounds
     scale: float
     outline: tuple[tuple[float, float], ...] | None = None
+    bleed: float = 0.0
+
+    @property
+    def paper(self) -> Box:
+        """All that is written: the trim, or bleed and crop marks around it."""
+        out = self.bleed + CROP_MARK if self.bleed > 0 else 0.0
+        return (-out, -out, self.width + out, self.height + out)
 
     @property
     def mm_per_unit(self) -> float:
@@ -109,7 +121,7 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
     ----------
     layout : Layout
     crs : CRS
-        Of the map; must be projected.
+        Of the map: projected, or a local frame in units of length.
     extent : Bounds
         What there is a picture of, in `crs`.
     where : str, optional
@@ -120,7 +132,7 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
     InputError
         A map without a scale (geographic CRS), an area beside the picture or larger than the paper.
     """
-    if not crs.is_projected:
+    if not (crs.is_projected or is_local(crs)):
         raise InputError(
             f"'{crs.name}' is not projected, so a sheet in it has no scale",
             where=where,
@@ -154,7 +166,7 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
             where=where,
             mend="give a smaller scale, a larger paper, or smaller [map] bounds",
         )
-    return best
+    return replace(best, bleed=layout.sheet.bleed)
 
 
 def _area(layout: Layout, extent: Bounds, where: str | None) -> Bounds:

@@ -66,10 +66,13 @@ class Placer:
         Left, bottom, right, top in mm: no text reaches beyond.
     gap : float
         Least distance between texts, mm.
+    outline : array (N, 2), optional
+        A ring within the frame that no text leaves either, in mm.
     """
 
     frame: tuple[float, float, float, float]
     gap: float = 0.6
+    outline: FloatArray | None = None
     _taken: list[FloatArray] = field(default_factory=list)
     _limits: list[FloatArray] = field(default_factory=list)
 
@@ -77,11 +80,19 @@ class Placer:
         """Keep a square around a symbol free."""
         self._take(corners(Spot(x, y), size, size))
 
+    def inside(self, x: float, y: float) -> bool:
+        """Whether a point lies in the frame and the outline."""
+        left, bottom, right, top = self.frame
+        within = left <= x <= right and bottom <= y <= top
+        return within and (self.outline is None or _inside(self.outline, x, y))
+
     def free(self, box: FloatArray) -> bool:
         """Whether a box lies inside the frame and touches no other."""
         left, bottom, right, top = self.frame
         low, high = box.min(axis=0), box.max(axis=0)
         if low[0] < left or low[1] < bottom or high[0] > right or high[1] > top:
+            return False
+        if self.outline is not None and not all(_inside(self.outline, x, y) for x, y in box.tolist()):
             return False
         if not self._taken:
             return True
@@ -100,6 +111,14 @@ class Placer:
     def _take(self, box: FloatArray) -> None:
         self._taken.append(box)
         self._limits.append(np.concatenate([box.min(axis=0), box.max(axis=0)]))
+
+
+def _inside(ring: FloatArray, x: float, y: float) -> bool:
+    """Whether a point lies in a ring (N, 2): its line to the right cuts the ring an odd number of times."""
+    ahead = np.roll(ring, -1, axis=0)
+    cut = (ring[:, 1] <= y) != (ahead[:, 1] <= y)
+    a, b = ring[cut], ahead[cut]
+    return bool((a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0]) > x).sum() % 2)
 
 
 def around_point(x: float, y: float, width: float, height: float, radius: float) -> list[Spot]:

@@ -27,6 +27,15 @@ from geomosaic.cli.talk import answer, notes
 @click.option(
     "--min-length", type=click.FloatRange(0), metavar="UNITS", help="Leave out shorter rings.  [default: 8 nodes]"
 )
+@click.option(
+    "--prominence",
+    type=click.FloatRange(0),
+    metavar="METRES",
+    help="Spot heights: summits and hollows that stand out by so many metres; 0 for none.  [default: the interval]",
+)
+@click.option(
+    "--spacing", type=click.FloatRange(0), metavar="UNITS", help="Least distance of spot heights.  [default: 20 nodes]"
+)
 @click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it.")
 @click.option("-o", "--output", type=FILE, required=True, help="GeoPackage to write.")
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
@@ -38,12 +47,16 @@ def command(
     index: int,
     tolerance: float | None,
     min_length: float | None,
+    prominence: float | None,
+    spacing: float | None,
     dem_heights: str | None,
     output: Path,
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Draw contours of a DEM into a GeoPackage, smoothed within a tolerance of height that is measured and told.
+    """Draw contours and spot heights of a DEM into a GeoPackage.
+
+    Contours are smoothed within a tolerance of height that is measured and told.
 
     \b
     Example:
@@ -56,12 +69,17 @@ def command(
     with notes():
         made = make_contours(
             dem, output, interval=interval, index=index, tolerance=tolerance, shortest=min_length, heights=dem_heights,
-            overwrite=overwrite,
+            prominence=prominence, spacing=spacing, overwrite=overwrite,
         )  # fmt: skip
     facts = {"output" if key == "path" else key: value for key, value in asdict(made).items()}
     words = (
         f"{made.path}: {made.lines} contours every {made.interval:g} m from {made.low:g} to {made.high:g} m, "
         f"{made.index_lines} of them main ones (heights: {made.heights})\n"
         f"within {made.deviation:.3f} m of the DEM's surface (smoothing: tolerance {made.tolerance:g} m)"
+        + (
+            f"\n{made.summits} summits and {made.hollows} hollows that stand out by {made.prominence:g} m or more"
+            if made.prominence
+            else ""
+        )
     )
     answer(facts, words, as_json)

@@ -67,7 +67,7 @@ def _checked(read: Any, value: str | None) -> str | None:
 @click.option("--interval", type=click.FloatRange(0, min_open=True), metavar="METRES", help="Interval of the contours.")
 @click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it.")
 @look_options
-@click.option("--report", type=FILE, help="report.json of the project, for the accuracy statement.")
+@click.option("--report", type=FILE, help="report.json of the project.  [default: that beside the raster]")
 @click.option("--dpi", type=click.IntRange(72, 2400), help="Resolution of the picture.  [default: 300]")
 @click.option(
     "-o",
@@ -107,6 +107,7 @@ def facts(made: SheetResult) -> dict[str, Any]:
         "output": str(made.path),
         "scale": page.scale,
         "paper_mm": [page.width, page.height],
+        "bleed_mm": page.bleed,
         "neatline_mm": list(page.neatline),
         "bounds": list(page.bounds),
         "crs": f"{code[0]}:{code[1]}" if code else page.crs.to_wkt(),
@@ -117,6 +118,7 @@ def facts(made: SheetResult) -> dict[str, Any]:
         "contour_interval": made.contour_interval,
         "layers": dict(made.layers),
         "image_dpi": made.image_dpi,
+        "records": list(made.records),
     }
 
 
@@ -129,6 +131,8 @@ def words(made: SheetResult) -> str:
         f"{top - bottom:.1f} mm",
         f"the raster has {made.image_dpi:.0f} pixels per inch on the sheet",
     ]
+    if made.records:
+        lines.append(f"notes of the margin from {' and '.join(made.records)}")
     if made.contours:
         lines.append(f"{made.contours} contours every {made.contour_interval:g} m")
     lines += [f"{title}: {count} objects" for title, count in made.layers.items()]

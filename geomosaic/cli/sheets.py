@@ -76,7 +76,7 @@ def _scheme(flags: dict[str, Any]) -> Scheme:
 @click.option("--interval", type=click.FloatRange(0, min_open=True), metavar="METRES", help="Interval of the contours.")
 @click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it.")
 @look_options
-@click.option("--report", type=FILE, help="report.json of the project, for the accuracy statement.")
+@click.option("--report", type=FILE, help="report.json of the project.  [default: that beside the raster]")
 @click.option("--dpi", type=click.IntRange(72, 2400), help="Resolution of the pictures.  [default: 300]")
 @click.option(
     "--format", "suffix", type=click.Choice(["pdf", "png", "tif", "mbtiles", "kmz"]), default="pdf", show_default=True

@@ -93,6 +93,11 @@ def in_degrees(crs: CRS) -> bool:
     return not crs.is_geocentric and bool(horizontal(crs).is_geographic)
 
 
+def is_local(crs: CRS) -> bool:
+    """Say whether it is a local engineering frame, such as that of a developed wall: metres, and no place on Earth."""
+    return bool(horizontal(crs).is_engineering)
+
+
 def has_heights(crs: CRS) -> bool:
     """Say whether the CRS declares what its heights mean."""
     return crs.is_geocentric or crs.is_vertical or len(crs.axis_info) == 3

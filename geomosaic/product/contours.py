@@ -1,20 +1,19 @@
-"""Contours of a DEM: to a GeoPackage, or for a sheet."""
+"""Contours and spot heights of a DEM, to a GeoPackage."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pyproj import CRS
 
-from geomosaic.carto.contours import Contour, Heights, nice_interval, trace
+from geomosaic.carto.contours import nice_interval, trace
+from geomosaic.carto.spots import SpotHeight, find_spots
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import height_name, horizontal
-from geomosaic.geo.grid import Bounds
-from geomosaic.geo.transform import Transform
+from geomosaic.geo.crs import height_name
+from geomosaic.product.relief import nodes_of
 from geomosaic.raster.output import check_output
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.surface.dem import Dem
@@ -37,6 +36,10 @@ class ContourResult:
         Largest difference in metres between the DEM's surface along a contour and the contour's height.
     heights : str
         Vertical datum.
+    summits, hollows : int
+        Spot heights.
+    prominence : float
+        Metres by which they stand out at least; 0 where none were looked for.
     """
 
     path: Path
@@ -48,6 +51,9 @@ class ContourResult:
     index_lines: int
     deviation: float
     heights: str
+    summits: int = 0
+    hollows: int = 0
+    prominence: float = 0.0
 
 
 def make_contours(
@@ -59,12 +65,15 @@ def make_contours(
     tolerance: float | None = None,
     shortest: float | None = None,
     heights: str | None = None,
+    prominence: float | None = None,
+    spacing: float | None = None,
     overwrite: bool = False,
 ) -> ContourResult:
     """Trace contours of a whole DEM and write them as layer `contours` of a GeoPackage.
 
     Columns: `height` (metres), `main` (true for every `index`-th), `deviation` (metres, see `ContourResult`). The
-    ground rises to the left of each line.
+    ground rises to the left of each line. Layer `spot_heights` has the summits and hollows that stand out: `height`,
+    `prominence` (metres), `kind`.
 
     Parameters
     ----------
@@ -81,6 +90,10 @@ def make_contours(
         Shorter rings are left out; in units of the DEM's CRS, 8 nodes by default.
     heights : str, optional
         Vertical datum of the DEM, where the file does not say it.
+    prominence : float, optional
+        Metres by which spot heights stand out at least; the interval by default, 0 for no spot heights.
+    spacing : float, optional
+        Of spot heights, in units of the DEM's CRS; 20 nodes by default.
     overwrite : bool
         Replace an existing file.
 
@@ -96,8 +109,11 @@ def make_contours(
         if interval is None:
             interval = nice_interval(*surface.range)
         shortest = 8.0 * surface.spacing if shortest is None else shortest
-        nodes = _nodes(surface, surface.grid.bounds, 0.0)
+        nodes = nodes_of(surface, surface.grid.bounds, 0.0)
         found = trace(nodes, interval, index=index, tolerance=tolerance, shortest=shortest)
+        prominence = interval if prominence is None else prominence
+        spacing = 20.0 * surface.spacing if spacing is None else spacing
+        spots = find_spots(nodes, prominence, spacing) if prominence > 0 else []
         datum = height_name(surface.crs)
     finally:
         surface.close()
@@ -115,77 +131,23 @@ def make_contours(
         "main": [c.index for c in found],
         "deviation": [round(c.deviation, 4) for c in found],
     }
-    write_layers(output, {"contours": Layer(surface.grid.crs, "LineString", lines, columns)}, overwrite=overwrite)
+    layers = {"contours": Layer(surface.grid.crs, "LineString", lines, columns)}
+    if spots:
+        layers["spot_heights"] = _spot_layer(spots, surface.grid.crs)
+    write_layers(output, layers, overwrite=overwrite)
     return ContourResult(
         output, interval, 0.1 * interval if tolerance is None else tolerance, found[0].height, found[-1].height,
         len(found), sum(c.index for c in found), max(c.deviation for c in found), datum,
+        sum(not spot.hollow for spot in spots), sum(spot.hollow for spot in spots), prominence,
     )  # fmt: skip
 
 
-def _nodes(surface: Dem, bounds: Bounds, spacing: float) -> Heights:
-    patch = surface.patch(bounds, spacing)
-    return Heights(patch.heights, ~patch.transform)
+def _spot_layer(spots: Sequence[SpotHeight], crs: CRS) -> Layer:
+    import shapely
 
-
-def sheet_contours(
-    dem: Path,
-    crs: CRS,
-    bounds: Bounds,
-    spacing: float,
-    *,
-    interval: float | None,
-    index: int,
-    tolerance: float | None,
-    heights: str | None,
-) -> tuple[list[Contour], float, str]:
-    """Contours inside a neatline.
-
-    Parameters
-    ----------
-    dem : Path
-    crs : CRS
-        Of the map.
-    bounds : Bounds
-        Neatline in `crs`.
-    spacing : float
-        In units of `crs`: closer nodes are averaged, since the paper does not show them.
-    interval, index, tolerance, heights
-        As in `make_contours`; the interval by default follows from the heights on the sheet.
-
-    Returns
-    -------
-    contours : list of Contour
-        In `crs`.
-    interval : float
-        Metres.
-    datum : str
-        Name of the vertical datum.
-
-    Raises
-    ------
-    InputError
-        The DEM does not cover the sheet.
-    """
-    surface = Dem.open(dem, heights=heights)
-    try:
-        there, back = Transform(crs, surface.grid.crs), Transform(surface.grid.crs, horizontal(crs))
-        left, bottom, right, top = bounds
-        t = np.linspace(0.0, 1.0, 33)
-        edge = np.array(
-            [(left + u * (right - left), y) for u in t for y in (bottom, top)]
-            + [(x, bottom + u * (top - bottom)) for u in t for x in (left, right)]
-        )
-        edge = there(edge)
-        low, high = edge.min(axis=0), edge.max(axis=0)
-        ratio = float((high - low).max() / max(right - left, top - bottom))
-        nodes = _nodes(surface, (low[0], low[1], high[0], high[1]), spacing * ratio)
-        known = nodes.values[np.isfinite(nodes.values)]
-        if not known.size:
-            raise InputError("the DEM has no heights on the sheet", where=str(dem), mend="give one that covers it")
-        if interval is None:
-            interval = nice_interval(float(known.min()), float(known.max()))
-        cell = float(np.hypot(nodes.transform.a, nodes.transform.d))
-        found = trace(nodes, interval, index=index, tolerance=tolerance, shortest=12.0 * cell)
-        return [replace(c, xy=back(c.xy)) for c in found], interval, height_name(surface.crs)
-    finally:
-        surface.close()
+    columns: dict[str, Sequence[Any]] = {
+        "height": [round(spot.height, 3) for spot in spots],
+        "prominence": [round(spot.prominence, 3) for spot in spots],
+        "kind": ["hollow" if spot.hollow else "summit" for spot in spots],
+    }
+    return Layer(crs, "Point", [shapely.Point(spot.x, spot.y) for spot in spots], columns)

@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyproj import CRS
 
-from geomosaic.carto.contours import Contour
 from geomosaic.carto.draw.canvas import drawing, missing_glyphs
 from geomosaic.carto.draw.save import FileOptions, check_format, write_sheet
 from geomosaic.carto.draw.sheet import SheetParts
-from geomosaic.carto.layout import GridPart, Layout
+from geomosaic.carto.layout import GraticulePart, GridPart, Layout
 from geomosaic.carto.lines import MapGrid, map_grid
 from geomosaic.carto.nice import metres_per_unit
 from geomosaic.carto.notes import accuracy_words, blocks
@@ -25,13 +23,13 @@ from geomosaic.carto.picture import picture, raster_grid
 from geomosaic.carto.series.neatline import SheetPlace
 from geomosaic.carto.style import Style, plain
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.geo.crs import geographic, horizontal, parse_crs
+from geomosaic.geo.crs import geographic, horizontal, is_local, parse_crs
 from geomosaic.geo.local import map_place
-from geomosaic.product.contours import sheet_contours
 from geomosaic.product.enhance import band_curves, finishing, shown_bands
+from geomosaic.product.relief import SheetRelief, sheet_relief
 from geomosaic.raster.output import check_output
 from geomosaic.raster.source import Source
-from geomosaic.raster.vector import read_layer
+from geomosaic.raster.vector import layer_counts, read_layer
 from geomosaic.types import ByteArray
 
 GRID_MM, GRATICULE_MM = 40.0, 50.0
@@ -68,10 +66,12 @@ class SheetResult:
         Metres; 0 without contours.
     layers : mapping of str to int
         Objects drawn, by title.
-    convergence : float
-        Degrees.
+    convergence : float or None
+        Degrees; None in a local frame.
     image_dpi : float
         Pixels of the raster in an inch of paper.
+    records : tuple of str
+        Files that notes were taken from.
     """
 
     path: Path
@@ -80,8 +80,9 @@ class SheetResult:
     contours: int
     contour_interval: float
     layers: Mapping[str, int]
-    convergence: float
+    convergence: float | None
     image_dpi: float
+    records: tuple[str, ...] = ()
 
 
 def make_sheet(
@@ -103,7 +104,7 @@ def make_sheet(
     Parameters
     ----------
     raster : Path
-        North up, in a projected CRS: that of the map.
+        North up, in a projected CRS or a local frame: that of the map.
     output : Path
         .pdf and .png are the whole page; .tif is the map cut at the neatline, georeferenced.
     layout : Layout
@@ -116,7 +117,8 @@ def make_sheet(
     shade : Path, optional
         DEM of the hillshade; that of the contours where it is not given.
     report : mapping, optional
-        A project's report, for the accuracy statement.
+        A project's report and STAC item (under `stac`), for accuracy, sources and date of photography; names of the
+        files under `read`.
     series : SheetPlace, optional
         Place of the sheet in a series: its neatline, number and neighbours win over the layout.
     files : FileOptions, optional
@@ -163,7 +165,7 @@ def make_sheet(
     return SheetResult(
         output, page, (intervals[0], intervals[1]), len(parts.contours), parts.interval,
         {layer.title: layer.count for layer in parts.layers}, parts.convergence,
-        25.4 / (page.mm_per_unit * grid.resolution[0]),
+        25.4 / (page.mm_per_unit * grid.resolution[0]), tuple((report or {}).get("read", ())),
     )  # fmt: skip
 
 
@@ -188,37 +190,53 @@ def _parts(
 ) -> SheetParts:
     """Bring everything to the page."""
     left, bottom, right, top = page.bounds
-    place = map_place(page.crs, (left + right) / 2, (bottom + top) / 2)
-    contours: list[Contour] = []
-    interval, datum = 0.0, None
+    place = None if is_local(page.crs) else map_place(page.crs, (left + right) / 2, (bottom + top) / 2)
+    shown = SheetRelief()
     if dem is not None:
         part = layout.contours
-        contours, interval, datum = sheet_contours(
+        spacing = part.spot_spacing / page.mm_per_unit if part.spots else None
+        shown = sheet_relief(
             dem, page.crs, page.bounds, NODE_MM / page.mm_per_unit, interval=part.interval, index=part.index,
-            tolerance=part.tolerance, heights=dem_heights,
+            tolerance=part.tolerance, heights=dem_heights, spots=spacing, prominence=part.spot_prominence,
         )  # fmt: skip
-    graticule = parse_crs(layout.graticule.crs) if layout.graticule.crs else geographic(page.crs)
-    grids = (
-        _grid(layout.grid, parse_crs(layout.grid.crs) if layout.grid.crs else page.crs, page, GRID_MM),
-        _grid(layout.graticule, graticule, page, GRATICULE_MM),
-    )
+    grids = (_grid(layout.grid, page, GRID_MM), _grid(layout.graticule, page, GRATICULE_MM))
     layers = tuple(_layer(vector, page, k) for k, vector in enumerate(vectors))
-    accuracy = accuracy_words(report, page.scale) if report is not None else ""
-    if report is not None and not accuracy and not layout.notes.accuracy:
+    measured = layout.notes.accuracy or accuracy_words(report or {}, page.scale)
+    if not measured and {"orient", "check"} & set(report or {}):
         warnings.warn("the report measured no accuracy, so the sheet states none", GeomosaicWarning, stacklevel=2)
-    texts = tuple(blocks(layout, page, place, datum, accuracy))
-    return SheetParts(page, layout, grids, layers, tuple(contours), interval, texts, place.convergence)
+    texts = tuple(blocks(layout, page, place, shown.datum, report or {}))
+    return SheetParts(
+        page,
+        layout,
+        grids,
+        layers,
+        shown.contours,
+        shown.interval,
+        shown.spots,
+        texts,
+        place.convergence if place else None,
+    )
 
 
-def _grid(part: GridPart, crs: CRS, page: Page, spacing: float) -> MapGrid | None:
+def _grid(part: GridPart, page: Page, spacing: float) -> MapGrid | None:
+    """Grid where one is wanted; without a CRS of its own it is that of the map, a graticule longitude and latitude."""
     if part.style == "none":
         return None
+    if part.crs:
+        crs = parse_crs(part.crs)
+    elif not isinstance(part, GraticulePart):
+        crs = page.crs
+    elif is_local(page.crs):
+        return None
+    else:
+        crs = geographic(page.crs)
     return map_grid(crs, page.crs, page.bounds, spacing / page.mm_per_unit, part.interval)
 
 
 def _layer(vector: VectorInput, page: Page, number: int) -> Overlay:
     """Read a vector layer and bring it to the map."""
-    frame = read_layer(vector.path, vector.layer)
+    name = vector.layer or _first_layer(vector.path)
+    frame = read_layer(vector.path, name)
     where = f"{vector.path}, layer '{vector.layer}'" if vector.layer else str(vector.path)
     if frame.crs is None:
         raise InputError(
@@ -238,6 +256,20 @@ def _layer(vector: VectorInput, page: Page, number: int) -> Overlay:
     for note in made.notes:
         warnings.warn(f"{where}: {note}", GeomosaicWarning, stacklevel=2)
     return made
+
+
+def _first_layer(path: Path) -> str | None:
+    """The first layer that has objects; the others that have some are named in a note."""
+    full = [name for name, count in layer_counts(path).items() if count]
+    # GPX has each track a second time, as its points.
+    others = [name for name in full[1:] if name not in ("track_points", "route_points")]
+    if others:
+        warnings.warn(
+            f"{path}: layer '{full[0]}' is drawn; name one with FILE#LAYER for {', '.join(others)}",
+            GeomosaicWarning,
+            stacklevel=3,
+        )
+    return full[0] if full else None
 
 
 def _kind(geometries: Sequence[Any]) -> str:

@@ -89,7 +89,7 @@ def series_from_files(
     **options: Any,
 ) -> SeriesResult:
     """Make a series; see `geomosaic.project.sheet.sheet_inputs` for `options` and `make_series` for the others."""
-    found = sheet_inputs(**options)
+    found = sheet_inputs(raster, **options)
     inputs = SeriesInputs(
         raster, found.layout, found.layers, found.dem, found.dem_heights, found.shade, found.report,
         FileOptions(driver, collar, world_file),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from geomosaic.carto.style import BUILT_IN, Style, built_in, parse_style
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.product.sheet import SheetResult, VectorInput, make_sheet
 from geomosaic.project.camera import read_toml
+from geomosaic.project.sheet_records import read_records
 from geomosaic.project.tables import read_text
 
 
@@ -89,6 +89,7 @@ class SheetInputs:
 
 
 def sheet_inputs(
+    raster: Path,
     *,
     layout: Path | None = None,
     scale: str | None = None,
@@ -109,7 +110,7 @@ def sheet_inputs(
     sharpen: float | None = None,
     hillshade: Path | None = None,
 ) -> SheetInputs:
-    """Read layout, styles and report; what is given here wins over the layout file."""
+    """Read layout, styles and what is known of the raster; what is given here wins over the layout file."""
     plan = read_layout(layout) if layout is not None else Layout()
     base = layout.parent if layout is not None else Path()
     if plan.sheet.logo:
@@ -138,7 +139,7 @@ def sheet_inputs(
     ]
     layers += [vector_input(text) for text in vectors]
     dem = contours or (base / plan.contours.dem if plan.contours.dem else None)
-    facts = _report(report) if report is not None else None
+    facts = read_records(raster, report) if plan.notes.records or report is not None else None
     shade = hillshade or (base / plan.enhance.dem if plan.enhance.dem else None)
     return SheetInputs(plan, tuple(layers), dem, shade, dem_heights or plan.contours.heights or None, facts)
 
@@ -160,7 +161,7 @@ def sheet_from_files(
     Parameters are those of `geomosaic sheet`; see `sheet_inputs` for `options` and `make_sheet` for what it raises.
     """
     named = title if title is not None or layout is not None else raster.stem.replace("_", " ")
-    found = sheet_inputs(layout=layout, title=named, **options)
+    found = sheet_inputs(raster, layout=layout, title=named, **options)
     return make_sheet(
         raster, output, found.layout, found.layers, dem=found.dem, dem_heights=found.dem_heights, shade=found.shade,
         report=found.report,
@@ -170,15 +171,3 @@ def sheet_from_files(
 
 def _given(values: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in values.items() if value is not None}
-
-
-def _report(path: Path) -> Mapping[str, Any]:
-    try:
-        facts = json.loads(read_text(path, "report", 256 << 20))
-    except json.JSONDecodeError as error:
-        raise InputError(f"the report is not JSON: {error}", where=str(path), mend="give report.json") from None
-    if not isinstance(facts, dict) or not {"orient", "mosaic", "check"} & set(facts):
-        raise InputError(
-            "this is no report of a project", where=str(path), mend="give the report.json beside the mosaic"
-        )
-    return facts

@@ -176,6 +176,20 @@ def layer_names(path: PathLike) -> list[str]:
         ) from error
 
 
+def layer_counts(path: PathLike) -> dict[str, int]:
+    """Numbers of objects by layer, in the order of the file; those of GPX, say, are often empty.
+
+    Raises
+    ------
+    InputError
+        The file is missing or no vector file.
+    """
+    import pyogrio
+
+    names = layer_names(path)
+    return {name: int(pyogrio.read_info(path, layer=name, force_feature_count=True)["features"]) for name in names}
+
+
 def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
     """Read a layer of a vector file (GeoPackage, GeoJSON, Shapefile, FlatGeobuf ...), the first by default.
 

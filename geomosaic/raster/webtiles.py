@@ -1,4 +1,4 @@
-"""Maps for the web and for globes: MBTiles and KML super-overlays, through GDAL's drivers."""
+"""Maps for the web and for globes: MBTiles, and KML super-overlays through GDAL's driver."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ import rasterio
 import rasterio.crs
 import rasterio.shutil
 from affine import Affine
+from rasterio._err import CPLE_BaseError
 from rasterio.enums import Resampling
 from rasterio.io import MemoryFile
 from rasterio.warp import calculate_default_transform, reproject
 
 from geomosaic.errors import OutputError
 from geomosaic.geo.grid import Grid
+from geomosaic.raster.mbtiles import SIDE, write_mbtiles
 from geomosaic.raster.output import check_output, partial, remove, sync
 from geomosaic.types import ByteArray, PathLike
 
-MERCATOR, SIDE = 20037508.342789244, 256
-"""Half the side of the world in web Mercator, metres, and the pixels of a tile."""
-FORMATS = {".mbtiles": "MBTiles", ".kmz": "KMLSUPEROVERLAY"}
+MERCATOR = 20037508.342789244
+"""Half the side of the world in web Mercator, metres."""
 _DATE = (1980, 1, 1, 0, 0, 0)
 
 
@@ -47,32 +48,26 @@ def write_web(path: PathLike, grid: Grid, pixels: ByteArray, *, title: str, over
     """
     path = Path(path)
     check_output(path, overwrite=overwrite)
-    driver = FORMATS[path.suffix.lower()]
-    target = rasterio.crs.CRS.from_epsg(3857 if driver == "MBTiles" else 4326)
+    target = rasterio.crs.CRS.from_epsg(3857 if path.suffix.lower() == ".mbtiles" else 4326)
     unfinished: Path | None = None
     try:
-        hidden = partial(path.resolve())
-        unfinished = hidden.with_name(hidden.name.replace(".", "_").lstrip("_") + path.suffix.lower())
-        with MemoryFile() as memory, warnings.catch_warnings():
+        # The driver of KMZ takes the first .kmz in the name for the archive, and wants it to end so.
+        unfinished = partial(path.resolve().with_suffix(""), path.suffix.lower())
+        with warnings.catch_warnings():
             # rasterio multiplies affines in a way that the affine library wants to end.
             warnings.simplefilter("ignore", PendingDeprecationWarning)
-            _warped(memory, grid, pixels, target)
-            with memory.open() as source:
-                if driver == "MBTiles":
-                    rasterio.shutil.copy(
-                        source, unfinished, driver=driver, NAME=title, TYPE="overlay", TILE_FORMAT="PNG",
-                        DESCRIPTION=title, ZOOM_LEVEL_STRATEGY="UPPER", RESAMPLING="CUBIC",
-                    )  # fmt: skip
-                else:
-                    rasterio.shutil.copy(source, unfinished, driver=driver, NAME=title, FORMAT="PNG")
-        if driver == "MBTiles":
-            _pyramid(unfinished)
-        else:
-            _undated(unfinished)
+            warped, affine = _warped(grid, pixels, target)
+            if path.suffix.lower() == ".mbtiles":
+                level = round(np.log2(2 * MERCATOR / SIDE / affine.a))
+                col, row = round((affine.c + MERCATOR) / affine.a), round((MERCATOR - affine.f) / affine.a)
+                write_mbtiles(unfinished, np.moveaxis(warped, 0, 2), level, col, row, title=title)
+            else:
+                _overlay(unfinished, warped, affine, target, title)
+                _undated(unfinished)
         sync(unfinished)
         unfinished.replace(path)
         sync(path.parent)
-    except (OSError, rasterio.errors.RasterioError, sqlite3.Error) as error:
+    except (OSError, rasterio.errors.RasterioError, CPLE_BaseError, sqlite3.Error, zipfile.BadZipFile) as error:
         raise OutputError(f"writing failed ({error})", where=str(path), mend="check the space on the disk") from error
     finally:
         if unfinished is not None:
@@ -80,12 +75,12 @@ def write_web(path: PathLike, grid: Grid, pixels: ByteArray, *, title: str, over
     return path
 
 
-def _warped(memory: MemoryFile, grid: Grid, pixels: ByteArray, target: rasterio.crs.CRS) -> None:
+def _warped(grid: Grid, pixels: ByteArray, target: rasterio.crs.CRS) -> tuple[ByteArray, Affine]:
     """Bring the pixels to the CRS of the web: cubic, on pixels of about the same size; those of tiles in Mercator."""
     source = rasterio.crs.CRS.from_wkt(grid.crs.to_wkt())
     affine, width, height = calculate_default_transform(source, target, grid.width, grid.height, *grid.bounds)
     if target.to_epsg() == 3857:
-        # Pixels of the zoom level above: nothing is lost, and GDAL copies them as they are.
+        # Pixels of the zoom level above: nothing is lost.
         level = int(np.ceil(np.log2(2 * MERCATOR / SIDE / affine.a) - 1e-9))
         size = 2 * MERCATOR / SIDE / 2**level
         left, top = (np.floor((affine.c + MERCATOR) / size), np.floor((MERCATOR - affine.f) / size))
@@ -98,21 +93,19 @@ def _warped(memory: MemoryFile, grid: Grid, pixels: ByteArray, target: rasterio.
         np.ascontiguousarray(np.moveaxis(pixels, 2, 0)), out, src_transform=grid.transform, src_crs=source,
         dst_transform=affine, dst_crs=target, resampling=Resampling.cubic, src_alpha=4, dst_alpha=4, tolerance=0.01,
     )  # fmt: skip
-    with memory.open(
-        driver="GTiff", width=width, height=height, count=4, dtype="uint8", crs=target, transform=affine,
-        photometric="RGB", alpha="YES",
-    ) as made:  # fmt: skip
-        made.write(out)
+    return out, affine
 
 
-def _pyramid(path: Path) -> None:
-    """Add the levels below, down to the one on which the map is a single tile."""
-    with rasterio.open(path, "r+") as made:
-        factors: list[int] = []
-        while max(made.width, made.height) / 2 ** len(factors) > SIDE:
-            factors.append(2 ** (len(factors) + 1))
-        if factors:
-            made.build_overviews(factors, Resampling.average)
+def _overlay(path: Path, pixels: ByteArray, affine: Affine, crs: rasterio.crs.CRS, title: str) -> None:
+    """Write pixels (4, rows, cols) as a KML super-overlay in a KMZ, by GDAL."""
+    with MemoryFile() as memory:
+        with memory.open(
+            driver="GTiff", width=pixels.shape[2], height=pixels.shape[1], count=4, dtype="uint8", crs=crs,
+            transform=affine, photometric="RGB", alpha="YES",
+        ) as made:  # fmt: skip
+            made.write(pixels)
+        with memory.open() as source:
+            rasterio.shutil.copy(source, path, driver="KMLSUPEROVERLAY", NAME=title, FORMAT="PNG")
 
 
 def _undated(path: Path) -> None:

@@ -6,16 +6,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from geomosaic.carto.contrast import halo_of, on_paper
 from geomosaic.carto.draw.canvas import Canvas, text_size
 from geomosaic.carto.layout import GridPart
 from geomosaic.carto.lines import GridLine, MapGrid
 from geomosaic.carto.page import BAND, Page
 from geomosaic.carto.place import spread
+from geomosaic.types import FloatArray
 
 CROSS = 3.0
 """Arm to arm of a grid cross, mm."""
 TICK = 2.0
 """Length of a tick outside the neatline, mm; inside it is longer where there are no lines."""
+LONGEST_GAP = 12.0
+"""Length in mm beyond which a line outside the neatline is no end of one that crosses it."""
 NEATLINE, BORDER = 0.3, 0.6
 
 
@@ -23,7 +27,7 @@ def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None
     """Lines or crosses inside the neatline."""
     if part.style == "lines":
         paths = [page.to_page(piece) for line in grid.lines for piece in line.pieces]
-        canvas.lines(paths, "#ffffff", 2.2 * part.width, opacity=0.45)
+        canvas.lines(paths, halo_of(part.color), 2.2 * part.width, opacity=0.45)
         canvas.lines(paths, part.color, part.width)
     if part.style == "crosses":
         at = page.to_page(grid.crossings)
@@ -32,12 +36,25 @@ def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None
             step = [0.0, 0.0]
             step[axis] = CROSS / 2
             arms += list(at[:, None, :] + np.array([[-step[0], -step[1]], [step[0], step[1]]]))
-        canvas.lines(arms, "#ffffff", 3.0 * part.width, opacity=0.6)
+        canvas.lines(arms, halo_of(part.color), 3.0 * part.width, opacity=0.6)
         canvas.lines(arms, part.color, 1.5 * part.width)
     if part.style == "ticks":
         inner = [_tick(page, side, x, y, -CROSS) for side, x, y in _ends(grid)]
-        canvas.lines(inner, "#ffffff", 3.0 * part.width, opacity=0.6)
+        canvas.lines(inner, halo_of(part.color), 3.0 * part.width, opacity=0.6)
         canvas.lines(inner, part.color, 1.5 * part.width)
+
+
+def draw_crop_marks(canvas: Canvas, page: Page) -> None:
+    """Two marks outside the bleed at each corner of the trim; nothing without bleed."""
+    if page.bleed <= 0:
+        return
+    left, bottom, right, top = page.paper
+    bleed, marks = page.bleed, []
+    for y in (0.0, page.height):
+        marks += [[(left, y), (-bleed, y)], [(page.width + bleed, y), (right, y)]]
+    for x in (0.0, page.width):
+        marks += [[(x, bottom), (x, -bleed)], [(x, page.height + bleed), (x, top)]]
+    canvas.lines(marks, "#000000", 0.1)
 
 
 def draw_edge(canvas: Canvas, page: Page) -> None:
@@ -71,8 +88,21 @@ def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None
             ticks = [
                 _tick(page, side, x, y, TICK if stop else long) for (_, x, y), stop in zip(marks, blocked, strict=True)
             ]
-            canvas.lines(ticks, part.color, max(part.width, 0.12))
+            canvas.lines(ticks, on_paper(part.color), max(part.width, 0.12))
             taken += kept
+    for grid, part in grids:
+        if grid is not None and page.outline_mm is not None:
+            canvas.lines(_gaps(page, grid), on_paper(part.color), max(part.width, 0.12))
+
+
+def _gaps(page: Page, grid: MapGrid) -> list[FloatArray]:
+    """Ends of grid lines between a neatline that is no rectangle and the ticks on the rectangle around it."""
+    import shapely
+
+    inside = shapely.Polygon(page.outline_mm)
+    pieces = [shapely.LineString(page.to_page(piece)) for line in grid.lines for piece in line.pieces]
+    parts = shapely.get_parts(shapely.difference(np.array(pieces, dtype=object), inside)).tolist() if pieces else []
+    return [np.asarray(part.coords) for part in parts if part.geom_type == "LineString" and part.length < LONGEST_GAP]
 
 
 def _draw_row(
@@ -91,7 +121,7 @@ def _draw_row(
         first, last = along[i] - widths[i] / 2, along[i] + widths[i] / 2
         if first >= low and last <= high:
             x, y = _outside(page, side, along[i], aside)
-            canvas.centred(x, y, texts[i], part.size, angle=90.0 if axis else 0.0, color=part.color)
+            canvas.centred(x, y, texts[i], part.size, angle=90.0 if axis else 0.0, color=on_paper(part.color))
             kept.append((first, last))
     return kept
 

@@ -159,7 +159,7 @@ def draw_panel(
     layout: Layout,
     entries: Sequence[Entry],
     blocks: Sequence[tuple[str, list[str]]],
-    convergence: float,
+    convergence: float | None,
     series: SheetPlace | None = None,
 ) -> list[str]:
     """Everything in the panel and the foot; returns what had no room, in words."""
@@ -170,6 +170,7 @@ def draw_panel(
     if page.panel is None:
         return told
     left, bottom, right, top = page.panel
+    north = convergence is not None and layout.north.show
     canvas.rectangle(page.panel, edge="#000000", width=0.25)
     pad = 3.0
     if page.side == "right":
@@ -178,11 +179,10 @@ def draw_panel(
             draw_index(canvas, series, (left + pad, bottom + pad, right - pad, bottom + pad + INDEX))
             bottom += INDEX + pad
         need = _height(blocks, room)
-        north = BLOCK if layout.north.show else 0.0
-        floor = min(bottom + pad + need + north + 2.0, top - 40.0)
+        floor = min(bottom + pad + need + (BLOCK if north else 0.0) + 2.0, top - 40.0)
         end, lost = draw_legend(canvas, entries, layout.legend.title, (left + pad, floor, right - pad, top - pad))
         y = _rule(canvas, left, right, end - 1.0) if entries else top
-        if layout.north.show:
+        if convergence is not None and layout.north.show:
             y = _rule(canvas, left, right, _north(canvas, left + pad, right - pad, y - 3.0, convergence, layout))
         fits = draw_blocks(canvas, blocks, (left + pad, bottom + pad, right - pad, y - pad))
     else:
@@ -193,7 +193,7 @@ def draw_panel(
             canvas, entries, layout.legend.title, (left + pad, bottom + pad, cuts[1] - pad, top - pad)
         )
         y = draw_scale(canvas, page, layout, (cuts[1] + cuts[2]) / 2, top - pad, wide - 2.0)
-        if layout.north.show:
+        if convergence is not None and layout.north.show:
             _north(canvas, cuts[1] + pad, cuts[2] - pad, y - 4.0, convergence, layout)
         if series is not None:
             draw_index(canvas, series, (cuts[2] + pad, bottom + pad, right - pad, bottom + pad + INDEX))

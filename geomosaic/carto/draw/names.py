@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.carto.contours import Contour
+from geomosaic.carto.contrast import halo_of
 from geomosaic.carto.draw.canvas import Canvas, text_size
 from geomosaic.carto.layout import ContoursPart
 from geomosaic.carto.overlay import Name, Overlay, parts_of
@@ -170,6 +171,6 @@ def draw_heights(canvas: Canvas, placed: Sequence[Placed], part: ContoursPart) -
     """Heights with a halo that opens their contour."""
     for item in placed:
         canvas.centred(
-            item.spot.x, item.spot.y, item.text, part.size, angle=item.spot.angle, color=part.color, halo="#ffffff",
-            halo_width=0.35, bold=True,
+            item.spot.x, item.spot.y, item.text, part.size, angle=item.spot.angle, color=part.color,
+            halo=halo_of(part.color), halo_width=0.35, bold=True,
         )  # fmt: skip

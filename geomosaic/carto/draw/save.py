@@ -14,6 +14,7 @@ from geomosaic.carto.draw.sheet import Pixels, SheetParts, draw_map, draw_sheet
 from geomosaic.carto.geopdf import add_georeference
 from geomosaic.carto.page import Page
 from geomosaic.errors import InputError, OutputError
+from geomosaic.geo.crs import is_local
 from geomosaic.geo.grid import Grid
 from geomosaic.raster.output import check_output, partial, remove, sync
 from geomosaic.raster.sink import RasterSink
@@ -74,6 +75,12 @@ def write_sheet(
     check_output(path, overwrite=overwrite)
     suffix = path.suffix.lower()
     page = parts.page
+    if suffix in WEB and is_local(page.crs):
+        raise InputError(
+            f"'{page.crs.name}' is not tied to the Earth, so its map has no place on the web",
+            where=str(path),
+            mend="write .pdf, .png or .tif",
+        )
     if suffix != ".pdf" and page.width * page.height * (dpi / 25.4) ** 2 > MOST_PIXELS:
         raise InputError(
             f"a sheet of {page.width:g} x {page.height:g} mm at {dpi} dpi has too many pixels",
@@ -138,8 +145,9 @@ def sheet_grid(page: Page, dpi: float) -> Grid:
 def page_grid(page: Page, dpi: float) -> Grid:
     """Pixels of the whole page at a print resolution, in the map's CRS: they start at its upper left corner."""
     size = 25.4 / dpi / page.mm_per_unit
-    width, height = (max(1, round(v * dpi / 25.4)) for v in (page.width, page.height))
-    left, top = page.to_map(np.array([[0.0, page.height]]))[0].tolist()
+    box = page.paper
+    width, height = (max(1, round((box[k + 2] - box[k]) * dpi / 25.4)) for k in (0, 1))
+    left, top = page.to_map(np.array([[box[0], box[3]]]))[0].tolist()
     return Grid(page.crs, Affine(size, 0.0, left, 0.0, -size, top), width, height)
 
 

@@ -6,11 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from geomosaic.carto.contours import Contour
+from geomosaic.carto.contrast import halo_of, legend_line
 from geomosaic.carto.draw.canvas import Canvas
-from geomosaic.carto.draw.frame import draw_edge, draw_grid, draw_labels
+from geomosaic.carto.draw.frame import draw_crop_marks, draw_edge, draw_grid, draw_labels
 from geomosaic.carto.draw.margin import Entry, draw_head, draw_panel
 from geomosaic.carto.draw.names import draw_heights, draw_names, place_heights, place_names
 from geomosaic.carto.draw.neighbours import draw_around
+from geomosaic.carto.draw.spots import draw_spots, keep_free, place_spots
 from geomosaic.carto.draw.symbols import draw_contours, draw_overlay, kinds_of
 from geomosaic.carto.layout import Layout
 from geomosaic.carto.lines import MapGrid
@@ -19,7 +21,8 @@ from geomosaic.carto.overlay import Overlay
 from geomosaic.carto.page import Box, Page
 from geomosaic.carto.place import Placer
 from geomosaic.carto.series.neatline import SheetPlace
-from geomosaic.carto.style import Line, Symbol
+from geomosaic.carto.spots import SpotHeight
+from geomosaic.carto.style import Marker, Symbol
 from geomosaic.types import ByteArray
 
 Pixels = Callable[[Box], ByteArray]
@@ -41,10 +44,12 @@ class SheetParts:
     contours : tuple of Contour
     interval : float
         Of the contours in metres, 0 without.
+    spots : tuple of SpotHeight
+        The most prominent first.
     blocks : tuple of (heading, lines)
         Notes.
     convergence : float
-        Degrees, at the centre.
+        Degrees, at the centre; None in a local frame, which has no north.
     series : SheetPlace, optional
         The sheet's place in its series.
     """
@@ -55,8 +60,9 @@ class SheetParts:
     layers: tuple[Overlay, ...]
     contours: tuple[Contour, ...]
     interval: float
+    spots: tuple[SpotHeight, ...]
     blocks: tuple[tuple[str, list[str]], ...]
-    convergence: float
+    convergence: float | None
     series: SheetPlace | None = None
 
 
@@ -75,8 +81,12 @@ def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> li
         for layer in parts.layers:
             draw_overlay(canvas, page, layer)
         left, bottom, right, top = page.neatline
-        placer = Placer((left + 0.8, bottom + 0.8, right - 0.8, top - 0.8))
+        placer = Placer((left + 0.8, bottom + 0.8, right - 0.8, top - 0.8), outline=page.outline_mm)
+        keep_free(page, parts.spots, placer)
         names, lost = place_names(page, parts.layers, placer)
+        draw_spots(
+            canvas, page, place_spots(page, parts.spots, layout.contours, parts.interval, placer), layout.contours
+        )
         if parts.contours and layout.contours.labels:
             draw_heights(canvas, place_heights(page, parts.contours, layout.contours, placer), layout.contours)
         draw_names(canvas, names)
@@ -88,10 +98,11 @@ def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> li
 def draw_sheet(parts: SheetParts, pixels: Pixels) -> tuple[Canvas, list[str]]:
     """Draw the whole page; returns it and what had no room, in words."""
     page, layout = parts.page, parts.layout
-    canvas = Canvas((0.0, 0.0, page.width, page.height))
+    canvas = Canvas(page.paper)
     told = draw_map(canvas, parts, pixels, page.neatline)
     draw_labels(canvas, page, ((parts.grids[0], layout.grid), (parts.grids[1], layout.graticule)))
     draw_edge(canvas, page)
+    draw_crop_marks(canvas, page)
     if parts.series is not None:
         draw_around(canvas, page, parts.series)
     draw_head(canvas, page, layout)
@@ -118,8 +129,11 @@ def legend(parts: SheetParts) -> list[Entry]:
         )
         for main, text, width in shown:
             if any(c.index == main for c in parts.contours):
-                entries.append(Entry(text, Symbol(line=Line(part.color, width)), line))
+                entries.append(Entry(text, Symbol(line=legend_line(part.color, width)), line))
+    if parts.spots:
+        dot = Marker("circle", 1.0, part.color, halo_of(part.color), 0.15)
+        entries.append(Entry("Spot heights, metres", Symbol(marker=dot), frozenset({"point"})))
     for grid, looks in zip(parts.grids, (parts.layout.grid, parts.layout.graticule), strict=True):
         if grid is not None:
-            entries.append(Entry(grid_words(grid), Symbol(line=Line(looks.color, max(looks.width, 0.15))), line))
+            entries.append(Entry(grid_words(grid), Symbol(line=legend_line(looks.color, max(looks.width, 0.15))), line))
     return entries

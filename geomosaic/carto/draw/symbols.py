@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.carto.contours import Contour
+from geomosaic.carto.contrast import halo_of
 from geomosaic.carto.draw.canvas import Canvas
 from geomosaic.carto.layout import ContoursPart
 from geomosaic.carto.overlay import Overlay, parts_of
@@ -40,11 +41,11 @@ def draw_overlay(canvas: Canvas, page: Page, layer: Overlay) -> None:
 
 
 def draw_contours(canvas: Canvas, page: Page, contours: Sequence[Contour], part: ContoursPart) -> None:
-    """Lines, thin and thick, with a breath of white below that lifts them off a dark picture."""
+    """Lines, thin and thick, with a breath of white (black below light lines) that lifts them off the picture."""
     paths = [[page.to_page(c.xy) for c in contours if c.index == main] for main in (False, True)]
     widths = (part.width, part.index_width)
     for lines, width in zip(paths, widths, strict=True):
-        canvas.lines(lines, "#ffffff", width + 0.25, opacity=0.35)
+        canvas.lines(lines, halo_of(part.color), width + 0.25, opacity=0.35)
     for lines, width in zip(paths, widths, strict=True):
         canvas.lines(lines, part.color, width)
 

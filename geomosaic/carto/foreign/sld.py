@@ -22,7 +22,7 @@ def read_sld(root: Element, told: Told) -> Style:
         told.say("styles after the first one")
     kinds = _all(layers[0], "FeatureTypeStyle") if layers else []
     column, rules, rest, label = "", [], Symbol(), None
-    for node in (rule for kind in kinds for rule in _all(kind, "Rule")):
+    for number, node in enumerate((rule for kind in kinds for rule in _all(kind, "Rule")), 1):
         symbol, name = _symbol(node, told)
         label = name or label
         for child in node:
@@ -35,7 +35,9 @@ def read_sld(root: Element, told: Told) -> Style:
             continue
         limits = _filter(found, told)
         if limits is None or (column and limits[0] != column):
-            told.say(f"the rule '{title}' by its filter; its objects are drawn as others")
+            parts = ", ".join(_tag(part) for part in found) or "empty"
+            called = f"'{title}'" if title else str(number)
+            told.say(f"the rule {called} by its filter ({parts}); its objects are drawn as others")
             continue
         column = limits[0]
         rules.append(Rule(limits[1], limits[2], limits[3], title, False, symbol.line, symbol.fill, symbol.marker))
