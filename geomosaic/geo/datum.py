@@ -11,6 +11,8 @@ from functools import lru_cache
 from pyproj import CRS
 from pyproj.transformer import TransformerGroup
 
+_NONE = "no operation"
+
 
 @dataclass(frozen=True)
 class Operation:
@@ -33,6 +35,11 @@ class Operation:
     missing: tuple[str, ...] = ()
     better: float = math.nan
 
+    @property
+    def possible(self) -> bool:
+        """Whether there is an operation at all."""
+        return self.name != _NONE
+
     def words(self) -> str:
         """Say it in one line."""
         known = f", good to {self.accuracy:g} m" if math.isfinite(self.accuracy) else ", accuracy not known"
@@ -53,7 +60,7 @@ def operation_between(source: CRS, target: CRS) -> Operation:
         warnings.simplefilter("ignore")  # of missing grids, which the result names
         group = TransformerGroup(source, target, always_xy=True, allow_ballpark=False)
     if not group.transformers:
-        return Operation("no operation", math.nan)
+        return Operation(_NONE, math.nan)
     used = group.transformers[0]
     accuracy = _accuracy(used.accuracy)
     if group.best_available or not group.unavailable_operations:
