@@ -68,6 +68,6 @@ def domain(crs: CRS) -> Domain:
         return Domain(None, 180.0, -90.0, 90.0)
     if "Mercator" in method:
         return Domain(centre, 180.0, -MERCATOR, MERCATOR)
-    if "Conic" in method or "Bonne" in method:
+    if any(word in method for word in ("Conic", "Albers", "Bonne")):
         return Domain(centre, 180.0, -OTHER_POLE, 90.0) if latitude >= 0 else Domain(centre, 180.0, -90.0, OTHER_POLE)
     return Domain(centre, 180.0, -90.0, 90.0)

@@ -42,23 +42,49 @@ def moved(geometries: Any, own: CRS, crs: CRS) -> tuple[Any, BoolArray]:
     geodetic = crs.geodetic_crs
     cut = np.zeros(len(geometries), dtype=bool)
     if geodetic is None or not (own.is_geographic or own.is_projected):
-        return shapely.transform(geometries, straight), cut
+        return _over(geometries, straight), cut
     to_degrees = Transform(horizontal(own), horizontal(geodetic))
     whole, home = domain(crs), domain(own)
-    degrees = shapely.transform(geometries, lambda xy: _unrolled(to_degrees(xy), own, home))
+    degrees = shapely.transform(geometries, lambda xy: _plain(_unrolled(to_degrees(xy), own, home)))
     cut = ~_within(shapely.bounds(degrees), whole) & ~shapely.is_empty(degrees) & ~shapely.is_missing(degrees)
-    out = shapely.transform(geometries, straight)
-    if cut.any():
+    out = _over(np.where(cut, None, geometries), straight)
+    torn = np.zeros_like(cut) if whole.centre is not None else shapely.bounds(degrees)[:, 0] < SLIVER - 180.0
+    if (cut | torn).any():
         to_map = Transform(horizontal(geodetic), horizontal(crs))
-        for k in np.nonzero(cut)[0]:
-            out[k] = shapely.transform(_pieces(degrees[k], whole), to_map)
+        for k in np.nonzero(cut | torn)[0]:
+            here = _pieces(degrees[k], whole) if cut[k] else degrees[k]
+            out[k] = shapely.transform(here, lambda xy, torn=torn[k]: _plain(to_map(_closed(xy) if torn else xy)))
     return _mended(geometries, out), cut
+
+
+def _over(geometries: Any, transform: Transform) -> Any:
+    """Transform x and y; z, where there is one, stays."""
+    import shapely
+
+    out = shapely.transform(geometries, lambda xy: _plain(transform(xy)))
+    deep = shapely.has_z(geometries)
+    if deep.any():
+        both = lambda xyz: np.column_stack([_plain(transform(xyz[:, :2])), xyz[:, 2]])  # noqa: E731
+        out[deep] = shapely.transform(geometries[deep], both, include_z=True)
+    return out
+
+
+def _plain(xy: FloatArray) -> FloatArray:
+    """Infinity where there is no place: rings of NaN would not count as closed."""
+    xy[np.isnan(xy).any(axis=1)] = np.inf
+    return xy
 
 
 def _unrolled(lonlat: FloatArray, own: CRS, home: Domain) -> FloatArray:
     """Longitudes without a jump within the old map; those of a geographic CRS are as they are."""
     if own.is_projected and home.centre is not None:
         lonlat[:, 0] = home.centre + (lonlat[:, 0] - home.centre + 180.0) % 360.0 - 180.0
+    return lonlat
+
+
+def _closed(lonlat: FloatArray) -> FloatArray:
+    """The date line once, where a map shows both its sides side by side: sines of ±180 degrees differ by a hair."""
+    lonlat[np.abs(np.abs(lonlat[:, 0]) - 180.0) < SLIVER, 0] = 180.0
     return lonlat
 
 
