@@ -13,7 +13,8 @@ from benchmarks.setting import RAW, Setting, grid_of, once, peak
 
 UTM = "EPSG:32631"
 STEP = "0.3"
-THRESHOLDS = {"GDAL": "0.125", "GDAL, every pixel": "0"}
+THRESHOLDS = {"GDAL": "0.125", "GDAL within 0.0001 px": "0.0001"}
+"""gdalwarp's default, and about what ours errs (rasterio takes 0 for the default)."""
 
 
 def reproject(s: Setting) -> Result:
@@ -53,7 +54,7 @@ def reproject(s: Setting) -> Result:
     mine, gdal = result.accuracy["geomosaic"], result.accuracy["GDAL"]
     result.at_least("times as fast as GDAL", times.ratio("GDAL", "geomosaic"), 2.5)
     result.at_least("times as fast as GDAL, processor seconds", times.ratio("GDAL", "geomosaic", "cpu"), 2.5)
-    result.at_least("times as fast as GDAL, every pixel", times.ratio("GDAL, every pixel", "geomosaic"), 2.5)
+    result.at_least("times as fast as GDAL at equal error", times.ratio("GDAL within 0.0001 px", "geomosaic"), 2.5)
     for floor in ("floor", "floor: inputs + output"):
         result.at_most(f"wall / {floor}", times.ratio("geomosaic", floor), 2.5)
     result.at_most("largest error of a place, px", mine["max_px"], 0.02)

@@ -1,7 +1,7 @@
 """GDAL's warper between two CRS, as a whole process.
 
 reprojected.py IMAGE LIKE TARGET RESAMPLING THRESHOLD THREADS: the grid is that of LIKE, the transformation is
-approximated within THRESHOLD pixels (gdalwarp's default is 0.125; 0 computes every pixel).
+approximated within THRESHOLD pixels (gdalwarp's default is 0.125).
 """
 
 from __future__ import annotations
