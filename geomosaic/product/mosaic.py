@@ -19,6 +19,7 @@ from geomosaic.product.blenders import blender_for
 from geomosaic.product.colour import colours
 from geomosaic.product.corrections import corrections
 from geomosaic.product.edits import numbers_of, retouched, steady
+from geomosaic.product.holes import height_notes
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import Clock, MosaicResult
 from geomosaic.product.mosaic_unit import MosaicUnit, label_type
@@ -163,7 +164,7 @@ def mosaic(
     return MosaicResult(
         output, labels, vectors, item, grid, sum(pixels), pixels, solved, feather, record.error,
         render.tolerance, record.scale, seconds, 0 if reuse is None else reuse.taken, len(tiles(grid, render.tile)),
-        stretch, parts, quality, places, hidden if render.true_ortho else None,
+        stretch, parts, quality, places, hidden if render.true_ortho else None, height_notes(ground, outlines),
     )  # fmt: skip
 
 

@@ -50,6 +50,8 @@ class MosaicResult:
         The worst of them.
     hidden_pixels : int, optional
         Pixels that images cover and the surface hides from them all; None where that was not asked.
+    notes : tuple of str
+        Where heights are missing.
     """
 
     path: Path
@@ -72,6 +74,7 @@ class MosaicResult:
     quality: list[SeamQuality] = field(default_factory=list)
     places: list[SeamPlace] = field(default_factory=list)
     hidden_pixels: int | None = None
+    notes: tuple[str, ...] = ()
 
 
 class Clock:

@@ -11,7 +11,7 @@ import numpy as np
 
 from geomosaic.jobs.digest import digest_of, versions
 from geomosaic.jobs.facts import read_json, write_json
-from geomosaic.jobs.heard import heard
+from geomosaic.jobs.heard import heard, tell
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Context, Machine
 from geomosaic.jobs.steps.restore import area_of, render_options, restore_block
@@ -71,6 +71,8 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             blending=Blending(wanted.blend, _width(wanted.feather), wanted.ramp, wanted.limit),
         )
         result = make(block, grid, outlines, layout.mosaic, options)
+        for note in result.notes:
+            tell(note)
     judged = seam_facts(result.parts, result.quality, [outline.name for outline in outlines])
     facts: dict[str, Any] = {
         "grid": {
