@@ -42,7 +42,7 @@ def _where(job: Mapping[str, Any]) -> str:
 
 def _times(job: Mapping[str, Any]) -> list[str]:
     tools, ratios = job["tools"], job["wall_ratios"]
-    bases = [name for name in tools if name.startswith(("floor", "orthority", "rio"))]
+    bases = [name for name in tools if name.startswith(("floor", "orthority", "rio", "GDAL"))]
     head = ["tool", "n", "wall s (min-max)", "Mpix/s", "CPU s", "peak MB", *(f"x {base}" for base in bases)]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for name, t in tools.items():
@@ -56,9 +56,21 @@ def _times(job: Mapping[str, Any]) -> list[str]:
 
 
 def _accuracy(found: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    lines = ["| geometry | treatment of the camera | pixels | RMS px | largest px |", "|---|---|---|---|---|"]
+    grey = any("max_grey" in e for e in found.values())
+    head = [
+        "geometry",
+        "held against",
+        "pixels",
+        "RMS px",
+        "largest px",
+        *(["mean grey", "largest grey"] if grey else []),
+    ]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for name, e in found.items():
-        lines.append(f"| {name} | {e['treatment']} | {e['pixels']} | {e['rms_px']:.4f} | {e['max_px']:.4f} |")
+        cells = [name, e["treatment"], str(e["pixels"]), f"{e['rms_px']:.4f}", f"{e['max_px']:.4f}"]
+        if grey:
+            cells += [f"{e['mean_grey']:.4f}", str(e["max_grey"])]
+        lines.append("| " + " | ".join(cells) + " |")
     return lines
 
 

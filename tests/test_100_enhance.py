@@ -138,3 +138,28 @@ def test_sheet_with_looks(scene: Path, tmp_path: Path) -> None:
     assert np.abs(grey[0] - grey[1]).max() == 0
     assert np.all(np.diff(grey[0][200, 40:-10]) >= 0)
     assert run(["sheet", str(scene), *common, "-b", "1,2", "-o", str(tmp_path / "x.tif")]) == 1
+
+
+def test_limits_and_percentiles_of_ones_own(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with rasterio.open(scene) as file:
+        raw, mask = file.read(1).astype(float), file.dataset_mask() > 0
+    for words, low, high in (
+        (["--limits", "1200", "2000"], 1200, 2000),
+        (["--stretch", "linear", "--limits", "-50", "4000.5"], -50, 4000.5),
+        (["--percentiles", "0", "75"], *np.percentile(raw[mask], (0, 75))),
+    ):
+        out = tmp_path / "out.tif"
+        assert run(["enhance", str(scene), "-b", "1", *words, "-o", str(out), "--overwrite"]) == 0
+        with rasterio.open(out) as file:
+            made = file.read(1).astype(float)
+        want = np.clip(np.floor(255 * (raw - low) / (high - low) + 0.5), 0, 255)
+        assert np.abs(made - want)[mask].max() <= 1
+    for words, part in (
+        (["--stretch", "linear"], "--limits LOW HIGH"),
+        (["--stretch", "equalise", "--limits", "1", "2"], "belongs to --stretch linear"),
+        (["--limits", "2", "1"], "wrong way round"),
+        (["--limits", "2", "3", "--percentiles", "2", "98"], "leave one of them out"),
+    ):
+        assert run(["enhance", str(scene), *words, "-o", str(tmp_path / "no.tif")]) == 1
+        assert part in capsys.readouterr().err
+        assert not (tmp_path / "no.tif").exists()

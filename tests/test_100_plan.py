@@ -87,3 +87,51 @@ def test_check_holds_a_map_against_its_scale(tmp_path: Path, capsys: pytest.Capt
         assert run([*words, "--map-scale", "1:10000"]) == 0
         assert run([*words, "--map-scale", "1:5000"]) == 3
         assert "limit 1.5 m" in capsys.readouterr().err
+
+
+def test_a_plan_is_the_target_of_the_finished_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Points 1.2 m off on pixels of 0.5 m keep what a map 1:5000 needs and miss 1:2000, in place and in pixel."""
+    with rasterio.open(
+        tmp_path / "map.tif", "w", driver="GTiff", width=100, height=100, count=1, dtype="uint8", crs="EPSG:32633",
+        transform=Affine(0.5, 0, 500_000, 0, -0.5, 5_500_000),
+    ) as out:  # fmt: skip
+        out.write(np.full((1, 100, 100), 7, np.uint8))
+    places = [(10, 10), (90, 12), (50, 50), (12, 88)]
+    rows = [f"{k},{500_000 + col / 2 + 1.2},{5_500_000 - row / 2},{col},{row}" for k, (col, row) in enumerate(places)]
+    (tmp_path / "check.csv").write_text("\n".join(["id,x,y,col,row", *rows]) + "\n")
+    words = ["check", str(tmp_path / "map.tif"), "--points", str(tmp_path / "check.csv"), "--crs", "EPSG:32633"]
+    plan, judged = str(tmp_path / "plan.json"), {}
+    for scale in (5000, 2000):
+        assert run(["plan", "product", "--ortho-scale", str(scale), "--camera-constant", "150", "--json"]) == 0
+        Path(plan).write_text(capsys.readouterr().out)
+        code = run([*words, "--target", plan, "--survey-rms", "0.3", "--json"])
+        found = json.loads(capsys.readouterr().out)
+        judged[scale] = {
+            item["name"]: (round(item["value"], 6), item["most"], item["passed"]) for item in found["target"]
+        }
+        assert found["passed"] == (code == 0)
+    assert judged[5000] == {
+        "position_error": (1.2, 1.5, True), "ortho_pixel": (0.5, 0.5, True), "control_error": (0.3, 0.5, True)
+    }  # fmt: skip
+    assert judged[2000] == {
+        "position_error": (1.2, pytest.approx(0.6), False), "ortho_pixel": (0.5, pytest.approx(0.2), False),
+        "control_error": (0.3, pytest.approx(0.2), False),
+    }  # fmt: skip
+    assert run([*words, "--target", plan]) == 3
+    said = capsys.readouterr()
+    assert "error of position at check points: 1.2 m, target <= 0.6 m: MISSED" in said.out
+    assert "survey" not in said.out
+    own = tmp_path / "target.toml"
+    own.write_text("position_error = 1.3\n")
+    assert run([*words, "--target", str(own)]) == 0
+    for text, part in (
+        ("position_eror = 1", "position_error"),
+        ("position_error =", "cannot be read"),
+        ("", "nothing"),
+    ):
+        own.write_text(text)
+        assert run([*words, "--target", str(own)]) == 1
+        assert part in capsys.readouterr().err
+    Path(plan).write_text("[]")
+    assert run([*words, "--target", plan]) == 1
+    assert "no plan of a product" in capsys.readouterr().err

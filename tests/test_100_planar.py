@@ -71,6 +71,13 @@ def test_flags_that_do_not_belong_together(folder: Path, tmp_path: Path, capsys:
     assert "--ties is given without a kind of mosaic" in capsys.readouterr().err
     assert run(command(folder, "--kind", "uncontrolled", "--sensor", "frame", "--ties", ties, "-o", output)) == 1
     assert "without a rigorous model, and --sensor frame names one" in capsys.readouterr().err
+    for name in ("frame", "rpc"):  # control of rigorous sensors is a project's
+        assert run(command(folder, "--sensor", name, "--gcps", ties, "-o", output)) == 1
+        said = capsys.readouterr().err
+        assert f"geomosaic new block.toml IMAGE... --sensor {name} --gcps FILE" in said
+        assert "--kind" not in said
+    assert run(command(folder, "--sensor", "frame", "--ties", ties, "-o", output)) == 1
+    assert "leave one of them out" in capsys.readouterr().err
 
 
 PROJECT = """

@@ -140,6 +140,9 @@ def test_vectors_keep_their_attributes_and_layers(tell, tmp_path):
         assert after.crs == UTM
         expected = before.to_crs(UTM)
         assert all(a.equals_exact(b, 1e-6) for a, b in zip(after.geometry, expected.geometry, strict=True))
+        assert (after.has_z == before.has_z).all()
+        if name == "wells":
+            assert after.geometry[0].z == 120.0
         plain = [column for column in before if column != "geometry"]
         assert after[plain].astype(object).equals(before[plain].astype(object)) or after[plain].equals(before[plain])
     first = out.read_bytes()

@@ -51,6 +51,12 @@ check_options = stack(
         metavar="UNITS",
         help="The same in map units.",
     ),
+    click.option(
+        "--target",
+        type=FILE,
+        metavar="PLAN",
+        help="Exit with 3 where the map misses a plan of `geomosaic plan product --json`: position, pixel, survey.",
+    ),
     json_option,
     debug_option,
 )
@@ -84,11 +90,15 @@ def command(raster: Path, points: Path, as_json: bool, **flags: Any) -> int:
     \b
     Example:
       geomosaic check map.tif --points check.csv --crs EPSG:32633 --max-rms 1.0
+      geomosaic plan product --ortho-scale 1:5000 --camera-constant 150 --json > plan.json
+      geomosaic check map.tif --points check.csv --target plan.json
     """  # noqa: D301
     from geomosaic.cli.accuracy_words import check_facts, check_words
     from geomosaic.errors import QualityError
     from geomosaic.product.accuracy import check_map
+    from geomosaic.product.target import judge, read_target
 
+    target = read_target(flags["target"]) if flags["target"] is not None else ()
     with notes():
         found = check_map(
             raster,
@@ -109,10 +119,22 @@ def command(raster: Path, points: Path, as_json: bool, **flags: Any) -> int:
         *accuracy_of_scale(found, flags["map_scale"]),
     )
     failed = [(value, limit, unit) for unit, value, limit in limits if limit is not None and not value <= limit]
-    answer({**check_facts(found), "passed": not failed}, check_words(found), as_json)
-    if not failed:
+    verdicts = judge(found, target) if target else ()
+    missed = [verdict.words for verdict in verdicts if not verdict.passed]
+    facts = {
+        **check_facts(found),
+        "passed": not failed and not missed,
+        "target": [
+            {"name": v.requirement.name, "value": v.value, "least": v.requirement.least, "most": v.requirement.most,
+             "unit": v.requirement.unit, "passed": v.passed}
+            for v in verdicts
+        ],
+    }  # fmt: skip
+    answer(facts, "\n".join([check_words(found), *(verdict.words for verdict in verdicts)]), as_json)
+    if not failed and not missed:
         return 0
     if not as_json:
-        what = "; ".join(f"total RMS {value:.4g} {unit}, limit {limit:g} {unit}" for value, limit, unit in failed)
+        rms = (f"total RMS {value:.4g} {unit}, limit {limit:g} {unit}" for value, limit, unit in failed)
+        what = "; ".join([*rms, *missed])
         raise QualityError(what, where=str(raster), mend="look at the largest errors and the systematic shift")
     return QualityError.exit_code

@@ -46,7 +46,11 @@ def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: 
     common = {"driver": flags.pop("driver"), "overwrite": flags.pop("overwrite")}
     with notes():
         if pan is not None:
-            used = [f"--{key}" for key in ("stretch", "gamma", "clahe", "sharpen") if flags[key] is not None]
+            used = [
+                f"--{key}"
+                for key in ("stretch", "limits", "percentiles", "gamma", "clahe", "sharpen")
+                if flags[key] is not None
+            ]
             if used:
                 raise InputError(
                     f"{', '.join(used)} goes with a picture, --pan with measurements",

@@ -194,7 +194,7 @@ def product_command(as_json: bool, **flags: Any) -> None:
       error of position 0.3 mm on the map; K by scale; scan >= 320 dpi · K
       error of heights <= m_O · (140 mm / r) · (c / 150 mm); grid intervals by terrain
       errors that are independent add as squares: m_O² = m_DTM² + other²
-    `geomosaic check --map-scale` holds the finished map against the same target.
+    With --json > plan.json, `geomosaic check --target plan.json` holds the finished map against it.
     """  # noqa: D301
     from geomosaic.plan.product import requirements
 

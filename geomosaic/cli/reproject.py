@@ -13,7 +13,7 @@ from geomosaic.cli.options import FILE, machine_options, output_options, stack
 from geomosaic.cli.request import render_options
 from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.words import ortho_facts, ortho_words
-from geomosaic.errors import GeomosaicWarning
+from geomosaic.errors import GeomosaicWarning, InputError
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -39,6 +39,8 @@ def command(
     Examples:
       geomosaic reproject lambert.tif --dst-crs EPSG:32631 --res 0.5 -o utm.tif
       geomosaic reproject roads.gpkg --dst-crs EPSG:32631 -o roads-utm.gpkg
+
+    Grids of datum shifts are looked for in the folders that the environment variable PROJ_DATA names, too.
     """  # noqa: D301
     from geomosaic.product.vectors import is_vector
 
@@ -49,16 +51,20 @@ def command(
     if is_vector(source):
         _vectors(source, src_crs, like, output, as_json, flags)
         return
-    from geomosaic.geo.crs import parse_map
-    from geomosaic.geo.datum import doubt
+    from geomosaic.geo.crs import horizontal, parse_map
+    from geomosaic.geo.datum import doubt, operation_between
     from geomosaic.project.inputs import BlockInputs
-    from geomosaic.project.make import Area, make_ortho
+    from geomosaic.project.make import Area, grid_of, make_ortho
     from geomosaic.raster.info import inspect
 
     note_memory(flags["mem_limit"], flags["threads"])
     with notes(), progress(as_json) as report:
         info = inspect(source)
         if src_crs is None and info.crs is not None and (suspicious := doubt(info.crs)):
+            target = grid_of(like).crs if like is not None else parse_map(flags["dst_crs"], "--dst-crs")
+            if not operation_between(horizontal(info.crs), horizontal(target)).possible:
+                what, _, mend = suspicious.partition("; ")
+                raise InputError(f"{what}; no operation leads from it to '{target.name}'", where=info.path, mend=mend)
             warnings.warn(suspicious, GeomosaicWarning, stacklevel=1)
         options: dict[str, Any] = {}
         if src_crs is not None and info.transform is not None:
@@ -87,8 +93,9 @@ def _vectors(
     words = "; ".join(_operation(found, crs) for found in result.sources)
     layers = ", ".join(f"{name}: {count} features" for name, count in result.layers.items())
     lost = f"; {result.lost} features have no place in {crs.name} and were left out" if result.lost else ""
-    facts = {"output": str(result.path), "layers": result.layers, "lost": result.lost, "operation": words}
-    answer(facts, f"{result.path}: {layers}{lost}\n{words}", as_json)
+    cut = f"; {result.cut} reach over the edge of that map and were cut there" if result.cut else ""
+    facts = {"output": str(result.path), "layers": result.layers, "lost": result.lost, "cut": result.cut}
+    answer({**facts, "operation": words}, f"{result.path}: {layers}{lost}{cut}\n{words}", as_json)
 
 
 def _operation(source: CRS, target: CRS) -> str:

@@ -64,6 +64,16 @@ def planar_inputs(flags: Mapping[str, Any]) -> PlanarInputs | None:
     own = [name for name in ("model", "ties", "gcps", "scale", "azimuth", "rectify") if flags[name] is not None]
     own += [name for name in ("robust", "insist") if flags[name]]
     if flags["kind"] is None:
+        if own and flags["sensor"] not in (None, "planar"):
+            what = f"--{own[0]} places photos without a rigorous model, and --sensor {flags['sensor']} names one"
+            mend = "leave one of them out"
+            if own == ["gcps"]:
+                what = f"control points of images of --sensor {flags['sensor']} need a project, which reports on them"
+                mend = (
+                    f"geomosaic new block.toml IMAGE... --sensor {flags['sensor']} --gcps FILE with the other inputs, "
+                    "then geomosaic run block.toml"
+                )
+            raise InputError(what, where=f"--{own[0]}", mend=mend)
         if own:
             raise InputError(
                 f"--{own[0]} is given without a kind of mosaic",

@@ -127,7 +127,7 @@ def words(made: SheetResult) -> str:
     page = made.page
     left, bottom, right, top = page.neatline
     lines = [
-        f"{made.path}: 1:{page.scale:g} on {page.width:g} x {page.height:g} mm, map of {right - left:.1f} x "
+        f"{made.path}: 1:{page.scale:.10g} on {page.width:g} x {page.height:g} mm, map of {right - left:.1f} x "
         f"{top - bottom:.1f} mm",
         f"the raster has {made.image_dpi:.0f} pixels per inch on the sheet",
     ]

@@ -79,6 +79,7 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
         "lattice_error_px": result.lattice_error,
         "tolerance_px": result.tolerance,
         "image_pixels_per_output_pixel": finite(result.scale),
+        "notes": list(result.notes),
         "seconds": {name: round(value, 3) for name, value in result.seconds.items()},
     }
 
@@ -88,9 +89,10 @@ def mosaic_words(result: MosaicResult) -> str:
     from geomosaic.product.colour_facts import said_of
 
     lines = [
+        *result.notes,
         f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
         f"{hidden_words(result.hidden_pixels, result.grid)}, "
-        f"{sum(1 for n in result.pixels if n)} of {len(result.pixels)} images used"
+        f"{sum(1 for n in result.pixels if n)} of {len(result.pixels)} images used",
     ]
     if result.balance.overlaps:
         before, after = (rms(values.tolist()) for values in (result.balance.before, result.balance.after))

@@ -6,6 +6,7 @@ CRS and a vertical one whose heights are reached through a geoid grid. EGM96 com
 
 from __future__ import annotations
 
+import os
 import re
 from functools import lru_cache
 from pathlib import Path
@@ -19,7 +20,9 @@ from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.types import PathLike
 
 DATA = Path(__file__).parent / "data"
-pyproj.datadir.append_data_dir(str(DATA))
+for _folder in (str(DATA), *os.environ.get("PROJ_DATA", os.environ.get("PROJ_LIB", "")).split(os.pathsep)):
+    if _folder and Path(_folder).is_dir():  # grids of the user's; pyproj itself looks only at its own
+        pyproj.datadir.append_data_dir(_folder)
 
 EGM96 = "EPSG:5773"
 

@@ -8,8 +8,11 @@ import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 
-from pyproj import CRS
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
 from pyproj.transformer import TransformerGroup
+
+_NONE = "no operation"
 
 
 @dataclass(frozen=True)
@@ -33,13 +36,21 @@ class Operation:
     missing: tuple[str, ...] = ()
     better: float = math.nan
 
+    @property
+    def possible(self) -> bool:
+        """Whether there is an operation at all."""
+        return self.name != _NONE
+
     def words(self) -> str:
         """Say it in one line."""
         known = f", good to {self.accuracy:g} m" if math.isfinite(self.accuracy) else ", accuracy not known"
         text = f"{self.name}{known}"
         if self.missing:
             how = f" (good to {self.better:g} m)" if math.isfinite(self.better) else ""
-            text += f"; a better one{how} needs the grid {', '.join(self.missing)}, which is not installed"
+            text += (
+                f"; a better one{how} needs the grid {', '.join(self.missing)}, which is not installed: put it in a "
+                "folder that the environment variable PROJ_DATA names"
+            )
         return text
 
 
@@ -52,9 +63,9 @@ def operation_between(source: CRS, target: CRS) -> Operation:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of missing grids, which the result names
         group = TransformerGroup(source, target, always_xy=True, allow_ballpark=False)
-    if not group.transformers:
-        return Operation("no operation", math.nan)
-    used = group.transformers[0]
+    used = group.transformers[0] if group.transformers else _by_another_datum(source, target)
+    if used is None:
+        return Operation(_NONE, math.nan)
     accuracy = _accuracy(used.accuracy)
     if group.best_available or not group.unavailable_operations:
         return Operation(_short(used.description), accuracy)
@@ -64,6 +75,14 @@ def operation_between(source: CRS, target: CRS) -> Operation:
     if math.isfinite(better) and math.isfinite(accuracy) and better >= accuracy:
         return Operation(_short(used.description), accuracy)
     return Operation(_short(used.description), accuracy, grids, better)
+
+
+def _by_another_datum(source: CRS, target: CRS) -> Transformer | None:
+    """Find what `Transform` takes where direct operations lack their grids: PROJ goes through a third datum."""
+    try:
+        return Transformer.from_crs(source, target, always_xy=True, allow_ballpark=False)
+    except ProjError:
+        return None
 
 
 def doubt(crs: CRS) -> str | None:

@@ -148,6 +148,12 @@ def _on_one_datum(source: CRS, target: CRS) -> bool:
     return source.datum is not None and bool(source.datum.is_exact_same(target.datum))  # == takes PROJ 40 ms
 
 
+_GET_GRID = (
+    "put the grid (https://cdn.proj.org has it) in a folder, under this or its former name, and name the folder in the "
+    "environment variable PROJ_DATA"
+)
+
+
 def _no_operation(source: CRS, target: CRS) -> InputError:
     """Name the grid that is missing, when one is."""
     with warnings.catch_warnings():
@@ -158,6 +164,11 @@ def _no_operation(source: CRS, target: CRS) -> InputError:
         f"no trustworthy transformation from '{source.name}' (heights: {height_name(source)}) "
         f"to '{target.name}' (heights: {height_name(target)})"
     )
+    if grids and not (has_heights(source) or has_heights(target)):
+        return InputError(
+            f"{what}: grid {' or '.join(grids)} of the shift between their datums is not installed",
+            mend=_GET_GRID,
+        )
     if grids:
         return HeightDatumError(
             f"{what}: grid {' or '.join(grids)} is not installed",

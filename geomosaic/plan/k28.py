@@ -49,7 +49,7 @@ INTERVALS = {
 
 def position_error(ortho_scale: float) -> float:
     """Mean error of position on the ground, metres: 0.3 mm on the map."""
-    return POSITION_MM / 1000 * checked("ortho_scale", ortho_scale)
+    return POSITION_MM * checked("ortho_scale", ortho_scale) / 1000
 
 
 def height_error(ortho_scale: float, camera_constant: float, radius: float) -> float:
@@ -70,7 +70,7 @@ def radial_shift(dem_error: float, ortho_scale: float, camera_constant: float, r
 
 def ortho_pixel(ortho_scale: float, film: Film) -> float:
     """Pixel of the photo map on the ground, metres: 0.08 mm of the map in grey, 0.10 mm in colour."""
-    return PRINT_MM[film] / 1000 * checked("ortho_scale", ortho_scale)
+    return PRINT_MM[film] * checked("ortho_scale", ortho_scale) / 1000
 
 
 def dpi_of(film: Film) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pyproj import CRS
@@ -27,6 +28,32 @@ SAMPLE = 1000
 
 Finish = Callable[[ByteArray, Bounds], ByteArray]
 """From pixels (rows, cols, 4) and their area to the same pixels, finished."""
+
+
+def stretch_given(
+    stretch: str | None, limits: tuple[float, float] | None, percentiles: tuple[float, float] | None
+) -> dict[str, Any]:
+    """Keys of `EnhancePart` for a stretch; values or percentiles alone say which one is meant.
+
+    Raises
+    ------
+    InputError
+        They do not belong to the stretch, or are the wrong way round.
+    """
+    if limits is not None and percentiles is not None:
+        raise InputError("--limits are values and --percentiles shares of them", mend="leave one of them out")
+    for name, pair, kind in (("limits", limits, "linear"), ("percentiles", percentiles, "percentile")):
+        if pair is not None and stretch not in (None, kind):
+            raise InputError(
+                f"--{name} belongs to --stretch {kind}", where=f"--stretch {stretch}", mend="leave one out"
+            )
+        if pair is not None and not pair[0] < pair[1]:
+            raise InputError(
+                f"--{name} {pair[0]:g} {pair[1]:g} is the wrong way round", mend="give the lower one first"
+            )
+    low, high = percentiles or (None, None)
+    own = None if limits is None and percentiles is None else "linear" if limits else "percentile"
+    return {"stretch": stretch or own, "limits": limits, "low": low, "high": high}
 
 
 def shown_bands(part: EnhancePart, count: int, where: str) -> tuple[int, ...]:
@@ -62,7 +89,9 @@ def band_curves(part: EnhancePart, source: Source, grid: Grid, bands: Sequence[i
     if part.stretch == "linear" or (part.stretch == "none" and whole):
         low, high = part.limits or (0.0, 255.0)
         if part.stretch == "linear" and part.limits is None and not whole:
-            raise InputError("a linear stretch needs its limits", where="[enhance]", mend="limits = [low, high]")
+            raise InputError(
+                "a linear stretch needs its limits", where="stretch", mend="--limits LOW HIGH, or limits = [low, high]"
+            )
         return [linear(low, high, part.gamma)] * len(bands)
     values, valid = sample(source, grid, bands)
     seen = [values[..., k][valid > 0] for k in range(len(bands))]

@@ -13,7 +13,7 @@ from geomosaic.enhance.local import Clahe, luminance, sharpened, toned
 from geomosaic.enhance.pan import PanModel, magnified, pan_model, pan_sharpened
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.product.enhance import band_curves, sample, shown_bands
+from geomosaic.product.enhance import band_curves, sample, shown_bands, stretch_given
 from geomosaic.raster.output import check_output
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
@@ -29,6 +29,8 @@ def enhance_raster(
     *,
     bands: tuple[int, ...] | None = None,
     stretch: str | None = None,
+    limits: tuple[float, float] | None = None,
+    percentiles: tuple[float, float] | None = None,
     gamma: float | None = None,
     clahe: float | None = None,
     sharpen: float | None = None,
@@ -45,8 +47,9 @@ def enhance_raster(
     check_output(output, overwrite=overwrite)
     with Source(raster) as source:
         grid = raster_grid(source, str(raster))
-        kind = stretch or ("none" if source.dtype == np.uint8 else "percentile")
-        look = EnhancePart(bands=bands or (), stretch=kind, gamma=gamma or 1.0, clahe=clahe or 0.0)
+        own = {key: found for key, found in stretch_given(stretch, limits, percentiles).items() if found is not None}
+        own.setdefault("stretch", "none" if source.dtype == np.uint8 else "percentile")
+        look = EnhancePart(bands=bands or (), gamma=gamma or 1.0, clahe=clahe or 0.0, **own)
         shown = shown_bands(look, source.info.bands, str(raster))
         curves = band_curves(look, source, grid, shown)
         local = None

@@ -10,6 +10,7 @@ from geomosaic.block.block import Block
 from geomosaic.block.footprint import Footprint
 from geomosaic.geo.grid import Grid
 from geomosaic.product.corrections import corrections
+from geomosaic.product.holes import height_notes
 from geomosaic.product.mosaic import _balanced, _render, beside
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import Clock, MosaicResult
@@ -90,5 +91,5 @@ def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, opt
             )  # fmt: skip
     return MosaicResult(
         output, labels, vectors, item, grid, sum(pixels), pixels, solved, 0.0, record.error, render.tolerance,
-        record.scale, seconds,
+        record.scale, seconds, notes=height_notes(ground, outlines),
     )  # fmt: skip

@@ -21,6 +21,7 @@ from geomosaic.product.colour import colours
 from geomosaic.product.corrections import corrections
 from geomosaic.product.earlier import Earlier
 from geomosaic.product.edits import numbers_of, retouched, steady
+from geomosaic.product.holes import height_notes
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import Clock, MosaicResult
 from geomosaic.product.mosaic_unit import MosaicUnit, label_type
@@ -170,7 +171,7 @@ def mosaic(
         output, labels, vectors, item, grid, sum(pixels), pixels, solved, feather, record.error, render.tolerance,
         record.scale, seconds, 0 if reuse is None else len(reuse.taken), len(tiles(grid, render.tile)), stretch, parts,
         quality, places, hidden if render.true_ortho else None,
-        tuple(earlier.recall.recalled),
+        tuple(earlier.recall.recalled), height_notes(ground, outlines),
     )  # fmt: skip
 
 

@@ -52,6 +52,8 @@ class MosaicResult:
         Pixels that images cover and the surface hides from them all; None where that was not asked.
     recalled : tuple of str
         What was taken from an earlier run besides pixels.
+    notes : tuple of str
+        Where heights are missing.
     """
 
     path: Path
@@ -75,6 +77,7 @@ class MosaicResult:
     places: list[SeamPlace] = field(default_factory=list)
     hidden_pixels: int | None = None
     recalled: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 class Clock:

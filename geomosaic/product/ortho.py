@@ -13,6 +13,7 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.product.holes import height_notes
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo, pull
 from geomosaic.product.pool import in_order
@@ -43,7 +44,7 @@ class OrthoResult:
         Image pixels per output pixel (median over blocks).
     seconds : float
     notes : tuple of str
-        What the sensor says of the image: how it was oriented, what was assumed.
+        What the sensor says of the image: how it was oriented, what was assumed; and where heights are missing.
     hidden_pixels : int, optional
         Pixels that the image covers and the surface hides from it; None where that was not asked.
     """
@@ -192,7 +193,7 @@ def ortho(
     finally:
         photo.source.close()
     record.judge(options.tolerance)
-    notes = tuple(getattr(scene.model, "notes", ()))
+    notes = (*getattr(scene.model, "notes", ()), *height_notes(below, [outline]))
     seconds = time.perf_counter() - started
     return OrthoResult(
         output, grid, seen, record.error, options.tolerance, record.scale, seconds, notes,

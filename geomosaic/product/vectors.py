@@ -10,8 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import horizontal
-from geomosaic.geo.transform import Transform
+from geomosaic.product.vector_cut import moved
 from geomosaic.raster.output import check_output, partial, remove, sync
 from geomosaic.raster.vector import append_layer, layer_names, read_layer
 
@@ -22,18 +21,22 @@ DRIVERS = {
     ".fgb": "FlatGeobuf",
 }
 """Formats that can be written, by suffix; a shapefile is several files, which cannot appear all at once."""
-READ = (*DRIVERS, ".shp")
+READ = (*DRIVERS, ".shp", ".osm", ".pbf", ".kml", ".gml", ".gpx", ".tab", ".mif", ".dxf")
 _SEVERAL = ("GPKG",)
 
 
 @dataclass(frozen=True)
 class VectorResult:
-    """What was made: layers with their numbers of features, features without a place in the new CRS, CRS met."""
+    """What was made: layers with their numbers of features, features without a place in the new CRS, CRS met.
+
+    `cut` is the number of features that the new map shows in pieces or in part.
+    """
 
     path: Path
     layers: dict[str, int]
     lost: int
     sources: tuple[CRS, ...]
+    cut: int = 0
 
 
 def is_vector(path: Path) -> bool:
@@ -46,12 +49,14 @@ def reproject_vectors(
 ) -> VectorResult:
     """Bring all layers of a vector file to another CRS; attributes stay as they are.
 
-    Vertices are transformed; straight lines between them stay straight.
+    Vertices are transformed; straight lines between them stay straight. What reaches over the edge of the new map is
+    cut there, see `vector_cut`.
 
     Parameters
     ----------
     path : Path
-        GeoPackage, GeoJSON, FlatGeobuf or shapefile.
+        GeoPackage, GeoJSON, FlatGeobuf, shapefile, OpenStreetMap, KML ...; layers without features are left out of what
+        is written.
     crs : CRS
         Of the output.
     output : Path
@@ -83,22 +88,22 @@ def reproject_vectors(
         )
     layers: dict[str, int] = {}
     sources: list[CRS] = []
-    lost = 0
+    lost, cut = 0, 0
     unfinished = partial(output, output.suffix)
     try:
         for name in names:
             frame = read_layer(path, name)
             own = source or _own(frame, f"{path}, layer {name}")
-            moved, gone = _moved(frame, own, crs)
+            found, gone, pieces = _moved(frame, own, crs)
             if own not in sources:
                 sources.append(own)
-            append_layer(unfinished, moved, name, driver)
-            layers[name], lost = len(moved), lost + gone
+            append_layer(unfinished, found, name, driver)
+            layers[name], lost, cut = len(found), lost + gone, cut + pieces
         sync(unfinished)
         unfinished.replace(output)
     finally:
         remove(unfinished)
-    return VectorResult(output, layers, lost, tuple(sources))
+    return VectorResult(output, layers, lost, tuple(sources), cut)
 
 
 def _own(frame: Any, where: str) -> CRS:
@@ -107,12 +112,13 @@ def _own(frame: Any, where: str) -> CRS:
     return CRS.from_user_input(frame.crs)
 
 
-def _moved(frame: Any, own: CRS, crs: CRS) -> tuple[Any, int]:
-    """Return the layer in the new CRS, and how many of its features have no place there."""
+def _moved(frame: Any, own: CRS, crs: CRS) -> tuple[Any, int, int]:
+    """Return the layer in the new CRS, how many features have no place there, and how many were cut."""
     import shapely
 
-    transform = Transform(horizontal(own), horizontal(crs))
-    geometries = shapely.transform(np.asarray(frame.geometry.values), transform)
-    known = np.array([g is None or bool(np.isfinite(shapely.get_coordinates(g)).all()) for g in geometries], dtype=bool)
-    moved = frame.set_geometry(geometries).set_crs(crs, allow_override=True)
-    return moved[known], int((~known).sum())
+    before = np.asarray(frame.geometry.values)
+    after, cut = moved(before, own, crs)
+    finite = [g is None or bool(np.isfinite(shapely.get_coordinates(g)).all()) for g in after]
+    known = np.array(finite, dtype=bool) & ~(shapely.is_empty(after) & ~shapely.is_empty(before))
+    found = frame.set_geometry(after).set_crs(crs, allow_override=True)
+    return found[known], int((~known).sum()), int((cut & known).sum())

@@ -14,6 +14,7 @@ from geomosaic.carto.foreign.read import SUFFIXES, foreign_style
 from geomosaic.carto.layout import Layout, parse_scale
 from geomosaic.carto.style import BUILT_IN, Style, built_in, parse_style
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.product.enhance import stretch_given
 from geomosaic.product.sheet import SheetResult, VectorInput, make_sheet
 from geomosaic.project.camera import read_toml
 from geomosaic.project.sheet_records import read_records
@@ -105,6 +106,8 @@ def sheet_inputs(
     report: Path | None = None,
     bands: tuple[int, ...] | None = None,
     stretch: str | None = None,
+    limits: tuple[float, float] | None = None,
+    percentiles: tuple[float, float] | None = None,
     gamma: float | None = None,
     clahe: float | None = None,
     sharpen: float | None = None,
@@ -118,7 +121,8 @@ def sheet_inputs(
     sheet = {"paper": paper, "orientation": orientation, "dpi": dpi, "title": title}
     area = {"scale": parse_scale(scale, "--scale") if scale else None, "bounds": bounds}
     looks: dict[str, Any] = {
-        "bands": bands, "stretch": stretch, "gamma": gamma, "clahe": clahe, "sharpen": sharpen,
+        "bands": bands, **stretch_given(stretch, limits, percentiles), "gamma": gamma, "clahe": clahe,
+        "sharpen": sharpen,
         "hillshade": 0.6 if hillshade is not None and not plan.enhance.hillshade else None,
     }  # fmt: skip
     plan = replace(

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 class Engine:
     """Where the kernels come from; both engines give the same bytes.
 
-    `quick` holds, by resampling, kernels that place and sample a whole block of three bands of eight bits at once.
+    `quick` holds, by resampling, kernels that place and sample a whole block of three bands of eight bits at once;
+    "bilinear, inner" one whose taps all exist, without heights or correction.
     """
 
     coordinates: Callable[..., tuple[float, float, float, float]]
@@ -34,14 +35,17 @@ def numpy_engine() -> Engine:
 
 def numba_engine() -> Engine:
     """Compiled kernels."""
-    from geomosaic.resample.kernels import blend, place, sample, shade
+    from geomosaic.resample.start import load_numba
+
+    load_numba()
+    from geomosaic.resample.kernels import blend, inner, place, sample, shade
 
     return Engine(
         place.coordinates,
         sample.sample,
         blend.accumulate,
         blend.finish,
-        {"bilinear": place.bilinear_rgb, "cubic": place.cubic_rgb},
+        {"bilinear": place.bilinear_rgb, "cubic": place.cubic_rgb, "bilinear, inner": inner.bilinear_rgb_inner},
         shade.shade,
     )
 

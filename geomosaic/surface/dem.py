@@ -151,6 +151,11 @@ class Dem:
         """
         return self._nodes.range
 
+    @property
+    def gaps(self) -> bool:
+        """Whether any node of the file has no height."""
+        return self._nodes.gaps
+
     def patch(self, bounds: Bounds, spacing: float = 0.0) -> HeightPatch:
         """Heights that cover bounds (left, bottom, right, top) in `crs`, with two nodes around for interpolation.
 

@@ -41,6 +41,7 @@ class Nodes:
         self._keep = 4 * self.window.width * self.window.height <= memory
         self._all: Float32Array | None = None
         self._range: tuple[float, float] | None = None
+        self._gaps = False
         self._blocks: OrderedDict[tuple[int, int], Float32Array] = OrderedDict()
         self._lock = threading.RLock()
 
@@ -65,6 +66,12 @@ class Nodes:
                 self._range = self._find_range()
             return self._range
 
+    @property
+    def gaps(self) -> bool:
+        """Whether any node has no height."""
+        with self._lock:
+            return self.range is not None and self._gaps
+
     def _find_range(self) -> tuple[float, float]:
         low, high = np.inf, -np.inf
         rows = max(1, _STRIP_NODES // self.window.width)
@@ -72,6 +79,7 @@ class Nodes:
             heights = self.read(window)
             low = float(np.fmin(low, np.fmin.reduce(heights, None)))
             high = float(np.fmax(high, np.fmax.reduce(heights, None)))
+            self._gaps = self._gaps or bool(np.isnan(heights).any())
         if low > high:
             raise InputError(
                 "the DEM holds no height: every node is nodata, NaN or beyond 20 km",

@@ -13,7 +13,7 @@ import numpy as np
 
 from geomosaic.jobs.digest import digest_of, versions
 from geomosaic.jobs.facts import read_json, write_json
-from geomosaic.jobs.heard import heard
+from geomosaic.jobs.heard import heard, tell
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Context, Machine
 from geomosaic.jobs.steps.restore import area_of, render_options, restore_block
@@ -83,6 +83,8 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             blending=Blending(wanted.blend, _width(wanted.feather), wanted.ramp, wanted.limit),
         )
         result = make(block, grid, outlines, layout.mosaic, options)
+        for note in result.notes:
+            tell(note)
     judged = seam_facts(result.parts, result.quality, [outline.name for outline in outlines])
     facts: dict[str, Any] = {
         "grid": {
@@ -160,7 +162,13 @@ def _memory(project: Project, context: Context) -> Memory:
     layout, settings, digests = Layout(project), project.settings, context.digests
     scenes = [f"{digests[image]} {digests[model]}" for image, model in zip(project.images, layout.models, strict=True)]
     # Of all other files, those that only move seams or colours show in the seams and colours themselves.
-    own_files = (settings.mosaic.cutlines, settings.mosaic.water, settings.mosaic.reference, settings.mosaic.mask, settings.mosaic.region)
+    own_files = (
+        settings.mosaic.cutlines,
+        settings.mosaic.water,
+        settings.mosaic.reference,
+        settings.mosaic.mask,
+        settings.mosaic.region,
+    )
     elsewhere = {project.file(name) for name in own_files}
     elsewhere |= {*project.files(settings.mosaic.follow), *project.files(settings.mosaic.avoid)}
     own = {*project.images, *layout.models, *elsewhere}

@@ -1,0 +1,75 @@
+"""The quick way for maps brought to another CRS: the bytes of the plain way, whatever the turn and the scale."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import ArrayReader
+
+from geomosaic.geo.grid import Window
+from geomosaic.resample.engine import numba_engine, numpy_engine
+from geomosaic.resample.warp import Colour, warp
+from geomosaic.sensor.lattice import Lattice
+
+SIZE = (1500, 900)
+
+
+def lattice_of(turn: float, scale: float, window: Window, bend: float = 0.0) -> Lattice:
+    """Turned by radians, scaled, and bent by `bend` pixels across the block."""
+    ny, nx = window.height // 64 + 1, window.width // 64 + 1
+    c, r = np.meshgrid(np.arange(nx) * 64.0 + window.col, np.arange(ny) * 64.0 + window.row)
+    nodes = np.zeros((ny, nx, 8))
+    nodes[..., 0] = 200.37 + scale * (np.cos(turn) * c - np.sin(turn) * r) + bend * (c / window.width) ** 2
+    nodes[..., 4] = 90.81 + scale * (np.sin(turn) * c + np.cos(turn) * r) - bend * (r / window.height) ** 2
+    seen = np.ones((ny - 1, nx - 1), dtype=bool)
+    return Lattice(window, 64, nodes, np.zeros((ny, nx, 2)), 0.0, 0.0, 0.0, (0.0, 0.0, *SIZE), scale, seen)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.0007, -0.02, 0.12])
+@pytest.mark.parametrize("scale", [1.0, 1.0003, 0.97, 0.61])
+def test_the_same_bytes_as_the_twin(turn: float, scale: float) -> None:
+    image = np.random.default_rng(3).integers(0, 256, (SIZE[1], SIZE[0], 3), dtype=np.uint8)
+    lattice = lattice_of(turn, scale, Window(0, 0, 640, 512), bend=2.0)
+    ways, taken = [], []
+    compiled = numba_engine()
+    inner = compiled.quick["bilinear, inner"]
+    watched = {**compiled.quick, "bilinear, inner": lambda *a: (taken.append(1), inner(*a))[1]}
+    for engine in (numpy_engine(), replace(compiled, quick=watched)):
+        out, valid = np.zeros((512, 640, 3), dtype=np.uint8), np.zeros((512, 640), dtype=np.uint8)
+        reader = ArrayReader(image, None)
+        warp(engine, reader, SIZE, lattice, None, "bilinear", Colour.identity(3), out, valid)
+        ways.append((out, valid))
+    assert taken, "the quick way was not taken"
+    assert (ways[0][1] == 1).all()
+    assert np.array_equal(*(valid for _, valid in ways))
+    assert np.array_equal(*(out for out, _ in ways))
+
+
+def test_a_block_that_leaves_the_image_goes_the_careful_way() -> None:
+    image = np.full((SIZE[1], SIZE[0], 3), 77, dtype=np.uint8)
+    lattice = lattice_of(0.6, 1.3, Window(0, 0, 1024, 512))
+    out, valid = np.zeros((512, 1024, 3), dtype=np.uint8), np.zeros((512, 1024), dtype=np.uint8)
+    warp(numba_engine(), ArrayReader(image, None), SIZE, lattice, None, "bilinear", Colour.identity(3), out, valid)
+    assert 0.2 < valid.mean() < 0.95
+    assert np.array_equal(out[..., 0] == 77, valid == 1)
+    assert (out[valid == 0] == 0).all()
+
+
+def test_numba_starts_without_linear_algebra_and_has_it_when_asked() -> None:
+    program = """
+import sys
+from geomosaic.resample.engine import numba_engine
+numba_engine()
+assert "scipy.linalg" not in sys.modules, "loaded"
+import numpy as np
+from numba import njit
+product = njit(lambda a, b: a @ b)
+a = np.arange(9.0).reshape(3, 3) + np.eye(3)
+assert np.allclose(product(a, a), a @ a)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
