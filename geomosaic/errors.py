@@ -99,8 +99,3 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     folded = {name.casefold(): name for name in known}
     close = difflib.get_close_matches(word.casefold(), folded, 1, 0.6)
     return f"did you mean '{folded[close[0]]}'?" if close else ""
-
-
-def counted(number: int, word: str) -> str:
-    """'1 point', '2 points', for messages."""
-    return f"{number} {word}{'' if number == 1 else 's'}"

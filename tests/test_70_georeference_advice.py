@@ -226,7 +226,7 @@ def test_errors_that_are_large_for_the_image_are_told() -> None:
 
 
 def test_a_spline_leaves_blunders_out_where_asked_to() -> None:
-    """One, and 30 % of 30, in an image bent by 30 px: named, and left out with --robust; the rest is the same spline."""
+    """One, and 30 % of 30, in an image bent by 30 px: named, left out with --robust; the rest is the same spline."""
     for wrong in ([13], [0, 4, 9, 11, 14, 18, 21, 26, 29]):
         points = moved(control(6, 5, bend=30.0), wrong)
         names = {f"P{i}" for i in wrong}
