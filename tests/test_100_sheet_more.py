@@ -13,6 +13,7 @@ import geopandas
 import numpy as np
 import pytest
 import rasterio
+import shapely
 from affine import Affine
 from PIL import Image
 from sheet_reading import SheetPdf
@@ -195,6 +196,15 @@ def test_a_map_in_a_local_frame(tmp_path: Path, capsys: pytest.CaptureFixture[st
         assert (source.width, source.height) == (1000, 600)
     assert run(["sheet", str(wall), "-o", str(tmp_path / "wall.kmz")]) == 1
     assert "not tied to the Earth" in capsys.readouterr().err
+    bare = tmp_path / "crack.shp"
+    crack = geopandas.GeoDataFrame(geometry=[shapely.LineString([(-4, 1), (4, 5)])], crs=32633)
+    crack.to_file(bare)
+    bare.with_suffix(".prj").unlink()
+    made, _ = sheet(capsys, wall, "--vector", bare, "--scale", "1:50", "-o", tmp_path / "crack.pdf")
+    assert made["layers"] == {"crack": 1}
+    crack.to_file(tmp_path / "earth.gpkg")
+    assert run(["sheet", str(wall), "--vector", str(tmp_path / "earth.gpkg"), "-o", str(tmp_path / "y.pdf")]) == 1
+    assert "the map in the local frame 'wall'" in capsys.readouterr().err
     degrees = write(tmp_path / "degrees.tif", np.zeros((1, 20, 20), np.uint8), "EPSG:4326", 0.001, (13.0, 49.0))
     assert run(["sheet", str(degrees), "-o", str(tmp_path / "x.pdf")]) == 1
     assert "no scale" in capsys.readouterr().err

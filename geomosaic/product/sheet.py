@@ -17,37 +17,23 @@ from geomosaic.carto.layout import GraticulePart, GridPart, Layout
 from geomosaic.carto.lines import MapGrid, map_grid
 from geomosaic.carto.nice import metres_per_unit
 from geomosaic.carto.notes import accuracy_words, blocks
-from geomosaic.carto.overlay import Overlay, overlay
 from geomosaic.carto.page import Box, Page, lay_out
 from geomosaic.carto.picture import picture, raster_grid
 from geomosaic.carto.series.neatline import SheetPlace
-from geomosaic.carto.style import Style, plain
-from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.geo.crs import geographic, horizontal, is_local, parse_crs
+from geomosaic.errors import GeomosaicWarning
+from geomosaic.geo.crs import geographic, is_local, parse_crs
 from geomosaic.geo.local import map_place
 from geomosaic.product.enhance import band_curves, finishing, shown_bands
 from geomosaic.product.relief import SheetRelief, sheet_relief
+from geomosaic.product.sheet_layer import VectorInput, read_overlay
 from geomosaic.raster.output import check_output
 from geomosaic.raster.source import Source
-from geomosaic.raster.vector import layer_counts, read_layer
 from geomosaic.types import ByteArray
 
 GRID_MM, GRATICULE_MM = 40.0, 50.0
 """Least distance of lines on paper, for the intervals that are not given."""
 NODE_MM = 0.35
 """Distance on paper below which nodes of a DEM are averaged for contours."""
-COLORS = ("#d7191c", "#2c6fbb", "#f58231", "#7b3294", "#1a9641", "#00a6c8")
-"""Of layers without a style, in turn."""
-
-
-@dataclass(frozen=True)
-class VectorInput:
-    """A vector file for the sheet: which layer of it (the first by default), its style, and a title."""
-
-    path: Path
-    layer: str | None = None
-    style: Style | None = None
-    title: str = ""
 
 
 @dataclass(frozen=True)
@@ -200,7 +186,7 @@ def _parts(
             tolerance=part.tolerance, heights=dem_heights, spots=spacing, prominence=part.spot_prominence,
         )  # fmt: skip
     grids = (_grid(layout.grid, page, GRID_MM), _grid(layout.graticule, page, GRATICULE_MM))
-    layers = tuple(_layer(vector, page, k) for k, vector in enumerate(vectors))
+    layers = tuple(read_overlay(vector, page, k) for k, vector in enumerate(vectors))
     measured = layout.notes.accuracy or accuracy_words(report or {}, page.scale)
     if not measured and {"orient", "check"} & set(report or {}):
         warnings.warn("the report measured no accuracy, so the sheet states none", GeomosaicWarning, stacklevel=2)
@@ -233,59 +219,13 @@ def _grid(part: GridPart, page: Page, spacing: float) -> MapGrid | None:
     return map_grid(crs, page.crs, page.bounds, spacing / page.mm_per_unit, part.interval)
 
 
-def _layer(vector: VectorInput, page: Page, number: int) -> Overlay:
-    """Read a vector layer and bring it to the map."""
-    name = vector.layer or _first_layer(vector.path)
-    frame = read_layer(vector.path, name)
-    where = f"{vector.path}, layer '{vector.layer}'" if vector.layer else str(vector.path)
-    if frame.crs is None:
-        raise InputError(
-            "the layer has no CRS", where=where, mend="assign one: ogr2ogr -a_srs EPSG:... OUT IN, or add a .prj file"
-        )
-    # WKT between the libraries: each has a PROJ of its own.
-    crs = horizontal(parse_crs(frame.crs.to_wkt(), where))
-    geometries = list(frame.geometry)
-    style = vector.style or plain(_kind(geometries), COLORS[number % len(COLORS)])
-    columns = {str(name): frame[name].tolist() for name in frame.columns if name != frame.geometry.name}
-    title = vector.title or (vector.layer or vector.path.stem).replace("_", " ")
-    made = overlay(
-        geometries, columns, crs, style, title, page.crs, page.bounds, straight=2.0 / page.mm_per_unit, where=where
-    )
-    if vector.title and vector.title != made.title:
-        made = replace(made, title=vector.title)
-    for note in made.notes:
-        warnings.warn(f"{where}: {note}", GeomosaicWarning, stacklevel=2)
-    return made
-
-
-def _first_layer(path: Path) -> str | None:
-    """The first layer that has objects; the others that have some are named in a note."""
-    full = [name for name, count in layer_counts(path).items() if count]
-    # GPX has each track a second time, as its points.
-    others = [name for name in full[1:] if name not in ("track_points", "route_points")]
-    if others:
-        warnings.warn(
-            f"{path}: layer '{full[0]}' is drawn; name one with FILE#LAYER for {', '.join(others)}",
-            GeomosaicWarning,
-            stacklevel=3,
-        )
-    return full[0] if full else None
-
-
-def _kind(geometries: Sequence[Any]) -> str:
-    names = {geometry.geom_type for geometry in geometries if geometry is not None}
-    for part, kind in (("Polygon", "polygon"), ("Line", "line")):
-        if any(part in name for name in names):
-            return kind
-    return "point"
-
-
 def _warn_of_glyphs(parts: SheetParts) -> None:
     """Name the characters that would be drawn as boxes."""
-    sheet, notes = parts.layout.sheet, parts.layout.notes
+    sheet = parts.layout.sheet
     texts = [
-        sheet.title, sheet.subtitle, sheet.series, sheet.number, sheet.name, notes.sources, notes.credits,
-        notes.publisher, notes.edition, notes.accuracy, parts.layout.legend.title,
+        sheet.title, sheet.subtitle, sheet.series, sheet.number, sheet.name, parts.layout.legend.title,
+        *(line for _, lines in parts.blocks for line in lines),
+        *(parts.series.neighbours.values() if parts.series else ()),
         *(layer.title for layer in parts.layers), *(name.text for layer in parts.layers for name in layer.names),
         *(group.title for layer in parts.layers for group in layer.groups),
     ]  # fmt: skip
