@@ -225,7 +225,8 @@ def _metres(grid: Grid) -> float:
     middle = np.array([grid.width / 2, grid.height / 2])
     ends = grid.xy(middle + np.array([[0.0, 0.0], [0.0, 1.0]])) * crs.axis_info[0].unit_conversion_factor
     geod = crs.get_geod() or Geod(ellps="WGS84")
-    return float(geod.inv(*ends.ravel(), radians=True)[2])
+    (x, y), (x1, y1) = ends.tolist()
+    return float(geod.inv(x, y, x1, y1, radians=True)[2])
 
 
 def _times(images: list[Path]) -> tuple[str, str]:
