@@ -70,10 +70,10 @@ def growth(s: Setting) -> Result:
     times, areas = Times(), {}
     blocks = {4: (2, 2), 16: (4, 4)} if s.small else BLOCKS
     few, many = min(blocks), max(blocks)
-    for overlap in SIDE:
-        home = s.data / f"growth{overlap}"
-        helper("growth", str(home), str(overlap), *map(str, blocks[many]))
-        for way, more in WAYS.items():
+    for way, more in WAYS.items():
+        for overlap in SIDE:
+            home = s.data / f"growth{overlap}"
+            helper("growth", str(home), str(overlap), *map(str, blocks[many]))
             for number in (few, many) if way else blocks:
                 name, scene = f"{number} photos, {overlap} %{way}", block(overlap, *blocks[number])
                 cost, text = run((command(s, home, scene, s.work / "ours.tif", *more),), s.work / "run.log")
