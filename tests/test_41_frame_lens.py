@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.sensor.options import choice, known_keys
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import Camera
 from geomosaic_frame.certificate import Corrections
@@ -16,7 +17,6 @@ from geomosaic_frame.fisheye import Fisheye
 from geomosaic_frame.fold import LEAST_SLOPE, fold_radius
 from geomosaic_frame.lenses import lens_from_dict, lens_from_table
 from geomosaic_frame.polynomial import Brown, Rational
-from geomosaic_frame.read import choice, known_keys
 
 BROWN = Brown(k1=-0.264, k2=0.1019, k3=-0.0258, p1=7.3e-4, p2=-2.6e-4)
 BARREL = Brown(k1=-0.3, p1=0.01, p2=-0.02)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
+from geomosaic.sensor.options import choice, flag, known_keys, need, numbers, table_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic_frame.calibration import read_certificate
 from geomosaic_frame.camera import Camera
@@ -18,7 +19,6 @@ from geomosaic_frame.interior import KINDS
 from geomosaic_frame.marks import orient
 from geomosaic_frame.orientation import DIRECTIONS, FRAMES
 from geomosaic_frame.pose import WORLDS
-from geomosaic_frame.read import choice, flag, known_keys, need, numbers, table_of
 
 FILM_OPTIONS = ("fiducials", "interior", "mirrored")
 

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from geomosaic.errors import InputError
+from geomosaic.sensor.options import choice, known_keys, need, number
 from geomosaic_frame.certificate import Corrections
 from geomosaic_frame.distortion import Lens, NoDistortion
 from geomosaic_frame.fisheye import Fisheye
 from geomosaic_frame.polynomial import Brown, Rational
-from geomosaic_frame.read import choice, known_keys, need, number
 from geomosaic_frame.shear import sheared
 
 COEFFICIENTS = {
