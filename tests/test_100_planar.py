@@ -118,3 +118,29 @@ def test_project(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     (tmp_path / "ties.csv").write_text("\n".join(ties[:-1]) + "\n")
     assert run(["status", str(project)]) == 0
     assert "ties.csv" in capsys.readouterr().out
+
+
+def test_a_wrong_tie_stops_with_its_line_or_is_left_out(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Line 20 of the table, off by 40 px: exit code 1, file and line; --robust goes on without it, and says so."""
+    lines = (folder / "ties.csv").read_text().splitlines()
+    shown = [line.split(",")[0] for line in lines]
+    number = next(k for k, name in enumerate(shown) if k and shown.count(name) > 2)
+    point, photo, col, *rest = lines[number].split(",")
+    lines[number] = ",".join([point, photo, str(float(col) + 40.0), *rest])
+    (tmp_path / "bad.csv").write_text("\n".join(lines) + "\n")
+    words = ["--kind", "semicontrolled", "--ties", str(tmp_path / "bad.csv"), "--gcps", str(folder / "gcps.csv")]
+    words += ["--crs", "EPSG:32633", "-o", str(tmp_path / "m.tif")]
+    assert run(command(folder, *words)) == 1
+    said = capsys.readouterr().err
+    assert f"tie point '{point}' in {photo}.tif (" in said
+    assert f"bad.csv, line {number + 1})" in said
+    assert not (tmp_path / "m.tif").exists()
+    assert run(command(folder, *words, "--robust", "--json")) == 0
+    captured = capsys.readouterr()
+    assert "left out" in captured.err
+    found = json.loads(captured.out)["placement"]["wrong_points"]
+    assert [(one["point"], one["images"]) for one in found["found"]] == [(point, [f"{photo}.tif"])]
+    assert found["left_out"]
+    assert found["found"][0]["px"] == pytest.approx(40.0, abs=3.0)

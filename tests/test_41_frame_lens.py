@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.sensor.options import choice, known_keys
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import Camera
 from geomosaic_frame.certificate import Corrections
@@ -17,7 +18,6 @@ from geomosaic_frame.fold import LEAST_SLOPE, fold_radius
 from geomosaic_frame.lenses import lens_from_dict, lens_from_table
 from geomosaic_frame.polynomial import Brown
 from geomosaic_frame.rational import Rational
-from geomosaic_frame.read import choice, known_keys
 
 BROWN = Brown(k1=-0.264, k2=0.1019, k3=-0.0258, p1=7.3e-4, p2=-2.6e-4)
 BARREL = Brown(k1=-0.3, p1=0.01, p2=-0.02)
@@ -253,7 +253,7 @@ def test_camera_table_in_millimetres_and_in_pixels() -> None:
     [
         ({"focal_lenght": 120.0}, "did you mean 'focal_length'"),
         ({"focal_length": 120.0}, "sensor_size"),
-        ({"focal_length": -1.0, "pixel_size": 4.0}, "not positive"),
+        ({"focal_length": -1.0, "pixel_size": 4.0}, "not greater than 0"),
         ({}, "'focal_length' is missing"),
         ({"focal_length": 120.0, "sensor_size": [165.888, 92.16]}, "not square"),
         ({"focal_length": 120.0, "pixel_size": 12.0, "principal_point": [320, 576]}, "principal_point_px"),

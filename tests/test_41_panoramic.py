@@ -193,10 +193,10 @@ def test_ground_of_the_image_is_found_on_a_plane() -> None:
         ({"v_over_h": 0.1}, "together"),
         ({"focal_length": 100.0}, "no meaning for a scanner"),
         ({"positon": [1, 2, 3]}, "did you mean 'position'"),
-        ({"position": [1, 2]}, "not 3 numbers"),
+        ({"position": [1, 2]}, "not 3 finite numbers"),
         ({"ground_height": 9000.0}, "below ground_height"),
         ({"roll": 170.0}, "sky"),
-        ({"columns": "up"}, "right or left"),
+        ({"columns": "up"}, "right, left"),
     ],
 )
 def test_what_is_wrong_is_said(change: dict[str, Any], said: str) -> None:

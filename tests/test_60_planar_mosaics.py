@@ -119,7 +119,7 @@ def test_photos_that_do_not_hang_together_are_named() -> None:
     with pytest.raises(SolveError, match="2 pieces that share no point; one is XII"):
         chain(PlanarBlock(block.photos, without))
     one = (*without, next(tie for tie in block.ties if tie.photo == "XII"))
-    with pytest.raises(SolveError, match="photo 'XII' shares 1 points"):
+    with pytest.raises(SolveError, match="photo 'XII' shares 1 point "):
         chain(PlanarBlock(block.photos, one))
     with pytest.raises(SolveError, match="not positive"):
         chain(block, scale=0.0)
@@ -261,5 +261,5 @@ def test_a_join_that_does_not_meet_is_reported_with_its_shift_along_the_seam() -
 def test_growing_needs_a_photo_to_begin_with() -> None:
     """No photo of the block of section 9-8 has control of its own for it."""
     _, block = textbook_block("affine")
-    with pytest.raises(SolveError, match=r"no photo to begin with: '\w+' has 1 control points, the affine .* needs 3"):
+    with pytest.raises(SolveError, match=r"no photo to begin with: '\w+' has 1 control point, the affine .* needs 3"):
         grow(block)

@@ -58,5 +58,11 @@ def _control(points: Sequence[ControlPoint], crs: CRS, where: str) -> ImageContr
         np.ones(count),
         ("control",) * count,
         np.ones(count, dtype=bool),
-        tuple(Origin(where, number, "point") for number in range(1, count + 1)),
+        tuple(_origin(point, where, number) for number, point in enumerate(points, 1)),
     )
+
+
+def _origin(point: ControlPoint, where: str, number: int) -> Origin:
+    """Line of the table, where it is known."""
+    line = point.where.rpartition(", line ")[2]
+    return Origin(where, int(line), "line") if line.isdigit() else Origin(where, number, "point")

@@ -53,7 +53,8 @@ def wrong_words(found: Mapping[str, Any]) -> list[str]:
     done = "left out" if found["left_out"] else "taking part"
     named = f"{counted(len(wrong), 'wrong one')}, {done}" if wrong else "none wrong"
     size = found["detectable_px"]
-    seen = "no redundancy to find one" if size is None else f"errors of {size:.1f} px would be found"
+    seen = "too little to find one" if size is None else f"errors of {size:.1f} px would be found"
+    named = named if wrong or size is not None else "not checked"
     line = f"measurements: {found['measurements']}, {named} (redundancy {found['redundancy']}: {seen})"
     if unchecked:
         more = f" and {len(unchecked) - 3} more" if len(unchecked) > 3 else ""

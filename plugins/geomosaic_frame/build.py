@@ -11,6 +11,7 @@ from pyproj import CRS
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import has_heights, with_heights
 from geomosaic.geo.engineering import is_free
+from geomosaic.sensor.options import choice, flag, known_keys, need, number, numbers
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_frame.cameras import camera_of, tables
@@ -29,7 +30,6 @@ from geomosaic_frame.place import (
     rigorous,
     undo_linear_alteration,
 )
-from geomosaic_frame.read import choice, flag, known_keys, need, number, numbers
 from geomosaic_frame.start import looks_anywhere, model_at
 
 TREATMENTS = ("rigorous", "planar")

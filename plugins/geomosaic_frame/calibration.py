@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.sensor.options import choice, known_keys, need, number, numbers, positive, table_of
 from geomosaic_frame.filmlens import FilmLens
 from geomosaic_frame.radial import Radial, RadialPolynomial, RadialTable
-from geomosaic_frame.read import choice, known_keys, need, number, numbers, positive, table_of
 
 KEYS = (
     "name",

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.sensor.options import known_keys, need, numbers, pair, positive, table_of
 from geomosaic.types import FloatArray
 from geomosaic_frame.distortion import Lens, NoDistortion
 from geomosaic_frame.lenses import lens_from_dict, lens_from_table
-from geomosaic_frame.read import known_keys, need, numbers, pair, positive, table_of
 
 KEYS = (
     "name",

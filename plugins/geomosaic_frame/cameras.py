@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
+from geomosaic.sensor.options import choice, known_keys, need, numbers, table_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic_frame.camera import Camera
 from geomosaic_frame.foreign import READERS, read_foreign
 from geomosaic_frame.inside import Inside
 from geomosaic_frame.orientation import DIRECTIONS, FRAMES
 from geomosaic_frame.pose import WORLDS
-from geomosaic_frame.read import choice, known_keys, need, numbers, table_of
 
 FILM_OPTIONS = ("fiducials", "interior", "mirrored")
 

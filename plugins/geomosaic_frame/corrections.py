@@ -13,10 +13,10 @@ from geomosaic.geo.crs import geographic, horizontal
 from geomosaic.geo.engineering import is_free
 from geomosaic.geo.local import map_place
 from geomosaic.geo.transform import Transform
+from geomosaic.sensor.options import flag
 from geomosaic.types import FloatArray
 from geomosaic_frame.bending import Bending, curvature_shift, refraction_constant, refraction_shift
 from geomosaic_frame.inside import Inside
-from geomosaic_frame.read import flag
 
 HIGHEST = 20_000.0
 """Metres up to which the standard atmosphere's formula is used."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from geomosaic.sensor.options import choice, flag, need, table_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic_frame.calibration import read_certificate
 from geomosaic_frame.film import FilmCamera
 from geomosaic_frame.interior import KINDS
 from geomosaic_frame.marks import orient
-from geomosaic_frame.read import choice, flag, need, table_of
 
 
 def film_of(table: Mapping[str, Any], request: SensorRequest, where: str) -> tuple[FilmCamera, list[str]]:

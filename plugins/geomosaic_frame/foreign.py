@@ -7,9 +7,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, did_you_mean
 from geomosaic_frame.opensfm import read_shot
-from geomosaic_frame.read import did_you_mean
 
 LARGEST = 256 << 20
 """Bytes; no file of orientations is that long."""
@@ -97,7 +96,7 @@ def entry(table: Mapping[str, Any], image: str, path: Path, where: str) -> Any:
     if name is None:
         hint = did_you_mean(bare, [Path(key).stem for key in table])
         raise InputError(
-            f"{path} has no image named '{image}'", where=where, mend=f"{hint}it may not have been oriented"
+            f"{path} has no image named '{image}'", where=where, mend=f"{hint} it may not have been oriented".strip()
         )
     return table[name]
 

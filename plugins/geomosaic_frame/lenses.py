@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from geomosaic.errors import InputError
+from geomosaic.sensor.options import choice, known_keys, need, number
 from geomosaic_frame.distortion import Lens, NoDistortion
 from geomosaic_frame.polynomial import Brown
-from geomosaic_frame.read import choice, known_keys, need, number
 
 COEFFICIENTS = {
     "none": (),

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.sensor.options import meant, numbers, table_of
 from geomosaic.types import FloatArray
 from geomosaic_frame.interior import KINDS, InteriorOrientation, fit_interior
-from geomosaic_frame.read import did_you_mean, numbers, table_of
 
 GROSS = 500.0
 """µm; a conformal fit that leaves more (RMS) is a wrong number or a wrong mark: film shrinks by about 0.1 %."""
@@ -29,11 +29,10 @@ def read_marks(given: Any, known: Mapping[str, tuple[float, float]], size: tuple
     table = table_of(given, "fiducials", where)
     for name, place in table.items():
         if str(name) not in known:
-            hint = did_you_mean(str(name), known)
             raise InputError(
                 f"the certificate has no fiducial '{name}'",
                 where=where,
-                mend=f"{hint}it has {', '.join(known)}",
+                mend=meant(name, "it has", known),
             )
         col, row = numbers(place, 2, f"fiducial {name}", where)
         if not (0.0 <= col <= size[0] and 0.0 <= row <= size[1]):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
-from geomosaic_frame.read import need, number, numbers, table_of
+from geomosaic.sensor.options import need, number, numbers, table_of
 
 _COEFFICIENTS = {
     "perspective": ("brown", ("k1", "k2")),

@@ -15,9 +15,9 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.rotation import angle_axis, omega_phi_kappa, r1, r2, r3
+from geomosaic.sensor.options import choice, known_keys, need, number, numbers
 from geomosaic.types import FloatArray
 from geomosaic_frame.pose import read_pose
-from geomosaic_frame.read import choice, known_keys, need, number, numbers
 
 FULL_CIRCLE = {"deg": 360.0, "gon": 400.0, "rad": 2.0 * np.pi}
 FRAMES = ("grid", "local")

@@ -11,8 +11,8 @@ from pyproj.exceptions import CRSError
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geocentric
+from geomosaic.sensor.options import need, numbers
 from geomosaic.types import FloatArray
-from geomosaic_frame.read import need, numbers
 
 WORLDS = ("map", "geocentric", "local")
 """What the world of another program may be: axes of the map, of the Earth, or east, north, up at a reference."""

@@ -16,6 +16,7 @@ from pyproj import CRS
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.crs import geocentric
 from geomosaic.geo.transform import Transform
+from geomosaic.sensor.options import flag, known_keys, need, number, numbers, positive, table_of
 from geomosaic.sensor.solve import Pose, Resection, correlations, dangerous_cylinder, poses, resect
 from geomosaic.types import FloatArray
 from geomosaic_frame.corrections import bending_of, untold
@@ -23,7 +24,6 @@ from geomosaic_frame.inside import Inside
 from geomosaic_frame.model import NAMES, FrameModel
 from geomosaic_frame.orientation import FLIP, Attitude
 from geomosaic_frame.place import local_frame, need_heights, planar, rigorous
-from geomosaic_frame.read import flag, known_keys, need, number, numbers, positive, table_of
 from geomosaic_frame.start import looks_anywhere, model_at
 
 COLUMNS = ("x", "y", "z", "col", "row")

@@ -15,6 +15,7 @@ from geomosaic.geo.engineering import is_free
 from geomosaic.geo.local import LocalFrame
 from geomosaic.geo.rotation import angles_of
 from geomosaic.geo.transform import Transform
+from geomosaic.sensor.options import flag, known_keys, number, table_of
 from geomosaic.sensor.parameters import Parameters
 from geomosaic.sensor.sanity import SkyError, centre_dip
 from geomosaic.types import FloatArray
@@ -23,7 +24,6 @@ from geomosaic_frame.inside import Inside
 from geomosaic_frame.model import NAMES, FrameModel
 from geomosaic_frame.orientation import SYSTEMS
 from geomosaic_frame.place import Place
-from geomosaic_frame.read import flag, known_keys, number, table_of
 
 GROUPS = {"position": NAMES[:3], "angles": NAMES[3:]}
 FARTHEST = 20.0

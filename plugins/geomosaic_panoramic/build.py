@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError, did_you_mean
+from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.local import LocalFrame, map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.datum import need_heights
+from geomosaic.sensor.options import known_inputs
 from geomosaic.sensor.parameters import Parameters
 from geomosaic.sensor.plugin import SensorInput, SensorRequest
 from geomosaic_panoramic.curve import Poses
@@ -87,11 +88,7 @@ class PanoramicPlugin:
             The position has no vertical datum.
         """
         where = request.image
-        known = [entry.name for entry in self.inputs]
-        for key in request.options:
-            if key not in known:
-                hint = did_you_mean(str(key), known)
-                raise InputError(f"sensor 'panoramic' has no input '{key}'", where=where, mend=hint or "see its inputs")
+        known_inputs(request.options, self.inputs, self.name, where)
         relative = request.options.get("relative", False)
         if not isinstance(relative, bool):
             raise InputError(f"input 'relative' is {relative!r}", where=where, mend="give true or false")

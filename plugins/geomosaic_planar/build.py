@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,8 +9,9 @@ import numpy as np
 from affine import Affine
 from pyproj import CRS
 
-from geomosaic.errors import InputError, did_you_mean
+from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
+from geomosaic.sensor.options import choice, known_inputs, meant, numbers, point_rows, positive
 from geomosaic.sensor.plugin import SensorInput, SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_planar.example import EXAMPLE
@@ -58,10 +58,7 @@ class PlanarPlugin:
         """
         where = request.image
         options = request.options
-        known = [entry.name for entry in self.inputs]
-        for key in options:
-            if key not in known:
-                raise InputError(f"sensor 'planar' has no input '{key}'", where=where, mend=_mend(key, "it has", known))
+        known_inputs(options, self.inputs, self.name, where)
         given = [source for source in SOURCES if source in options]
         if len(given) != 1:
             what = f"{' and '.join(given)} are given together" if given else "there is nothing to place the image with"
@@ -80,10 +77,8 @@ class PlanarPlugin:
         if kind == "tps":
             raise InputError("a thin plate spline has no coefficients to give", where=where, mend="give 'points'")
         values = _coefficients(options["coefficients"], kind, order, where)
-        centre = np.array(_numbers(options.get("centre", (0.0, 0.0)), 2, "centre", where))
-        scale = _numbers([options.get("scale", 1.0)], 1, "scale", where)[0]
-        if scale <= 0.0:
-            raise InputError("input 'scale' must be greater than 0", where=where)
+        centre = np.array(numbers(options.get("centre", (0.0, 0.0)), 2, "centre", where))
+        scale = positive(options.get("scale", 1.0), "scale", where)
         return PlanarModel.of(kind, order, crs, request.size, centre, scale, values, where=where, axes=axes or "left")
 
 
@@ -95,8 +90,8 @@ def _georeferenced(request: SensorRequest, crs: CRS, option: str) -> PlanarModel
         raw = [raw.a, raw.b, raw.c, raw.d, raw.e, raw.f]
     elif isinstance(raw, list | tuple) and len(raw) == 9:  # an affine matrix with its last line
         raw = raw[:6]
-    numbers = _numbers(raw, 6, option, where)
-    a, b, c, d, e, f = (numbers[i] for i in (1, 2, 0, 4, 5, 3)) if option == "geotransform" else numbers
+    given = numbers(raw, 6, option, where)
+    a, b, c, d, e, f = (given[i] for i in (1, 2, 0, 4, 5, 3)) if option == "geotransform" else given
     width, height = request.size
     half = np.array([width, height]) / 2.0
     matrix = np.array([[a, b], [d, e]])
@@ -112,9 +107,7 @@ def _georeferenced(request: SensorRequest, crs: CRS, option: str) -> PlanarModel
 
 
 def _kind(options: Mapping[str, Any], where: str) -> tuple[str, int]:
-    kind, order = options.get("kind", "affine"), options.get("order", 1)
-    if kind not in KINDS:
-        raise InputError(f"input 'kind' is '{kind}'", where=where, mend=_mend(kind, "choose one of", KINDS))
+    kind, order = choice(options.get("kind", "affine"), KINDS, "kind", where), options.get("order", 1)
     if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= MAX_ORDER:
         raise InputError(f"input 'order' is {order}", where=where, mend=f"give a whole number from 1 to {MAX_ORDER}")
     if kind != "polynomial" and order != 1:
@@ -123,18 +116,16 @@ def _kind(options: Mapping[str, Any], where: str) -> tuple[str, int]:
 
 
 def _axes(options: Mapping[str, Any], kind: str, where: str) -> str | None:
-    axes = options.get("axes")
-    if axes is None:
+    if options.get("axes") is None:
         return None
-    if axes not in AXES:
-        raise InputError(f"input 'axes' is {axes!r}", where=where, mend=_mend(axes, "choose one of", AXES))
+    axes = choice(options["axes"], AXES, "axes", where)
     if kind != "conformal":
         raise InputError(
             f"input 'axes' has no meaning for kind '{kind}', which takes either handedness as it is",
             where=where,
             mend="leave it out",
         )
-    return str(axes)
+    return axes
 
 
 def _points(points: Any, where: str) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -153,23 +144,7 @@ def _table(points: Sequence[Any], where: str) -> FloatArray:
             return table.astype(np.float64)
     except (TypeError, ValueError, KeyError, AttributeError):
         pass
-    rows = []
-    for index, point in enumerate(points, 1):
-        if not isinstance(point, Mapping):
-            raise InputError(f"control point {index} is not a table of x, y, col, row", where=where)
-        missing = [key for key in POINT if key not in point]
-        if missing:
-            hints = (did_you_mean(str(key), missing) for key in point if key not in (*POINT, "sigma"))
-            raise InputError(
-                f"control point {index} has no {', '.join(missing)}",
-                where=where,
-                mend=f"{' '.join(filter(None, hints))} give each point {', '.join(POINT)}".strip(),
-            )
-        row = [point[key] for key in POINT] + [point.get("sigma", 1.0)]
-        rows.append(_numbers(row, 5, f"points, number {index}", where))
-        if rows[-1][4] <= 0.0:
-            raise InputError(f"control point {index} has a sigma that is not greater than 0", where=where)
-    return np.array(rows)
+    return np.array(point_rows(points, POINT, where)[1])
 
 
 def _coefficients(given: Any, kind: str, order: int, where: str) -> FloatArray:
@@ -178,25 +153,7 @@ def _coefficients(given: Any, kind: str, order: int, where: str) -> FloatArray:
         if set(given) != set(names):
             odd = next((str(key) for key in given if key not in names), "")
             raise InputError(
-                "input 'coefficients' does not name what this kind has", where=where, mend=_mend(odd, "give", names)
+                "input 'coefficients' does not name what this kind has", where=where, mend=meant(odd, "give", names)
             )
         given = [given[name] for name in names]
-    return np.array(_numbers(given, len(names), "coefficients", where))
-
-
-def _mend(word: Any, words: str, known: Sequence[str]) -> str:
-    """What was probably meant, and all there is."""
-    return f"{did_you_mean(str(word), known)} {words} {', '.join(known)}".strip()
-
-
-def _numbers(given: Any, count: int, option: str, where: str) -> list[float]:
-    """Read a list of finite numbers."""
-    good = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) and len(given) == count
-    try:
-        numbers = [float(value) for value in given] if good else []
-    except (TypeError, ValueError):
-        numbers = []
-    if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        noun = "one finite number" if count == 1 else f"{count} finite numbers"
-        raise InputError(f"input '{option}' is not {noun}: {given!r}", where=where)
-    return numbers
+    return np.array(numbers(given, len(names), "coefficients", where))

@@ -13,6 +13,7 @@ from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.datum import need_heights
+from geomosaic.sensor.options import known_keys, number, numbers
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
@@ -22,7 +23,6 @@ from geomosaic_pushbroom.metadata import find_beside, read_metadata
 from geomosaic_pushbroom.model import PushbroomModel
 from geomosaic_pushbroom.platform import Flight
 from geomosaic_pushbroom.points import Control, need_crs, read_points, with_result
-from geomosaic_pushbroom.read import known_keys, number, numbers
 from geomosaic_pushbroom.reported import Quality, Reported
 from geomosaic_pushbroom.start import solve_without_metadata
 from geomosaic_pushbroom.track import read_track

@@ -10,10 +10,10 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
+from geomosaic.sensor.options import known_keys, number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.model import PushbroomModel
-from geomosaic_pushbroom.read import known_keys, number, positive
 
 POINT = ("x", "y", "z", "col", "row")
 

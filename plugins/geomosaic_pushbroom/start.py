@@ -18,6 +18,7 @@ from geomosaic.geo.crs import geographic
 from geomosaic.geo.local import LocalFrame
 from geomosaic.geo.rotation import angles_of
 from geomosaic.geo.transform import Transform
+from geomosaic.sensor.options import known_keys, number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
@@ -25,7 +26,6 @@ from geomosaic_pushbroom.assemble import ECEF, assemble
 from geomosaic_pushbroom.look import Look
 from geomosaic_pushbroom.model import PushbroomModel
 from geomosaic_pushbroom.points import Control, need_crs, with_result
-from geomosaic_pushbroom.read import known_keys, number, positive
 from geomosaic_pushbroom.straight import ADDITIONAL, IDEAL, Straight
 
 LEAST = 6

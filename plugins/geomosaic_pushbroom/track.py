@@ -12,6 +12,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import geocentric, geographic
 from geomosaic.geo.local import enu_axes, map_place
 from geomosaic.geo.transform import Transform
+from geomosaic.sensor.options import number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.look import Look
@@ -19,7 +20,6 @@ from geomosaic_pushbroom.paths import TrackPath
 from geomosaic_pushbroom.platform import Flight
 from geomosaic_pushbroom.points import need_crs
 from geomosaic_pushbroom.pose import quaternions_of
-from geomosaic_pushbroom.read import number, positive
 from geomosaic_pushbroom.reported import Quality
 from geomosaic_pushbroom.straight import omega_phi_kappa
 

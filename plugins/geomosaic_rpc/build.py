@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import warnings
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, InputError, SolveError, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.datum import need_heights
+from geomosaic.sensor.options import choice, known_inputs, number, numbers, point_rows
 from geomosaic.sensor.plugin import SensorInput, SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import Rpc
@@ -77,23 +76,12 @@ class RpcPlugin(RationalPower):
             The control points do not determine the refinement.
         """
         where, options = request.image, request.options
-        known = [entry.name for entry in self.inputs]
-        for key in options:
-            if key not in known:
-                hint = did_you_mean(str(key), known)
-                raise InputError(
-                    f"sensor 'rpc' has no input '{key}'", where=where, mend=f"{hint} it has {', '.join(known)}".strip()
-                )
-        kind = options.get("refine", "shift")
-        if kind not in KINDS:
-            hint = did_you_mean(str(kind), KINDS)
-            raise InputError(
-                f"input 'refine' is '{kind}'", where=where, mend=f"{hint} choose one of {', '.join(KINDS)}".strip()
-            )
+        known_inputs(options, self.inputs, self.name, where)
+        kind = choice(options.get("refine", "shift"), KINDS, "refine", where)
         found = _chosen(request)
-        first = _numbers([options["first_pixel"]], 1, "first_pixel", where)[0] if "first_pixel" in options else None
+        first = number(options["first_pixel"], "first_pixel", where) if "first_pixel" in options else None
         rpc = found.fields.rpc(f"{where} ({found.source})", first)
-        corner = _numbers(options.get("offset", (0.0, 0.0)), 2, "offset", where)
+        corner = numbers(options.get("offset", (0.0, 0.0)), 2, "offset", where)
         if "offset" not in options:
             _warn_of_a_part(rpc, request.size, where)
         notes = (f"RPC of {found.source}, format {found.fields.format}",)
@@ -167,39 +155,7 @@ def _refined(model: RpcModel, request: SensorRequest, kind: str) -> RpcModel:
 
 def _points(points: Any, where: str) -> tuple[list[str], FloatArray, FloatArray, FloatArray | None]:
     """Names, ground (N, 3), image (N, 2) and sigmas (N,) of control points; no sigmas where none is given."""
-    if not isinstance(points, Sequence) or isinstance(points, str):
-        raise InputError("input 'points' is not a list of points", where=where)
-    names, rows = [], []
-    for index, point in enumerate(points, 1):
-        if not isinstance(point, Mapping):
-            raise InputError(f"control point {index} is not a table of {', '.join(POINT)}", where=where)
-        missing = [key for key in POINT if key not in point]
-        if missing:
-            hints = (did_you_mean(str(key), missing) for key in point if key not in (*POINT, "id", "sigma"))
-            raise InputError(
-                f"control point {index} has no {', '.join(missing)}",
-                where=where,
-                mend=f"{' '.join(filter(None, hints))} give each point {', '.join(POINT)}".strip(),
-            )
-        names.append(str(point.get("id", index)))
-        rows.append(
-            _numbers([point[key] for key in POINT] + [point.get("sigma", 1.0)], 6, f"points, {names[-1]}", where)
-        )
-        if rows[-1][5] <= 0.0:
-            raise InputError(f"control point {names[-1]} has a sigma that is not greater than 0", where=where)
+    names, rows = point_rows(points, POINT, where)
     table = np.array(rows)
     known = all("sigma" in point for point in points)
     return names, table[:, :3], table[:, 3:5], table[:, 5] if known else None
-
-
-def _numbers(given: Any, count: int, option: str, where: str) -> list[float]:
-    """Read a list of finite numbers."""
-    good = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) and len(given) == count
-    try:
-        numbers = [math.nan if isinstance(value, bool) else float(value) for value in given] if good else []
-    except (TypeError, ValueError):
-        numbers = []
-    if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        noun = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise InputError(f"input '{option}' is not {noun}: {given!r}", where=where)
-    return numbers

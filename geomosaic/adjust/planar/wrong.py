@@ -40,11 +40,14 @@ class Looked:
     block : PlanarBlock
         Without what was found.
     whole : PlanarBlock
+    solved : tuple, optional
+        Adjustment of the whole block, and the affine one it started from; None where it fails.
     """
 
     findings: Findings
     block: PlanarBlock
     whole: PlanarBlock
+    solved: tuple[PlanarSolution, PlanarSolution | None] | None = None
 
     def settled(self, where: str, policy: str) -> tuple[PlanarBlock, Findings]:
         """Stop or tell, see `Findings.settle`; the block to go on with, and the findings with what was done."""
@@ -63,8 +66,9 @@ def adjust_checked(
         A point is grossly wrong and the policy is 'stop'.
     SolveError
     """
-    used, found = look(block, kind).settled(where, policy)
-    solution, start = solve(used, kind, {}, None)
+    looked = look(block, kind)
+    used, found = looked.settled(where, policy)
+    solution, start = looked.solved if looked.solved and not found.wrong else solve(used, kind, {}, None)
     check_plausible(solution, start, None)
     return solution, found
 
@@ -81,9 +85,11 @@ def look(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | N
     """
     held, left = dict(fixed or {}), list[Doubt]()
     said, out = Findings(), list[Doubt]()
+    whole: tuple[PlanarSolution, PlanarSolution | None] | None = None
     for _ in range(ROUNDS):
         try:
-            solution, _ = solve(without(block, left), kind, held, None)
+            solution, start = solve(without(block, left), kind, held, None)
+            whole = whole or (None if left else (solution, start))
         except SolveError:
             if left:  # what remains no longer holds the photos: what was found stands
                 break
@@ -99,7 +105,7 @@ def look(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | N
             if solution.kind != kind:  # neither kind has a wrong point to blame: let the error say what it is
                 solve(block, kind, held, None)
             break
-    return Looked(said, without(block, out), block)
+    return Looked(said, without(block, out), block, whole)
 
 
 def look_somehow(block: PlanarBlock, kind: str, uncontrolled: bool) -> Looked:
