@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pyproj import CRS, Transformer
 
-from geomosaic.errors import HeightDatumError, InputError
+from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
@@ -227,6 +227,30 @@ def test_pix4d(tmp_path: Path) -> None:
         xyz = ground(name)
         u, v = opencv(*seen(name, xyz), R123, *T12)
         assert np.abs(model.ground_to_image(xyz + corner) - np.column_stack([F * u + CX, F * v + CY])).max() < CLOSE
+
+
+def test_pix4d_projection_matrices(tmp_path: Path) -> None:
+    """P = K [R | −R·t] of any scale and sign, with a shear: the pixels are those of the product."""
+    corner = np.array([512345.0, 5771000.0, 0.0])
+    k = np.array([[F, 1.25, CX], [0.0, 1.01 * F, CY], [0.0, 0.0, 1.0]])
+    matrices = {}
+    for scale, (name, (position, angles)) in zip((1.0, -0.003), POSES.items(), strict=False):
+        turn = np.array(to_camera(angles))
+        matrices[name] = scale * k @ np.column_stack([turn, -turn @ np.array(position)])
+    lines = [f"{name} {' '.join(repr(float(v)) for v in p.ravel())}" for name, p in matrices.items()]
+    file = tmp_path / "flight_pmatrix.txt"
+    file.write_text("\n".join(lines) + "\n")
+    (tmp_path / "flight_offset.xyz").write_text("512345.000 5771000.000 0.000")
+    for name, p in matrices.items():
+        with pytest.warns(GeomosaicWarning, match="freed of distortion"):
+            model = build(file, "pix4d", name, MAP, treatment="planar")
+        xyz = ground(name)
+        u, v, w = p @ np.column_stack([xyz, np.ones(len(xyz))]).T
+        assert np.abs(model.ground_to_image(xyz + corner) - np.column_stack([u / w, v / w])).max() < CLOSE
+    for text, words in ((lines[0].rpartition(" ")[0], "12 numbers"), (f"a.jpg {'0 ' * 12}", "singular")):
+        file.write_text(text)
+        with pytest.warns(GeomosaicWarning), pytest.raises(InputError, match=words):
+            build(file, "pix4d", "one.jpg", MAP, treatment="planar")
 
 
 # --- Metashape --------------------------------------------------------------------------------------------------------

@@ -70,7 +70,7 @@ class Mark:
     col, row : float
         Centre in pixels of the picture searched; (0.5, 0.5) is the middle of its upper-left pixel.
     sigma : float
-        Standard deviation of either coordinate from the matching, in pixels; small where the picture is clean.
+        Standard deviation of a coordinate from the matching, mean of both, in pixels; small where the picture is clean.
     correlation : float
         Of the template with the picture there, 0 to 1, over the pixels that kept their weight.
     """
@@ -126,17 +126,18 @@ class _Matcher:
     columns: FloatArray  # (rows * cols, 6)
     prior: FloatArray  # (6,) weights of scale and turn being as they are, in shares of the contrast
     contrast: float
+    shape: tuple[int, int]
 
     @classmethod
     def of(cls, template: MarkTemplate) -> _Matcher:
         pattern = template.values
         rows, cols = np.mgrid[0 : pattern.shape[0], 0 : pattern.shape[1]]
         across, down = (cols + 0.5 - template.centre[0]).ravel(), (rows + 0.5 - template.centre[1]).ravel()
-        by_row, by_col = (np.asarray(slope).ravel() for slope in np.gradient(pattern))
+        by_row, by_col = (_slope(pattern, axis).ravel() for axis in (0, 1))
         scale, turn = across * by_col + down * by_row, across * by_row - down * by_col
         columns = np.column_stack([by_col, by_row, scale, turn, pattern.ravel(), np.ones(pattern.size)])
         prior = np.array([0.0, 0.0, 1.0 / LOOSE**2, 1.0 / LOOSE**2, 0.0, 0.0])
-        return cls(across, down, columns, prior, float(np.ptp(pattern)))
+        return cls(across, down, columns, prior, float(np.ptp(pattern)), (pattern.shape[0], pattern.shape[1]))
 
     def match(self, coefficients: FloatArray, start: tuple[float, float]) -> Mark:
         """Centre of the mark near a place (col, row), both counted from the middle of the first pixel."""
@@ -179,8 +180,20 @@ class _Matcher:
         energy = (pattern - pattern.mean()) ** 2
         if weights @ energy < 0.5 * energy.sum():
             return lost  # what fits is the ground around the mark
-        sigma = _sigma(self.columns, weights, misfit, normal, gain)
+        place = x + float(self.across[0]), y + float(self.down[0])
+        prior = np.diag(self.prior * self.contrast**2)
+        sigma = _sigma(self.shape, self.columns, misfit, width, prior, gain, place)
         return Mark(float(x) + 0.5, float(y) + 0.5, sigma, _correlation(pattern, there, weights))
+
+
+def _slope(pattern: FloatArray, axis: int) -> FloatArray:
+    """Slope of the cubic spline through the pixels; differences of neighbours make sharp edges too flat."""
+    from scipy.ndimage import correlate1d, spline_filter1d
+
+    slopes: FloatArray = correlate1d(
+        spline_filter1d(pattern, order=3, axis=axis, mode="mirror"), [-0.5, 0.0, 0.5], axis=axis, mode="mirror"
+    )
+    return slopes
 
 
 def _whole(grey: FloatArray, pattern: FloatArray) -> list[tuple[int, int]]:
@@ -220,9 +233,43 @@ def _correlation(a: FloatArray, b: FloatArray, weights: FloatArray) -> float:
     return abs(float(weights @ (da * db))) / both if both > 0.0 else 0.0
 
 
-def _sigma(columns: FloatArray, weights: FloatArray, misfit: FloatArray, normal: FloatArray, gain: float) -> float:
-    """Standard deviation of the shifts from the pixels that kept their weight."""
-    redundancy = max(float(np.count_nonzero(weights)) - columns.shape[1], 1.0)
-    variance = float(weights @ misfit**2) / redundancy
-    cofactors = np.linalg.pinv(normal)
-    return float(np.sqrt(variance * max(cofactors[0, 0], cofactors[1, 1])) / abs(gain))
+def _sigma(
+    shape: tuple[int, int],
+    columns: FloatArray,
+    misfit: FloatArray,
+    width: float,
+    prior: FloatArray,
+    gain: float,
+    place: tuple[float, float],
+) -> float:
+    """Standard deviation of the shifts.
+
+    The covariance of an M-estimator is B⁻¹·M·B⁻¹ with B = Σ ψ'·a·aᵀ and M = Σ ψ²·a·aᵀ over pixels with rows a of the
+    design, ψ being misfit times weight (Huber, Robust Statistics, 1981, section 6.5). That holds for misfits that are
+    independent; interpolation between pixels takes the fine part of their noise away and leaves the coarse one, by
+    which a mark is found. So M is multiplied by how much less the slopes lose than the misfits do.
+    """
+    share = np.minimum((misfit / (CUT * width)) ** 2, 1.0)
+    pull, slope = misfit * (1.0 - share) ** 2, (1.0 - share) * (1.0 - 5.0 * share)
+    bread = np.linalg.pinv((columns * slope[:, None]).T @ columns + prior)
+    counted = float(np.count_nonzero(share < 1.0))
+    meat = (columns * (pull**2)[:, None]).T @ columns * (counted / max(counted - columns.shape[1], 1.0))
+    variances = np.diag(bread @ meat @ bread)[:2] * [_coarse(columns[:, k].reshape(shape), place) for k in range(2)]
+    return float(np.sqrt(max(float(variances.mean()), 0.0))) / abs(gain)
+
+
+def _coarse(slopes: FloatArray, place: tuple[float, float]) -> float:
+    """Part of its energy that a picture keeps between pixels, over the part that independent noise keeps.
+
+    Interpolating noise and multiplying by slopes is multiplying the noise by slopes that the same weights smooth.
+    """
+    from scipy.ndimage import convolve1d, map_coordinates, spline_filter1d
+
+    one = np.zeros(41)
+    one[20] = 1.0
+    smooth, kept = slopes, 1.0
+    for axis, at in ((1, place[0]), (0, place[1])):
+        weights = map_coordinates(spline_filter1d(one), [np.arange(1.0, 40.0) + at % 1.0], order=3, prefilter=False)
+        smooth = convolve1d(smooth, weights, axis=axis, mode="constant")
+        kept *= float((weights**2).sum())
+    return float((smooth**2).sum() / max((slopes**2).sum() * kept, 1e-300))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geomosaic.project.names import corrections_file
+from geomosaic.project.programs import PIX4D
 
 if TYPE_CHECKING:
     from geomosaic.project.printed import Printed
@@ -156,10 +157,10 @@ def _beside(exterior: Path | None, angles: str) -> tuple[Path, ...]:
         return ()
     if angles == "colmap":
         return (exterior.with_name("cameras.txt"), exterior.with_name("images.txt"))
-    ending = "_calibrated_camera_parameters.txt"
-    if angles == "pix4d" and exterior.name.endswith(ending):
-        offset = exterior.with_name(exterior.name.removesuffix(ending) + "_offset.xyz")
-        return (offset,) if offset.is_file() else ()
+    for ending in PIX4D if angles == "pix4d" else ():
+        if exterior.name.endswith(ending):
+            offset = exterior.with_name(exterior.name.removesuffix(ending) + "_offset.xyz")
+            return (offset,) if offset.is_file() else ()
     return ()
 
 

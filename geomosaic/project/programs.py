@@ -6,6 +6,8 @@ from pathlib import Path
 
 FIRST = 4096
 """Bytes that are looked at."""
+PIX4D = ("_calibrated_camera_parameters.txt", "_pmatrix.txt")
+"""How names of Pix4D's files of cameras end."""
 
 
 def program_of(path: Path) -> str | None:
@@ -19,7 +21,7 @@ def program_of(path: Path) -> str | None:
         return "metashape"
     if "# photoid, x, y, z, omega, phi, kappa" in start:
         return "metashape"
-    if "camera model m = k [r|-rt] x" in start or path.name.endswith("_calibrated_camera_parameters.txt"):
+    if "camera model m = k [r|-rt] x" in start or path.name.endswith(PIX4D):
         return "pix4d"
     if path.name == "images.txt" and path.with_name("cameras.txt").is_file() and "qw, qx, qy, qz" in start:
         return "colmap"

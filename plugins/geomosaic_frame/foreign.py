@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from geomosaic.errors import InputError, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
 from geomosaic_frame.opensfm import read_shot
 
 LARGEST = 256 << 20
@@ -59,11 +60,20 @@ def _colmap(path: Path, image: str, where: str) -> Tables:
 
 
 def _pix4d(path: Path, image: str, where: str) -> Tables:
-    from geomosaic_frame.pix4d import OFFSET, beside, read_offset, read_pix4d
+    from geomosaic_frame.pix4d import OFFSET, PARAMETERS, PMATRIX, beside, read_offset, read_pix4d, read_pmatrix
 
     offset = beside(path, OFFSET)
     shift = read_offset(_text(offset, where), str(offset)) if offset else None
-    camera, row = entry(read_pix4d(_text(path, where), shift, str(path)), image, path, where)
+    read = read_pmatrix if path.name.endswith(PMATRIX) else read_pix4d
+    if read is read_pmatrix:
+        whole = beside(path, PARAMETERS)
+        instead = f"; for the photos themselves give {whole.name}" if whole else ""
+        warnings.warn(
+            f"{path.name} holds for the images that Pix4D has freed of distortion{instead}",
+            GeomosaicWarning,
+            stacklevel=2,
+        )
+    camera, row = entry(read(_text(path, where), shift, str(path)), image, path, where)
     return dict(camera), dict(row)
 
 

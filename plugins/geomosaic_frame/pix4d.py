@@ -1,4 +1,4 @@
-"""Pix4D's `..._calibrated_camera_parameters.txt`: camera and orientation of every image.
+"""Pix4D's `..._calibrated_camera_parameters.txt`: camera and orientation of every image; and its `..._pmatrix.txt`.
 
 After a header that names them, each image has ten lines: name, width and height; K (3 × 3); radial distortion R1, R2,
 R3; tangential distortion T1, T2; position t; and the rotation R (3 × 3) of m = K [R | −R·t] X, whose camera axes are x
@@ -10,6 +10,9 @@ parameters defined", Pix4D),
 
 Pixels count from the outer corner of the upper-left pixel: a default principal point is half the size. t counts from
 `..._offset.xyz`, where there is one, in the map of the project.
+
+`..._pmatrix.txt` has one line for each image, its name and P = K [R | −R·t] row by row: the camera of the undistorted
+image. K and R are its RQ decomposition.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ import numpy as np
 from geomosaic.errors import InputError
 
 PARAMETERS = "_calibrated_camera_parameters.txt"
+PMATRIX = "_pmatrix.txt"
 OFFSET = "_offset.xyz"
 LAYOUT = (("K", 3, 3), ("radial distortion", 1, 3), ("tangential distortion", 1, 2), ("position", 1, 3), ("R", 3, 3))
 """What follows the name of an image: lines and numbers in each."""
@@ -33,9 +37,10 @@ Cameras = dict[str, tuple[dict[str, Any], dict[str, Any]]]
 
 def beside(path: Path, ending: str) -> Path | None:
     """Another file of the same project, named alike but for its ending."""
-    if not path.name.endswith(PARAMETERS):
+    own = next((name for name in (PARAMETERS, PMATRIX) if path.name.endswith(name)), None)
+    if own is None:
         return None
-    other = path.with_name(path.name.removesuffix(PARAMETERS) + ending)
+    other = path.with_name(path.name.removesuffix(own) + ending)
     return other if other.is_file() else None
 
 
@@ -106,6 +111,36 @@ def read_pix4d(text: str, offset: tuple[float, ...] | None, where: str) -> Camer
             camera,
             {"system": "pix4d", "rotation": values["R"].ravel().tolist(), "position": position.tolist()},
         )
+    return found
+
+
+@lru_cache(maxsize=4)
+def read_pmatrix(text: str, offset: tuple[float, ...] | None, where: str) -> Cameras:
+    """Read the projection matrices of all undistorted images; see `read_pix4d`."""
+    found: Cameras = {}
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip():
+            continue
+        words = line.rsplit(maxsplit=12)
+        at = f"{where}, line {number}"
+        p = np.array(_numbers(" ".join(words[1:]), 12, f"the matrix of '{words[0][:60]}'", at)).reshape(3, 4)
+        p = p * np.sign(np.linalg.det(p[:, :3]))
+        # A = K·R with K upper triangular: QR of the rows and columns in reverse.
+        q, r = np.linalg.qr(p[::-1, :3].T)
+        k, rotation = r.T[::-1, ::-1], q.T[::-1]
+        signs = np.where(np.diag(k) < 0.0, -1.0, 1.0)
+        k, rotation = k * signs, rotation * signs[:, None]
+        if not (np.diag(k) > 1e-9 * np.abs(k).max()).all():
+            raise InputError("this is no projection matrix: a part of it is singular", where=at)
+        k = k / k[2, 2]
+        position = -np.linalg.solve(p[:, :3], p[:, 3]) + (0.0 if offset is None else np.array(offset))
+        camera = {
+            "focal_length_px": [float(k[0, 0]), float(k[1, 1])],
+            "principal_point_px": [float(k[0, 2]), float(k[1, 2])],
+            "distortion": {"model": "brown", "shear": float(k[0, 1] / k[0, 0])},
+        }
+        pose = {"system": "pix4d", "rotation": rotation.ravel().tolist(), "position": position.tolist()}
+        found[words[0]] = (camera, pose)
     return found
 
 

@@ -69,14 +69,7 @@ class Axes:
             A direction has no length, or zero runs along the axis.
         """
         along = unit(axis, "axis", where)
-        first = _across(np.array([1.0, 0.0, 0.0]), along)
-        if zero is not None:
-            first = _across(unit(zero, "zero", where), along)
-        elif np.linalg.norm(first) < 0.1:
-            first = _across(np.array([0.0, 1.0, 0.0]), along)
-        if np.linalg.norm(first) < 1e-6:
-            raise InputError("zero runs along the axis", where=where, mend="give a direction across it")
-        first = first / np.linalg.norm(first)
+        first = _beside(along, "axis", zero, "zero", np.eye(3)[[0, 1]], where)
         return cls(np.asarray(origin, dtype=np.float64), np.array([first, np.cross(along, first), along]))
 
     @classmethod
@@ -89,14 +82,7 @@ class Axes:
             A direction has no length, or up runs along the normal.
         """
         out = unit(normal, "normal", where)
-        top = _across(np.array([0.0, 0.0, 1.0]), out)
-        if up is not None:
-            top = _across(unit(up, "up", where), out)
-        elif np.linalg.norm(top) < 0.1:
-            top = _across(np.array([0.0, 1.0, 0.0]), out)
-        if np.linalg.norm(top) < 1e-6:
-            raise InputError("up runs along the normal", where=where, mend="give a direction across it")
-        top = top / np.linalg.norm(top)
+        top = _beside(out, "normal", up, "up", np.eye(3)[[2, 1]], where)
         return cls(np.asarray(origin, dtype=np.float64), np.array([np.cross(top, out), top, out]))
 
     def to_body(self, xyz: FloatArray) -> FloatArray:
@@ -126,9 +112,18 @@ def unit(vector: FloatArray, name: str, where: str) -> FloatArray:
     return direction
 
 
-def _across(vector: FloatArray, along: FloatArray) -> FloatArray:
-    across: FloatArray = vector - (vector @ along) * along
-    return across
+def _beside(
+    along: FloatArray, main: str, given: FloatArray | None, name: str, else_towards: FloatArray, where: str
+) -> FloatArray:
+    """Unit vector across a direction: towards what is given, else towards the first (2, 3) that does not run along."""
+    wanted = else_towards if given is None else unit(given, name, where)[None]
+    across = wanted - (wanted @ along)[:, None] * along
+    lengths = np.linalg.norm(across, axis=1)
+    k = 0 if given is not None or lengths[0] >= 0.1 else 1
+    if lengths[k] < 1e-6:
+        raise InputError(f"{name} runs along the {main}", where=where, mend="give a direction across it")
+    beside: FloatArray = across[k] / lengths[k]
+    return beside
 
 
 def roots(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
