@@ -16,8 +16,8 @@ from geomosaic.product.mosaic_result import Clock, MosaicResult
 from geomosaic.product.order import ordered
 from geomosaic.product.ortho import samples
 from geomosaic.product.photos import Photos
-from geomosaic.product.records import gains, write_item, write_vectors
 from geomosaic.product.provenance import source_facts
+from geomosaic.product.records import gains, write_item, write_vectors
 from geomosaic.product.rules import LABELLED, Ruler, check_rule, output_info
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output

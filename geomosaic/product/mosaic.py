@@ -28,7 +28,7 @@ from geomosaic.product.pool import in_order
 from geomosaic.product.provenance import source_facts, write_views
 from geomosaic.product.records import gains, write_item, write_vectors
 from geomosaic.product.reuse import LOSSLESS, Reuse
-from geomosaic.product.seam_quality import judge_seams, worst_places
+from geomosaic.product.seam_quality import judge_seams, most_places, worst_places
 from geomosaic.product.shares import shares_of
 from geomosaic.product.visibility import DETAIL, visibility
 from geomosaic.product.visible import outlines_of
@@ -47,8 +47,6 @@ if TYPE_CHECKING:
 
 SEGMENT = 512
 """Pixels: length of the pieces of seams that are judged."""
-MOST_SEGMENTS = 400
-"""Pieces of about equal length beyond which they are made longer."""
 
 
 def beside(output: Path, what: str, suffix: str) -> Path:
@@ -86,10 +84,11 @@ def mosaic(
 
     labels = beside(output, "-labels", ".tif") if options.labels else None
     views = beside(output, "-views", ".tif") if options.views else None
+    relief = beside(output, "-displacement", ".tif") if options.displacement is not None else None
     vectors = beside(output, "", ".gpkg") if options.vectors else None
     # A map of its own lies nowhere on the Earth, which a STAC item would have to say.
     item = beside(output, "", ".stac.json") if options.stac and not grid.crs.is_engineering else None
-    for path in (output, labels, views, vectors, item):
+    for path in (output, labels, views, relief, vectors, item):
         if path is not None:  # before an hour's work, not behind it
             check_output(path, overwrite=render.overwrite)
     width = options.blending.pixels(grid, options.feather)
@@ -133,11 +132,17 @@ def mosaic(
         if views is not None and labels is not None:
             with Clock(seconds, "views"):
                 write_views(views, labels, photos, render)
+        if relief is not None and labels is not None and options.displacement is not None:
+            from geomosaic.product.displacement import write_displacement
+
+            with Clock(seconds, "displacement"):
+                write_displacement(relief, labels, photos, options.displacement, render)
         pixel = grid.resolution[0]
         parts, quality, places = segments(shares, pixel, SEGMENT * pixel), [], []
         if options.seam_quality:
             with Clock(seconds, "seam quality"):
-                parts = segments(shares, pixel, max(SEGMENT * pixel, sum(p.line.length for p in parts) / MOST_SEGMENTS))
+                each = sum(part.line.length for part in parts) / most_places(sum(pixels))
+                parts = segments(shares, pixel, max(SEGMENT * pixel, each))
                 quality = judge_seams(blender, parts, render)
                 places = worst_places(blender, parts, quality, output)
     finally:

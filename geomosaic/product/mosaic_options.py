@@ -64,6 +64,8 @@ class MosaicOptions:
         Judge the seams piece by piece.
     views : bool
         Write view angle and ground sampling distance of each pixel; needs `labels`.
+    displacement : float, optional
+        Height of level ground, metres: write the relief displacement of each pixel against it; needs `labels`.
     about : mapping of str to mapping
         Further facts of the images by name, for GeoPackage and STAC: checksums, residuals.
     exclude : tuple of str
@@ -118,6 +120,7 @@ class MosaicOptions:
     blending: Blending = field(default_factory=Blending)
     depth: Depth = field(default_factory=Depth)
     water: Path | None = None
+    displacement: float | None = None
 
     def __post_init__(self) -> None:
         if self.feather is not None and not self.feather >= 0:
@@ -128,7 +131,7 @@ class MosaicOptions:
             raise InputError(
                 f"seams that are laid '{self.seams}' heed no roads, areas or weights", mend="lay them 'alike'"
             )
-        if self.views and not self.labels:
+        if (self.views or self.displacement is not None) and not self.labels:
             raise InputError("views are told per source image, and labels are not to be written", mend="write labels")
         if self.histogram not in (None, *HISTOGRAMS):
             raise InputError(
@@ -157,6 +160,7 @@ class MosaicOptions:
             "--stretch": self.stretch is not None,
             "--true-ortho": self.render.true_ortho,
             "--views": self.views,
+            "--displacement": self.displacement is not None,
             "--seam-quality": self.seam_quality,
         }
         idle = [name for name, asked in given.items() if asked]

@@ -201,6 +201,7 @@ class MosaicSection(Section):
     cutlines: FilePath | None = None
     seam_quality: bool = True
     views: bool = False
+    displacement: Finite | None = None
     exclude: list[str] = Field(default_factory=list)
     retouch: dict[str, RetouchSection] = Field(default_factory=dict)
     true_ortho: bool = False

@@ -58,6 +58,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             cutlines=project.file(wanted.cutlines),
             seam_quality=wanted.seam_quality and wanted.rule is None,
             views=wanted.views,
+            displacement=wanted.displacement,
             about=_about(project, context),
             exclude=tuple(wanted.exclude),
             retouch={name: Retouch(own.gain, own.offset) for name, own in wanted.retouch.items()},
@@ -148,7 +149,8 @@ def _memory(project: Project, context: Context) -> Memory:
     layout, settings, digests = Layout(project), project.settings, context.digests
     scenes = [f"{digests[image]} {digests[model]}" for image, model in zip(project.images, layout.models, strict=True)]
     # Of all other files, those that only move seams or colours show in the seams and colours themselves.
-    own_files = (settings.mosaic.cutlines, settings.mosaic.water, settings.mosaic.reference, settings.mosaic.mask, settings.mosaic.region)
+    wanted = settings.mosaic
+    own_files = (wanted.cutlines, wanted.water, wanted.reference, wanted.mask, wanted.region)
     elsewhere = {project.file(name) for name in own_files}
     elsewhere |= {*project.files(settings.mosaic.follow), *project.files(settings.mosaic.avoid)}
     own = {*project.images, *layout.models, *elsewhere}
