@@ -17,7 +17,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.blend import Blender, Seams
 from geomosaic.product.blenders import blender_for
 from geomosaic.product.colour import colours
-from geomosaic.product.corrections import corrections
+from geomosaic.product.corrections import Correction, corrections
 from geomosaic.product.edits import numbers_of, retouched, steady
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import Clock, MosaicResult
@@ -44,6 +44,7 @@ from geomosaic.sensor.lattice import blocks
 
 if TYPE_CHECKING:
     from geomosaic.product.rules import Ruler
+    from geomosaic.product.water_tone import Pool
 
 SEGMENT = 512
 """Pixels: length of the pieces of seams that are judged."""
@@ -123,9 +124,10 @@ def mosaic(
         blender = blender_for(options.blending, photos, grid, ground, seams, applied, engine, render, dtype, sight)
         if vectors is not None:
             beside_it.submit(prepare)
-        reuse = _reuse(blender, output, labels, options)
+        water = _pools(photos, shapes, applied, options)
+        reuse = _reuse(blender, output, labels, options, water)
         with Clock(seconds, "mosaic"):
-            pixels, hidden, record = _render(blender, output, labels, options, reuse)
+            pixels, hidden, record = _render(blender, output, labels, options, reuse, water)
         photos.again()
         if vectors is not None or item is not None:
             about = source_facts(photos, options.about)
@@ -182,7 +184,19 @@ def _balanced(photos: Photos, options: MosaicOptions) -> Balance:
     return colours(photos, options) if options.balance else solve(len(photos), photos.info.bands, [])
 
 
-def _reuse(blender: Blender, output: Path, labels: Path | None, options: MosaicOptions) -> Reuse | None:
+def _pools(photos: Photos, shapes: list[Any], applied: Sequence[Correction], options: MosaicOptions) -> Sequence[Pool]:
+    """Water that is filled with a tone."""
+    if options.water is None or options.water_fill != "tone":
+        return ()
+    from geomosaic.product.water import read_water
+    from geomosaic.product.water_tone import pools
+
+    return pools(photos, read_water(options.water, photos.grid.crs), shapes, applied)
+
+
+def _reuse(
+    blender: Blender, output: Path, labels: Path | None, options: MosaicOptions, water: Sequence[Pool]
+) -> Reuse | None:
     """Units of the earlier run, where it is known and its file holds what was computed."""
     compression = options.render.creation.get("COMPRESS", "DEFLATE").upper()
     if options.memory is None or labels is None or compression not in LOSSLESS:
@@ -190,11 +204,20 @@ def _reuse(blender: Blender, output: Path, labels: Path | None, options: MosaicO
     render = options.render
     parts = (render.resampling, repr(render.tolerance), render.tile, repr(blender.seams.feather), render.true_ortho)
     said = f"{' '.join(map(str, parts))} {blender.said}"
+    if water:
+        from geomosaic.product.water_tone import said as said_of_water
+
+        said += said_of_water(water)
     return Reuse(options.memory, blender, output, labels, said)
 
 
 def _render(
-    blender: Blender | Ruler, output: Path, labels: Path | None, options: MosaicOptions, reuse: Reuse | None
+    blender: Blender | Ruler,
+    output: Path,
+    labels: Path | None,
+    options: MosaicOptions,
+    reuse: Reuse | None,
+    water: Sequence[Pool] = (),
 ) -> tuple[list[int], int, GeometryRecord]:
     """Pixels of each image, pixels hidden from all, and what is known of the geometry."""
     render, grid, info = options.render, blender.grid, blender.info
@@ -214,6 +237,8 @@ def _render(
         made = MosaicUnit.empty(window, info.bands, blender.dtype, number)
         for block in blocks(window):
             blender.fill(block.intersection(grid.window), made)
+        for pool in water:
+            pool.paint(made, grid)
         return made
 
     with ExitStack() as stack:

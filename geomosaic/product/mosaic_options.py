@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 HISTOGRAMS = ("overlap", "whole", "sequence")
 COLOUR = ("gain", "vignetting", "trend", "hotspot", "gamma", "dodging")
+WATER = ("calmest", "tone")
 SEAMS = ("nearest", "halve", "alike", "order")
 
 
@@ -78,6 +79,8 @@ class MosaicOptions:
         Sample type of the output, and how those of the images are brought to it.
     water : Path, optional
         Vector file of water, each piece of which the least glinting image shows.
+    water_fill : str
+        'calmest' for that image, or 'tone' for a continuous tone that fits the shores.
     memory : Memory, optional
         Where what was computed is remembered, so that a later run takes what has not changed.
     colour : tuple of str
@@ -121,6 +124,7 @@ class MosaicOptions:
     depth: Depth = field(default_factory=Depth)
     water: Path | None = None
     displacement: float | None = None
+    water_fill: str = "calmest"
 
     def __post_init__(self) -> None:
         if self.feather is not None and not self.feather >= 0:
@@ -147,6 +151,10 @@ class MosaicOptions:
             raise InputError(
                 f"colour has no term '{', '.join(wrong)}'", mend=f"{hint} auto, or some of {', '.join(COLOUR)}".strip()
             )
+        if self.water_fill not in WATER:
+            raise InputError(f"water cannot be filled by '{self.water_fill}'", mend=f"one of {', '.join(WATER)}")
+        if self.water_fill != "calmest" and self.water is None:
+            raise InputError("a tone is wanted for water, but none is given", mend="give the areas with --water")
         if self.rule is not None:
             self._check_rule()
 

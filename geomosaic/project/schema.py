@@ -184,6 +184,7 @@ class MosaicSection(Section):
     base: str | None = None
     rule: Literal["first", "last", "min", "max", "mean", "median", "sum", "count"] | None = None
     water: FilePath | None = None
+    water_fill: Literal["calmest", "tone"] = "calmest"
     balance: bool | None = None
     colour: str = "auto"
     mask: FilePath | None = None

@@ -71,6 +71,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             base=wanted.base,
             rule=wanted.rule,
             water=project.file(wanted.water),
+            water_fill=wanted.water_fill,
             blending=Blending(wanted.blend, _width(wanted.feather), wanted.ramp, wanted.limit),
         )
         result = make(block, grid, outlines, layout.mosaic, options)
