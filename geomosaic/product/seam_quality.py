@@ -85,8 +85,8 @@ NOTHING = SeamQuality(*(float("nan"),) * 6)
 
 
 def most_places(pixels: int) -> int:
-    """How many segments of a mosaic of so many pixels are judged: both images of a tenth of it, 20 to 400 places."""
-    return min(max(pixels // (20 * (TILE + 2 * (REACH + 2)) ** 2), LEAST), MOST)
+    """How many segments of a mosaic of so many pixels are judged: both images of a twentieth of it, 20 to 400."""
+    return min(max(pixels // (40 * (TILE + 2 * (REACH + 2)) ** 2), LEAST), MOST)
 
 
 def judge_seams(blender: Blender, segments: Sequence[Segment], options: RenderOptions) -> list[SeamQuality]:
