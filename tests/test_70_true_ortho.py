@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+import shapely
 from city_rig import CORNER, FOCAL, PIXEL, SIDE, WALL_CLASS, City, photograph, places
 from pyproj import CRS
 from rpc_rig import SIZE as RPC_SIZE
@@ -21,6 +22,7 @@ from geomosaic.product.options import RenderOptions
 from geomosaic.product.visibility import Visibility
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, make_mosaic, make_ortho
+from geomosaic.raster.vector import read_layer
 from geomosaic.sensor import registry
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.mapper import MapToImage
@@ -130,6 +132,20 @@ def test_one_ortho_leaves_out_what_it_cannot_see(city: tuple[City, Path], truth:
     points = np.column_stack([x.ravel(), y.ravel(), made_of.roof(x, y)[0].ravel()])
     largest = City(farthest_walls(made_of.boxes, PIXEL))
     assert not (wrongly & ~largest.blocked(np.tile(CENTRES[4], (len(points), 1)), points).reshape(x.shape)).any()
+
+
+def test_seams_go_round_all_roofs_of_the_city(city: tuple[City, Path], tmp_path: Path) -> None:
+    """The boxes stand 4 m apart: there is a way between any two. Seams halfway between photos cut some."""
+    made_of, folder = city
+    roofs = [shapely.box(*np.tile(CORNER, 2) + box[:4] + (PIXEL, PIXEL, -PIXEL, -PIXEL)) for box in made_of.boxes]
+    cut = {}
+    for way in ("nearest", "alike"):
+        options = MosaicOptions(RenderOptions(), seams=way)
+        make_mosaic(inputs(folder, *range(6)), Area(None, PIXEL, BOUNDS), tmp_path / f"{way}.tif", options)
+        lines = read_layer(tmp_path / f"{way}.gpkg", "seamlines").geometry
+        cut[way] = sum(any(line.intersects(roof) for line in lines) for roof in roofs)
+    assert cut["nearest"] > 4
+    assert cut["alike"] == 0
 
 
 def farthest_walls(boxes: FloatArray, node: float) -> FloatArray:

@@ -179,7 +179,7 @@ def test_a_project_resolves_paths_against_its_folder(tmp_path, monkeypatch):
     assert inputs.heights == "egm96"
     assert project.output == tmp_path / "output"
     assert project.settings.output.creation == {"COMPRESS": "ZSTD", "LEVEL": 9}
-    assert project.settings.mosaic.balance
+    assert project.settings.mosaic.balanced
 
 
 def test_all_errors_of_a_project_come_at_once_with_lines(tmp_path):

@@ -8,12 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+import shapely
 from PIL import Image
 
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import parse_crs
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.project import job_of, run_project, status_of
 from geomosaic.project.load import load_project
 from geomosaic.raster.companions import companions
+from geomosaic.raster.vector import Layer, read_layer, write_layers
 from geomosaic.sensor import registry
 
 WORLD = "2.0\n0.0\n0.0\n-2.0\n{}\n5500399.0\n"
@@ -148,3 +152,35 @@ def test_companions_are_what_gdal_reads(tmp_path):
     ) as image:
         image.write(np.ones((1, 10, 10), np.uint8))
     assert [path.name for path in companions(tmp_path / "scene.img").files] == ["scene.hdr"]
+
+
+def test_water_and_rules_are_keys_of_the_project(project):
+    """With the words of the command; what a rule does not need is not asked for, and what it cannot heed is refused."""
+    write_layers(
+        project.parent / "lake.gpkg",
+        {"water": Layer(parse_crs("EPSG:32633"), "Polygon", [shapely.box(400210, 5500100, 400390, 5500300)], {})},
+        overwrite=True,
+    )
+    project.write_text(PROJECT + '[mosaic]\nwater = "lake.gpkg"\n')
+    run_project(load_project(project))
+    assert stale(project) == {}
+    with (project.parent / "lake.gpkg").open("ab") as file:
+        file.write(b"moved")
+    assert "lake.gpkg" in stale(project)["mosaic"]
+    for rule, labelled in (("last", True), ("mean", False)):
+        project.write_text(PROJECT + f'[mosaic]\nrule = "{rule}"\norder = "name"\nbase = "a.png"\n')
+        layout = Layout(load_project(project))
+        layout.labels.unlink(missing_ok=True)
+        outcome = run_project(layout.project)
+        assert layout.labels.is_file() == labelled
+        assert layout.report.is_file()
+        assert outcome.facts["mosaic"]["rule"] == rule
+        assert not outcome.facts["mosaic"]["balanced"]
+        assert read_layer(layout.vectors, "footprints")["sha256"].str.len().tolist() == [64] * 3
+        assert stale(project) == {}
+    project.write_text(PROJECT + '[mosaic]\nrule = "mean"\nwater = "lake.gpkg"\n')
+    with pytest.raises(InputError, match="--water would do nothing"):
+        run_project(load_project(project))
+    project.write_text(PROJECT + '[mosaic]\nrule = "mena"\n')
+    with pytest.raises(InputError, match="rule"):
+        load_project(project)

@@ -96,6 +96,13 @@ merge_flags = stack(
         help="Keep the numbers, or bring the whole range of each type to that of --dtype.",
     ),
     click.option("--water", type=FILE, help="Areas of water: each is shown by the image with the least glint."),
+    click.option(
+        "--water-fill",
+        type=click.Choice(["calmest", "tone"]),
+        default="calmest",
+        show_default=True,
+        help="Show water by that image, or fill it with a continuous tone that fits its shores.",
+    ),
     click.option("--like", type=FILE, metavar="RASTER", help="Take CRS, pixels and extent of this raster."),
 )
 
@@ -116,6 +123,7 @@ def merging(flags: Mapping[str, Any]) -> dict[str, Any]:
         "blending": blending,
         "depth": depth,
         "water": flags["water"],
+        "water_fill": flags["water_fill"],
     }
 
 

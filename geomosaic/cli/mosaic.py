@@ -48,6 +48,12 @@ mosaic_flags = stack(
         "--seam-quality/--no-seam-quality", default=False, show_default=True, help="Judge seams piece by piece."
     ),
     click.option("--views/--no-views", default=False, help="Write the raster of view angles and resolutions."),
+    click.option(
+        "--displacement",
+        type=float,
+        metavar="HEIGHT",
+        help="Write the raster of relief displacements against level ground of this height, metres.",
+    ),
     click.option("--exclude", multiple=True, metavar="NAME", help="Image that is to show nothing."),
     click.option(
         "--balance/--no-balance",

@@ -161,6 +161,7 @@ def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> Mosai
         cutlines=flags["cutlines"],
         seam_quality=flags["seam_quality"],
         views=flags["views"],
+        displacement=flags["displacement"],
         exclude=flags["exclude"],
         colour=terms_of(flags["colour"]),
         mask=flags["mask"],

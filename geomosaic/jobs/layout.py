@@ -43,6 +43,11 @@ class Layout:
         return beside(self.mosaic, "-views", ".tif")
 
     @property
+    def displacement(self) -> Path:
+        """Raster of relief displacements."""
+        return beside(self.mosaic, "-displacement", ".tif")
+
+    @property
     def vectors(self) -> Path:
         """Footprints and seamlines."""
         return beside(self.mosaic, "", ".gpkg")

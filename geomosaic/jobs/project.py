@@ -55,7 +55,8 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     by_rule = settings.mosaic.rule is not None and settings.mosaic.rule not in LABELLED
     wants_labels = (layout.labels,) if settings.mosaic.labels and not by_rule else ()
     nowhere = settings.planar is not None and settings.planar.kind == "uncontrolled"
-    wants_views = (layout.views,) if settings.mosaic.views else ()
+    relief = settings.mosaic.displacement is not None
+    wants_views = (*((layout.views,) if settings.mosaic.views else ()), *((layout.displacement,) if relief else ()))
     rasters = (layout.mosaic, *wants_labels, *wants_views, layout.vectors, *(() if nowhere else (layout.item,)))
     every_ortho = layout.orthos if settings.output.orthos else ()
     oriented = (*layout.models, layout.facts("orient"))

@@ -18,7 +18,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.blend import Blender, Seams
 from geomosaic.product.blenders import blender_for
 from geomosaic.product.colour import colours
-from geomosaic.product.corrections import corrections
+from geomosaic.product.corrections import Correction, corrections
 from geomosaic.product.earlier import Earlier
 from geomosaic.product.edits import numbers_of, retouched, steady
 from geomosaic.product.holes import height_notes
@@ -31,7 +31,7 @@ from geomosaic.product.pool import in_order
 from geomosaic.product.provenance import source_facts, write_views
 from geomosaic.product.records import gains, write_item, write_vectors
 from geomosaic.product.reuse import KeptUnit, Reuse, reuse_of
-from geomosaic.product.seam_quality import worst_places
+from geomosaic.product.seam_quality import most_places, worst_places
 from geomosaic.product.shares import shares_of
 from geomosaic.product.visibility import DETAIL, visibility
 from geomosaic.product.visible import outlines_of
@@ -47,11 +47,10 @@ from geomosaic.sensor.lattice import blocks
 
 if TYPE_CHECKING:
     from geomosaic.product.rules import Ruler
+    from geomosaic.product.water_tone import Pool
 
 SEGMENT = 512
 """Pixels: length of the pieces of seams that are judged."""
-MOST_SEGMENTS = 400
-"""Pieces of about equal length beyond which they are made longer."""
 
 
 def beside(output: Path, what: str, suffix: str) -> Path:
@@ -89,10 +88,11 @@ def mosaic(
 
     labels = beside(output, "-labels", ".tif") if options.labels else None
     views = beside(output, "-views", ".tif") if options.views else None
+    relief = beside(output, "-displacement", ".tif") if options.displacement is not None else None
     vectors = beside(output, "", ".gpkg") if options.vectors else None
     # A map of its own lies nowhere on the Earth, which a STAC item would have to say.
     item = beside(output, "", ".stac.json") if options.stac and not grid.crs.is_engineering else None
-    for path in (output, labels, views, vectors, item):
+    for path in (output, labels, views, relief, vectors, item):
         if path is not None:  # before an hour's work, not behind it
             check_output(path, overwrite=render.overwrite)
     width = options.blending.pixels(grid, options.feather)
@@ -129,22 +129,30 @@ def mosaic(
         blender = blender_for(options.blending, photos, grid, ground, seams, applied, engine, render, dtype, sight)
         if vectors is not None:
             beside_it.submit(prepare)
+        water = _pools(photos, shapes, applied, options)
         files = {"mosaic": output, "labels": labels, "views": views}
-        reuse = reuse_of(options, blender, {name: path for name, path in files.items() if path is not None})
+        at_hand = {name: path for name, path in files.items() if path is not None}
+        reuse = reuse_of(options, blender, at_hand, _said_of_water(water))
         with Clock(seconds, "mosaic"):
-            pixels, hidden, record = _render(blender, output, labels, options, reuse)
+            pixels, hidden, record = _render(blender, output, labels, options, reuse, water)
         photos.again()
         if vectors is not None or item is not None:
             about = source_facts(photos, options.about)
         if views is not None and labels is not None:
             with Clock(seconds, "views"):
                 write_views(views, labels, photos, render, reuse)
+        if relief is not None and labels is not None and options.displacement is not None:
+            from geomosaic.product.displacement import write_displacement
+
+            with Clock(seconds, "displacement"):
+                write_displacement(relief, labels, photos, options.displacement, render)
         pixel = grid.resolution[0]
         parts, quality, places = segments(shares, pixel, SEGMENT * pixel), [], []
         if options.seam_quality:
             with Clock(seconds, "seam quality"):
                 # In whole steps, so that a longer seam does not cut all others elsewhere.
-                steps = max(1, math.ceil(sum(p.line.length for p in parts) / (MOST_SEGMENTS * SEGMENT * pixel)))
+                most = most_places(sum(pixels))
+                steps = max(1, math.ceil(sum(p.line.length for p in parts) / (most * SEGMENT * pixel)))
                 parts = parts if steps == 1 else segments(shares, pixel, steps * SEGMENT * pixel)
                 quality = earlier.judged(blender, parts)
                 places = worst_places(blender, parts, quality, output)
@@ -184,8 +192,31 @@ def _balanced(photos: Photos, options: MosaicOptions) -> Balance:
     return colours(photos, options) if options.balance else solve(len(photos), photos.info.bands, [])
 
 
+def _pools(photos: Photos, shapes: list[Any], applied: Sequence[Correction], options: MosaicOptions) -> Sequence[Pool]:
+    """Water that is filled with a tone."""
+    if options.water is None or options.water_fill != "tone":
+        return ()
+    from geomosaic.product.water import read_water
+    from geomosaic.product.water_tone import pools
+
+    return pools(photos, read_water(options.water, photos.grid.crs), shapes, applied)
+
+
+def _said_of_water(water: Sequence[Pool]) -> str:
+    if not water:
+        return ""
+    from geomosaic.product.water_tone import said
+
+    return said(water)
+
+
 def _render(
-    blender: Blender | Ruler, output: Path, labels: Path | None, options: MosaicOptions, reuse: Reuse | None
+    blender: Blender | Ruler,
+    output: Path,
+    labels: Path | None,
+    options: MosaicOptions,
+    reuse: Reuse | None,
+    water: Sequence[Pool] = (),
 ) -> tuple[list[int], int, GeometryRecord]:
     """Pixels of each image, pixels hidden from all, and what is known of the geometry."""
     render, grid, info = options.render, blender.grid, blender.info
@@ -200,6 +231,8 @@ def _render(
         made = MosaicUnit.empty(window, info.bands, blender.dtype, number)
         for block in blocks(window):
             blender.fill(block.intersection(grid.window), made)
+        for pool in water:
+            pool.paint(made, grid)
         return made
 
     with ExitStack() as stack:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 HISTOGRAMS = ("overlap", "whole", "sequence")
 COLOUR = ("gain", "vignetting", "trend", "hotspot", "gamma", "dodging")
+WATER = ("calmest", "tone")
 SEAMS = ("nearest", "halve", "alike", "order")
 
 
@@ -64,6 +65,8 @@ class MosaicOptions:
         Judge the seams piece by piece.
     views : bool
         Write view angle and ground sampling distance of each pixel; needs `labels`.
+    displacement : float, optional
+        Height of level ground, metres: write the relief displacement of each pixel against it; needs `labels`.
     about : mapping of str to mapping
         Further facts of the images by name, for GeoPackage and STAC: checksums, residuals.
     exclude : tuple of str
@@ -76,6 +79,8 @@ class MosaicOptions:
         Sample type of the output, and how those of the images are brought to it.
     water : Path, optional
         Vector file of water, each piece of which the least glinting image shows.
+    water_fill : str
+        'calmest' for that image, or 'tone' for a continuous tone that fits the shores.
     memory : Memory, optional
         Where what was computed is remembered, so that a later run takes what has not changed.
     colour : tuple of str
@@ -118,6 +123,8 @@ class MosaicOptions:
     blending: Blending = field(default_factory=Blending)
     depth: Depth = field(default_factory=Depth)
     water: Path | None = None
+    displacement: float | None = None
+    water_fill: str = "calmest"
 
     def __post_init__(self) -> None:
         if self.feather is not None and not self.feather >= 0:
@@ -128,7 +135,7 @@ class MosaicOptions:
             raise InputError(
                 f"seams that are laid '{self.seams}' heed no roads, areas or weights", mend="lay them 'alike'"
             )
-        if self.views and not self.labels:
+        if (self.views or self.displacement is not None) and not self.labels:
             raise InputError("views are told per source image, and labels are not to be written", mend="write labels")
         if self.histogram not in (None, *HISTOGRAMS):
             raise InputError(
@@ -144,6 +151,10 @@ class MosaicOptions:
             raise InputError(
                 f"colour has no term '{', '.join(wrong)}'", mend=f"{hint} auto, or some of {', '.join(COLOUR)}".strip()
             )
+        if self.water_fill not in WATER:
+            raise InputError(f"water cannot be filled by '{self.water_fill}'", mend=f"one of {', '.join(WATER)}")
+        if self.water_fill != "calmest" and self.water is None:
+            raise InputError("a tone is wanted for water, but none is given", mend="give the areas with --water")
         if self.rule is not None:
             self._check_rule()
 
@@ -157,6 +168,7 @@ class MosaicOptions:
             "--stretch": self.stretch is not None,
             "--true-ortho": self.render.true_ortho,
             "--views": self.views,
+            "--displacement": self.displacement is not None,
             "--seam-quality": self.seam_quality,
         }
         idle = [name for name, asked in given.items() if asked]

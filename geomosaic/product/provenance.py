@@ -95,7 +95,7 @@ def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions
             return None
         label = source.read(window)[0][..., 0]
         found = np.full((*label.shape, 2), np.nan, dtype=np.float32)
-        for number in np.unique(label[label > 0]).tolist():
+        for number in np.unique(label[(label > 0) & (label <= len(photos))]).tolist():
             here = label == number
             with photos.using(number - 1) as photo:
                 found[here] = between(photo, photos, grid, window, NODES)[here]

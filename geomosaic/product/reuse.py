@@ -32,7 +32,7 @@ from geomosaic.types import IntArray
 if TYPE_CHECKING:
     from geomosaic.product.mosaic_options import MosaicOptions
 
-VERSION = 3
+VERSION = 4
 """Raised when the code gives other pixels."""
 LOSSLESS = ("NONE", "DEFLATE", "ZSTD", "LZW", "PACKBITS", "LZMA")
 
@@ -91,9 +91,13 @@ class Reuse:
     files : mapping of str to Path
         Rasters of the earlier run, which the new ones replace; `mosaic`, and perhaps `labels` and `views`.
     render : RenderOptions
+    said : str
+        What else all pixels depend on.
     """
 
-    def __init__(self, memory: Memory, blender: Blender, files: dict[str, Path], render: RenderOptions) -> None:
+    def __init__(
+        self, memory: Memory, blender: Blender, files: dict[str, Path], render: RenderOptions, said: str = ""
+    ) -> None:
         self._memory, self._blender, self._files = memory, blender, files
         info, grid = blender.photos.info, blender.grid
         hidden = len(blender.photos) if render.true_ortho else None  # their label comes after those of all images
@@ -103,6 +107,7 @@ class Reuse:
                 repr(tuple(grid.transform)), repr(grid.shape), render.resampling, repr(render.tolerance),
                 repr(render.tile), repr(blender.seams.feather), str(render.true_ortho), blender.said, render.driver,
                 repr(render.nodata), str(hidden), json.dumps(dict(render.creation), sort_keys=True),
+                said,
             ]
         )  # fmt: skip
         self.views = False
@@ -180,12 +185,12 @@ class Reuse:
             remove(unfinished)
 
 
-def reuse_of(options: MosaicOptions, blender: Blender, files: dict[str, Path]) -> Reuse | None:
+def reuse_of(options: MosaicOptions, blender: Blender, files: dict[str, Path], said: str = "") -> Reuse | None:
     """Units of the earlier run, where there is a memory and files hold what was computed."""
     compression = options.render.creation.get("COMPRESS", "DEFLATE").upper()
     if options.memory is None or compression not in LOSSLESS:
         return None
-    return Reuse(options.memory, blender, files, options.render)
+    return Reuse(options.memory, blender, files, options.render, said)
 
 
 def colour_bytes(colour: Correction) -> bytes:

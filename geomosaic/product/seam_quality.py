@@ -11,18 +11,22 @@ import numpy as np
 from geomosaic.geo.grid import Window
 from geomosaic.match.shift import shifts
 from geomosaic.product.blend import Blender
+from geomosaic.product.corrections import corrected
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import pull
 from geomosaic.product.pool import in_order
 from geomosaic.raster.source import Source
 from geomosaic.resample.warp import Colour
 from geomosaic.seam.lines import Segment
-from geomosaic.types import AnyArray, BoolArray, ByteArray
+from geomosaic.types import AnyArray, BoolArray
 
 TILE, REACH = 64, 8
 """Pixels: side of the place that is matched, and the largest shift looked for."""
 BAND = 8
 """Pixels to both sides of the seam in which colours are compared."""
+TOLERANCE = 0.1
+"""Image pixels that geometry may err where shifts are measured, to about half of that."""
+LEAST, MOST = 20, 400
 WORST = 10
 """Places that are shown."""
 
@@ -78,6 +82,11 @@ class SeamPlace:
 
 
 NOTHING = SeamQuality(*(float("nan"),) * 6)
+
+
+def most_places(pixels: int) -> int:
+    """How many segments of a mosaic of so many pixels are judged: both images of a twentieth of it, 20 to 400."""
+    return min(max(pixels // (40 * (TILE + 2 * (REACH + 2)) ** 2), LEAST), MOST)
 
 
 def judge_seams(blender: Blender, segments: Sequence[Segment], options: RenderOptions) -> list[SeamQuality]:
@@ -146,18 +155,15 @@ def _window(blender: Blender, segment: Segment, side: int) -> Window:
 
 
 def _shown(blender: Blender, index: int, window: Window) -> tuple[AnyArray, AnyArray, BoolArray]:
-    """Values of an image after and before its correction, and where there are any; its geometry is found once."""
+    """Values of an image after and before its correction, and where there are any; it is pulled once."""
     shape, bands = (window.height, window.width), blender.photos.info.bands
-    values = [np.zeros((*shape, bands), dtype=np.float32) for _ in range(2)]
-    seen: list[ByteArray] = [np.zeros(shape, dtype=np.uint8) for _ in range(2)]
-    ground, lattices = blender.below.block(window), None
+    before, seen = np.zeros((*shape, bands), dtype=np.float32), np.zeros(shape, dtype=np.uint8)
+    ground, plain = blender.below.block(window), Colour.identity(bands)
     with blender.photos.using(index) as photo:
-        for into, valid, colour in zip(values, seen, (blender.colours[index], Colour.identity(bands)), strict=True):
-            lattices = pull(
-                blender.engine, photo, blender.grid, ground, blender.resampling, blender.tolerance, colour, into, valid,
-                lattices=lattices,
-            )  # fmt: skip
-    return values[0], values[1], (seen[0] > 0) & (seen[1] > 0)
+        tolerance = max(blender.tolerance, TOLERANCE)
+        pull(blender.engine, photo, blender.grid, ground, blender.resampling, tolerance, plain, before, seen)
+    after = corrected(blender.colours[index], before, window, blender.grid, blender.grid)
+    return np.where(seen[..., None] > 0, after, 0.0).astype(np.float32), before, seen > 0
 
 
 def _beside(blender: Blender, segment: Segment, window: Window) -> BoolArray:

@@ -186,6 +186,7 @@ class MosaicSection(Section):
     base: str | None = None
     rule: Literal["first", "last", "min", "max", "mean", "median", "sum", "count"] | None = None
     water: FilePath | None = None
+    water_fill: Literal["calmest", "tone"] = "calmest"
     balance: bool | None = None
     colour: str = "auto"
     mask: FilePath | None = None
@@ -203,6 +204,7 @@ class MosaicSection(Section):
     cutlines: FilePath | None = None
     seam_quality: bool = True
     views: bool = False
+    displacement: Finite | None = None
     exclude: list[str] = Field(default_factory=list)
     retouch: dict[str, RetouchSection] = Field(default_factory=dict)
     true_ortho: bool = False

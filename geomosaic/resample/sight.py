@@ -13,7 +13,6 @@ more than WALL times its width. The kernel and the NumPy twin here give the same
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -102,7 +101,8 @@ class Relief:
             cells[unknown], ranges[unknown] = -np.inf, 0.0
         walls = np.where(ranges > _least_wall(longest, width), cells, np.float32(-np.inf))
         rises = [float(np.fmax.reduce(np.abs(np.diff(heights, axis=axis)), axis=None, initial=0.0)) for axis in (0, 1)]
-        return cls(heights, cells, ranges, _highest(cells), _highest(walls), float(cells.max()), math.hypot(*rises))
+        steepest = float(np.hypot(rises[0], rises[1]))
+        return cls(heights, cells, ranges, _highest(cells), _highest(walls), float(cells.max()), steepest)
 
     def may_hide(self, longest: float, width: float) -> bool:
         """Whether anything can be in the way of lines of sight that go sideways by up to `longest` nodes per metre."""

@@ -46,6 +46,7 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
         layout.mosaic: "mosaic",
         layout.labels: "source image of each pixel",
         layout.views: "view angle and resolution of each pixel",
+        layout.displacement: "relief displacement of each pixel",
         layout.vectors: "footprints and seamlines",
         layout.item: "STAC item",
         **dict.fromkeys(layout.orthos if project.settings.output.orthos else (), "ortho"),
