@@ -274,3 +274,30 @@ def test_seams_keep_to_what_orthos_show(tmp_path: Path) -> None:
         step = np.abs(np.diff(values[..., 0].astype(int), axis=1))[inside]
         assert set(np.unique(values[valid])) >= {100, 110, 120}
         assert np.quantile(step, 0.9999) <= most, blending
+
+
+def test_an_edited_seam_does_not_change_what_counts_as_usual():
+    """The usual difference is measured halfway between centres, wherever seams run now: else an edit would be felt in
+    every blended pixel of the mosaic."""
+    from types import SimpleNamespace
+
+    import shapely
+
+    from geomosaic.product import noise
+
+    outlines, seen = [shapely.box(0, 0, 60, 40), shapely.box(40, 0, 100, 40)], []
+
+    def spread(_blender, i, j, xy):
+        seen.append((i, j, tuple(xy[0])))
+        return 1.0
+
+    centres = SimpleNamespace(centres=[(30.0, 20.0), (70.0, 20.0)])
+    for cut in (45.0, 58.0):
+        regions = [shapely.box(0, 0, cut, 40), shapely.box(cut, 0, 100, 40)]
+        blender = SimpleNamespace(seams=SimpleNamespace(regions=regions, outlines=outlines), photos=centres)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(noise, "_spread", spread)
+            assert noise.usual_difference(blender) == 1.0
+    assert len(seen) == 6
+    assert seen[:3] == seen[3:]
+    assert {x for _, _, (x, _) in seen} == {50.0}

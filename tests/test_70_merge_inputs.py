@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import mosaic_rig as rig
@@ -97,12 +98,38 @@ def test_empty_images(tmp_path: Path) -> None:
     full = rig.write(tmp_path / "full.tif", values, nodata=0)
     empty = rig.write(tmp_path / "empty.tif", np.zeros_like(values), 30, 0, nodata=0)
     for options in ({"rule": "first"}, {"rule": "median"}, {"blending": Blending("multiband")}, {"balance": True}):
-        result = rig.run([empty, full], tmp_path / "out.tif", **options)
+        told = nullcontext() if "rule" in options else pytest.warns(GeomosaicWarning, match=r"empty.*every pixel")
+        with told:
+            result = rig.run([empty, full], tmp_path / "out.tif", **options)
         made, valid = rig.read(tmp_path / "out.tif")
         assert result.pixels == [0, 8000]
         assert np.array_equal(made[valid], values.reshape(-1, 3))
     with pytest.raises(InputError, match="no image shows anything"):
         rig.run([empty], tmp_path / "out.tif", rule="first")
+
+
+def test_copies_leave_alone_what_is_not_wanted_or_missing(tmp_path: Path) -> None:
+    """Compiled and plain copies write the same pixels and no others, blank ones and cells not asked for."""
+    from geomosaic.geo.grid import Window
+    from geomosaic.product.aligned import copied
+    from geomosaic.raster.source import Source
+
+    values = np.random.default_rng(4).integers(1, 255, (150, 200, 3)).astype(np.uint8)
+    values[20:40, 30:90] = 0  # missing
+    values[100, 100, 1] = 0  # a black band is no missing pixel
+    file = rig.write(tmp_path / "a.tif", values, nodata=0)
+    table = np.stack([np.arange(256)[::-1], np.arange(256) // 2, np.arange(256)]).astype(np.uint8)
+    need = np.array([[1, 1, 0, 1], [0, 1, 0, 0], [1, 0, 0, 1]], dtype=np.uint8)
+    wanted = np.repeat(np.repeat(need, 64, axis=0), 64, axis=1)[:150, :200] > 0
+    for cells in (None, need):
+        kept = (values != 0).any(axis=2) & (wanted if cells is not None else True)
+        right = np.where(kept[..., None], np.stack([table[b][values[..., b]] for b in range(3)], axis=-1), 7)
+        for compiled in (False, True):
+            out, seen = np.full_like(values, 7), np.zeros((150, 200), dtype=np.uint8)
+            with Source(file, nodata=0) as source:
+                copied(source, (0, 0), Window(0, 0, 200, 150), out, seen, cells, table, compiled=compiled)
+            assert np.array_equal(out, right)
+            assert np.array_equal(seen > 0, kept)
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])

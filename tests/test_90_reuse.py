@@ -209,3 +209,31 @@ def test_drawn_shares_that_cannot_be_used(own, tell, change, said):
 def test_a_forced_run_takes_nothing_of_the_earlier_one(own, tell):
     assert tell("run", own, "mosaic", "--force")[0] == 0
     assert facts(own)["reused"] == 0
+
+
+def test_views_are_kept_where_the_pixels_are(own, tell, monkeypatch):
+    from geomosaic.product import provenance
+
+    looked: list[object] = []
+    between = provenance.between
+
+    def counted(*words: object) -> object:
+        looked.append(words)
+        return between(*words)
+
+    monkeypatch.setattr(provenance, "between", counted)
+    text = own.read_text()
+    own.write_text(text.replace("[mosaic]\n", "[mosaic]\nviews = true\n"))
+    assert tell("run", own, "mosaic", "--threads", "1")[0] == 0
+    assert facts(own)["reused"] == facts(own)["units"]  # asking for views changes no pixel
+    every = len(looked)
+    looked.clear()
+    edit_south(own)
+    assert tell("run", own, "mosaic", "--threads", "1")[0] == 0
+    assert 0 < len(looked) < every
+    views = own.parent / "output" / "trial-views.tif"
+    kept = [*hashes(own), hashlib.sha256(views.read_bytes()).hexdigest()]
+    shutil.rmtree(own.parent / ".geomosaic")
+    shutil.rmtree(own.parent / "output")
+    assert tell("run", own, "mosaic")[0] == 0
+    assert [*hashes(own), hashlib.sha256(views.read_bytes()).hexdigest()] == kept

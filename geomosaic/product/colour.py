@@ -66,7 +66,9 @@ def named(photos: Photos, master: str | None) -> int | None:
     if master not in names:
         hint = did_you_mean(master, names)
         raise InputError(
-            f"no image is named '{master}'", where="--master", mend=f"{hint} name an image, or a raster".strip()
+            f"no image is named '{master}'",
+            where="--master",
+            mend=f"{hint} name one of the images; a raster besides them is a reference (--reference)".strip(),
         )
     return names.index(master)
 

@@ -272,7 +272,10 @@ def _render(
             blender.photos.passed(window.row)
             render.report(done + 1, len(units), "mosaic")
         if not counts[1:-1].any():
-            raise InputError("no image shows anything of the output area", mend="check --bounds and the DEM's extent")
+            raise InputError(
+                "no image shows anything of the output area",
+                mend="check --bounds, the images' nodata and the DEM's extent",
+            )
         render.report(0, 1, "writing")
         sink.finish()
         if label_sink is not None:

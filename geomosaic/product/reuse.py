@@ -120,7 +120,10 @@ class Reuse:
         """What was kept of the files at hand; nothing where they are not those that it was kept of."""
         try:
             kept = json.loads(self._memory.file.read_text())
-            same = {name: kept.get(name) == self._memory.digest(path) for name, path in self._files.items()}
+            same = {
+                name: name in kept and path.is_file() and kept[name] == self._memory.digest(path)
+                for name, path in self._files.items()
+            }
             if not all(same[name] for name in same if name != "views"):
                 return {}
             self.views = same.get("views", False)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
 
+from geomosaic.errors import GeomosaicWarning
 from geomosaic.geo.grid import Grid
 from geomosaic.product.balance import comparison_grid, thumbnail
 from geomosaic.product.options import RenderOptions
@@ -41,10 +43,20 @@ def outlines_of(photos: Photos, options: RenderOptions) -> list[Any]:
     if not masked or len(photos) == 1:
         return shapes
     grid = comparison_grid(photos, CELLS)
+    empty = []
     for i, (part, valid) in in_order(lambda i: _valid(photos, i, grid), masked, options.threads, ahead=1):
         found = _outline(part, valid, shapes[i]) if valid.size else None
         if found is not None:
             shapes[i] = found
+        elif valid.size and not valid.any():
+            empty.append(photos.outlines[i].name)
+    if empty:
+        warnings.warn(
+            f"{', '.join(empty[:5])}{' ...' if len(empty) > 5 else ''}: every pixel is marked as missing; "
+            "others fill the place",
+            GeomosaicWarning,
+            stacklevel=2,
+        )
     return shapes
 
 

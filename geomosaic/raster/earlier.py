@@ -61,12 +61,19 @@ class EarlierTiles:
         """Close the file."""
         self._file.close()
 
-    def fits(self, directory: Directory, sizes: list[Level]) -> bool:
-        """Whether tiles can be taken over by a file of that directory and those levels."""
-        own = self.levels[0]
-        same = all(own.get(tag) == directory.get(tag) for tag in codec.PIXEL_TAGS)
-        counts = [len(offsets) for offsets, _ in self._places]
-        return same and counts == [level.across * level.down for level in sizes]
+    @classmethod
+    def alike(cls, path: PathLike, directory: Directory, sizes: list[Level]) -> EarlierTiles | None:
+        """Open a file whose tiles can be taken over by one of that directory and those levels; None where it cannot."""
+        try:
+            earlier = cls(path)
+        except (OSError, ValueError):
+            return None
+        same = all(earlier.levels[0].get(tag) == directory.get(tag) for tag in codec.PIXEL_TAGS)
+        counts = [len(offsets) for offsets, _ in earlier._places]
+        if same and counts == [level.across * level.down for level in sizes]:
+            return earlier
+        earlier.close()
+        return None
 
     def tile(self, level: int, index: int) -> bytes:
         """Bytes of a tile."""

@@ -90,7 +90,6 @@ class TileFile:
         self._levels = levels(grid.width, grid.height) if overviews else [Level(grid.width, grid.height)]
         self._parents = Parents(self._levels, bands, self._dtype, self._half_again)
         self._earlier: EarlierTiles | None = None
-        self._blank: bytes | None = None
         self._jobs: deque[Future[tuple[Tile, bytes, _Half | None]]] = deque()
         self._most_jobs = 4 * threads
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="tiles") if threads > 1 else None
@@ -148,13 +147,7 @@ class TileFile:
 
     def copies(self, path: Path) -> bool:
         """Take tiles that are kept from an earlier file from now on; false where it is none of this form."""
-        try:
-            earlier = EarlierTiles(path)
-        except (OSError, ValueError):
-            return False
-        self._earlier = earlier if earlier.fits(self._directory, self._levels) else None
-        if self._earlier is None:
-            earlier.close()
+        self._earlier = EarlierTiles.alike(path, self._directory, self._levels)
         return self._earlier is not None
 
     def keep(self, window: Window) -> None:
@@ -166,21 +159,19 @@ class TileFile:
 
     def _keep(self, tile: Kept) -> None:
         store, earlier, size = self._stores[tile.level], self._earlier, self._levels[tile.level]
-        if earlier is None:
-            raise ValueError("there is no earlier file")
+        assert earlier is not None
         data = earlier.tile(tile.level, tile.index)
         if self._keep_mask:
-            inside = codec.encode_mask(inside_of(size, tile.index))
-            store.masks[tile.index] = mask = earlier.mask(tile.level, tile.index) or inside
-            self._masked = self._masked or (tile.level == 0 and mask != inside)
+            mask, inside = earlier.mask(tile.level, tile.index), codec.encode_mask(inside_of(size, tile.index))
+            store.masks[tile.index] = mask or inside
+            self._masked = self._masked or (tile.level == 0 and (mask or inside) != inside)
         store.add(tile.index, data, zero=self._raw and not np.frombuffer(data, dtype=np.uint8).any())
         if tile.level + 1 < len(self._levels):
             self._go_on(self._parents.keep(tile.level, tile.index))
 
     def _half_again(self, level: int, index: int) -> _Half:
         """Half of a tile of the earlier file, whose neighbours have changed."""
-        if self._earlier is None:
-            raise ValueError("there is no earlier file")
+        assert self._earlier is not None
         values, valid = self._earlier.decoded(level, index, self._levels[level], self._nodata)
         return halve(values, valid, self._overviews or "average")
 

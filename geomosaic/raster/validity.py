@@ -77,8 +77,7 @@ def _all_bands(hit: BoolArray) -> BoolArray | None:
     rows = np.flatnonzero(hit.reshape(hit.shape[0], -1).any(axis=1))
     if not len(rows):
         return None
-    columns = np.asarray(hit.any(axis=0))
-    cols = np.flatnonzero(columns.any(axis=1))
+    cols = np.flatnonzero(np.asarray(hit.any(axis=0)).any(axis=1))
     box = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
     every = hit[box][..., 0].copy()
     for band in range(1, hit.shape[2]):
