@@ -182,3 +182,25 @@ def test_what_has_no_place_is_told(tell, tmp_path):
     code, _, err = tell("reproject", bare, "--dst-crs", UTM, "-o", tmp_path / "q.gpkg")
     assert code == 1
     assert "--src-crs" in err
+
+
+def test_every_pixel_exactly(tell, tmp_path):
+    """At tolerance 0 the lattice has a node at every pixel: places are PROJ's own."""
+    path, out = tmp_path / "colrow.tif", tmp_path / "o.tif"
+    c, r = np.meshgrid(np.arange(120) + 0.5, np.arange(120) + 0.5)
+    transform = Affine(300.0, 0.0, LEFT, 0.0, -300.0, TOP)  # 36 km: the curves of the two maps differ
+    profile = {"driver": "GTiff", "width": 120, "height": 120, "count": 2, "dtype": "float64", "crs": LAMBERT}
+    with rasterio.open(path, "w", transform=transform, **profile) as dataset:
+        dataset.write(np.stack([c, r]))
+    code, said, err = tell("reproject", path, "--dst-crs", UTM, "--res", 300, "--tolerance", 0, "-o", out, "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(said)["lattice_error_px"] < 1e-7
+    with rasterio.open(out) as dataset:
+        shown, valid = dataset.read(), dataset.dataset_mask() > 0
+        rows, cols = np.nonzero(valid)
+        xy = dataset.transform @ (cols + 0.5, rows + 0.5)
+    places = pyproj.Transformer.from_crs(UTM, LAMBERT, always_xy=True).transform(*xy)
+    true = np.array(~transform @ np.array(places))
+    inside = ((true > 0.5) & (true < 119.5)).all(axis=0)
+    assert inside.sum() > 10_000
+    assert np.abs(shown[:, rows, cols] - true)[:, inside].max() < 1e-6

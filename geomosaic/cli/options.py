@@ -135,10 +135,10 @@ output_options = stack(
     ),
     click.option(
         "--tolerance",
-        type=click.FloatRange(0, min_open=True),
+        type=click.FloatRange(0),
         default=0.02,
         show_default=True,
-        help="Largest geometric error of the lattice, in image pixels.",
+        help="Largest geometric error of the lattice, in image pixels; at 0 it has a node at every pixel.",
     ),
     click.option("--nodata", type=float, help="Value of unseen pixels.  [default: a mask]"),
     click.option(

@@ -61,8 +61,8 @@ class RenderOptions:
             raise InputError(f"no resampling named '{self.resampling}'", mend=f"use one of {', '.join(RESAMPLING)}")
         if self.tile < BLOCK_WIDTH or self.tile % BLOCK_WIDTH:
             raise InputError(f"tile width {self.tile} is not a multiple of {BLOCK_WIDTH}")
-        if not self.tolerance > 0:
-            raise InputError(f"tolerance {self.tolerance} is not a positive number of pixels")
+        if not self.tolerance >= 0:
+            raise InputError(f"tolerance {self.tolerance} is not a number of pixels from 0")
         if self.threads < 1:
             raise InputError("at least one thread is needed")
 

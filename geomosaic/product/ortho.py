@@ -74,7 +74,7 @@ class GeometryRecord:
 
     def judge(self, tolerance: float) -> None:
         """Warn where the tolerance could not be kept: at the walls of a surface model, on a coarse grid."""
-        if self.error > tolerance:
+        if self.error > tolerance > 0:
             warnings.warn(
                 f"the geometry is interpolated within {self.error:.3f} px, not {tolerance} px, at the steepest relief",
                 GeomosaicWarning,

@@ -88,7 +88,8 @@ def build(mapper: MapToImage, grid: Grid, ground: BlockGround, tolerance: float)
     ground : BlockGround
         The block and its heights.
     tolerance : float
-        Largest admissible error in image pixels, or in output pixels where those are larger; half of it is used.
+        Largest admissible error in image pixels, or in output pixels where those are larger; half of it is used. At 0
+        every pixel has nodes at its corners.
 
     Returns
     -------
@@ -103,7 +104,7 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
     if np.isnan(low):
         return []
     middle, half = (low + high) / 2, (high - low) / 2
-    step, before = _first_step(window), np.inf
+    step, before = _first_step(window) if tolerance > 0 else 1, np.inf
     divisible = half > 0 and max(window.width, window.height) > SMALLEST
     while True:
         places, nodes, exact = _sampled(mapper, grid, window, step, middle, half)

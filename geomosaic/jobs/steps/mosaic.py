@@ -26,10 +26,11 @@ from geomosaic.project.load import Project
 from geomosaic.project.make import reference_scene
 from geomosaic.project.mosaic_grid import plan_mosaic
 
-_SEAMS = ("seams", "seam_weights", "order", "base")
+_SEAMS = ("seams", "seam_weights", "order", "base", "water_fill")
 _NO_COLOUR = (
     *_SEAMS, "follow", "avoid", "cutlines", "seam_quality", "views", "labels", "exclude", "retouch", "stretch",
     "feather", "blend", "ramp", "limit", "true_ortho",
+    "displacement",
 )  # fmt: skip
 """What plays no part when colours are solved. New settings count until they are named here."""
 
@@ -185,11 +186,11 @@ def _memory(project: Project, context: Context) -> Memory:
         "files": [digests.get(path) for name in own_files[1:] if (path := project.file(name)) is not None],
         "wanted": {name: value for name, value in wanted.items() if name not in _NO_COLOUR},
     }
+    heeded = [*project.files(settings.mosaic.follow), *project.files(settings.mosaic.avoid)]
+    if (water := project.file(settings.mosaic.water)) is not None:
+        heeded.append(water)
     seams = {
-        "files": [
-            digests.get(path)
-            for path in (*project.files(settings.mosaic.follow), *project.files(settings.mosaic.avoid))
-        ],
+        "files": [digests.get(path) for path in heeded],
         "wanted": {name: wanted[name] for name in _SEAMS},
     }
     remembered = project.state / "mosaic-units.json"
