@@ -74,9 +74,8 @@ def _of_few(found: Explanation) -> Opinion:
     names = tuple(name for name in found.blunders if lengths[name] > SEEN)
     said = "every kind of fit tried with every choice of good points: "
     if names:
-        said += (
-            f"most probably {', '.join(names)} {'is' if len(names) == 1 else 'are'} wrong, under the {found.kind} fit"
-        )
+        verb = "is" if len(names) == 1 else "are"
+        said += f"most probably {', '.join(names)} {verb} wrong, under the {found.kind} fit"
     elif found.suspicious:
         said += f"with a probability of {found.fault:.0%} some are wrong, of {', '.join(found.suspicious)}"
     else:
@@ -87,7 +86,8 @@ def _of_few(found: Explanation) -> Opinion:
 
 def _of_many(found: NeighbourSearch) -> Opinion:
     lengths = dict(zip(found.ids, np.hypot(*found.errors.T).tolist(), strict=True))
-    limit = max(GROSS * found.rms, SEEN)
+    # An image that bends sharply somewhere has smaller ones that are none.
+    limit = max(GROSS * found.rms, GROSS_PIXELS)
     names = tuple(name for name in found.blunders if lengths[name] > limit)
     said = NeighbourSearch(found.ids, names, found.errors, found.rms).said
     return Opinion(names, (), float(bool(names)), lengths, found.rms, "against their neighbours", said)
