@@ -226,7 +226,7 @@ def test_errors_that_are_large_for_the_image_are_told() -> None:
 
 
 def test_a_spline_leaves_blunders_out_where_asked_to() -> None:
-    """One, and 30 % of 30, in an image bent by 30 px: named, and left out with --robust; the rest is the same spline."""
+    """One, and 30 % of 30, in an image bent by 30 px: left out with --robust; the rest is the same spline."""
     for wrong in ([13], [0, 4, 9, 11, 14, 18, 21, 26, 29]):
         points = moved(control(6, 5, bend=30.0), wrong)
         names = {f"P{i}" for i in wrong}
@@ -251,7 +251,8 @@ def test_auto_chooses_as_if_blunders_were_not_there() -> None:
 
 @pytest.mark.parametrize("count", [4, 5, 6, 7, 8])
 def test_of_few_good_points_nothing_wrong_is_said(count: int) -> None:
-    for tilt in (0.0, 1e-6, 2e-5, 1e-4):
+    # Four points of a very oblique photo just determine a projective fit, and errors of any other are large.
+    for tilt in (0.0, 1e-6, 2e-5, 1e-4)[: 3 + (count > 4)]:
         for model in ("auto", "conformal", "affine")[: 1 + 2 * (tilt == 0.0)]:
             told = solved(few(count, {}, tilt), model=model).advice
             assert not [found for found in told if found.severity == "error"], (tilt, model, told)
