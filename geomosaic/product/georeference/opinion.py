@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geomosaic.adjust.choose import Choice
 from geomosaic.adjust.explanation import FEWEST, MOST, Explanation, explain
 from geomosaic.adjust.neighbours import NeighbourSearch, search_neighbours
 from geomosaic.control.points import ImageControl
@@ -16,6 +17,8 @@ GROSS, GROSS_PIXELS = 6.0, 5.0
 """A blunder is gross from so many times the RMS of the others on, and so many pixels: it would be seen."""
 SEEN = 1.5
 """Pixels below which no blunder is named: a hand misses by as much."""
+COMPARABLE = 2.0
+"""Times the least leave-one-out error, up to which a kind of fit is a witness."""
 ROOM = 3
 """Times the points a polynomial needs, from which on its own residuals show blunders."""
 
@@ -91,3 +94,35 @@ def _of_many(found: NeighbourSearch) -> Opinion:
     names = tuple(name for name in found.blunders if lengths[name] > limit)
     said = NeighbourSearch(found.ids, names, found.errors, found.rms).said
     return Opinion(names, (), float(bool(names)), lengths, found.rms, "against their neighbours", said)
+
+
+def confirmed(opinion: Opinion, points: ImageControl, choice: Choice) -> Opinion:
+    """Keep those blunders that no good kind of fit to the other points predicts.
+
+    A corner, which neighbours only extrapolate, may be where a polynomial has it.
+
+    Parameters
+    ----------
+    opinion : Opinion
+    points : ImageControl
+        All of them.
+    choice : Choice
+        Made without the blunders.
+    """
+    if not opinion.blunders:
+        return opinion
+    rows = [row for row in choice.table if row.fit is not None and np.isfinite(row.leave_one_out)]
+    least = min(row.leave_one_out for row in rows)
+    held = points.select([name in opinion.blunders for name in points.names])
+    xyz = np.column_stack([held.xy, np.zeros(len(held))])
+    wrong = np.ones(len(held), dtype=np.bool_)
+    for row in rows:
+        if row.fit is not None and row.leave_one_out <= COMPARABLE * least:
+            errors = np.hypot(*(held.colrow - row.fit.model.ground_to_image(xyz)).T)
+            wrong &= ~(errors <= max(GROSS * row.leave_one_out, GROSS_PIXELS))
+    names = tuple(name for name, bad in zip(held.names, wrong, strict=True) if bad)
+    if names == opinion.blunders:
+        return opinion
+    pardoned = ", ".join(name for name in opinion.blunders if name not in names)
+    said = f"{opinion.said}; but a fit to the others predicts {pardoned}"
+    return replace(opinion, blunders=names, said=said)
