@@ -266,3 +266,14 @@ def test_a_shift_of_all_check_points_makes_none_of_them_wrong() -> None:
     assert "check-point" not in [found.code for found in done.advice]
     assert done.check is not None
     assert done.check.shifted
+
+
+def test_a_corner_that_only_the_spline_misses_is_no_blunder() -> None:
+    """Lens distortion of 125 px, points to the very corners: a spline extrapolates them badly, a polynomial does not."""
+    colrow = np.stack(np.meshgrid(np.linspace(20, 3980, 12), np.linspace(20, 2980, 9)), axis=2).reshape(-1, 2)
+    flat = colrow - np.array(SIZE) / 2
+    bent = flat * (1.0 + 0.05 * (np.hypot(*flat.T) / 2500.0)[:, None] ** 4)
+    points = control(12, 9)
+    measured = colrow + np.random.default_rng(4).normal(0.0, 0.3, colrow.shape)
+    told = solved(replace(points, colrow=measured, ground=ground(bent + np.array(SIZE) / 2)), model="tps").advice
+    assert "error" not in [found.severity for found in told]

@@ -96,7 +96,7 @@ def _of_many(found: NeighbourSearch) -> Opinion:
     return Opinion(names, (), float(bool(names)), lengths, found.rms, "against their neighbours", said)
 
 
-def confirmed(opinion: Opinion, points: ImageControl, choice: Choice) -> Opinion:
+def confirmed(opinion: Opinion, points: ImageControl, choice: Choice | None, everyone: Choice | None) -> Opinion:
     """Keep those blunders that no good kind of fit to the other points predicts.
 
     A corner, which neighbours only extrapolate, may be where a polynomial has it.
@@ -106,23 +106,30 @@ def confirmed(opinion: Opinion, points: ImageControl, choice: Choice) -> Opinion
     opinion : Opinion
     points : ImageControl
         All of them.
-    choice : Choice
+    choice : Choice, optional
         Made without the blunders.
+    everyone : Choice, optional
+        Made with all: each kind says of a point what the others do, the other blunders among them.
     """
     if not opinion.blunders:
         return opinion
-    rows = [row for row in choice.table if row.fit is not None and np.isfinite(row.leave_one_out)]
-    least = min(row.leave_one_out for row in rows)
-    held = points.select([name in opinion.blunders for name in points.names])
+    accused = np.array([name in opinion.blunders for name in points.names])
+    held = points.select(accused)
     xyz = np.column_stack([held.xy, np.zeros(len(held))])
     wrong = np.ones(len(held), dtype=np.bool_)
+    rows = [] if choice is None else [row for row in choice.table if np.isfinite(row.leave_one_out)]
+    least = min((row.leave_one_out for row in rows), default=0.0)
     for row in rows:
         if row.fit is not None and row.leave_one_out <= COMPARABLE * least:
             errors = np.hypot(*(held.colrow - row.fit.model.ground_to_image(xyz)).T)
             wrong &= ~(errors <= max(GROSS * row.leave_one_out, GROSS_PIXELS))
+    for row in () if everyone is None else everyone.table:
+        if row.fit is not None and row.redundancy > 0:
+            errors = np.hypot(*row.fit.leave_one_out[accused].T)
+            wrong &= ~(errors <= max(GROSS * opinion.rms, GROSS_PIXELS))
     names = tuple(name for name, bad in zip(held.names, wrong, strict=True) if bad)
     if names == opinion.blunders:
         return opinion
     pardoned = ", ".join(name for name in opinion.blunders if name not in names)
-    said = f"{opinion.said}; but a fit to the others predicts {pardoned}"
+    said = f"{opinion.said}; but a fit of another kind predicts {pardoned}"
     return replace(opinion, blunders=names, said=said)

@@ -77,8 +77,8 @@ def try_models(image: str, size: tuple[int, int], points: ImageControl, request:
     suspects = blamed
     clean = _without(points, suspects)
     choice = _choose(image, size, clean, needed=auto)
-    if opinion is not None and choice is not None and len(points) > MOST:
-        opinion = confirmed(opinion, points, choice)
+    if opinion is not None and blamed and len(points) > MOST:
+        opinion = confirmed(opinion, points, choice, _choose(image, size, points, needed=False))
         if opinion.blunders != blamed:
             blamed = suspects = opinion.blunders
             clean = _without(points, suspects)
