@@ -32,7 +32,7 @@ OUT, BACK = 8.0, 6.0
 BETTER = 0.4
 """Share of the median error below which a perspective is taken off."""
 SMOOTH = 0.01
-"""Smoothing, in squares of the usual distance of points: two that nearly touch must not tilt it by their noise."""
+"""Smoothing, in squares of the usual distance of points: noise of two that nearly touch must not tilt the spline."""
 ROUNDS = 60
 BLOCK = 512
 

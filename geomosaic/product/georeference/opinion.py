@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geomosaic.adjust.choose import Choice
 from geomosaic.adjust.explanation import FEWEST, MOST, Explanation, explain
 from geomosaic.adjust.neighbours import NeighbourSearch, search_neighbours
 from geomosaic.control.points import ImageControl
@@ -16,6 +17,8 @@ GROSS, GROSS_PIXELS = 6.0, 5.0
 """A blunder is gross from so many times the RMS of the others on, and so many pixels: it would be seen."""
 SEEN = 1.5
 """Pixels below which no blunder is named: a hand misses by as much."""
+COMPARABLE = 2.0
+"""Times the least leave-one-out error, up to which a kind of fit is a witness."""
 ROOM = 3
 """Times the points a polynomial needs, from which on its own residuals show blunders."""
 
@@ -74,9 +77,8 @@ def _of_few(found: Explanation) -> Opinion:
     names = tuple(name for name in found.blunders if lengths[name] > SEEN)
     said = "every kind of fit tried with every choice of good points: "
     if names:
-        said += (
-            f"most probably {', '.join(names)} {'is' if len(names) == 1 else 'are'} wrong, under the {found.kind} fit"
-        )
+        verb = "is" if len(names) == 1 else "are"
+        said += f"most probably {', '.join(names)} {verb} wrong, under the {found.kind} fit"
     elif found.suspicious:
         said += f"with a probability of {found.fault:.0%} some are wrong, of {', '.join(found.suspicious)}"
     else:
@@ -87,7 +89,47 @@ def _of_few(found: Explanation) -> Opinion:
 
 def _of_many(found: NeighbourSearch) -> Opinion:
     lengths = dict(zip(found.ids, np.hypot(*found.errors.T).tolist(), strict=True))
-    limit = max(GROSS * found.rms, SEEN)
+    # An image that bends sharply somewhere has smaller ones that are none.
+    limit = max(GROSS * found.rms, GROSS_PIXELS)
     names = tuple(name for name in found.blunders if lengths[name] > limit)
     said = NeighbourSearch(found.ids, names, found.errors, found.rms).said
     return Opinion(names, (), float(bool(names)), lengths, found.rms, "against their neighbours", said)
+
+
+def confirmed(opinion: Opinion, points: ImageControl, choice: Choice | None, everyone: Choice | None) -> Opinion:
+    """Keep those blunders that no good kind of fit to the other points predicts.
+
+    A corner, which neighbours only extrapolate, may be where a polynomial has it.
+
+    Parameters
+    ----------
+    opinion : Opinion
+    points : ImageControl
+        All of them.
+    choice : Choice, optional
+        Made without the blunders.
+    everyone : Choice, optional
+        Made with all: each kind says of a point what the others do, the other blunders among them.
+    """
+    if not opinion.blunders:
+        return opinion
+    accused = np.array([name in opinion.blunders for name in points.names])
+    held = points.select(accused)
+    xyz = np.column_stack([held.xy, np.zeros(len(held))])
+    wrong = np.ones(len(held), dtype=np.bool_)
+    rows = [] if choice is None else [row for row in choice.table if np.isfinite(row.leave_one_out)]
+    least = min((row.leave_one_out for row in rows), default=0.0)
+    for row in rows:
+        if row.fit is not None and row.leave_one_out <= COMPARABLE * least:
+            errors = np.hypot(*(held.colrow - row.fit.model.ground_to_image(xyz)).T)
+            wrong &= ~(errors <= max(GROSS * row.leave_one_out, GROSS_PIXELS))
+    for row in () if everyone is None else everyone.table:
+        if row.fit is not None and row.redundancy > 0:
+            errors = np.hypot(*row.fit.leave_one_out[accused].T)
+            wrong &= ~(errors <= max(GROSS * opinion.rms, GROSS_PIXELS))
+    names = tuple(name for name, bad in zip(held.names, wrong, strict=True) if bad)
+    if names == opinion.blunders:
+        return opinion
+    pardoned = ", ".join(name for name in opinion.blunders if name not in names)
+    said = f"{opinion.said}; but a fit of another kind predicts {pardoned}"
+    return replace(opinion, blunders=names, said=said)

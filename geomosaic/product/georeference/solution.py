@@ -148,7 +148,9 @@ def solve(
         advice = (*advice, *blunder_advice(trial.search, searched, fit))
     if trial.opinion is not None:
         advice = (*advice, *opinion_advice(trial.opinion, fit, _named(advice)))
-    advice = (*advice, *odd_advice(choice, fit, _named(advice)), *size_advice(fit, size))
+    advice = (*advice, *odd_advice(choice, fit, _named(advice)))
+    if not _named(advice):  # large errors follow from blunders, and are not said again
+        advice = (*advice, *size_advice(fit, size))
     stop_on_errors(advice, where, insist=request.insist)
     residuals = control.colrow - fit.model.ground_to_image(_spatial(control.xy))
     moved = np.einsum("nij,nj->ni", map_by_image(fit.model, _spatial(control.xy)), residuals)

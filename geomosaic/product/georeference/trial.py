@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from geomosaic.adjust.choose import Choice, choose_model, planar_builds
+from geomosaic.adjust.explanation import MOST
 from geomosaic.adjust.problem import Build, registry_build
 from geomosaic.adjust.robust import BlunderSearch, search_blunders
 from geomosaic.control.points import ImageControl
 from geomosaic.errors import GeomosaicError
-from geomosaic.product.georeference.opinion import Opinion, second_opinion
+from geomosaic.product.georeference.opinion import Opinion, confirmed, second_opinion
 from geomosaic.product.georeference.request import FitRequest, kind_order
 from geomosaic.sensor.plugin import SensorRequest
 
@@ -76,6 +77,12 @@ def try_models(image: str, size: tuple[int, int], points: ImageControl, request:
     suspects = blamed
     clean = _without(points, suspects)
     choice = _choose(image, size, clean, needed=auto)
+    if opinion is not None and blamed and len(points) > MOST:
+        opinion = confirmed(opinion, points, choice, _choose(image, size, points, needed=False))
+        if opinion.blunders != blamed:
+            blamed = suspects = opinion.blunders
+            clean = _without(points, suspects)
+            choice = _choose(image, size, clean, needed=auto)
     model = choice.name if auto and choice is not None else request.model
     for _ in range(ROUNDS):
         search, said = _search(builder(model, image, size, points), points, model, opinion)
