@@ -11,7 +11,7 @@ from affine import Affine
 from PIL import Image, ImageDraw
 
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.product.blending import Blending, Width
+from geomosaic.product.blend.options import Blending, Width
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.options import RenderOptions
 from geomosaic.project.inputs import BlockInputs

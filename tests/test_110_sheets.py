@@ -12,7 +12,7 @@ import pytest
 
 from geomosaic.carto.layout import Layout
 from geomosaic.carto.style import BUILT_IN, MARKERS, parse_style
-from geomosaic.project.sheet import read_layout
+from geomosaic.project.sheets.sheet import read_layout
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGE = (DOCS / "sheets.md").read_text(encoding="utf-8")

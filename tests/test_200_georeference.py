@@ -17,7 +17,7 @@ from rasterio.warp import Resampling, reproject
 from geomosaic.control.read import read_control
 from geomosaic.errors import InputError
 from geomosaic.match.shift import shifts
-from geomosaic.product.accuracy import check_map
+from geomosaic.product.checks.accuracy import check_map
 from geomosaic.product.georeference.examine import BadControlError
 from geomosaic.product.georeference.request import ControlInput, FitRequest, Place
 from geomosaic.product.georeference.run import fit_crs, georeference

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from geomosaic.project.carried import Carried, carried_by, images_of, write_tables
-from geomosaic.project.draft import Draft, draft_project
-from geomosaic.project.exterior import read_exterior
+from geomosaic.project.draft.carried import Carried, carried_by, images_of, write_tables
+from geomosaic.project.draft.draft import Draft, draft_project
 from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.orientation.exterior import read_exterior
 from geomosaic.project.photos import photos_of
 
 RealData = Callable[[str], Path]

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from geomosaic.product.check import against_reference
+from geomosaic.product.checks.check import against_reference
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import MosaicResult
 from geomosaic.product.options import RenderOptions

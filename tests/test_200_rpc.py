@@ -15,7 +15,7 @@ from rasterio.transform import RPCTransformer
 
 from geomosaic.errors import InputError
 from geomosaic.geo.transform import Transform
-from geomosaic.product.check import against_reference
+from geomosaic.product.checks.check import against_reference
 from geomosaic.product.options import RenderOptions
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, make_ortho

@@ -9,7 +9,7 @@ import pytest
 from geomosaic.carto.foreign.read import foreign_style
 from geomosaic.carto.style import Fill, Label, Line, Marker, Symbol
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.project.sheet import read_style, vector_input
+from geomosaic.project.sheets.sheet import read_style, vector_input
 
 SINGLE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
 <qgis version="3.34"><renderer-v2 type="singleSymbol"><symbols>

@@ -16,7 +16,7 @@ from geomosaic.block.block import Block
 from geomosaic.block.scene import Scene
 from geomosaic.geo.grid import Bounds, Window
 from geomosaic.product import photos as photos_module
-from geomosaic.product.balance import balance
+from geomosaic.product.colour.balance import balance
 from geomosaic.product.extent import footprints, output_grid
 from geomosaic.product.mosaic import mosaic
 from geomosaic.product.mosaic_options import MosaicOptions

@@ -13,7 +13,7 @@ from scipy.ndimage import convolve1d
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Grid
-from geomosaic.product.blending import Blending, Width
+from geomosaic.product.blend.options import Blending, Width
 from geomosaic.resample import pyramid
 
 PLACES = [(0, 0), (180, 40), (60, 190)]
@@ -283,7 +283,7 @@ def test_an_edited_seam_does_not_change_what_counts_as_usual():
 
     import shapely
 
-    from geomosaic.product import noise
+    from geomosaic.product.colour.solve import noise
 
     outlines, seen = [shapely.box(0, 0, 60, 40), shapely.box(40, 0, 100, 40)], []
 

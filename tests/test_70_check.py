@@ -11,8 +11,8 @@ import rasterio
 from affine import Affine
 
 from geomosaic.errors import InputError
-from geomosaic.product import check
-from geomosaic.product.check import against_reference
+from geomosaic.product.checks import check
+from geomosaic.product.checks.check import against_reference
 
 
 def picture(path: Path, left: float, top: float, size: int, brighter: float = 0.0, **profile: Any) -> Path:

@@ -13,10 +13,10 @@ import shapely
 from affine import Affine
 
 from geomosaic.errors import InputError
+from geomosaic.product.colour.stretch import read
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import MosaicResult
 from geomosaic.product.options import RenderOptions
-from geomosaic.product.stretch import read
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.make import Area, make_mosaic, reference_scene
 from geomosaic.resample.engine import numba_engine, numpy_engine

@@ -17,7 +17,7 @@ from rasterio.warp import Resampling, reproject
 from geomosaic.errors import InputError, OutputExistsError, SolveError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
-from geomosaic.product.check import against_reference
+from geomosaic.product.checks.check import against_reference
 from geomosaic.product.georeference.examine import BadControlError
 from geomosaic.product.georeference.metres import metres_per_unit
 from geomosaic.product.georeference.request import ControlInput, FitRequest, Place

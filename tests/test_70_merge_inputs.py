@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.product.blending import Blending
+from geomosaic.product.blend.options import Blending
 from geomosaic.product.depth import Depth
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.options import RenderOptions

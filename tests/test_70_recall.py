@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from geomosaic.product.recall import Recall, decode, digest_of, encode
+from geomosaic.product.reruns.recall import Recall, decode, digest_of, encode
 from geomosaic.radiometry.choose import Trial
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.gain_offset import Balance

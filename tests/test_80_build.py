@@ -19,10 +19,10 @@ from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.project.build import build_block
-from geomosaic.project.draft import draft_project
-from geomosaic.project.exterior import RECONSTRUCTIONS, SYSTEM_NAMES
+from geomosaic.project.draft.draft import draft_project
 from geomosaic.project.ground import height_below
 from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.orientation.exterior import RECONSTRUCTIONS, SYSTEM_NAMES
 from geomosaic.sensor import registry
 from geomosaic.surface.plane import Plane
 from geomosaic.surface.undeclared import undulation

@@ -8,7 +8,7 @@ import pytest
 from geomosaic.block.block import ControlPoint
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.project.control_check import examine
+from geomosaic.project.planar.control_check import examine
 
 UTM = parse_crs("EPSG:32633")
 

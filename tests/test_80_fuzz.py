@@ -21,14 +21,14 @@ from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.project.camera import read_camera
 from geomosaic.project.control import read_control
 from geomosaic.project.corrections import read_corrections
-from geomosaic.project.exif import photo_facts
-from geomosaic.project.exterior import read_exterior
+from geomosaic.project.draft.exif import photo_facts
+from geomosaic.project.draft.programs import program_of
 from geomosaic.project.fiducials import read_fiducials
 from geomosaic.project.load import load_project
+from geomosaic.project.orientation.exterior import read_exterior
+from geomosaic.project.orientation.printed import Printed, read_printed
 from geomosaic.project.photos import Photo
-from geomosaic.project.planar_tables import read_block
-from geomosaic.project.printed import Printed, read_printed
-from geomosaic.project.programs import program_of
+from geomosaic.project.planar.tables import read_block
 from geomosaic.raster.photo_tags import PhotoTags
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest

@@ -15,9 +15,9 @@ from PIL import Image
 
 from geomosaic.cli.main import run
 from geomosaic.project.build import build_block
-from geomosaic.project.exif import photo_facts
+from geomosaic.project.draft.exif import photo_facts
+from geomosaic.project.draft.needs import needs
 from geomosaic.project.load import load_project
-from geomosaic.project.needs import needs
 from geomosaic.raster.photo_tags import read_photo_tags
 from geomosaic_rpc.write import text_of
 

@@ -18,9 +18,9 @@ from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.options import RenderOptions
 from geomosaic.project.build import build_block
+from geomosaic.project.draft.needs import needs
 from geomosaic.project.inputs import BlockInputs, PlanarInputs
 from geomosaic.project.make import Area, make_planar_mosaic
-from geomosaic.project.needs import needs
 from geomosaic.testing.synthetic import coordinates, render
 
 CRS = "EPSG:32633"

@@ -12,9 +12,9 @@ import pytest
 from geomosaic.errors import InputError
 from geomosaic.geo.rotation import omega_phi_kappa
 from geomosaic.project.build import build_block
-from geomosaic.project.exterior import MATRIX
 from geomosaic.project.load import load_project
-from geomosaic.project.printed import Printed, read_printed
+from geomosaic.project.orientation.exterior import MATRIX
+from geomosaic.project.orientation.printed import Printed, read_printed
 from geomosaic.project.sample import copy_sample
 from geomosaic.types import FloatArray
 

@@ -10,12 +10,12 @@ import pytest
 from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.crs import height_name, parse_crs
 from geomosaic.project.control import read_control
-from geomosaic.project.exterior import read_exterior
 from geomosaic.project.frames import describe, named, undeclared
 from geomosaic.project.load import load_project
 from geomosaic.project.names import find_by_name, stem
+from geomosaic.project.orientation.exterior import read_exterior
+from geomosaic.project.orientation.units import check_units
 from geomosaic.project.tables import read_table
-from geomosaic.project.units import check_units
 from geomosaic.surface.undeclared import undulation
 
 ROWS = [("DSC_01.tif", 1.5, -2.0, 300.25, 0.5, -0.25, 91.0), ("DSC_02.tif", 11.5, -2.0, 301.0, 0.0, 0.125, 90.0)]

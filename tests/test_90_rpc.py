@@ -14,9 +14,9 @@ from geomosaic.cli.main import run
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.jobs.project import run_project, status_of
+from geomosaic.project.draft.needs import needs
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.load import load_project
-from geomosaic.project.needs import needs
 from geomosaic_rpc import write_tags
 from geomosaic_rpc.model import WGS84
 

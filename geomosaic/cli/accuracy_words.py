@@ -8,7 +8,7 @@ from geomosaic.cli.words import finite, grid_facts
 from geomosaic.errors import counted
 
 if TYPE_CHECKING:
-    from geomosaic.product.accuracy import MapCheck
+    from geomosaic.product.checks.accuracy import MapCheck
     from geomosaic.product.georeference.run import Georeferenced
 
 MOST = 40

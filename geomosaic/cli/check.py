@@ -13,7 +13,7 @@ from geomosaic.cli.scale import Scale
 from geomosaic.cli.talk import answer, notes, say
 
 if TYPE_CHECKING:
-    from geomosaic.product.accuracy import MapCheck
+    from geomosaic.product.checks.accuracy import MapCheck
 
 check_options = stack(
     click.option(
@@ -95,8 +95,8 @@ def command(raster: Path, points: Path, as_json: bool, **flags: Any) -> int:
     """  # noqa: D301
     from geomosaic.cli.accuracy_words import check_facts, check_words
     from geomosaic.errors import QualityError
-    from geomosaic.product.accuracy import check_map
-    from geomosaic.product.target import judge, read_target
+    from geomosaic.product.checks.accuracy import check_map
+    from geomosaic.product.checks.target import judge, read_target
 
     target = read_target(flags["target"]) if flags["target"] is not None else ()
     with notes():

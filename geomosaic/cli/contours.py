@@ -64,7 +64,7 @@ def command(
     """  # noqa: D301
     from dataclasses import asdict
 
-    from geomosaic.product.contours import make_contours
+    from geomosaic.product.maps.contours import make_contours
 
     with notes():
         made = make_contours(

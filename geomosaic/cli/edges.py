@@ -58,8 +58,8 @@ def command(
 
     What crosses an edge through a common point meets itself. Misfits before and after are told.
     """
-    from geomosaic.project.edges import EdgeInputs, make_edge_mosaic
     from geomosaic.project.inputs import wrong_policy
+    from geomosaic.project.planar.edges import EdgeInputs, make_edge_mosaic
 
     note_memory(flags["mem_limit"], flags["threads"])
     inputs = EdgeInputs(images, gcps, common, crs, model, reach, bands, wrong_policy(robust, insist))
@@ -70,7 +70,7 @@ def command(
 
 
 def _facts(matched: EdgeMatch) -> dict[str, Any]:
-    from geomosaic.project.planar_facts import wrong_facts
+    from geomosaic.project.planar.facts import wrong_facts
 
     s = matched.stations
     return {
@@ -97,8 +97,8 @@ def _misfit(misfit: Misfit) -> dict[str, Any]:
 
 
 def _words(matched: EdgeMatch) -> str:
-    from geomosaic.project.planar_facts import wrong_facts
-    from geomosaic.project.planar_words import wrong_words
+    from geomosaic.project.planar.facts import wrong_facts
+    from geomosaic.project.planar.words import wrong_words
 
     stages = (
         ("each photo by its own control", matched.before),

@@ -41,7 +41,7 @@ def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: 
       geomosaic enhance xs.tif --pan pan.tif --method regression -o sharp.tif
     """  # noqa: D301
     from geomosaic.errors import InputError
-    from geomosaic.product.enhance_raster import enhance_raster, sharpen_with_pan
+    from geomosaic.product.maps.enhance_raster import enhance_raster, sharpen_with_pan
 
     common = {"driver": flags.pop("driver"), "overwrite": flags.pop("overwrite")}
     with notes():

@@ -86,8 +86,8 @@ def command(image: Path, source: Path | None, inverse: bool, as_json: bool, **fl
         raise click.UsageError("--inverse needs a file to write: -o")
     import numpy as np
 
-    from geomosaic.project.monodraw import draw_vectors
-    from geomosaic.project.monoplot import MonoplotInputs, locate_pixels
+    from geomosaic.project.mono.draw import draw_vectors
+    from geomosaic.project.mono.plot import MonoplotInputs, locate_pixels
 
     inputs = MonoplotInputs(
         block_inputs((image,), flags, flags["gcps"]),

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from geomosaic.project.monodraw import Drawn
-    from geomosaic.project.monoplot import Located
+    from geomosaic.project.mono.draw import Drawn
+    from geomosaic.project.mono.plot import Located
 
 
 def located_facts(found: Located, output: Path | None) -> dict[str, Any]:
     """Plain values of places."""
     from geomosaic.geo.crs import height_name, horizontal
-    from geomosaic.project.monoplot import POINT
+    from geomosaic.project.mono.plot import POINT
 
     crs = found.places.crs
     code = horizontal(crs).to_authority(min_confidence=100)

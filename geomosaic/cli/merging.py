@@ -15,7 +15,7 @@ def _width(ctx: click.Context, param: click.Parameter, value: str | None) -> Any
     if value is None:
         return None
     from geomosaic.errors import InputError
-    from geomosaic.product.blending import Width
+    from geomosaic.product.blend.options import Width
 
     try:
         return Width.parse(value)
@@ -109,7 +109,7 @@ merge_flags = stack(
 
 def merging(flags: Mapping[str, Any]) -> dict[str, Any]:
     """What these options say, as fields of `MosaicOptions`."""
-    from geomosaic.product.blending import Blending
+    from geomosaic.product.blend.options import Blending
     from geomosaic.product.depth import Depth
 
     if "rule" not in flags:  # a command whose images are not georeferenced ones

@@ -13,7 +13,7 @@ from geomosaic.cli.talk import answer, notes
 from geomosaic.cli.values import box
 
 if TYPE_CHECKING:
-    from geomosaic.product.sheet import SheetResult
+    from geomosaic.product.maps.sheet import SheetResult
 
 
 def scale_value(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
@@ -92,7 +92,7 @@ def command(raster: Path, output: Path, as_json: bool, **flags: Any) -> None:
       geomosaic sheet mosaic.tif --scale 1:5000 --paper A3 --contours dem.tif \\
         --vector roads.gpkg:road -o sheet.pdf
     """  # noqa: D301
-    from geomosaic.project.sheet import sheet_from_files
+    from geomosaic.project.sheets.sheet import sheet_from_files
 
     with notes():
         made = sheet_from_files(raster, output, bounds=flags.pop("bounds") or None, **flags)

@@ -51,7 +51,7 @@ def command() -> None:
 
 def _scheme(flags: dict[str, Any]) -> Scheme:
     from geomosaic.errors import InputError
-    from geomosaic.project.series import read_scheme
+    from geomosaic.project.sheets.series import read_scheme
 
     found = {key: flags.pop(key) for key in ("scheme", "scale", "size", "origin", "crs", "polygons", "name_column")}
     if (found["scheme"] is None) == (found["polygons"] is None):
@@ -97,7 +97,7 @@ def make_command(raster: Path, output: Path, as_json: bool, **flags: Any) -> Non
     Example:
       geomosaic sheets make mosaic.tif --scheme puwg1992 --scale 1:10000 -o sheets/
     """  # noqa: D301
-    from geomosaic.project.series import series_from_files
+    from geomosaic.project.sheets.series import series_from_files
 
     scheme = _scheme(flags)
     with notes(), progress(as_json) as bars:
@@ -120,7 +120,7 @@ def make_command(raster: Path, output: Path, as_json: bool, **flags: Any) -> Non
 @debug_option
 def find_command(longitude: float, latitude: float, as_json: bool, **flags: Any) -> None:
     """Find the sheet at a longitude and latitude (WGS 84, degrees)."""
-    from geomosaic.project.series import find_sheet
+    from geomosaic.project.sheets.series import find_sheet
 
     scheme = _scheme(flags)
     name = find_sheet(scheme, longitude, latitude)
@@ -135,7 +135,7 @@ def find_command(longitude: float, latitude: float, as_json: bool, **flags: Any)
 @debug_option
 def show_command(name: str, map_crs: str | None, as_json: bool, **flags: Any) -> None:
     """Show the corners and neighbours of a sheet."""
-    from geomosaic.project.series import sheet_corners
+    from geomosaic.project.sheets.series import sheet_corners
 
     scheme = _scheme(flags)
     facts = _facts(scheme, name)

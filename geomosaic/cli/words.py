@@ -58,7 +58,7 @@ def hidden_words(pixels: int | None, grid: Grid) -> str:
 
 def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
     """Plain values of a mosaic."""
-    from geomosaic.product.colour_facts import colour_facts
+    from geomosaic.product.colour.facts import colour_facts
 
     companions = {"labels": result.labels, "vectors": result.vectors, "stac": result.item}
     return {
@@ -86,7 +86,7 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
 
 def mosaic_words(result: MosaicResult) -> str:
     """Say what was made, in a few lines."""
-    from geomosaic.product.colour_facts import said_of
+    from geomosaic.product.colour.facts import said_of
 
     lines = [
         *result.notes,

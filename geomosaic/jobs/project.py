@@ -18,7 +18,7 @@ from geomosaic.jobs.steps.check import check, failure
 from geomosaic.jobs.steps.mosaic import mosaic, orthos
 from geomosaic.jobs.steps.orient import orient
 from geomosaic.jobs.steps.report import report
-from geomosaic.product.rules import LABELLED
+from geomosaic.product.blend.rules import LABELLED
 from geomosaic.project.load import Project
 
 

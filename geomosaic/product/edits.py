@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.product.corrections import Correction, then
+from geomosaic.product.colour.corrections import Correction, then
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.types import FloatArray

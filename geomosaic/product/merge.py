@@ -9,17 +9,17 @@ from typing import Any
 from geomosaic.block.block import Block
 from geomosaic.block.footprint import Footprint
 from geomosaic.geo.grid import Grid
-from geomosaic.product.corrections import corrections
+from geomosaic.product.blend.rules import LABELLED, Ruler, check_rule, output_info
+from geomosaic.product.colour.corrections import corrections
 from geomosaic.product.holes import height_notes
 from geomosaic.product.mosaic import _balanced, _render, beside
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import Clock, MosaicResult
-from geomosaic.product.order import ordered
 from geomosaic.product.ortho import samples
 from geomosaic.product.photos import Photos
 from geomosaic.product.provenance import source_facts
 from geomosaic.product.records import gains, write_item, write_vectors
-from geomosaic.product.rules import LABELLED, Ruler, check_rule, output_info
+from geomosaic.product.seams.order import ordered
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output
 from geomosaic.resample.engine import engine_for

@@ -15,11 +15,10 @@ from geomosaic.block.block import Block
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.product.blend import Blender, Seams
-from geomosaic.product.blenders import blender_for
-from geomosaic.product.colour import colours
-from geomosaic.product.corrections import Correction, corrections
-from geomosaic.product.earlier import Earlier
+from geomosaic.product.blend.block import Blender, Seams
+from geomosaic.product.blend.choice import blender_for
+from geomosaic.product.colour.corrections import Correction, corrections
+from geomosaic.product.colour.solve import colours
 from geomosaic.product.edits import numbers_of, retouched, steady
 from geomosaic.product.holes import height_notes
 from geomosaic.product.mosaic_options import MosaicOptions
@@ -30,11 +29,12 @@ from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.product.provenance import source_facts, write_views
 from geomosaic.product.records import gains, write_item, write_vectors
-from geomosaic.product.reuse import KeptUnit, Reuse, reuse_of
-from geomosaic.product.seam_quality import most_places, worst_places
-from geomosaic.product.shares import shares_of
+from geomosaic.product.reruns.earlier import Earlier
+from geomosaic.product.reruns.reuse import KeptUnit, Reuse, reuse_of
+from geomosaic.product.seams.quality import most_places, worst_places
+from geomosaic.product.seams.shares import shares_of
+from geomosaic.product.seams.visible import outlines_of
 from geomosaic.product.visibility import DETAIL, visibility
-from geomosaic.product.visible import outlines_of
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output
@@ -46,8 +46,8 @@ from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import blocks
 
 if TYPE_CHECKING:
-    from geomosaic.product.rules import Ruler
-    from geomosaic.product.water_tone import Pool
+    from geomosaic.product.blend.rules import Ruler
+    from geomosaic.product.seams.water_tone import Pool
 
 SEGMENT = 512
 """Pixels: length of the pieces of seams that are judged."""
@@ -110,7 +110,7 @@ def mosaic(
         names, own = [outline.name for outline in outlines], corrections(solved)
         applied, dtype, stretch = retouched(own, names, options.retouch), photos.info.dtype, None
         if options.stretch is not None:
-            from geomosaic.product.stretch import DTYPE, stretch_of, stretched
+            from geomosaic.product.colour.stretch import DTYPE, stretch_of, stretched
 
             with Clock(seconds, "stretch"):  # of what was not touched up: one photo's change is not that of all
                 text, dtype = options.stretch, DTYPE
@@ -186,7 +186,7 @@ def mosaic(
 def _balanced(photos: Photos, options: MosaicOptions) -> Balance:
     """What is done to the values of each image."""
     if options.histogram is not None:
-        from geomosaic.product.histogram import match_histograms
+        from geomosaic.product.colour.histogram import match_histograms
 
         return match_histograms(photos, options)
     return colours(photos, options) if options.balance else solve(len(photos), photos.info.bands, [])
@@ -196,8 +196,8 @@ def _pools(photos: Photos, shapes: list[Any], applied: Sequence[Correction], opt
     """Water that is filled with a tone."""
     if options.water is None or options.water_fill != "tone":
         return ()
-    from geomosaic.product.water import read_water
-    from geomosaic.product.water_tone import pools
+    from geomosaic.product.seams.water import read_water
+    from geomosaic.product.seams.water_tone import pools
 
     return pools(photos, read_water(options.water, photos.grid.crs), shapes, applied)
 
@@ -205,7 +205,7 @@ def _pools(photos: Photos, shapes: list[Any], applied: Sequence[Correction], opt
 def _said_of_water(water: Sequence[Pool]) -> str:
     if not water:
         return ""
-    from geomosaic.product.water_tone import said
+    from geomosaic.product.seams.water_tone import said
 
     return said(water)
 

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.product.blending import Blending
+from geomosaic.product.blend.options import Blending
 from geomosaic.product.depth import Depth
 from geomosaic.product.edits import Retouch
 from geomosaic.product.options import RenderOptions
 from geomosaic.seam.cost import SeamWeights
 
 if TYPE_CHECKING:
-    from geomosaic.product.reuse import Memory
+    from geomosaic.product.reruns.reuse import Memory
 
 HISTOGRAMS = ("overlap", "whole", "sequence")
 COLOUR = ("gain", "vignetting", "trend", "hotspot", "gamma", "dodging")

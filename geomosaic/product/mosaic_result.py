@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geomosaic.geo.grid import Grid
-from geomosaic.product.seam_quality import SeamPlace, SeamQuality
+from geomosaic.product.seams.quality import SeamPlace, SeamQuality
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.seam.lines import Segment
 
 if TYPE_CHECKING:
-    from geomosaic.product.stretch import Stretch
+    from geomosaic.product.colour.stretch import Stretch
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from geomosaic.sensor.view import Views, views
 from geomosaic.types import AnyArray, FloatArray
 
 if TYPE_CHECKING:
-    from geomosaic.product.reuse import Reuse
+    from geomosaic.product.reruns.reuse import Reuse
 
 BANDS = ("view angle, degrees", "ground sampling distance, metres")
 UNIT = 512

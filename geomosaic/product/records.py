@@ -18,7 +18,7 @@ from geomosaic.errors import InputError, OutputError
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
-from geomosaic.product.seam_quality import SeamQuality
+from geomosaic.product.seams.quality import SeamQuality
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output, partial, remove

@@ -18,12 +18,12 @@ from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.project.camera import read_camera
 from geomosaic.project.corrections import read_corrections
-from geomosaic.project.exterior import RECONSTRUCTIONS, Exterior
 from geomosaic.project.fiducials import read_fiducials
 from geomosaic.project.frames import DATUMS
 from geomosaic.project.ground import OF_POSITIONS, build_surface, height_below, undeclared_positions
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.names import corrections_file
+from geomosaic.project.orientation.exterior import RECONSTRUCTIONS, Exterior
 from geomosaic.project.photos import Photo, photos_of
 from geomosaic.project.usable import with_usable
 from geomosaic.sensor.corrected import Corrected
@@ -52,7 +52,7 @@ def build_block(inputs: BlockInputs, *, ground: bool = True) -> Block:
         Something is missing or wrong; names the file, line or option.
     """
     if inputs.planar is not None:
-        from geomosaic.project.planar import build_planar
+        from geomosaic.project.planar.build import build_planar
 
         return build_planar(inputs, inputs.planar)[0]
     photos, crs = photos_of(inputs)
@@ -67,13 +67,13 @@ def build_block(inputs: BlockInputs, *, ground: bool = True) -> Block:
     try:
         scenes = build(inputs, photos, crs)
     except SkyError as error:
-        from geomosaic.project.doubts import looking_down
+        from geomosaic.project.orientation.doubts import looking_down
 
         mends = looking_down(inputs, photos, crs, build) if crs is not None else []
         error.mend = f"all photos would look down if you {mends[0]}; else {error.mend}" if mends else error.mend
         raise
     if ground and (len(scenes) > 1 or control):  # what one photo alone says of itself is known
-        from geomosaic.project.doubts import check_orientation
+        from geomosaic.project.orientation.doubts import check_orientation
 
         check_orientation(inputs, photos, crs, (scenes, surface, control), build)
     return Block(with_usable(inputs, scenes), surface, control, crs)

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from geomosaic.project.draft.programs import PIX4D
 from geomosaic.project.names import corrections_file
-from geomosaic.project.programs import PIX4D
 
 if TYPE_CHECKING:
-    from geomosaic.project.printed import Printed
+    from geomosaic.project.orientation.printed import Printed
 
 
 @dataclass(frozen=True)

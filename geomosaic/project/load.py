@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.project.camera import read_toml
 from geomosaic.project.inputs import BlockInputs, PlanarInputs, wrong_policy
-from geomosaic.project.printed import Printed
+from geomosaic.project.orientation.printed import Printed
 from geomosaic.project.schema import ProjectFile
 from geomosaic.project.tables import read_text
 from geomosaic.types import PathLike

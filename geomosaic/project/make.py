@@ -148,11 +148,11 @@ def make_planar_mosaic(
     path : Path
         Where the facts were written, beside the mosaic.
     """
-    from geomosaic.product.check import check_control
+    from geomosaic.product.checks.check import check_control
     from geomosaic.product.mosaic import beside, mosaic
     from geomosaic.project.atomic import write_atomic
-    from geomosaic.project.planar import build_planar
-    from geomosaic.project.planar_facts import control_facts
+    from geomosaic.project.planar.build import build_planar
+    from geomosaic.project.planar.facts import control_facts
 
     facts_path = beside(output, "-placement", ".json")
     named = (("-labels", ".tif", options.labels), ("", ".gpkg", options.vectors), ("", ".stac.json", options.stac))

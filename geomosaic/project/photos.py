@@ -9,10 +9,10 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.engineering import is_free
-from geomosaic.project.exterior import RECONSTRUCTIONS, SELF_PLACED, Exterior, ExteriorTable, read_exterior
 from geomosaic.project.frames import named
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.units import check_units
+from geomosaic.project.orientation.exterior import RECONSTRUCTIONS, SELF_PLACED, Exterior, ExteriorTable, read_exterior
+from geomosaic.project.orientation.units import check_units
 from geomosaic.raster.info import SourceInfo, inspect
 
 
@@ -33,7 +33,7 @@ class Photo:
 def _table(inputs: BlockInputs, path: Path) -> ExteriorTable:
     if inputs.angles != "printed":
         return read_exterior(path, inputs.angles)
-    from geomosaic.project.printed import read_printed
+    from geomosaic.project.orientation.printed import read_printed
 
     if inputs.printed is None:
         raise InputError(

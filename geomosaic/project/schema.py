@@ -19,7 +19,7 @@ def _plain_path(text: str) -> str:
 def _width(text: str) -> str:
     """Refuse what is no width with a unit."""
     from geomosaic.errors import InputError
-    from geomosaic.product.blending import Width
+    from geomosaic.product.blend.options import Width
 
     try:
         Width.parse(text)

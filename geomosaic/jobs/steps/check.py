@@ -14,7 +14,7 @@ from geomosaic.project.load import Project
 
 def check(project: Project, context: Context) -> Mapping[str, Any]:
     """Compare with the reference, where there is one, and judge."""
-    from geomosaic.product.check import against_reference
+    from geomosaic.product.checks.check import against_reference
 
     layout, quality = Layout(project), project.settings.quality
     orientation, made = read_json(layout.facts("orient")), read_json(layout.facts("mosaic"))

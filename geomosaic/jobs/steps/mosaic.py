@@ -17,10 +17,10 @@ from geomosaic.jobs.heard import heard, tell
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Context, Machine
 from geomosaic.jobs.steps.restore import area_of, render_options, restore_block
-from geomosaic.product.blending import Blending, Width
-from geomosaic.product.colour_facts import colour_facts, picture
-from geomosaic.product.reuse import Memory
-from geomosaic.project.draft import relative
+from geomosaic.product.blend.options import Blending, Width
+from geomosaic.product.colour.facts import colour_facts, picture
+from geomosaic.product.reruns.reuse import Memory
+from geomosaic.project.draft.draft import relative
 from geomosaic.project.frames import describe
 from geomosaic.project.load import Project
 from geomosaic.project.make import reference_scene

@@ -11,13 +11,13 @@ from geomosaic.jobs.facts import write_json
 from geomosaic.jobs.heard import heard
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Context
-from geomosaic.product.check import check_control, rms
+from geomosaic.product.checks.check import check_control, rms
 from geomosaic.project.build import build_block
 from geomosaic.project.camera import read_camera
-from geomosaic.project.exterior import SYSTEM_NAMES
+from geomosaic.project.draft.needs import needs
 from geomosaic.project.frames import describe
 from geomosaic.project.load import Project
-from geomosaic.project.needs import needs
+from geomosaic.project.orientation.exterior import SYSTEM_NAMES
 from geomosaic.sensor.state import to_dict
 
 
@@ -80,7 +80,7 @@ def _block(project: Project) -> tuple[Block, dict[str, Any] | None]:
     try:
         inputs = project.inputs
         if inputs.planar is not None:
-            from geomosaic.project.planar import build_planar
+            from geomosaic.project.planar.build import build_planar
 
             return build_planar(inputs, inputs.planar)
         return build_block(inputs), None

@@ -18,7 +18,7 @@ from geomosaic.control.finding import SEVERITIES, Advice
 from geomosaic.control.points import ImageControl
 from geomosaic.control.reading import Reading
 from geomosaic.errors import InputError
-from geomosaic.product.check_advice import check_advice
+from geomosaic.product.checks.advice import check_advice
 from geomosaic.product.georeference.examine import (
     blunder_advice,
     comparison_advice,

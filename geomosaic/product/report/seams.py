@@ -12,7 +12,7 @@ from geomosaic.product.report.figures import data_uri
 from geomosaic.types import AnyArray, ByteArray
 
 if TYPE_CHECKING:
-    from geomosaic.product.seam_quality import SeamPlace, SeamQuality
+    from geomosaic.product.seams.quality import SeamPlace, SeamQuality
     from geomosaic.seam.lines import Segment
 
 GAP = 6

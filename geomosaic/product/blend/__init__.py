@@ -1,0 +1,1 @@
+"""Values of several images to one: across seams, over overlaps, or by rule."""

@@ -1,0 +1,45 @@
+"""The blender that a kind of blending asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from geomosaic.geo.grid import Grid
+from geomosaic.product.blend.block import Blender, Seams
+from geomosaic.product.blend.options import Blending
+from geomosaic.product.options import RenderOptions
+from geomosaic.product.photos import Photos
+from geomosaic.product.visibility import Visibility
+from geomosaic.radiometry.curve import Curve
+from geomosaic.radiometry.shade import Shade
+from geomosaic.resample.engine import Engine
+from geomosaic.resample.warp import Colour
+from geomosaic.sensor.ground import Ground
+
+
+def blender_for(
+    blending: Blending,
+    photos: Photos,
+    grid: Grid,
+    ground: Ground,
+    seams: Seams,
+    colours: Sequence[Colour | Curve | Shade],
+    engine: Engine,
+    render: RenderOptions,
+    dtype: str,
+    sight: Visibility | None,
+) -> Blender:
+    """Renderer of blocks; `seams.feather` is the width of the transition in output pixels, `dtype` of the output."""
+    plain = Blender(photos, grid, ground, seams, colours, engine, render.resampling, render.tolerance, dtype, sight)
+    if blending.plain:
+        return plain
+    from geomosaic.product.blend.bands import BandBlender
+    from geomosaic.product.colour.noise import usual_difference
+    from geomosaic.resample.pyramid import steps
+
+    noise = usual_difference(plain) if blending.limits else None
+    return BandBlender(
+        photos, grid, ground, replace(seams, feather=0.0), colours, engine, render.resampling, render.tolerance, dtype,
+        sight, blending, seams.feather, steps(compiled=bool(engine.quick)), noise,
+    )  # fmt: skip

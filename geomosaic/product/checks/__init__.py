@@ -1,0 +1,1 @@
+"""Products held against what is known better, and against what was planned."""

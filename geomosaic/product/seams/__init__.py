@@ -1,0 +1,1 @@
+"""Who shows what: shares laid by rule, by cost or by hand, and how well their borders meet."""

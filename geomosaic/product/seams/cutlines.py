@@ -1,0 +1,88 @@
+"""Read the shares that a person has drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.geo.crs import horizontal
+from geomosaic.geo.transform import Transform
+from geomosaic.product.seams.layers import AREAS, check_area
+from geomosaic.raster.vector import layer_names, read_layer
+from geomosaic.seam.cutlines import matters
+from geomosaic.seam.voronoi import polygonal
+
+LAYER, IMAGE = "seams", "image"
+
+
+def read_cutlines(path: Path, names: Sequence[str], outlines: Sequence[Any], crs: CRS) -> dict[int, Any]:
+    """Shares by number of their image, in the output map.
+
+    The layer is that which a mosaic writes: polygons with the name of an image each. Polygons of one image are joined.
+
+    Parameters
+    ----------
+    path : Path
+        Vector file with a layer `seams`, or with one layer.
+    names : sequence of str
+        Of the images.
+    outlines : sequence of Polygon
+        Footprints in the output map; empty for images that are left out, whose shares do not count.
+    crs : CRS
+        Of the output.
+
+    Returns
+    -------
+    dict of int to Polygon or MultiPolygon
+        Each within its footprint: beyond it the image has nothing to show.
+
+    Raises
+    ------
+    InputError
+        No such layer or column, a geometry that is no area or crosses itself, a name that no image has, an area that
+        its image does not show at all.
+    """
+    import shapely
+
+    layers = layer_names(path)
+    layer = LAYER if LAYER in layers or len(layers) != 1 else layers[0]
+    frame = read_layer(path, layer)
+    where = f"{path}, layer {layer}"
+    if IMAGE not in frame:
+        raise InputError(f"the layer has no column '{IMAGE}'", where=where, mend="name the image of each polygon there")
+    if frame.crs is None:
+        raise InputError("the layer has no CRS", where=where, mend="set it, for example in QGIS")
+    move = Transform(horizontal(CRS.from_user_input(frame.crs)), crs)
+    found: dict[int, list[Any]] = {}
+    for row, (name, geometry) in enumerate(zip(frame[IMAGE], frame.geometry, strict=True), start=1):
+        if name not in names:
+            hint = did_you_mean(str(name), names)
+            raise InputError(
+                f"row {row} names '{name}', which is no image of this mosaic", where=where, mend=hint or "name an image"
+            )
+        if geometry is None or geometry.is_empty:
+            continue
+        if geometry.geom_type not in AREAS:
+            raise InputError(f"row {row} is a {geometry.geom_type}, not an area", where=where, mend="draw polygons")
+        check_area(geometry, f"row {row}", where)
+        number = list(names).index(name)
+        own, moved = outlines[number], shapely.make_valid(shapely.transform(shapely.force_2d(geometry), move))
+        if own.is_empty:
+            continue
+        if not moved.intersects(own):
+            raise InputError(
+                f"row {row} lies outside of what '{name}' shows",
+                where=where,
+                mend="draw within its footprint; or is this the file of another block?",
+            )
+        beyond = matters(moved.difference(own), own)
+        found.setdefault(number, []).append(polygonal(moved.intersection(own)) if beyond else moved)
+    return {
+        number: parts[0] if len(parts) == 1 else shapely.union_all(np.array(parts, dtype=object))
+        for number, parts in found.items()
+    }

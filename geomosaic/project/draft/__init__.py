@@ -1,0 +1,1 @@
+"""A project file for what lies in a folder."""

@@ -1,0 +1,260 @@
+"""A project file written from what is known, for people to read and go on with."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import OutputExistsError
+from geomosaic.project.atomic import write_atomic
+from geomosaic.project.draft.needs import HEIGHTS, needs, undeclared_heights
+from geomosaic.project.draft.programs import program_of
+from geomosaic.project.inputs import BlockInputs, PlanarInputs
+from geomosaic.project.names import stem
+from geomosaic.project.orientation.exterior import (
+    RECONSTRUCTION_SYSTEM,
+    RECONSTRUCTIONS,
+    SYSTEM_NAMES,
+    SYSTEMS,
+    systems_of,
+    undeclared_reconstruction,
+)
+from geomosaic.project.orientation.understood import understood
+from geomosaic.project.tables import read_table
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A project file, what was understood, what it still needs, and what speaks against the whole."""
+
+    path: Path
+    text: str
+    understood: list[str]
+    needed: list[str]
+    misfit: str | None
+
+
+def draft_project(path: Path, inputs: BlockInputs, angles: str | None) -> Draft:
+    """Write the text of a project.
+
+    Parameters
+    ----------
+    path : Path
+        Where the project file will be; paths in it start there.
+    inputs : BlockInputs
+        What is known.
+    angles : str or None
+        Angle system as declared; read off the columns of the table where it is not. A reconstruction does not say
+        whose it is: its system stays open unless the names of the files tell.
+
+    Raises
+    ------
+    InputError
+        A file that was given cannot be read.
+    """
+    read = None
+    if inputs.exterior is not None and angles is None:
+        read = _system(inputs.exterior)
+        inputs = replace(inputs, angles=read or inputs.angles)
+    needed = needs(inputs)
+    text = _text(path, inputs, read is not None)
+    lines, misfit = understood(inputs)
+    return Draft(path, text, [*lines, *_angles(inputs, read)], needed, misfit)
+
+
+def write_project(draft: Draft, *, overwrite: bool = False) -> None:
+    """Write the project file, never over an existing one unasked."""
+    if draft.path.exists() and not overwrite:
+        raise OutputExistsError("the project exists", where=str(draft.path), mend="give another name, or --overwrite")
+    write_atomic(draft.path, draft.text)
+
+
+def _system(table: Path) -> str | None:
+    """Angle system whose columns a table has, omega-phi-kappa where none fits, for its error; None if nothing tells."""
+    program = program_of(table)
+    if program is not None:
+        return program
+    if table.suffix.lower() == ".json":
+        # OpenDroneMap keeps OpenSfM's own, under this name, beside the one that it has brought to its map.
+        own = "reconstruction.topocentric.json"
+        if table.name == own:
+            return "opensfm"
+        return "odm" if table.with_name(own).is_file() else None
+    fitting = systems_of(read_table(table, "orientation table", "image,x,y,z,omega,phi,kappa"))
+    return fitting[0] if fitting else "opk"
+
+
+def _angles(inputs: BlockInputs, read: str | None) -> list[str]:
+    """Say what angle system was read off the table, and what it could be taken for."""
+    if read is None:
+        return []
+    if read in RECONSTRUCTIONS:
+        own = "the name of OpenDroneMap's reconstruction.topocentric.json"
+        return [f"angle system: {read}, by {own if read in ('opensfm', 'odm') else 'the name and the first lines'}"]
+    others = [name for name, columns in SYSTEMS.items() if name != read and {*columns} == {*SYSTEMS[read]}]
+    doubt = f"; the columns would also fit {', '.join(others)}: say --angles if so" if others else ""
+    return [f"angle system: {read}, from the columns of the table{doubt}"]
+
+
+def _text(path: Path, inputs: BlockInputs, read: bool) -> str:
+    folder = path.absolute().parent
+    undeclared = undeclared_reconstruction(inputs.exterior, inputs.angles)
+    reconstruction = undeclared or inputs.angles in RECONSTRUCTIONS
+
+    def near(file: Path) -> str:
+        return _string(relative(file, folder))
+
+    lines = [
+        "# geomosaic project. Paths start from this file's folder; lines that start with # are to be filled in.",
+        "format = 1",
+        "",
+        "[project]",
+        f"name = {_string(stem(path.name))}",
+        f"images = [{', '.join(_string(pattern) for pattern in patterns(inputs.images, folder))}]",
+        *([f"bands = {list(inputs.bands)}    # counted from 1"] if inputs.bands else []),
+        "",
+        "[sensor]",
+        f"name = {_string(inputs.sensor)}    # `geomosaic sensors {inputs.sensor}` lists what may stand here",
+    ]
+    if inputs.camera is not None:
+        lines.append(f"camera = {near(inputs.camera)}")
+    elif inputs.sensor == "frame" and not reconstruction:
+        lines.append('# camera = "camera.toml"    # NEEDED')
+    if inputs.corrections is not None:
+        lines.append(f"corrections = {near(Path(inputs.corrections))}")
+    if inputs.fiducials is not None:
+        lines.append(f"fiducials = {near(inputs.fiducials)}")
+    lines += [f"{key} = {_value(value)}" for key, value in inputs.options.items()]
+    lines += ["", "[exterior]"]
+    if inputs.exterior is not None:
+        lines.append(f"file = {near(inputs.exterior)}")
+    elif inputs.sensor != "planar":
+        lines.append('# file = "exterior.csv"    # NEEDED: image, x, y, z, omega, phi, kappa')
+    frames = "x and y here and of the control points"
+    needed = "NEEDED with odm: " if undeclared else "" if inputs.sensor == "planar" else "NEEDED: "
+    lines.append(
+        f"crs = {_string(inputs.crs)}    # of {frames}"
+        if inputs.crs
+        else f'# crs = "EPSG:32633"    # {needed}of {frames}'
+    )
+    lines.append(
+        f"heights = {_string(_datum(inputs.heights, folder))}    # vertical datum of z"
+        if inputs.heights
+        else f'# heights = "egm96"    # {needed}vertical datum of z: {HEIGHTS}'
+    )
+    if undeclared:
+        lines.append(f'# angles = "odm"    # NEEDED: {RECONSTRUCTION_SYSTEM}')
+    elif inputs.exterior is not None:
+        off = f"read off the {'name of the file' if reconstruction else 'columns'}; " if read else ""
+        lines.append(f"angles = {_string(inputs.angles)}    # {off}{SYSTEM_NAMES.get(inputs.angles, '')}")
+        if not reconstruction:
+            unit = inputs.angle_unit
+            lines.append(f"angle_unit = {_string(unit)}" if unit else '# angle_unit = "deg"    # deg, gon or rad')
+        lines += [
+            f"{k} = {_string(v)}" for k, v in (("angle_frame", inputs.angle_frame), ("matrix", inputs.matrix)) if v
+        ]
+    if inputs.planar is not None:
+        lines += ["", *_planar(inputs.planar, near)]
+    lines += ["", *_ground(inputs, near, folder)]
+    if inputs.control is not None:
+        lines += ["", "[control]", f"file = {near(inputs.control)}"]
+    lines += [
+        "",
+        "[output]",
+        'folder = "output"',
+        '# crs = "EPSG:32633"         # that of the DEM or of the positions unless given',
+        "# resolution = 0.5           # map units; that of the images unless given",
+        "# bounds = [left, bottom, right, top]",
+        'resampling = "bilinear"      # nearest, bilinear, cubic, lanczos, average',
+        "tolerance = 0.02             # largest geometric error of the lattice, image pixels",
+        "# orthos = true              # write an ortho of each image too",
+        "",
+        "[mosaic]",
+        "balance = true               # gain and offset per image, solved over the overlaps",
+        '# colour = "auto"             # what else is solved: gain, vignetting, trend, hotspot, gamma, dodging',
+        '# mask = "clouds.gpkg"        # areas that say nothing of colours',
+        '# histogram = "overlap"      # match histograms instead: overlap, whole or sequence',
+        '# master = "photo_07.tif"    # image all are brought to; or: reference = "ortho.tif"',
+        '# stretch = "2,98"           # to 8 bits, between these percentiles',
+        '# seams = "alike"            # seams where neighbours look most alike; "nearest" unless given',
+        '# follow = ["roads.gpkg"]    # what such seams run along; avoid = ["buildings.gpkg"]: what they keep out of',
+        '# cutlines = "mine.gpkg"     # shares drawn by hand: they win',
+        '# exclude = ["photo_07.tif"] # images that are to show nothing',
+        "# true_ortho = true          # nothing that the surface model hides; other images fill it",
+        "# feather = 10.0             # width of seams in map units; 32 pixels unless given",
+        "",
+        "[quality]                    # exit code 3 where one fails",
+        "# max_check_rms_px = 1.0",
+        '# reference = "reference.tif"',
+        "# max_registration_px = 1.0",
+        "# max_seam_mismatch_px = 2.0",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _planar(planar: PlanarInputs, near: Callable[[Path], str]) -> list[str]:
+    """The section of photos of flat ground that tie and control points place."""
+    lines = ["[planar]", f"kind = {_string(planar.kind)}    # uncontrolled, semicontrolled, controlled, grown"]
+    if planar.ties is not None:
+        lines.append(f"ties = {near(planar.ties)}")
+    elif planar.kind != "controlled":
+        lines.append('# ties = "ties.csv"    # NEEDED: id, image, col, row')
+    return [*lines, '# model = "conformal"    # conformal, affine, projective; as is usual for the kind unless given']
+
+
+def _ground(inputs: BlockInputs, near: Any, folder: Path) -> list[str]:
+    if inputs.dem is not None:
+        lines = ["[dem]", f"file = {near(inputs.dem)}"]
+    elif inputs.height is not None:
+        lines = ["[dem]", f"height = {inputs.height!r}    # metres, one for all the ground"]
+    elif inputs.sensor == "planar":
+        return ["# [dem]"]
+    else:
+        return ["# [dem]    # NEEDED", '# file = "dem.tif"    # or: height = 120.0']
+    if inputs.dem_heights:
+        lines.append(f"heights = {_string(_datum(inputs.dem_heights, folder))}    # overrides what the file says")
+    else:
+        said = inputs.height is None and not undeclared_heights(inputs.dem)
+        mark = "overrides what the file says" if said else f"NEEDED: {HEIGHTS}"
+        lines.append(f'# heights = "egm96"    # vertical datum; {mark}')
+    return lines
+
+
+def patterns(images: Sequence[Path], folder: Path) -> list[str]:
+    """Name images relative to a folder: one pattern where they are all of one kind in one place, else one by one."""
+    by_kind: dict[tuple[Path, str], set[Path]] = {}
+    for image in images:
+        full = image.absolute()
+        by_kind.setdefault((full.parent, full.suffix), set()).add(full)
+    if all(len(found) > 1 and set(place.glob(f"*{suffix}")) == found for (place, suffix), found in by_kind.items()):
+        return [relative(place / f"*{suffix}", folder) for place, suffix in by_kind]
+    return [relative(image, folder) for image in images]
+
+
+def relative(path: Path, folder: Path) -> str:
+    """Path as seen from a folder, with forward slashes; absolute where there is no way from one to the other."""
+    try:
+        return Path(os.path.relpath(path.absolute(), folder)).as_posix()
+    except ValueError:
+        return path.absolute().as_posix()
+
+
+def _datum(heights: str | None, folder: Path) -> str:
+    text = heights or ""
+    return relative(Path(text), folder) if text.lower().endswith((".tif", ".gtx")) else text
+
+
+def _string(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_string(str(k))} = {_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(_value(item) for item in value) + "]"
+    return json.dumps(value, ensure_ascii=False)

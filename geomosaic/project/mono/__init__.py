@@ -1,0 +1,1 @@
+"""One photo and its map: plotting from it and drawing into it."""

@@ -1,0 +1,1 @@
+"""Orientations from tables and lists, and whether they can be meant."""

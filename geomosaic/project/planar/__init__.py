@@ -1,0 +1,1 @@
+"""Photos without a rigorous model, from their tables to a block."""

@@ -1,0 +1,1 @@
+"""RPCs from plain declarations."""

@@ -1,0 +1,1 @@
+"""What describes sheets and series, to values."""

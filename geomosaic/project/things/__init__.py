@@ -1,0 +1,1 @@
+"""Surfaces of things that are no terrain, from files."""
