@@ -159,7 +159,7 @@ def test_a_broken_sensor_is_listed_and_told_by_name_only(tell, monkeypatch):
     from geomosaic.sensor import registry
 
     broken = EntryPoint("broken", "no_such_module:plugin", registry.GROUP)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [broken])
+    monkeypatch.setattr(registry, "entry_points", lambda **_: [broken])
     registry.plugin.cache_clear()
     assert tell("sensors")[:2] == (0, "broken  unknown \n")
     code, _, err = tell("sensors", "broken")

@@ -164,7 +164,7 @@ def test_spot_scene_of_second_order(spot):
     """By point deletion a second order reaches 1.18 px with 14 of the 17 points; all 17 keep 1.54 and 1.22 px.
 
     What all points keep in columns is relief seen at an angle: with a term in height besides an affine one they reach
-    1.25 and 1.23 px, as the README of the set says. The points put out stand high above and low below their neighbours.
+    1.25 and 1.23 px, as the README of the set says. A deletion lowers the RMS whatever the points are worth.
     """
     affine = fitted(spot, "EPSG:32636", (6000, 6000), "affine", count="centre")
     second = fitted(spot, "EPSG:32636", (6000, 6000), "poly2", count="centre")
@@ -179,8 +179,6 @@ def test_spot_scene_of_second_order(spot):
     assert deleted.fit.rms == pytest.approx((0.754, 0.906), abs=0.002)
     assert deleted.fit.rms_total == pytest.approx(1.179, abs=0.002)
     assert deleted.fit.redundancy == 28 - 12
-    # What is left of chance: points left out are predicted better, too, than by the fit to all.
-    assert deleted.fit.leave_one_out_rms < 0.75 * second.fit.leave_one_out_rms
 
 
 def test_spot_scene_with_a_term_in_height(real_data):

@@ -262,7 +262,7 @@ def test_a_sensor_without_angles_takes_the_positions_of_the_table(
     """The sensor that the docs show refuses what it does not know, and is given only what it has."""
     monkeypatch.syspath_prepend(str(Path(__file__).parent / "sample_plugin"))
     entry = EntryPoint("vertical", "geomosaic_sample_vertical:plugin", registry.GROUP)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [entry])
+    monkeypatch.setattr(registry, "entry_points", lambda **_: [entry])
     registry.plugin.cache_clear()
     try:
         given = inputs(sample, sensor="vertical", camera=None, options={"focal_length_px": 1500.0})
