@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
@@ -123,11 +122,9 @@ def test_a_nodata_value_beside_a_raster_counts_and_statistics_do_not(project):
 
 
 def test_another_version_of_a_sensor_plugin(project, monkeypatch):
-    point = EntryPoint("planar", "geomosaic_planar:plugin", registry.GROUP)
-
     def installed(version: str) -> None:
-        found = registry.SensorEntry("planar", "acme-sensors", version, point.value)
-        monkeypatch.setattr(registry, "_found", lambda: [(found, point)])
+        found = registry.SensorEntry("planar", "acme-sensors", version, "geomosaic_planar:plugin")
+        monkeypatch.setattr(registry, "_entry", lambda point: found)
 
     installed("1.0")
     run_project(load_project(project))
