@@ -253,7 +253,7 @@ def test_a_turn_is_followed(tmp_path: Path) -> None:
     [
         ({"active": 1.5}, "share above 0"),
         ({"lines_per_sweep": 2.5}, "whole number"),
-        ({"directions": "two"}, "one or both"),
+        ({"directions": "two"}, "choose from: one, both"),
         ({"line_angle": -1.0}, "degrees above 0"),
         ({"track": "none.csv"}, "together with 'track'"),
         ({"orbit": {"inclination": 98.0}}, "together with 'orbit'"),
@@ -273,7 +273,7 @@ def test_what_is_wrong_is_said(change: dict[str, Any], said: str) -> None:
     ("change", "said"),
     [
         ({"orbit": {"inclination": 30.0, "pass": "descending"}}, "does not reach the latitude"),
-        ({"orbit": {"inclination": 98.0, "pass": "down"}}, "ascending or descending"),
+        ({"orbit": {"inclination": 98.0, "pass": "down"}}, "choose from: ascending, descending"),
         ({"orbit": {"inclinaton": 98.0, "pass": "descending"}}, "did you mean 'inclination'"),
         ({"orbit": 98.0}, "no table"),
         ({"period": 0.0}, "seconds of one"),

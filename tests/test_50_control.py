@@ -125,7 +125,7 @@ def test_table_with_all_columns(write: Write) -> None:
     assert points.enabled.tolist() == [False, True]
     assert [str(origin) for origin in points.origins] == [f"{path}, line 3", f"{path}, line 5"]
     assert "columns not used: remark" in reading.notes
-    assert "1 points of other images left out" in reading.notes
+    assert "1 point of other images left out" in reading.notes
     assert read_control(path, image="two").control.names == ("2",)
     centre = read_control(path, image="two", count="centre").control
     np.testing.assert_array_equal(centre.colrow, [[17.5, 18.5]])
