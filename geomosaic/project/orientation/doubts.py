@@ -21,6 +21,7 @@ from geomosaic.block.block import ControlPoint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geo.transform import Transform
+from geomosaic.product.pool import in_order
 from geomosaic.project.frames import named
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.orientation.hypotheses import Reading, readings
@@ -130,7 +131,7 @@ def _by_pictures(
     try:
         # As a rule one pair, in the middle of the block, is beyond doubt, and no other needs to be read.
         first = pairs[len(pairs) // 2] if pairs else ()
-        small = {i: small_copy(scenes[i].path) for i in first}
+        small = dict(in_order(lambda i: small_copy(scenes[i].path), first, 2))
         if together([scenes[i] for i in first], list(small.values()), surface) >= SURE:
             return
         numbers = [i for pair in pairs for i in pair]
