@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 from geomosaic.raster.photo_tags import PhotoTags
 
+LARGEST = 1e9
+"""No tag of a photo is a larger number."""
 FULL_FRAME_DIAGONAL = math.hypot(36.0, 24.0)
 """Millimetres: what '35 mm equivalent' focal lengths refer to (CIPA DCG-001)."""
 UNITS = {"2": 25.4, "3": 10.0, "4": 1.0}
@@ -100,7 +102,7 @@ def _angle(exif: Mapping[str, str], name: str, signs: str) -> float | None:
 def _focal(exif: Mapping[str, str], xmp: str, size: tuple[int, int]) -> tuple[float | None, str]:
     """Focal length in pixels of the photo, and where it comes from; the photo may be a reduced copy."""
     full = _number(exif.get("PixelXDimension", "")) or float(size[0])
-    shrink = size[0] / full if full > 0 else 1.0
+    shrink = size[0] / full if full >= 1.0 else 1.0
     calibrated = _xmp(xmp, "CalibratedFocalLength")
     if calibrated:
         return calibrated * shrink, "the maker's calibration"
@@ -123,4 +125,4 @@ def _number(text: str) -> float | None:
         value = float(text)
     except ValueError:
         return None
-    return value if math.isfinite(value) else None
+    return value if abs(value) < LARGEST else None
