@@ -12,7 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from geomosaic.control.read import read_control as read_image_control
@@ -187,6 +187,8 @@ def test_pieces_replaced(kind: str, cuts: list[tuple[float, int, str]]) -> None:
 
 
 @SETTINGS
+@example(exif={"FocalLengthIn35mmFilm": "1e308"}, xmp="")
+@example(exif={"FocalLengthIn35mmFilm": "50", "FocalLength": "1e9", "PixelXDimension": "1e-300"}, xmp="")
 @given(
     exif=st.dictionaries(
         st.sampled_from(
