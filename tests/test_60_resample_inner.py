@@ -73,3 +73,20 @@ assert np.allclose(product(a, a), a @ a)
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_other_threads_meet_no_stand_in() -> None:
+    """A mosaic loads Numba beside its balance, which may import SciPy's linear algebra at that very moment."""
+    script = """
+import sys, threading
+from geomosaic.resample.start import load_numba
+loading = threading.Thread(target=load_numba)
+loading.start()
+seen = True
+while loading.is_alive():
+    module = sys.modules.get("scipy.linalg.cython_blas")
+    seen = seen and (module is None or module.__spec__ is not None)
+print(seen)
+"""
+    done = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
+    assert done.stdout.strip() == "True"
