@@ -64,8 +64,9 @@ def _over(geometries: Any, transform: Transform) -> Any:
     out = shapely.transform(geometries, lambda xy: _plain(transform(xy)))
     deep = shapely.has_z(geometries)
     if deep.any():
-        both = lambda xyz: np.column_stack([_plain(transform(xyz[:, :2])), xyz[:, 2]])  # noqa: E731
-        out[deep] = shapely.transform(geometries[deep], both, include_z=True)
+        out[deep] = shapely.transform(
+            geometries[deep], lambda xyz: np.column_stack([_plain(transform(xyz[:, :2])), xyz[:, 2]]), include_z=True
+        )
     return out
 
 
