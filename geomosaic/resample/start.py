@@ -14,8 +14,7 @@ def load_numba() -> None:
 
     To learn whether there is a BLAS it imports SciPy's linear algebra, a tenth of a second and more for matrix products
     that no kernel takes. That module is given an empty stand-in meanwhile; who multiplies matrices later gets the true
-    one, which Numba looks up anew. Not where other threads run: one
-    that imports SciPy meanwhile would get the stand-in.
+    one, which Numba looks up anew. Not where other threads run: one that imports SciPy meanwhile would be given it.
     """
     absent = _BLAS not in sys.modules and threading.active_count() == 1
     if absent:
