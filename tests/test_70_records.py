@@ -20,6 +20,7 @@ from geomosaic.errors import OutputError, OutputExistsError
 from geomosaic.geo.grid import Grid
 from geomosaic.product.ortho import GeometryRecord
 from geomosaic.product.records import write_item, write_vectors
+from geomosaic.product.taken import time_span
 from geomosaic.radiometry.gain_offset import solve
 from geomosaic.raster.output import partial, remove
 from geomosaic.raster.vector import read_layer
@@ -49,13 +50,43 @@ def test_the_item_is_valid_stac_and_always_the_same(tmp_path: Path) -> None:
     assert item.id == "m"
     assert item.assets["mosaic"].extra_fields["file:size"] == 3
     assert item.properties["proj:code"] == "EPSG:32633"
-    assert facts["properties"]["datetime"] == "2020-09-13T12:26:40Z"
+    assert facts["properties"]["datetime"] is None
+    assert facts["properties"]["start_datetime"] == "1826-01-01T00:00:00Z"
+    assert facts["properties"]["end_datetime"] == "2020-09-13T12:26:40Z"
     west, south, east, north = facts["bbox"]
     assert 13.0 < west < east < 14.0
     assert 49.0 < south < north < 50.0
     again = made(tmp_path / "b", METRES)
     assert again == facts
     assert (tmp_path / "a" / "m.stac.json").read_bytes() == (tmp_path / "b" / "m.stac.json").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("acquired", "times"),
+    [
+        (["2024-06-21T12:00:00+02:00"] * 2, ("2024-06-21T10:00:00Z", "2024-06-21T10:00:00Z", "taken")),
+        (
+            ["2024-06-21T12:00:00Z", "2024-06-21T12:00:00-03:30"],
+            ("2024-06-21T12:00:00Z", "2024-06-21T15:30:00Z", "taken"),
+        ),
+        # Noon on Kiritimati is 22 h of the day before in Greenwich, noon on Baker Island its midnight.
+        (["2024-06-21T12:00:00"] * 2, ("2024-06-20T22:00:00Z", "2024-06-22T00:00:00Z", "taken, zone unknown")),
+        (["2024-06-21T12:00:00Z", ""], ("1826-01-01T00:00:00Z", "2024-06-21T12:00:00Z", "not known")),
+        ([], ("1826-01-01T00:00:00Z", "2020-09-13T12:26:40Z", "not known")),
+    ],
+)
+def test_times_are_of_acquisition_and_what_is_not_known_widens_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, acquired: list[str], times: tuple[str, str, str]
+) -> None:
+    """No file's time stands for the time an image was taken at: a copied file is no newer picture."""
+    images = [tmp_path / "a.tif", tmp_path / "b.tif"]
+    for image in images:
+        image.write_bytes(b"photo")
+        os.utime(image, (1_600_000_000, 1_600_000_000))
+    first, last, known = time_span(acquired, images)
+    assert (f"{first:%Y-%m-%dT%H:%M:%SZ}", f"{last:%Y-%m-%dT%H:%M:%SZ}", known) == times
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
+    assert time_span([], images)[1].year == 1970
 
 
 @pytest.mark.parametrize(

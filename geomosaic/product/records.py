@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,7 @@ from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.product.seams.quality import SeamQuality
+from geomosaic.product.taken import time_span
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output, partial, remove
@@ -124,9 +123,9 @@ def write_item(
 ) -> None:
     """Write a STAC item (version 1.1) whose assets are the files beside it; `checksums` are known SHA-256.
 
-    Its times are those at which the images were taken, first and last, where all files say so with their zone; else
-    those of the image files, or SOURCE_DATE_EPOCH. Equal runs make equal bytes. `sources` are columns of facts by
-    image, which go into the property `geomosaic:sources`.
+    Its times are the span in which the images were taken (`geomosaic.product.taken`); `geomosaic:times` says how it is
+    known. Equal runs make equal bytes. `sources` are columns of facts by image, which go into the property
+    `geomosaic:sources`.
 
     Raises
     ------
@@ -135,13 +134,14 @@ def write_item(
     """
     check_output(path, overwrite=overwrite)
     geometry, box = _outline(grid, outlines)
-    known = [str(text) for text in (sources or {}).get("acquired", ())]
-    first, last = _acquired(known) or _times(images)
+    start, end, known = time_span([str(text) for text in (sources or {}).get("acquired", ())], images)
+    first, last = (f"{time:%Y-%m-%dT%H:%M:%SZ}" for time in (start, end))
     code, t = horizontal(grid.crs).to_authority(), grid.transform
     properties: dict[str, Any] = {
         "datetime": last if first == last else None,
         "start_datetime": first,
         "end_datetime": last,
+        "geomosaic:times": known,
         "gsd": _metres(grid),
         "processing:software": {"geomosaic": _version()},
         "proj:code": ":".join(code) if code else None,
@@ -227,23 +227,6 @@ def _metres(grid: Grid) -> float:
     geod = crs.get_geod() or Geod(ellps="WGS84")
     (west, south), (east, north) = ends
     return float(geod.inv(west, south, east, north, radians=True)[2])
-
-
-def _times(images: list[Path]) -> tuple[str, str]:
-    """Oldest and newest time of the image files; SOURCE_DATE_EPOCH takes their place."""
-    epoch = os.environ.get("SOURCE_DATE_EPOCH")
-    seconds = [int(epoch)] if epoch else [int(image.stat().st_mtime) for image in images]
-    first, last = (datetime.fromtimestamp(second, UTC) for second in (min(seconds), max(seconds)))
-    return f"{first:%Y-%m-%dT%H:%M:%SZ}", f"{last:%Y-%m-%dT%H:%M:%SZ}"
-
-
-def _acquired(texts: Sequence[str]) -> tuple[str, str] | None:
-    """First and last time, where all are known with their zone."""
-    times = [datetime.fromisoformat(text) for text in texts if text]
-    if not texts or len(times) < len(texts) or any(time.tzinfo is None for time in times):
-        return None
-    first, last = (time.astimezone(UTC) for time in (min(times), max(times)))
-    return f"{first:%Y-%m-%dT%H:%M:%SZ}", f"{last:%Y-%m-%dT%H:%M:%SZ}"
 
 
 def _plain(value: Any) -> Any:

@@ -12,8 +12,8 @@ import rasterio
 import rasterio.crs
 import rasterio.shutil
 from affine import Affine
-from rasterio._err import CPLE_BaseError
 from rasterio.enums import Resampling
+from rasterio.errors import RasterioError
 from rasterio.io import MemoryFile
 from rasterio.warp import calculate_default_transform, reproject
 
@@ -67,7 +67,7 @@ def write_web(path: PathLike, grid: Grid, pixels: ByteArray, *, title: str, over
         sync(unfinished)
         unfinished.replace(path)
         sync(path.parent)
-    except (OSError, rasterio.errors.RasterioError, CPLE_BaseError, sqlite3.Error, zipfile.BadZipFile) as error:
+    except (OSError, RasterioError, sqlite3.Error, zipfile.BadZipFile) as error:
         raise OutputError(f"writing failed ({error})", where=str(path), mend="check the space on the disk") from error
     finally:
         if unfinished is not None:
@@ -105,7 +105,10 @@ def _overlay(path: Path, pixels: ByteArray, affine: Affine, crs: rasterio.crs.CR
         ) as made:  # fmt: skip
             made.write(pixels)
         with memory.open() as source:
-            rasterio.shutil.copy(source, path, driver="KMLSUPEROVERLAY", NAME=title, FORMAT="PNG")
+            try:
+                rasterio.shutil.copy(source, path, driver="KMLSUPEROVERLAY", NAME=title, FORMAT="PNG")
+            except Exception as error:  # of GDAL, in a class that rasterio keeps to itself
+                raise OSError(str(error)) from error
 
 
 def _undated(path: Path) -> None:
