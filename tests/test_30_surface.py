@@ -372,6 +372,20 @@ def test_rays_on_a_dem_first_hit_and_unknown(tmp_path):
     assert np.isnan(below).all()
 
 
+def test_rays_beside_a_dem_of_tiny_nodes_are_not_searched(tmp_path, monkeypatch):
+    """A DEM in degrees that is declared to be in metres has millions of nodes along each ray."""
+    heights = np.random.default_rng(1).uniform(400, 500, (40, 40)).astype(np.float32)
+    dem = Dem.open(write_dem(tmp_path / "d.tif", heights, Affine(1e-4, 0, 14.5, 0, -1e-4, 49.7)), heights="ellipsoidal")
+    asked = []
+    height = Dem.height
+    monkeypatch.setattr(Dem, "height", lambda self, xy: (asked.append(len(xy)), height(self, xy))[1])
+    origins = np.array([[400_000.0, 5_500_000.0, 1500.0], [14.502, 49.698, 1500.0]])
+    found = intersect(dem, UTM3, origins, unit(np.array([[0.5, 0.1, -1.0], [0.0, 0.0, -1.0]])))
+    assert np.isnan(found[0]).all()
+    assert found[1, 2] == pytest.approx(dem.height(origins[1:, :2])[0], abs=1e-6)
+    assert sum(asked) < 1000
+
+
 def test_geocentric_rays_on_a_geoid_dem(tmp_path):
     """Rays through known ground points of a tilted, geoid-based DEM come back to those points."""
     c, r = np.meshgrid(np.arange(300), np.arange(300))

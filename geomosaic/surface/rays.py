@@ -119,6 +119,10 @@ def _search(
     above, below = np.full(len(enter), np.nan), np.full(len(enter), np.nan)
     first, last = clearance.place(rays, enter[rays]), clearance.place(rays, leave[rays])
     length = np.hypot(*(last - first)[:, :2].T)
+    near = _near(surface, first, last, length)
+    if not near.any():
+        return above, below
+    rays, first, last, length = rays[near], first[near], last[near], length[near]
     counts = np.clip(np.ceil(2.0 * length / _spacing(surface, first, last)), 1, _MOST_STEPS)
     counts[~np.isfinite(counts)] = 1
     step = (leave[rays] - enter[rays]) / counts
@@ -141,6 +145,18 @@ def _search(
         on = ~found & (counts > done)
         rays, step, counts, known_above = rays[on], step[on], counts[on], known_above[on]
     return above, below
+
+
+def _near(surface: Surface, first: FloatArray, last: FloatArray, length: FloatArray) -> BoolArray:
+    """Whether rays (N,) may pass over the surface; those beside a raster need no search, however fine its nodes are."""
+    grid = getattr(surface, "grid", None)
+    if grid is None:
+        return np.ones(len(length), dtype=bool)
+    left, bottom, right, top = grid.bounds
+    slack = 0.05 * length[:, None]  # on a map a ray is not quite straight
+    least, most = np.minimum(first, last)[:, :2] - slack, np.maximum(first, last)[:, :2] + slack
+    near: BoolArray = ~((most < (left, bottom)) | (least > (right, top))).any(axis=1)
+    return near
 
 
 def _spacing(surface: Surface, first: FloatArray, last: FloatArray) -> float:
