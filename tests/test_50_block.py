@@ -185,6 +185,25 @@ def test_a_hole_of_the_dem_under_the_camera_is_no_dem_elsewhere(monkeypatch: pyt
             footprint(scene("stray"), surface, MAP)
 
 
+def test_a_dem_elsewhere_is_told_with_its_extent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Degrees that pass for metres show themselves."""
+    monkeypatch.setattr("geomosaic.block.footprint._nadir", lambda scene, crs: (X, Y))
+    surface = _at((X + 5000, Y))
+    object.__setattr__(surface, "grid", Grid.from_bounds(MAP, (14.5, 49.66, 14.55, 49.7), 0.01))
+    with pytest.raises(InputError, match=r"the DEM reaches over x 14\.5 to 14\.55, y 49\.66 to 49\.7 \(WGS 84 / UTM"):
+        footprint(scene("stray"), surface, MAP)
+
+
+def test_a_camera_below_the_ground(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Heights of the ground in feet are the usual cause; the sky is none."""
+    buried = np.array([[X, Y, GROUND_HEIGHT - 10]])
+    monkeypatch.setattr("geomosaic.block.footprint._origin", lambda scene: buried)
+    monkeypatch.setattr("geomosaic.block.footprint._nadir", lambda scene, crs: (X, Y))
+    with pytest.raises(InputError, match=r"below the ground: at 30\.0 m, where the ground is at 40\.0 m") as caught:
+        footprint(scene("mole", centre=tuple(buried[0])), PLANE, MAP)
+    assert "feet" in str(caught.value.mend)
+
+
 def test_an_image_of_the_sky() -> None:
     with pytest.raises(InputError, match="sky") as caught:
         footprint(scene("up", tilt=(2.8, 0.0, 0.0)), PLANE, MAP)

@@ -171,12 +171,19 @@ def _inwards(
     return places
 
 
-def _nadir(scene: Scene, crs: CRS) -> tuple[float, float] | None:
-    """Map position of the projection centre of the image's middle, where the model has one."""
+def _origin(scene: Scene) -> FloatArray | None:
+    """Projection centre (1, 3) of the image's middle, in the CRS of the model, where that has rays."""
     model = scene.model
     if not isinstance(model, HasRays):
         return None
-    origin = model.rays(np.array([[model.size[0] / 2, model.size[1] / 2]]))[0]
+    return model.rays(np.array([[model.size[0] / 2, model.size[1] / 2]]))[0]
+
+
+def _nadir(scene: Scene, crs: CRS) -> tuple[float, float] | None:
+    """Map position of the projection centre of the image's middle, where the model has one."""
+    model, origin = scene.model, _origin(scene)
+    if origin is None:
+        return None
     if model.crs.is_geocentric:
         lonlat = Transform(model.crs, geographic(model.crs))(origin)[:, :2]
         place = Transform(horizontal(geographic(model.crs)), horizontal(crs))(lonlat)[0]
@@ -201,6 +208,14 @@ def _within(grid: Grid, place: FloatArray) -> bool:
     return bool(left <= place[0] <= right and bottom <= place[1] <= top)
 
 
+def _reach(grid: Grid | None) -> str:
+    """Words on where a DEM lies: degrees that pass for metres show themselves."""
+    if grid is None:
+        return ""
+    left, bottom, right, top = (f"{value:.8g}" for value in grid.bounds)
+    return f"; the DEM reaches over x {left} to {right}, y {bottom} to {top} ({horizontal(grid.crs).name})"
+
+
 def _no_ground(scene: Scene, surface: Surface | None, crs: CRS) -> InputError:
     where = scene.name
     nadir = _nadir(scene, crs)
@@ -217,9 +232,19 @@ def _no_ground(scene: Scene, surface: Surface | None, crs: CRS) -> InputError:
                 )
             return InputError(
                 f"the image lies outside the DEM: there is no height under the camera at x {nadir[0]:.1f}, "
-                f"y {nadir[1]:.1f} ({horizontal(crs).name})",
+                f"y {nadir[1]:.1f} ({horizontal(crs).name}){_reach(grid)}",
                 where=where,
                 mend="check the CRS of the positions and of the DEM, or give a DEM that covers the image",
+            )
+    origin = _origin(scene)
+    if surface is not None and origin is not None:
+        camera = Transform(scene.model.crs, surface.crs)(origin)[0]
+        ground = surface.height(camera[None, :2])[0]
+        if ground >= camera[2]:
+            return InputError(
+                f"the camera lies below the ground: at {camera[2]:.1f} m, where the ground is at {ground:.1f} m",
+                where=where,
+                mend="check the heights of the positions and of the ground: their units (feet for metres), their column",
             )
     return InputError(
         "the middle of the image sees no ground: it looks at the sky, or past the edge of the DEM",
