@@ -346,6 +346,39 @@ def test_an_input_is_never_written_over_asked_for_or_not(tell, block, tmp_path):
     assert {path: path.read_bytes() for path in own.rglob("*.*")} == before
 
 
+def test_a_raster_is_not_written_under_the_name_of_another_format(tell, block, tmp_path):
+    for name, said in (("m.jpg", "called '.jpg'"), ("m.gpkg", "called '.gpkg'")):
+        for command, image in (("ortho", photos(block)[:1]), ("mosaic", photos(block))):
+            code, printed, err = tell(command, *image, *flags(block), "--res", 8, "-o", tmp_path / name)
+            assert (code, printed) == (1, "")
+            assert said in err
+            assert "m.tif" in err
+    code, _, err = tell("ortho", photos(block)[0], *flags(block), "--overwrite", "-o", os.devnull)
+    assert (code, "no ordinary file" in err) == (1, True)
+    code, _, err = tell("ortho", photos(block)[0], *flags(block), "--overwrite", "-o", tmp_path)
+    assert (code, "is a folder" in err) == (1, True)
+    assert not list(tmp_path.iterdir())
+
+
+def test_numbers_of_a_palette_are_not_averaged(tell, block, tmp_path):
+    """Between colour 3 and colour 5 of a palette lies colour 4, which may be any."""
+    paletted = [tmp_path / Path(name).with_suffix(".png").name for name in photos(block)]
+    for path, name in zip(paletted, photos(block), strict=True):
+        with Image.open(name) as image:
+            image.convert("P", palette=Image.Palette.ADAPTIVE).save(path)
+    out = tmp_path / "out.tif"
+    for command, images in (("ortho", paletted[:1]), ("mosaic", paletted), ("mosaic", [*paletted, "--rule", "first"])):
+        words = (command, *images, *flags(block), "--res", 8, "-o", out)
+        code, _, err = tell(*words)
+        assert code == 1
+        assert "palette" in err
+        assert "gdal_translate -expand rgb" in err
+        assert not out.exists()
+    assert tell("ortho", paletted[0], *flags(block), "--res", 8, "--resampling", "nearest", "-o", out)[0] == 0
+    with rasterio.open(out) as made, Image.open(paletted[0]) as image:
+        assert set(np.unique(made.read(1))) <= set(np.unique(np.asarray(image))) | {0}
+
+
 # Bad input: each with a message, exit code 1, and nothing under the final name
 
 

@@ -244,7 +244,7 @@ def _no_ground(scene: Scene, surface: Surface | None, crs: CRS) -> InputError:
             return InputError(
                 f"the camera lies below the ground: at {camera[2]:.1f} m, where the ground is at {ground:.1f} m",
                 where=where,
-                mend="check the heights of the positions and of the ground: their units (feet for metres), their column",
+                mend="check the heights of the positions and of the ground: units (feet for metres) and columns",
             )
     return InputError(
         "the middle of the image sees no ground: it looks at the sky, or past the edge of the DEM",

@@ -21,7 +21,7 @@ from geomosaic.product.provenance import source_facts
 from geomosaic.product.records import gains, write_item, write_vectors
 from geomosaic.product.seams.order import ordered
 from geomosaic.raster.checksum import sha256
-from geomosaic.raster.output import check_output
+from geomosaic.raster.output import check_geotiff, check_output
 from geomosaic.resample.engine import engine_for
 from geomosaic.sensor.ground import Ground
 
@@ -56,11 +56,12 @@ def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, opt
     labels = beside(output, "-labels", ".tif") if options.labels and rule in LABELLED else None
     item = beside(output, "", ".stac.json") if options.stac and not grid.crs.is_engineering else None
     vectors = beside(output, "", ".gpkg") if options.vectors else None
-    for path in (output, labels, vectors, item):
+    check_geotiff(output, overwrite=render.overwrite)
+    for path in (labels, vectors, item):
         if path is not None:
             check_output(path, overwrite=render.overwrite)
     seconds: dict[str, float] = {}
-    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.depth)
+    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.depth, render.resampling)
     try:
         with Clock(seconds, "balance"):
             solved = _balanced(photos, options)

@@ -37,7 +37,7 @@ from geomosaic.product.seams.visible import outlines_of
 from geomosaic.product.visibility import DETAIL, visibility
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
-from geomosaic.raster.output import check_output
+from geomosaic.raster.output import check_geotiff, check_output
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.vector import prepare
 from geomosaic.resample.engine import engine_for
@@ -92,12 +92,13 @@ def mosaic(
     vectors = beside(output, "", ".gpkg") if options.vectors else None
     # A map of its own lies nowhere on the Earth, which a STAC item would have to say.
     item = beside(output, "", ".stac.json") if options.stac and not grid.crs.is_engineering else None
-    for path in (output, labels, views, relief, vectors, item):
+    check_geotiff(output, overwrite=render.overwrite)
+    for path in (labels, views, relief, vectors, item):
         if path is not None:  # before an hour's work, not behind it
             check_output(path, overwrite=render.overwrite)
     width = options.blending.pixels(grid, options.feather)
     seconds: dict[str, float] = {}
-    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.depth)
+    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.depth, render.resampling)
     beside_it = ThreadPoolExecutor(1)
     earlier = Earlier(photos, options)
     reuse: Reuse | None = None

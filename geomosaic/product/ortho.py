@@ -15,6 +15,7 @@ from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.holes import height_notes
 from geomosaic.product.options import RenderOptions
+from geomosaic.product.palette import refuse_palette
 from geomosaic.product.photo import Photo, pull
 from geomosaic.product.pool import in_order
 from geomosaic.raster.sink import RasterSink
@@ -130,6 +131,7 @@ def ortho(
     started = time.perf_counter()
     photo = Photo.open(scene, surface, grid, outline, options.memory_limit // 2)
     info = photo.source.info
+    refuse_palette(info, options.resampling)
     engine = engine_for(samples(grid, [outline]), options.resampling)
     record, seen, hidden = GeometryRecord(), 0, 0
     colour = Colour.identity(info.bands)

@@ -14,6 +14,7 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.product.depth import Depth
+from geomosaic.product.palette import refuse_palette
 from geomosaic.product.photo import Photo
 from geomosaic.raster.source import SourceInfo, inspect
 from geomosaic.sensor.lattice import BLOCK_HEIGHT
@@ -36,14 +37,24 @@ class Photos:
         Bytes that images which cannot be read by windows may hold, all together.
     depth : Depth, optional
         Sample type of the output; that of the images unless given.
+    resampling : str
+        How they will be read.
     """
 
     def __init__(
-        self, block: Block, grid: Grid, outlines: Sequence[Footprint], memory: int, depth: Depth | None = None
+        self,
+        block: Block,
+        grid: Grid,
+        outlines: Sequence[Footprint],
+        memory: int,
+        depth: Depth | None = None,
+        resampling: str = "nearest",
     ) -> None:
         self.block, self.grid, self.outlines = block, grid, outlines
         self.windows = [grid.window_of(outline.bounds) for outline in outlines]
         infos = [inspect(scene.path, scene.bands) for scene in block.scenes]
+        for info in infos:
+            refuse_palette(info, resampling)
         dtype, self._scales = (depth or Depth()).scales(infos)
         self.info = replace(_common(infos, block), dtype=dtype)
         self._most_whole = _most_at_once(self.windows)

@@ -13,13 +13,14 @@ from pyproj import CRS
 
 from geomosaic.block.footprint import Footprint
 from geomosaic.block.scene import Scene
-from geomosaic.errors import InputError, OutputExistsError
+from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.product.extent import check_size, footprints, note_far_crs, output_crs, output_grid
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs, PlanarInputs
 from geomosaic.raster.info import inspect
+from geomosaic.raster.output import check_output
 from geomosaic.surface.model import Surface
 
 if TYPE_CHECKING:
@@ -94,12 +95,7 @@ def refuse_existing(path: Path, overwrite: bool, inputs: BlockInputs | None = No
     read = () if inputs is None else (*inputs.images, *inputs.tables, *inputs.ground)
     if path.exists() and any(file.exists() and path.samefile(file) for file in read):
         raise InputError("the output is one of the inputs", where=str(path), mend="give another name for the output")
-    if path.exists() and not overwrite:
-        raise OutputExistsError("the output exists", where=str(path), mend="give another name, or --overwrite")
-    if not path.absolute().parent.is_dir():
-        raise InputError(
-            "the folder of the output does not exist", where=str(path), mend="make it, or give another path"
-        )
+    check_output(path, overwrite=overwrite)
 
 
 def make_ortho(inputs: BlockInputs, area: Area, output: Path, options: RenderOptions) -> OrthoResult:

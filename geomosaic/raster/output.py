@@ -9,6 +9,12 @@ from pathlib import Path
 
 from geomosaic.errors import InputError, OutputExistsError
 
+OTHER_FORMATS = (
+    ".bmp", ".ecw", ".gif", ".gpkg", ".img", ".jp2", ".jpeg", ".jpg", ".json", ".kmz", ".mbtiles", ".nc", ".pdf",
+    ".png", ".shp", ".sid", ".vrt", ".webp", ".zip",
+)  # fmt: skip
+"""Endings of what a raster is not written as."""
+
 
 def check_output(path: Path, *, overwrite: bool) -> None:
     """Refuse a final name that is taken, or whose folder does not exist.
@@ -18,14 +24,34 @@ def check_output(path: Path, *, overwrite: bool) -> None:
     OutputExistsError
         The file exists and `overwrite` is false.
     InputError
-        The name is a folder's, or its folder does not exist.
+        The name is a folder's or a device's, or its folder does not exist.
     """
+    if path.exists() and not (path.is_dir() or path.is_file()):
+        raise InputError("the output is no ordinary file", where=str(path), mend="give another name")
     if path.is_dir():
-        raise InputError("the output is a folder", where=str(path), mend="name a file")
+        raise InputError("the output is a folder", where=str(path), mend="give the name of a file in it")
     if not path.parent.is_dir():
-        raise InputError("the folder of the output does not exist", where=str(path), mend="make it, or check the path")
+        raise InputError(
+            "the folder of the output does not exist", where=str(path), mend="make it, or give another path"
+        )
     if path.exists() and not overwrite:
-        raise OutputExistsError("the output exists", where=str(path), mend="choose another name, or give --overwrite")
+        raise OutputExistsError("the output exists", where=str(path), mend="give another name, or --overwrite")
+
+
+def check_geotiff(path: Path, *, overwrite: bool) -> None:
+    """As `check_output`; names that promise another format are refused too.
+
+    Raises
+    ------
+    OutputExistsError, InputError
+    """
+    check_output(path, overwrite=overwrite)
+    if path.suffix.lower() in OTHER_FORMATS:
+        raise InputError(
+            f"the output would be a GeoTIFF, and is called '{path.suffix}'",
+            where=str(path),
+            mend=f"call it {path.stem}.tif; gdal_translate makes other formats of it",
+        )
 
 
 def partial(path: Path, suffix: str = "") -> Path:

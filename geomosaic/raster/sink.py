@@ -14,7 +14,7 @@ from geomosaic.errors import OutputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.codec import BLOCK
 from geomosaic.raster.options import check_nodata, check_type, creation_options
-from geomosaic.raster.output import check_output, partial, remove, sync
+from geomosaic.raster.output import check_geotiff, partial, remove, sync
 from geomosaic.raster.tilefile import TileFile
 from geomosaic.types import AnyArray, ByteArray, PathLike
 
@@ -87,7 +87,7 @@ class RasterSink:
     ) -> None:
         self.path = Path(path)
         self._grid, self._bands, self._dtype = grid, bands, check_type(dtype, str(path))
-        check_output(self.path, overwrite=overwrite)
+        check_geotiff(self.path, overwrite=overwrite)
         check_nodata(dtype, nodata, str(path))
         overviews = "nearest" if classes else "average"
         made = creation_options(driver, bands, self._dtype, creation or {}, overviews, photometric, str(path))

@@ -152,10 +152,10 @@ def _near(surface: Surface, first: FloatArray, last: FloatArray, length: FloatAr
     grid = getattr(surface, "grid", None)
     if grid is None:
         return np.ones(len(length), dtype=bool)
-    left, bottom, right, top = grid.bounds
+    bounds = np.array(grid.bounds)
     slack = 0.05 * length[:, None]  # on a map a ray is not quite straight
     least, most = np.minimum(first, last)[:, :2] - slack, np.maximum(first, last)[:, :2] + slack
-    near: BoolArray = ~((most < (left, bottom)) | (least > (right, top))).any(axis=1)
+    near: BoolArray = np.all((most >= bounds[:2]) & (least <= bounds[2:]), axis=1)
     return near
 
 

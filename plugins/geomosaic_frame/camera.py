@@ -115,11 +115,7 @@ class Camera:
         (w, h), (new_w, new_h) = self.size, size
         # A copy's sides are rounded to whole pixels: allow each of them its rounding.
         if abs(new_w * h - new_h * w) > max(w, h):
-            hint = (
-                "the photo is rotated by its EXIF orientation"
-                if new_w == h or (new_w < new_h) != (w < h)
-                else "cropped"
-            )
+            hint = "rotated by its EXIF orientation" if new_w == h or (new_w < new_h) != (w < h) else "cropped"
             raise InputError(
                 f"the image has {new_w} x {new_h} pixels, the camera {w} x {h}: not the same shape",
                 where=where,
