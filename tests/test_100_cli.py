@@ -544,6 +544,18 @@ def test_a_resolution_in_the_wrong_unit_is_told_as_such(tell, block, tmp_path):
     assert "larger than all the images show" in err
 
 
+def test_an_output_of_days_that_shows_no_more_than_the_images_is_refused(tell, block, tmp_path):
+    """Millimetres for metres. A small place may be as fine as anyone likes."""
+    for command, images in (("ortho", photos(block)[:1]), ("mosaic", photos(block))):
+        code, _, err = tell(command, *images, *flags(block), "--res", 0.001, "-o", tmp_path / "m.tif")
+        assert code == 1
+        assert "the images show no more than 0.6" in err
+        assert "a pixel size of about 0.6" in err
+    assert not list(tmp_path.iterdir())
+    place = ("--res", 0.001, "--bounds", 399900, 5500300, 399900.1, 5500300.1)
+    assert tell("ortho", photos(block)[0], *flags(block), *place, "-o", tmp_path / "m.tif")[0] == 0
+
+
 def test_an_output_crs_far_from_its_area_is_told(tell, block, tmp_path):
     code, _, err = tell(
         "ortho", photos(block)[0], *flags(block), "--dst-crs", "EPSG:2180", "--res", 20, "-o", tmp_path / "o.tif"

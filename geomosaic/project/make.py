@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from geomosaic.product.ortho import OrthoResult
 
 
+MANY_PIXELS, FINER = 1_000_000_000, 10.0
+"""Pixels of an output, and how many times finer than the images they are, that together nobody can mean."""
+
+
 @dataclass(frozen=True)
 class Area:
     """Where the output lies; what is not given follows from the images.
@@ -66,6 +70,7 @@ def plan(scenes: Sequence[Scene], surface: Surface | None, area: Area) -> tuple[
     _judge(crs, outlines, area.resolution)
     grid = output_grid(crs, outlines, area.resolution, area.bounds, snap=area.snap)
     check_size(grid)
+    _check_fineness(grid, outlines)
     return grid, outlines
 
 
@@ -75,6 +80,19 @@ def grid_of(path: Path) -> Grid:
     if info.crs is None or info.transform is None:
         raise InputError("the raster is not georeferenced", where=str(path), mend="name one that is")
     return Grid(horizontal(info.crs), info.transform, info.width, info.height)
+
+
+def _check_fineness(grid: Grid, outlines: list[Footprint]) -> None:
+    """Refuse what would take days and show nothing more than the images do: a pixel size in a wrong unit."""
+    finest = min(outline.sampling for outline in outlines)
+    pixel = grid.resolution[0]
+    if grid.width * grid.height > MANY_PIXELS and finest > FINER * pixel:
+        unit = grid.crs.axis_info[0].unit_name
+        raise InputError(
+            f"the output would have {grid.width} x {grid.height} pixels of {pixel:g} {unit}; the images show no more "
+            f"than {finest:.3g}",
+            mend=f"a pixel size of about {finest:.2g} {unit}, or smaller bounds",
+        )
 
 
 def _judge(crs: CRS, outlines: list[Footprint], resolution: float | None) -> None:
