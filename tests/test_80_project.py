@@ -121,6 +121,12 @@ def test_names_match_with_or_without_extension_and_never_by_prefix():
     assert stem("a\\b\\c.tif") == "c"
 
 
+def test_names_match_however_accents_are_stored():
+    parted, whole = "flug/O\u0308st 1.jpg", "\u00d6st 1.jpg"
+    assert find_by_name({whole: 1}, parted) == 1
+    assert find_by_name({"O\u0308st 1": 1}, whole) == 1
+
+
 def test_control_points(tmp_path):
     text = (
         "id,x,y,z,image,col,row,sigma_px,role\n"

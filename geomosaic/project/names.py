@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePath
 from typing import TypeVar
@@ -21,6 +22,11 @@ def stem(name: str) -> str:
     return base if dot and base and extension.isalnum() and not extension.isdigit() else last
 
 
+def _last(name: str) -> str:
+    """Name without folders. File systems of Macs part letters from their accents, tables as a rule do not."""
+    return unicodedata.normalize("NFC", PurePath(name.replace("\\", "/")).name)
+
+
 def corrections_file(pattern: str, image: str) -> Path:
     """Correction grid of an image: '{image}' in a pattern takes its name, without folder and extension."""
     return Path(pattern.replace("{image}", stem(image)))
@@ -28,13 +34,13 @@ def corrections_file(pattern: str, image: str) -> Path:
 
 def find_by_name(rows: Mapping[str, Value], image: str) -> Value | None:
     """Entry of a table for an image: by its full file name, else with either side's extension left off."""
-    last = PurePath(image.replace("\\", "/")).name
+    last = _last(image)
     for key, value in rows.items():
-        if PurePath(key.replace("\\", "/")).name == last:
+        if _last(key) == last:
             return value
     bare = stem(last)
     for key, value in rows.items():
-        if key == bare or stem(key) == bare:
+        if bare in (_last(key), stem(_last(key))):
             return value
     return None
 
