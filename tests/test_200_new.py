@@ -10,7 +10,7 @@ import pytest
 from pyproj import Transformer
 
 from geomosaic.project.draft.carried import Carried, carried_by, images_of, write_tables
-from geomosaic.project.draft.draft import Draft, draft_project
+from geomosaic.project.draft.write import Draft, draft_project
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.orientation.exterior import read_exterior
 from geomosaic.project.photos import photos_of

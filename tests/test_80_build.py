@@ -19,7 +19,7 @@ from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.project.build import build_block
-from geomosaic.project.draft.draft import draft_project
+from geomosaic.project.draft.write import draft_project
 from geomosaic.project.ground import height_below
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.orientation.exterior import RECONSTRUCTIONS, SYSTEM_NAMES

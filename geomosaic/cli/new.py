@@ -54,7 +54,7 @@ def command(
 
     from geomosaic.cli.request import block_inputs
     from geomosaic.project.draft.carried import Carried, carried_by, images_of, planar_of, write_tables
-    from geomosaic.project.draft.draft import draft_project, write_project
+    from geomosaic.project.draft.write import draft_project, write_project
     from geomosaic.project.make import refuse_existing
 
     with notes():

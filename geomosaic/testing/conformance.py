@@ -20,19 +20,12 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.geo.crs import geographic, has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import HasJacobian, HasRays, SensorModel
 from geomosaic.sensor.solve import image_to_ground, image_to_height, resect
 from geomosaic.sensor.solve.derivatives import difference_jacobian
-from geomosaic.surface.plane import Plane
-from geomosaic.types import BoolArray, FloatArray
-
-
-def require(condition: bool | np.bool, broken: str) -> None:
-    """Fail with the broken part of the contract in words."""
-    if not condition:
-        raise AssertionError(broken)
+from geomosaic.testing.parts import adjustable, level, near, require
+from geomosaic.types import FloatArray
 
 
 class SensorModelTests:
@@ -96,9 +89,9 @@ class SensorModelTests:
         """A point has the same image alone, in company and in another order."""
         image = model.ground_to_image(ground)
         alone = np.vstack([model.ground_to_image(point[None]) for point in ground])
-        require(_near(image, alone, self.same), "a point alone has another image than among others")
+        require(near(image, alone, self.same), "a point alone has another image than among others")
         backwards = model.ground_to_image(np.ascontiguousarray(ground[::-1]))[::-1]
-        require(_near(image, backwards, self.same), "the image of a point depends on the order of the points")
+        require(near(image, backwards, self.same), "the image of a point depends on the order of the points")
 
     def test_bad_points_are_nan(self, model: SensorModel, ground: FloatArray) -> None:
         """A NaN or far-off point raises nothing, warns of nothing and spoils no other point."""
@@ -111,9 +104,7 @@ class SensorModelTests:
             except Exception as error:
                 raise AssertionError(f"a {name} point makes ground_to_image raise {error!r}") from error
             rest = np.delete(image, 1, axis=0)
-            require(
-                _near(rest, model.ground_to_image(ground), self.same), f"a {name} point changes the image of others"
-            )
+            require(near(rest, model.ground_to_image(ground), self.same), f"a {name} point changes the image of others")
             if np.isnan(value):
                 require(np.isnan(image[1]).all(), "a NaN point has an image; it must be (NaN, NaN)")
             require(np.isnan(image[1]).all() or not np.isnan(image[1]).any(), "only one of (col, row) is NaN")
@@ -178,7 +169,7 @@ class SensorModelTests:
         changed += 1.0
         require(not np.array_equal(other.parameters.values, changed), "a model shares its values with the caller")
         again = other.with_values(kept)
-        require(_near(again.ground_to_image(ground), image, 0.0), "with_values there and back changes the image")
+        require(near(again.ground_to_image(ground), image, 0.0), "with_values there and back changes the image")
         require(
             other.parameters.names == before.names and np.array_equal(other.parameters.sigmas, before.sigmas),
             "with_values changes names or sigmas",
@@ -215,7 +206,7 @@ class SensorModelTests:
 
     def test_image_to_ground(self, model: SensorModel, ground: FloatArray) -> None:
         """Image → plane of one height → image closes within 1e-6 pixel."""
-        surface = _level(model, ground)
+        surface = level(model, ground)
         image = model.ground_to_image(ground)
         found = image_to_ground(model, image, surface)
         require(np.isfinite(found).all(), "image_to_ground finds no ground for a visible point")
@@ -244,7 +235,7 @@ class SensorModelTests:
     def test_resection(self, model: SensorModel, ground: FloatArray) -> None:
         """Free parameters that were moved by some steps are found again from `ground` and its image."""
         parameters, image = model.parameters, model.ground_to_image(ground)
-        free = _adjustable(parameters.sigmas)
+        free = adjustable(parameters.sigmas)
         signs = np.where(np.arange(len(parameters)) % 3 == 0, -1.0, 1.0)
         moved = parameters.values + np.where(free, self.perturbation * signs * parameters.steps, 0.0)
         solved = resect(model.with_values(moved), ground, image, priors=np.where(free, np.inf, 0.0))
@@ -262,16 +253,16 @@ class SensorModelTests:
         image = model.ground_to_image(ground)
         origins, directions = model.rays(image)
         require(origins.shape == ground.shape and directions.shape == ground.shape, "rays are not two arrays of (N, 3)")
-        require(_near(np.linalg.norm(directions, axis=1), 1.0, 1e-9), "directions of rays are not unit vectors")
+        require(near(np.linalg.norm(directions, axis=1), 1.0, 1e-9), "directions of rays are not unit vectors")
         along = np.einsum("ni,ni->n", ground - origins, directions)
         require(bool((along > 0.0).all()), "rays point away from the ground")
         for share in (0.7, 1.0, 1.1):
             back = model.ground_to_image(origins + directions * (share * along)[:, None])
-            require(_near(back, image, 1e-6), "points along a ray are not mapped onto the image point of the ray")
+            require(near(back, image, 1e-6), "points along a ray are not mapped onto the image point of the ray")
 
     def test_rays_agree_with_the_general_inverse(self, model: SensorModel, ground: FloatArray) -> None:
         """`image_to_ground` over rays and over `ground_to_image` alone give one ground point."""
-        surface = _level(model, ground)
+        surface = level(model, ground)
         if not isinstance(model, HasRays) or surface is None:
             return
         image = model.ground_to_image(ground)
@@ -279,7 +270,7 @@ class SensorModelTests:
         general = to_model(image_to_height(model, image, surface.z, surface.crs))
         short = to_model(image_to_ground(model, image, surface))
         moved = model.ground_to_image(short) - model.ground_to_image(general)
-        require(_near(moved, 0.0, 1e-6), "rays lead to other ground points than ground_to_image")
+        require(near(moved, 0.0, 1e-6), "rays lead to other ground points than ground_to_image")
 
     def test_threads(self, model: SensorModel, ground: FloatArray) -> None:
         """Threads that use one model at once get what one thread gets."""
@@ -289,26 +280,6 @@ class SensorModelTests:
             found = list(pool.map(model.ground_to_image, batches))
         same = all(np.array_equal(a, b, equal_nan=True) for a, b in zip(expected, found, strict=True))
         require(same, "results differ when several threads use the model at once")
-
-
-def _level(model: SensorModel, ground: FloatArray) -> Plane | None:
-    """Plane at the mean height of the ground points; None for models without heights."""
-    if not has_heights(model.crs):
-        return None
-    crs = geographic(model.crs) if model.crs.is_geocentric else model.crs
-    return Plane(crs, float(Transform(model.crs, crs)(ground)[:, 2].mean()))
-
-
-def _near(a: FloatArray, b: FloatArray | float, tolerance: float) -> bool:
-    return bool(np.allclose(a, b, rtol=0.0, atol=tolerance, equal_nan=True))
-
-
-def _adjustable(sigmas: FloatArray) -> BoolArray:
-    """Parameters for the resection test: the free ones, or else those not fixed, or else all."""
-    for chosen in (np.isinf(sigmas), sigmas > 0.0):
-        if chosen.any():
-            return chosen
-    return np.ones(len(sigmas), dtype=np.bool_)
 
 
 def failures(model: SensorModel, ground: FloatArray, kit: type[SensorModelTests] = SensorModelTests) -> dict[str, str]:

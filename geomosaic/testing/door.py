@@ -7,7 +7,7 @@ from typing import Any
 
 from geomosaic.errors import GeomosaicError
 from geomosaic.sensor.plugin import SensorInput, SensorPlugin, SensorRequest
-from geomosaic.testing.conformance import require
+from geomosaic.testing.parts import require
 
 UNKNOWN = "no_such_input"
 

@@ -277,8 +277,7 @@ def _parameters(kind: str, scan: Scan, values: np.ndarray, above: float) -> Para
     if kind != "scanner":
         lines = size[1] if kind == "panoramic" else scan.sweeps.lines
         steps += [values[13] / lines * 2, 1.0]
-    free = math.inf
-    sigmas = [free] * 3 + [free, free, 0.0] + [free] * 3
+    sigmas = [math.inf] * 5 + [0.0] + [math.inf] * 3
     sigmas += [0.0] * (len(values) - len(sigmas))
     unit = PER_STEP[kind]
     units = ("m",) * 3 + (f"m/{unit}",) * 3 + ("deg",) * 3 + (f"deg/{unit}",) * 3 + ("deg", "px", "px")

@@ -20,7 +20,7 @@ from geomosaic.jobs.steps.restore import area_of, render_options, restore_block
 from geomosaic.product.blend.options import Blending, Width
 from geomosaic.product.colour.facts import colour_facts, picture
 from geomosaic.product.reruns.reuse import Memory
-from geomosaic.project.draft.draft import relative
+from geomosaic.project.draft.write import relative
 from geomosaic.project.frames import describe
 from geomosaic.project.load import Project
 from geomosaic.project.make import reference_scene

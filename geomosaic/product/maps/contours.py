@@ -13,7 +13,7 @@ from geomosaic.carto.contours import nice_interval, trace
 from geomosaic.carto.spots import SpotHeight, find_spots
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import height_name
-from geomosaic.product.maps.relief import nodes_of
+from geomosaic.product.maps.sheet_relief import nodes_of
 from geomosaic.raster.output import check_output
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.surface.dem import Dem

@@ -25,7 +25,7 @@ from geomosaic.geo.crs import geographic, is_local, parse_crs
 from geomosaic.geo.local import map_place
 from geomosaic.product.maps.enhance import band_curves, finishing, shown_bands
 from geomosaic.product.maps.layer import VectorInput, read_overlay
-from geomosaic.product.maps.relief import SheetRelief, sheet_relief
+from geomosaic.product.maps.sheet_relief import SheetRelief, sheet_relief
 from geomosaic.raster.output import check_output
 from geomosaic.raster.source import Source
 from geomosaic.types import ByteArray

@@ -97,8 +97,7 @@ def resect(
     residuals = problem.residuals(model)
     seen = _seen(residuals)
     problem.need_enough(seen)
-    cost = problem.cost(residuals, seen, values)
-    iteration = 0
+    cost, iteration = problem.cost(residuals, seen, values), 0
     while True:
         iteration += 1
         if iteration > ROUNDS:
