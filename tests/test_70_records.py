@@ -42,7 +42,20 @@ def made(folder: Path, grid: Grid, name: str = "m.stac.json", *, overwrite: bool
     return json.loads((folder / name).read_text())
 
 
-def test_the_item_is_valid_stac_and_always_the_same(tmp_path: Path) -> None:
+@pytest.mark.parametrize("grid", [METRES, FEET, DEGREES], ids=["metres", "feet", "degrees"])
+def test_the_item_keeps_the_schema_of_stac(tmp_path: Path, grid: Grid) -> None:
+    """By the schemas that pystac brings; those of extensions are on the net."""
+    pytest.importorskip("jsonschema")
+    import pystac
+
+    facts = made(tmp_path, grid)
+    assert pystac.Item.from_dict({**facts, "stac_extensions": []}).validate()
+    facts["assets"]["mosaic"]["roles"] = "data"
+    with pytest.raises(pystac.STACValidationError):
+        pystac.Item.from_dict({**facts, "stac_extensions": []}).validate()
+
+
+def test_the_item_is_read_by_pystac_and_is_always_the_same(tmp_path: Path) -> None:
     import pystac
 
     facts = made(tmp_path / "a", METRES)
