@@ -146,6 +146,24 @@ def test_control_points(tmp_path):
         assert str(caught.value.where).endswith("line 3")
 
 
+def test_deviations_of_control_points_can_be(tmp_path):
+    head = "id,x,y,z,image,col,row,sigma_xy,sigma_px\n"
+    for bad, words in (("-1,0.5", "sigma_xy is -1"), ("0.1,-2", "sigma_px is -2"), ("0.1,0", "sigma_px is 0")):
+        with pytest.raises(InputError, match=words) as caught:
+            read_control(write(tmp_path / "g.csv", f"{head}P1,1,2,3,a,1,1,{bad}\n"), ["a.tif"])
+        assert str(caught.value.where).endswith("line 2")
+        assert caught.value.mend
+    (point,) = read_control(write(tmp_path / "g.csv", f"{head}P1,1,2,3,a,1,1,0,\n"), ["a.tif"])
+    assert (point.sigma_xy, point.sigma_px) == (0.0, 1.0)
+
+
+def test_control_that_is_measured_elsewhere_only_is_told(tmp_path):
+    """As if there were none; a table whose names are spelt otherwise would judge nothing in silence."""
+    file = write(tmp_path / "g.csv", "id,x,y,z,image,col,row\nP1,1,2,3,scan_1.tif,1,1\n")
+    with pytest.warns(GeomosaicWarning, match=r"g.csv: no point is measured in an image.*'scan_1.tif'"):
+        assert read_control(file, ["photo_1.tif"]) == ()
+
+
 PROJECT = """
 format = 1
 [project]

@@ -22,8 +22,8 @@ def stem(name: str) -> str:
     return base if dot and base and extension.isalnum() and not extension.isdigit() else last
 
 
-def _last(name: str) -> str:
-    """Name without folders. File systems of Macs part letters from their accents, tables as a rule do not."""
+def file_name(name: str) -> str:
+    """Name without folders, to compare by: file systems of Macs part letters from their accents, tables do not."""
     return unicodedata.normalize("NFC", PurePath(name.replace("\\", "/")).name)
 
 
@@ -34,13 +34,13 @@ def corrections_file(pattern: str, image: str) -> Path:
 
 def find_by_name(rows: Mapping[str, Value], image: str) -> Value | None:
     """Entry of a table for an image: by its full file name, else with either side's extension left off."""
-    last = _last(image)
+    last = file_name(image)
     for key, value in rows.items():
-        if _last(key) == last:
+        if file_name(key) == last:
             return value
     bare = stem(last)
     for key, value in rows.items():
-        if bare in (_last(key), stem(_last(key))):
+        if bare in (file_name(key), stem(file_name(key))):
             return value
     return None
 
