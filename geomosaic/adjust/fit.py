@@ -87,11 +87,6 @@ class ControlFit:
         return total_rms(self.residuals)
 
     @property
-    def map_rms(self) -> tuple[float, float]:
-        """RMS of the residuals in x and y, map units."""
-        return axis_rms(self.map_residuals)
-
-    @property
     def map_rms_total(self) -> float:
         """RMS length of the residuals on the map."""
         return total_rms(self.map_residuals)
@@ -102,19 +97,9 @@ class ControlFit:
         return total_rms(self.leave_one_out)
 
     @property
-    def map_leave_one_out_rms(self) -> float:
-        """RMS length of the leave-one-out errors on the map."""
-        return total_rms(self.map_leave_one_out)
-
-    @property
     def figure95(self) -> float:
         """Radius, pixels, that holds about 95 % of errors like the residuals: 2.5 × RMS of one axis."""
         return textbook95(self.residuals)
-
-    @property
-    def map_figure95(self) -> float:
-        """The same on the map."""
-        return textbook95(self.map_residuals)
 
 
 def fit_control(

@@ -87,11 +87,6 @@ def angle_text(degrees: float, step: float = 1 / 3600, *, signs: str = "") -> st
     return text if units == 0 else f"{text}{_WIDTH_OF_SPACE}{signs[0 if degrees > 0 else 1]}"
 
 
-def length_text(metres: float) -> str:
-    """A length in metres or kilometres: '500 m', '2.5 km'."""
-    return f"{metres / 1000:g} km" if metres >= 1000 else f"{metres:g} m"
-
-
 def metres_per_unit(crs: CRS) -> float:
     """Metres in one unit of a projected CRS."""
     return float(crs.axis_info[0].unit_conversion_factor) if crs.axis_info else 1.0

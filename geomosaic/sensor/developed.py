@@ -16,7 +16,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal
+from geomosaic.geo.crs import geocentric, geographic, has_heights
 from geomosaic.geo.engineering import is_free
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import state as state_of
@@ -212,8 +212,3 @@ class DevelopedModel:
         """Rebuild a model from `to_dict`; the sensor's plugin must be installed."""
         inner, surface = state_of.from_dict(state["model"]), Developed.from_dict(state["surface"])
         return cls(inner, surface, state["model"]["sensor"], float(state["oblique"]))
-
-
-def plane_of(surface: Developed) -> CRS:
-    """CRS of the map (u, v) of a surface."""
-    return horizontal(surface.crs)
