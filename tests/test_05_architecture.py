@@ -27,6 +27,16 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+def spent() -> float:
+    """Seconds that child processes have had of the processor so far; the clock's where there is no telling."""
+    if sys.platform == "win32":
+        return time.perf_counter()
+    import resource
+
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return children.ru_utime + children.ru_stime
+
+
 def imported(*arguments: str) -> set[str]:
     """Top-level packages that a command imports."""
     done = run("-X", "importtime", *arguments)
@@ -62,11 +72,12 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 def test_help_is_fast() -> None:
+    """Where the system tells it, in time of the processor: how busy the machine is besides is no fault of ours."""
     best = float("inf")
     for _ in range(5):
-        start = time.perf_counter()
+        start = spent()
         done = run("-m", "geomosaic.cli", "--help")
-        best = min(best, time.perf_counter() - start)
+        best = min(best, spent() - start)
         assert done.returncode == 0
         assert "Usage" in done.stdout
     assert best < HELP_SECONDS, f"--help takes {best:.2f} s at best"

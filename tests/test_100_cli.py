@@ -105,17 +105,13 @@ def elsewhere(*words: object, **more: object) -> subprocess.CompletedProcess[str
 # Start-up
 
 
-def test_help_is_quick_and_loads_nothing():
+def test_help_names_every_command_and_loads_nothing():
+    """How quick it is, `test_05_architecture.py` measures."""
     command = [sys.executable, "-X", "importtime", "-m", "geomosaic.cli", "--help"]
-    seconds = []
-    for _ in range(3):
-        started = time.perf_counter()
-        done = subprocess.run(command, check=True, capture_output=True, text=True)
-        seconds.append(time.perf_counter() - started)
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
     assert all(name in done.stdout for name in COMMANDS)
     loaded = {line.split("|")[2].strip().split(".")[0] for line in done.stderr.splitlines() if line.count("|") == 2}
     assert not loaded & {"numpy", "rasterio", "pyproj", *HEAVY}
-    assert min(seconds) < 0.4
 
 
 def test_every_command_has_help_with_its_options(tell):
