@@ -35,7 +35,7 @@ def omega_phi_kappa(omega: float, phi: float, kappa: float) -> FloatArray:
 
 
 def angles_of(rotation: FloatArray) -> tuple[float, float, float]:
-    """Omega, phi, kappa in radians of a ground→image rotation; kappa is 0 where phi is ±90°."""
+    """Omega, phi, kappa in radians of a ground→image rotation (3, 3); kappa is 0 where phi is ±90°."""
     m = np.asarray(rotation, dtype=np.float64)
     phi = float(np.arctan2(m[2, 0], np.hypot(m[2, 1], m[2, 2])))
     if np.hypot(m[2, 1], m[2, 2]) < 1e-14:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from geomosaic.product.ortho import OrthoResult
 
 
-MANY_PIXELS, FINER = 1_000_000_000, 10.0
+MANY_PIXELS, FINER = 10_000_000_000, 10.0
 """Pixels of an output, and how many times finer than the images they are, that together nobody can mean."""
 
 

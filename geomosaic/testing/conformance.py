@@ -283,7 +283,7 @@ class SensorModelTests:
 
 
 def failures(model: SensorModel, ground: FloatArray, kit: type[SensorModelTests] = SensorModelTests) -> dict[str, str]:
-    """Run the kit without pytest.
+    """Run the kit without pytest; `ground` is (N, 3) in `model.crs`, inside the image.
 
     Returns
     -------
