@@ -268,6 +268,9 @@ def test_camera_table_in_millimetres_and_in_pixels() -> None:
             "in millimetres",
         ),
         ({"focal_length_px": 120.0, "size": [640.5, 1152]}, "whole pixels"),
+        ({"focal_length": 0.12, "sensor_size": [92.16, 165.888]}, "field of view of 180°"),  # metres
+        ({"focal_length_px": 35.0}, "field of view of 174°"),  # mm
+        ({"focal_length": 120.0, "pixel_size": 0.004}, "pixel_size in µm"),  # mm
     ],
 )
 def test_camera_errors_say_what_and_where(table: dict[str, object], words: str) -> None:
@@ -275,6 +278,14 @@ def test_camera_errors_say_what_and_where(table: dict[str, object], words: str) 
         Camera.from_table(table, (640, 1152), "photo 7")
     assert words in str(caught.value)
     assert "photo 7" in str(caught.value)
+
+
+def test_a_fisheye_may_see_more_than_any_other_lens() -> None:
+    """An equidistant lens of 180° shows the horizon at f · π/2."""
+    table = {"focal_length_px": 100.0, "distortion": {"model": "fisheye"}}
+    assert Camera.from_table(table, (2000, 2000), "photo").focal == (100.0, 100.0)
+    with pytest.raises(InputError, match="field of view"):
+        Camera.from_table({"focal_length_px": 100.0}, (2000, 2000), "photo")
 
 
 def test_coefficients_not_given_are_zero() -> None:

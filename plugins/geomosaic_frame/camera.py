@@ -27,6 +27,8 @@ KEYS = (
     "principal_point_px",
     "distortion",
 )
+NARROWEST, WIDEST = 0.05, 170.0
+"""Fields of view, degrees across the corners: of the longest telescopes in orbit, and beyond any but fisheye lenses."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,9 @@ class Camera:
         focal_mm = positive(table["focal_length"], "focal_length", where) if "focal_length" in table else None
         lens_table = table_of(table.get("distortion", {"model": "none"}), "distortion", where)
         lens = lens_from_table(lens_table, focal_mm, f"{where}, distortion")
-        return cls(size, _focal(table, focal_mm, pixel, where), _principal_point(table, size, pixel, where), lens)
+        focal = _focal(table, focal_mm, pixel, where)
+        _check_field(focal, size, lens, where)
+        return cls(size, focal, _principal_point(table, size, pixel, where), lens)
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
@@ -219,6 +223,18 @@ def _focal(
             mend="give sensor_size (width, height in mm) or pixel_size (µm), or focal_length_px",
         )
     return focal_mm / pixel[0], focal_mm / pixel[1]
+
+
+def _check_field(focal: tuple[float, float], size: tuple[int, int], lens: Lens, where: str) -> None:
+    """Refuse fields of view that no camera has: lengths in another unit than their key says."""
+    angle = 2.0 * math.degrees(math.atan(math.hypot(size[0] / focal[0], size[1] / focal[1]) / 2.0))
+    if NARROWEST <= angle <= WIDEST or (angle > WIDEST and lens.to_dict()["model"] == "fisheye"):
+        return
+    raise InputError(
+        f"the focal length gives a field of view of {angle:.3g}° across the corners",
+        where=where,
+        mend="check the units: focal_length and sensor_size are in mm, pixel_size in µm, focal_length_px in pixels",
+    )
 
 
 def _principal_point(
