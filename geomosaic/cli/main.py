@@ -97,7 +97,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     if arguments is not None:
         sys.exit(run(arguments))
     # Starting makes many objects and no garbage: the default of 700 has it looked for a hundred times in vain.
-    gc.set_threshold(10_000)
+    gc.set_threshold(100_000)
     patient_streams()
     stop_on_signals()
     end(lambda: run(sys.argv[1:]))

@@ -92,7 +92,7 @@ class Transform:
         return Transform(self.target, self.source)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Operation:
     """A PROJ operation, forwards or backwards."""
 

@@ -26,7 +26,7 @@ from geomosaic.surface.model import Surface
 from geomosaic.types import AnyArray, ByteArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class OrthoResult:
     """What was made.
 
@@ -130,7 +130,7 @@ def ortho(
     started = time.perf_counter()
     photo = Photo.open(scene, surface, grid, outline, options.memory_limit // 2)
     info = photo.source.info
-    engine = engine_for(samples(grid, [outline]), options.resampling)
+    engine = engine_for(samples(grid, [outline]), options.resampling, options.threads)
     record, seen, hidden = GeometryRecord(), 0, 0
     colour = Colour.identity(info.bands)
     units = tiles(grid, options.tile)

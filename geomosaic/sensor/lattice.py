@@ -27,7 +27,7 @@ _CHEBYSHEV = np.cos((2 * np.arange(4) + 1) * np.pi / 8)
 _TO_CUBIC = np.linalg.inv(np.vander(_CHEBYSHEV, 4, increasing=True))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Lattice:
     """Image positions over one block of output pixels.
 

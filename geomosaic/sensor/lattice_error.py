@@ -24,7 +24,7 @@ def at_heights(nodes: FloatArray, heights: Sequence[float]) -> FloatArray:
     return image
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Miss:
     """What was measured of a lattice.
 
@@ -46,7 +46,7 @@ class Miss:
     seen: BoolArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cells:
     """The cells of a lattice under construction; its parts are those of `lattice.Lattice`, and two more.
 
