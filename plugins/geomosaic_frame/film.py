@@ -13,7 +13,7 @@ from geomosaic_frame.filmlens import FilmLens
 from geomosaic_frame.interior import apply
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class FilmCamera:
     """A film camera seen through a scan.
 

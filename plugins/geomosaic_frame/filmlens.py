@@ -24,7 +24,7 @@ from geomosaic_frame.radial import Radial, radial_from_dict
 ROUNDS = 30
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class FilmLens(Perspective):
     """Corrections of the measured image: ideal = formula(measured).
 

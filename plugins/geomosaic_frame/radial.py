@@ -32,7 +32,7 @@ class Radial(Protocol):
         """State as JSON values."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class RadialTable:
     """Corrections at radii, with a cubic spline between them.
 
