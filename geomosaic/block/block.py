@@ -45,7 +45,7 @@ class ControlPoint:
     where: str = field(default="", compare=False)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Block:
     """Scenes over one surface.
 

@@ -26,7 +26,7 @@ SIDE = 24
 """Points along each side of the image."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Footprint:
     """The ground an image shows.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from geomosaic.sensor.model import SensorModel
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """An image file and the model that says where its pixels lie.
 

@@ -12,6 +12,7 @@ import click
 
 import geomosaic
 from geomosaic.cli.ending import end, patient_streams, stop_on_signals
+from geomosaic.cli.pages import keep_pages
 
 # Read when NumPy is first loaded. Our matrices are small, and threads of our own keep the processor busy; more of them
 # would also make the last bits of a solution depend on the machine.
@@ -55,6 +56,7 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         command: click.Command = import_module(f"geomosaic.cli.{cmd_name}").command
+        keep_pages()
         return command
 
     def resolve_command(
@@ -97,7 +99,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     if arguments is not None:
         sys.exit(run(arguments))
     # Starting makes many objects and no garbage: the default of 700 has it looked for a hundred times in vain.
-    gc.set_threshold(10_000)
+    gc.set_threshold(100_000)
     patient_streams()
     stop_on_signals()
     end(lambda: run(sys.argv[1:]))

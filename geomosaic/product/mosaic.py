@@ -136,6 +136,7 @@ def mosaic(
         reuse = reuse_of(options, blender, at_hand, _said_of_water(water))
         with Clock(seconds, "mosaic"):
             pixels, hidden, record = _render(blender, output, labels, options, reuse, water)
+        checksum = beside_it.submit(sha256 if options.memory is None else options.memory.digest, output)
         photos.again()
         if vectors is not None or item is not None:
             about = source_facts(photos, options.about)
@@ -160,8 +161,7 @@ def mosaic(
     finally:
         photos.close()
         beside_it.shutdown(wait=False)
-    with Clock(seconds, "records"), ThreadPoolExecutor(1) as beside_it:
-        checksum = beside_it.submit(sha256 if options.memory is None else options.memory.digest, output)
+    with Clock(seconds, "records"):
         if vectors is not None:
             write_vectors(
                 vectors, grid, outlines, shares, solved, pixels, parts, quality, about, overwrite=render.overwrite

@@ -27,7 +27,7 @@ from geomosaic.surface.model import Surface
 from geomosaic.types import AnyArray, ByteArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class OrthoResult:
     """What was made.
 
@@ -132,7 +132,7 @@ def ortho(
     photo = Photo.open(scene, surface, grid, outline, options.memory_limit // 2)
     info = photo.source.info
     refuse_palette(info, options.resampling)
-    engine = engine_for(samples(grid, [outline]), options.resampling)
+    engine = engine_for(samples(grid, [outline]), options.resampling, options.threads)
     record, seen, hidden = GeometryRecord(), 0, 0
     colour = Colour.identity(info.bands)
     units = tiles(grid, options.tile)

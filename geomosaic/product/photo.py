@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from geomosaic.product.visibility import Shades
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Photo:
     """A scene with its open image, its way from the map to the image, and its footprint.
 

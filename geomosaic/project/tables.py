@@ -27,7 +27,7 @@ ALIASES: Mapping[str, str] = {other: name for name, others in _OTHER_NAMES.items
 """Other names of a column that can mean nothing else."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Row:
     """One line of a table.
 
@@ -71,7 +71,7 @@ class Row:
         return number
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Table:
     """A header and its rows."""
 

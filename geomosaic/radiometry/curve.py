@@ -10,7 +10,7 @@ import numpy as np
 from geomosaic.types import AnyArray, FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Curve:
     """A rising curve per band: straight between its knots, of one slope beyond them.
 

@@ -12,7 +12,7 @@ STEPS = 4096
 """Steps of a curve over the range of values; between them it is straight."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shade:
     """corrected = net(place) · curve(value + dark) + offset, per band.
 

@@ -13,7 +13,7 @@ from geomosaic.types import AnyArray, ByteArray
 HALF = BLOCK // 2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Tile:
     """A whole tile of one level.
 

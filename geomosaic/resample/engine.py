@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Engine:
     """Where the kernels come from; both engines give the same bytes.
 
     `quick` holds, by resampling, kernels that place and sample a whole block of three bands of eight bits at once;
-    "bilinear, inner" one whose taps all exist, without heights or correction.
+    "bilinear, inner" one whose taps all exist, without heights or correction. `hands` work at one block.
     """
 
     coordinates: Callable[..., tuple[float, float, float, float]]
@@ -20,17 +20,31 @@ class Engine:
     finish: Callable[..., None]
     quick: Mapping[str, Callable[..., int]]
     shade: Callable[..., None]
+    hands: int = 1
 
     def threads(self, most: int) -> int:
         """Threads that are worth starting: NumPy's small steps would only wait for each other."""
         return most if self.quick else 1
 
+    def share(self, work: Callable[[int], None], pieces: Sequence[int]) -> None:
+        """Do pieces of work that touch nothing in common."""
+        if self.hands == 1 or len(pieces) == 1:
+            for piece in pieces:
+                work(piece)
+            return
+        from concurrent.futures import ThreadPoolExecutor
 
-def numpy_engine() -> Engine:
+        with ThreadPoolExecutor(self.hands) as executor:
+            list(executor.map(work, pieces))
+
+
+def numpy_engine(hands: int = 1) -> Engine:
     """Kernels in NumPy: nothing to start, slow on large jobs."""
     from geomosaic.resample import reference
 
-    return Engine(reference.coordinates, reference.sample, reference.accumulate, reference.finish, {}, reference.shade)
+    return Engine(
+        reference.coordinates, reference.sample, reference.accumulate, reference.finish, {}, reference.shade, hands
+    )
 
 
 def numba_engine() -> Engine:
@@ -60,6 +74,6 @@ _WHILE_STARTING = {
 }
 
 
-def engine_for(samples: int, resampling: str) -> Engine:
-    """Choose by the work to do."""
-    return numba_engine() if samples > _WHILE_STARTING[resampling] else numpy_engine()
+def engine_for(samples: int, resampling: str, hands: int = 1) -> Engine:
+    """Choose by the work to do; where it is little, so many threads share each block."""
+    return numba_engine() if samples > _WHILE_STARTING[resampling] else numpy_engine(hands)

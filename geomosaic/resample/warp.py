@@ -13,7 +13,6 @@ from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.resample.engine import Engine
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
-from geomosaic.sensor.lattice_error import at_height
 from geomosaic.surface.model import HeightPatch
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
@@ -41,7 +40,7 @@ class Reader(Protocol):
         """Values (rows, cols, bands) and validity (rows, cols), None where all are valid."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Colour:
     """Linear correction of values, per band: value · gain + offset."""
 
@@ -189,23 +188,24 @@ def _fill(
         quick = engine.quick[shape.kernel]
         start = quick(geometry, shape.size, need, source, (window.col, window.row), ending, out, out_valid)
     rows_at_once = max(1, STRIP // (width * n * n))
-    buffer = np.empty((2, rows_at_once * n, width * n))
-    while start < height:
+
+    def strip(start: int) -> None:
         stop = min(start + rows_at_once, height)
-        cols, rows = buffer[0, : (stop - start) * n], buffer[1, : (stop - start) * n]
+        cols, rows = np.empty((2, (stop - start) * n, width * n))
         span = engine.coordinates(geometry, start, n, shape.size, need, cols, rows)
         needed = _window(span, shape)
-        if needed is not None:
-            if needed.intersection(window) != needed:  # bounds from the lattice's nodes may fall short
-                window = needed
-                source, valid = reader.read(window, shape.shrink)
-            place = (float(window.col), float(window.row), float(shape.shrink), *shape.size)
-            mask = _ALL_VALID if valid is None else valid
-            engine.sample(
-                shape.kernel, source, mask, valid is not None, cols, rows, n, place, *ending,
-                out[start:stop], out_valid[start:stop],
-            )  # fmt: skip
-        start = stop
+        if needed is None:
+            return
+        here, (pixels, known) = window, (source, valid)
+        if needed.intersection(window) != needed:  # bounds from the lattice's nodes may fall short
+            here, (pixels, known) = needed, reader.read(needed, shape.shrink)
+        place = (float(here.col), float(here.row), float(shape.shrink), *shape.size)
+        engine.sample(
+            shape.kernel, pixels, _ALL_VALID if known is None else known, known is not None, cols, rows, n, place,
+            *ending, out[start:stop], out_valid[start:stop],
+        )  # fmt: skip
+
+    engine.share(strip, range(start, height, rows_at_once))
 
 
 _ALL_VALID = np.ones((1, 1), dtype=np.uint8)
@@ -242,9 +242,9 @@ def _cells(lattice: Lattice) -> ByteArray:
 def _boxes(lattice: Lattice) -> FloatArray:
     """Left, top, −right, −bottom (4, rows, cols) of each cell of 64 x 64 pixels in the image; infinite where unseen."""
     per = CELL // lattice.step
-    levels = (0.0,) if lattice.flat else (-1.0, 0.0, 1.0)
-    ends = np.stack([at_height(lattice.nodes, t) for t in levels])
-    both = np.moveaxis(np.concatenate([ends, -ends], axis=-1), -1, 0)  # (4, levels, node rows, node cols)
+    both = np.moveaxis(
+        np.concatenate([lattice.levels, -lattice.levels], axis=-1), -1, 0
+    )  # (4, levels, node rows, node cols)
     least = np.fmin.reduce(both, axis=1)
     for axis in (1, 2):
         starts = np.arange(0, least.shape[axis] - 1, per)

@@ -13,7 +13,7 @@ from geomosaic.surface.model import HeightPatch, Surface
 from geomosaic.types import FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BlockGround:
     """Heights over one block of output pixels."""
 
@@ -38,7 +38,7 @@ class BlockGround:
         return HeightPatch(self.patch.heights[first_row:last_row, first_col:last_col], t).range
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ground:
     """A surface under an output grid.
 

@@ -13,7 +13,7 @@ from geomosaic.sensor.model import SensorModel
 from geomosaic.types import FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MapToImage:
     """Map (x, y) of the output and height z of the surface to image (col, row).
 

@@ -9,7 +9,7 @@ import numpy as np
 from geomosaic.types import FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Parameters:
     """Named parameters.
 

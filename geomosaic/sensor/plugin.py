@@ -12,7 +12,7 @@ from pyproj import CRS
 from geomosaic.sensor.model import SensorModel
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SensorInput:
     """One input of a plugin, for `geomosaic sensors NAME` and for error messages."""
 
@@ -22,7 +22,7 @@ class SensorInput:
     default: str | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SensorExample:
     """A whole example for `geomosaic sensors NAME`: it runs as it is shown, with any image of that size.
 
@@ -41,7 +41,7 @@ class SensorExample:
     files: Mapping[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SensorRequest:
     """What is known about one image when its model is asked for.
 

@@ -14,7 +14,7 @@ from geomosaic.sensor.plugin import SensorPlugin, SensorRequest
 GROUP = "geomosaic.sensors"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SensorEntry:
     """An installed plugin, not loaded: its name, and the distribution and version it comes from."""
 

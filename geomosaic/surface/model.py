@@ -13,7 +13,7 @@ from geomosaic.geo.grid import Bounds
 from geomosaic.types import Float32Array, FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HeightPatch:
     """A window of heights for the sampling kernel.
 

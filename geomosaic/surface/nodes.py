@@ -77,9 +77,11 @@ class Nodes:
         rows = max(1, _STRIP_NODES // self.window.width)
         for window in self.window.split(self.window.width, max(BLOCK, rows - rows % BLOCK)):
             heights = self.read(window)
-            low = float(np.fmin(low, np.fmin.reduce(heights, None)))
-            high = float(np.fmax(high, np.fmax.reduce(heights, None)))
-            self._gaps = self._gaps or bool(np.isnan(heights).any())
+            least, most = float(heights.min()), float(heights.max())
+            if np.isnan(least):
+                self._gaps = True
+                least, most = float(np.fmin.reduce(heights, None)), float(np.fmax.reduce(heights, None))
+            low, high = float(np.fmin(low, least)), float(np.fmax(high, most))
         if low > high:
             raise InputError(
                 "the DEM holds no height: every node is nodata, NaN or beyond 20 km",

@@ -16,6 +16,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.options import flag
 from geomosaic.types import FloatArray
 from geomosaic_frame.bending import Bending, curvature_shift, refraction_constant, refraction_shift
+from geomosaic_frame.camera import Camera
 from geomosaic_frame.inside import Inside
 
 HIGHEST = 20_000.0
@@ -84,7 +85,7 @@ def bending_of(
 
 def untold(camera: Inside, crs: CRS, position: FloatArray, ground: float | None, treatment: str) -> list[str]:
     """What the corrections that were not asked for would be worth on film, where that is half a pixel or more."""
-    if ground is None or is_free(crs):
+    if ground is None or is_free(crs) or isinstance(camera, Camera):
         return []
     from geomosaic_frame.film import FilmCamera
 

@@ -16,7 +16,7 @@ KINDS = {"conformal": 2, "affine": 3, "projective": 4}
 """Names, and the fewest marks each needs."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class InteriorOrientation:
     """Pixels to millimetres, fitted to marks.
 

@@ -36,7 +36,7 @@ _TURN = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FrameModel:
     """One photo of a frame camera.
 

@@ -32,7 +32,7 @@ _FORWARD = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 FLIP = np.diag([1.0, -1.0, -1.0])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Attitude:
     """A rotation and the frame it starts from.
 
@@ -55,7 +55,7 @@ class Attitude:
     crs: CRS | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class AngleSystem:
     """A named way to write an attitude.
 

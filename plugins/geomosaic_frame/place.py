@@ -22,7 +22,7 @@ from geomosaic.types import FloatArray
 from geomosaic_frame.orientation import Attitude
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Place:
     """Frame of a photo and its rotation there.
 

@@ -78,7 +78,7 @@ class Exterior:
     line: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ExteriorTable:
     """All rows, by image name."""
 

@@ -21,7 +21,7 @@ from geomosaic.sensor.solve.newton import ACCEPTED, ROUGHLY, solve_pairs
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SightLines:
     """Lines of sight of N image points.
 
