@@ -59,8 +59,8 @@ def test_an_outline_that_does_not_close_or_crosses_itself(files: list[Path], tmp
         rig.run(files, tmp_path / "out.tif", **given(way, path))
     assert told.value.mend is not None
     assert "close" in told.value.mend
+    path = drawn(tmp_path, shapely.box(L, T - 50, L + 50, T), shapely.Polygon(CROSSING))
     with pytest.raises(InputError, match="row 2 is no valid area"):
-        path = drawn(tmp_path, shapely.box(L, T - 50, L + 50, T), shapely.Polygon(CROSSING))
         rig.run(files, tmp_path / "out.tif", **given(way, path))
 
 
