@@ -110,7 +110,7 @@ def test_what_is_proposed_goes_into_a_mosaic(tmp_path: Path) -> None:
 
 def test_what_cannot_be_looked_at(tmp_path: Path) -> None:
     image, dem, _ = files(tmp_path, True, 0.0)
-    with pytest.raises(InputError, match="end the name|GeoPackage"):
+    with pytest.raises(InputError, match="GeoPackage"):
         propose_water(image, dem, tmp_path / "water.shp", heights="egm96")
     far = rig.write(tmp_path / "far.tif", np.zeros((50, 50, 1), np.float32), 9000)
     with pytest.raises(InputError, match="no height where the image"):
