@@ -18,12 +18,12 @@ EVEN = 0.15
 ALIKE = 0.6
 """The same, by which the shallows may differ from the middle of the water."""
 STEEP = 0.02
-"""Slope of the DEM from cell to cell over water: noise of its nodes."""
+"""Slope of the DEM over four of its nodes on water: their noise."""
 RISE = 0.2
 """Metres by which the land around rises above water at least, in the middle; and the most that it may lie below it."""
 RUN_OUT = 0.1
 """Part of a shore that may lie lower: an outlet, a dam."""
-SHORE = 4
+SHORE = 6
 """Cells: how far water grows beyond its level, even middle, and how far the shore is looked at."""
 
 
@@ -180,14 +180,14 @@ def _local_deviation(looks: FloatArray, valid: BoolArray) -> FloatArray:
 
 
 def _slope(heights: FloatArray, cell: float) -> FloatArray:
-    """Slope over four cells of heights evened out over 3 × 3; infinite where unknown."""
+    """Slope over eight cells, four nodes of a DEM, of heights evened out over 3 × 3; infinite where unknown."""
     from scipy.ndimage import uniform_filter
 
     even = uniform_filter(np.nan_to_num(heights), 3)
     rows, cols = (np.zeros_like(even) for _ in range(2))
-    rows[2:-2] = (even[4:] - even[:-4]) / (4 * cell)
-    cols[:, 2:-2] = (even[:, 4:] - even[:, :-4]) / (4 * cell)
-    unknown = uniform_filter(np.isnan(heights).astype(float), 7) > 1e-9
+    rows[4:-4] = (even[8:] - even[:-8]) / (8 * cell)
+    cols[:, 4:-4] = (even[:, 8:] - even[:, :-8]) / (8 * cell)
+    unknown = uniform_filter(np.isnan(heights).astype(float), 11) > 1e-9
     return np.where(unknown, np.inf, np.hypot(rows, cols))
 
 

@@ -143,7 +143,7 @@ def _pixels_per_cell(grid: Grid, surface: Dem) -> int:
     a, b = surface.grid.colrow(Transform(grid.crs, surface.grid.crs)(grid.xy(middle)))
     nodes = float(np.hypot(*(b - a)))
     per_node = 1 / nodes if np.isfinite(nodes) and nodes > 0 else 1.0
-    return max(1, math.floor(per_node / 2), math.ceil(math.sqrt(grid.width * grid.height / MOST_CELLS)))
+    return max(1, round(per_node / 2), math.ceil(math.sqrt(grid.width * grid.height / MOST_CELLS)))
 
 
 def _read(source: Source, shrink: int) -> tuple[FloatArray, BoolArray]:
