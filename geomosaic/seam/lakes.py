@@ -105,7 +105,7 @@ def find_lakes(
             if lake is not None and lake.cells >= smallest:
                 found.append((lake, around, shape))  # type: ignore[arg-type]
     found.sort(key=lambda entry: -entry[0].cells)
-    lakes = []
+    lakes: list[Lake] = []
     for lake, around, shape in found:
         free = shape & (out[around] < 0)
         out[around][free] = len(lakes)
