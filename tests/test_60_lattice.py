@@ -6,14 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from affine import Affine
 from helpers import GROUND, MAP, ArrayReader, PinholeOverMap
 
-from geomosaic.geo.grid import Grid
+from geomosaic.geo.grid import Grid, Window
 from geomosaic.resample.engine import numpy_engine
 from geomosaic.resample.warp import Colour, warp
-from geomosaic.sensor.ground import Ground
+from geomosaic.sensor.ground import BlockGround, Ground
 from geomosaic.sensor.lattice import Lattice, blocks, build
 from geomosaic.sensor.mapper import MapToImage
+from geomosaic.surface.model import HeightPatch
 from geomosaic.surface.plane import Plane
 
 
@@ -104,3 +106,13 @@ def test_a_turned_photo_on_a_coarse_grid_is_not_read_over_and_over(
     assert (out[valid > 0] == 77).all()
     assert reader.read_pixels < 4 * 800_000
     assert reader.largest < 4 * 260 * 260
+
+
+@pytest.mark.parametrize("beyond", [(-30.0, 0.0), (30.0, 0.0), (0.0, -30.0), (0.0, 30.0)])
+def test_no_height_is_known_beyond_the_heights_of_a_block(beyond: tuple[float, float]) -> None:
+    """A part of a block may lie wholly beyond the DEM, on any side."""
+    patch = HeightPatch(np.arange(16, dtype=np.float32).reshape(4, 4), Affine(1, 0, 0, 0, -1, 4))
+    below = BlockGround(Window(0, 0, 64, 64), patch, patch.range)
+    places = np.array([[1.0, 1.0], [3.0, 3.0]])
+    assert below.over(places) == (0.0, 15.0)
+    assert np.isnan(below.over(places + beyond)).all()

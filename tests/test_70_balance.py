@@ -7,6 +7,7 @@ import threading
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import mosaic_rig as rig
 import numpy as np
 import pytest
 import rasterio
@@ -16,6 +17,7 @@ from geomosaic.block.block import Block
 from geomosaic.block.scene import Scene
 from geomosaic.geo.grid import Bounds, Window
 from geomosaic.product import photos as photos_module
+from geomosaic.product.aligned import cell_means
 from geomosaic.product.colour.balance import balance
 from geomosaic.product.extent import footprints, output_grid
 from geomosaic.product.mosaic import mosaic
@@ -24,6 +26,7 @@ from geomosaic.product.options import RenderOptions
 from geomosaic.product.photos import Photos
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs
+from geomosaic.raster.source import Source
 from geomosaic.surface.model import HeightPatch, Surface
 
 SIZE = (96, 64)
@@ -251,3 +254,38 @@ def test_tiles_that_share_a_line_of_pixels_keep_their_values(tmp_path: Path) -> 
         made = run(files, tmp_path / "m.tif", balance=True, colour=colour, labels=False, vectors=False)
         assert (made.balance.gain == 1).all(), made.balance.gain
         assert np.array_equal(read(tmp_path / "m.tif")[0], whole)
+
+
+@pytest.mark.parametrize("shift", [(1, 2), (181, 97), (7, 203)])
+def test_the_same_pixels_twice_leave_no_trace(tmp_path: Path, shift: tuple[int, int]) -> None:
+    """A crop of an image beside it, wherever it begins: nothing to balance, and no step at the seam."""
+    ground = rig.scene(500, 600, 4).astype(np.uint8)
+    col, row = shift
+    files = [rig.write(tmp_path / "whole.tif", ground), rig.write(tmp_path / "crop.tif", ground[row:, col:], col, row)]
+    made = rig.run(files, tmp_path / "out.tif", balance=True)
+    assert made.balance.overlaps == 1
+    np.testing.assert_array_equal(made.balance.before, 0)
+    np.testing.assert_array_equal(rig.read(made.path)[0], ground)
+    assert min(made.pixels) > 0
+
+
+def test_means_of_cells_are_those_of_their_pixels(tmp_path: Path) -> None:
+    """Whatever the offset, and wherever pixels are missing: half of a cell must be there."""
+    rng = np.random.default_rng(2)
+    values = rng.integers(1, 255, (70, 90, 2)).astype(np.uint8)
+    values[rng.random((70, 90)) < 0.3] = 0
+    values[20:45, 30:50] = 0
+    path, size, offset = rig.write(tmp_path / "a.tif", values, nodata=0), 8, (5, -3)
+    window = Window(-2, 0, 14, 11)
+    out, valid = np.zeros((11, 14, 2), np.float32), np.zeros((11, 14), np.uint8)
+    with Source(path) as source:
+        cell_means(source, offset, window, size, out, valid)
+    for r in range(11):
+        for c in range(14):
+            rows = np.arange(8) + 8 * (window.row + r) + offset[1]
+            cols = np.arange(8) + 8 * (window.col + c) + offset[0]
+            own = values[np.ix_(rows[(rows >= 0) & (rows < 70)], cols[(cols >= 0) & (cols < 90)])].reshape(-1, 2)
+            known = own[(own > 0).all(axis=1)]
+            assert valid[r, c] == (len(known) >= 32)
+            if len(known):
+                np.testing.assert_allclose(out[r, c], known.mean(axis=0), rtol=1e-6)

@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from helpers import PinholeOverMap
 from pyproj import CRS, Transformer
 
+from geomosaic.block.scene import Scene
 from geomosaic.cli.main import run
-from geomosaic.errors import HeightDatumError, InputError
+from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.project.build import build_block
@@ -23,6 +25,7 @@ from geomosaic.project.draft.write import draft_project
 from geomosaic.project.ground import height_below
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.orientation.exterior import RECONSTRUCTIONS, SYSTEM_NAMES
+from geomosaic.project.usable import with_usable
 from geomosaic.sensor import registry
 from geomosaic.surface.plane import Plane
 from geomosaic.surface.undeclared import undulation
@@ -278,3 +281,12 @@ def test_a_sensor_without_angles_takes_the_positions_of_the_table(
 def test_a_table_that_a_sensor_cannot_use_is_no_secret(sample: Path) -> None:
     with pytest.raises(InputError, match="no input 'position'"):
         build_block(inputs(sample, sensor="planar", camera=None, options={"transform": [1, 0, 4e5, 0, -1, 55e5]}))
+
+
+def test_film_of_which_nothing_is_left_out_is_told() -> None:
+    scene = Scene("film.tif", "film.tif", "frame", PinholeOverMap())
+    film = BlockInputs((Path("film.tif"),), "frame", fiducials=Path("marks.csv"))
+    with pytest.warns(GeomosaicWarning, match=r"borders of the film are shown like the ground \(film.tif\)"):
+        assert with_usable(film, [scene])[0].usable is None
+    assert with_usable(replace(film, margin=(5, 5, 5, 9)), [scene])[0].usable is not None
+    assert with_usable(replace(film, fiducials=None), [scene])[0].usable is None

@@ -8,8 +8,8 @@ from typing import Any
 import click
 
 from geomosaic.cli.memory import note_memory
-from geomosaic.cli.mosaic import mosaic_flags, usable_flags
-from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack
+from geomosaic.cli.mosaic import mosaic_flags
+from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack, usable_options
 from geomosaic.cli.request import area, block_inputs, mosaic_options
 from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.words import mosaic_facts, mosaic_words, ortho_facts, ortho_words
@@ -27,7 +27,7 @@ from geomosaic.cli.words import mosaic_facts, mosaic_words, ortho_facts, ortho_w
     metavar="DEGREES",
     help="Largest angle between line of sight and normal that is drawn.",
 )
-@stack(image_options, output_options, mosaic_flags, usable_flags, machine_options)
+@stack(image_options, output_options, mosaic_flags, usable_options, machine_options)
 def command(
     images: tuple[Path, ...],
     surface: Path,

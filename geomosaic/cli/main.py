@@ -34,6 +34,7 @@ COMMANDS: dict[str, str] = {
     "locate": "Find places on the ground from pixels, or draw map vectors into a photo.",
     "check": "Measure a map at check points.",
     "fiducials": "Find the fiducial marks of scanned films.",
+    "water": "Propose areas of water, from a mosaic and a DEM.",
     "contours": "Draw contours of a DEM.",
     "sheet": "Make a map sheet: frame, grid, legend, vectors.",
     "enhance": "Stretch, sharpen or pan-sharpen a raster for print.",

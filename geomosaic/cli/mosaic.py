@@ -9,17 +9,20 @@ import click
 
 from geomosaic.cli.memory import note_memory
 from geomosaic.cli.merging import blend_flags, merge_flags
-from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack, true_ortho_option
+from geomosaic.cli.options import (
+    FILE,
+    image_options,
+    machine_options,
+    output_options,
+    stack,
+    true_ortho_option,
+    usable_options,
+)
 from geomosaic.cli.points import wrong_point_options
 from geomosaic.cli.request import area, block_inputs, mosaic_options, planar_inputs
 from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.values import band_numbers, pairs
 from geomosaic.cli.words import mosaic_facts, mosaic_words
-
-usable_flags = stack(
-    click.option("--margin", type=click.FloatRange(0), metavar="PIXELS", help="Border of every image not to be used."),
-    click.option("--usable", type=FILE, help="Polygons beyond which images are not to be used: image, col, row."),
-)
 
 mosaic_flags = stack(
     blend_flags,
@@ -131,7 +134,7 @@ planar_flags = stack(
 
 @click.command()
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
-@stack(image_options, planar_flags, output_options, merge_flags, mosaic_flags, usable_flags, machine_options)
+@stack(image_options, planar_flags, output_options, merge_flags, mosaic_flags, usable_options, machine_options)
 def command(images: tuple[Path, ...], output: Path, as_json: bool, **flags: Any) -> None:
     """Make one mosaic from raw or georeferenced images, each pixel resampled once.
 

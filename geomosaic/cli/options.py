@@ -155,3 +155,8 @@ output_options = stack(
     click.option("-o", "--output", type=FILE, required=True, help="File to write."),
     click.option("--overwrite", is_flag=True, help="Replace the output if it exists."),
 )
+
+usable_options = stack(
+    click.option("--margin", type=click.FloatRange(0), metavar="PIXELS", help="Border of every image not to be used."),
+    click.option("--usable", type=FILE, help="Polygons beyond which images are not to be used: image, col, row."),
+)

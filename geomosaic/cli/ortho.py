@@ -8,7 +8,15 @@ from typing import Any
 import click
 
 from geomosaic.cli.memory import note_memory
-from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack, true_ortho_option
+from geomosaic.cli.options import (
+    FILE,
+    image_options,
+    machine_options,
+    output_options,
+    stack,
+    true_ortho_option,
+    usable_options,
+)
 from geomosaic.cli.request import area, block_inputs, render_options
 from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.words import ortho_facts, ortho_words
@@ -16,7 +24,7 @@ from geomosaic.cli.words import ortho_facts, ortho_words
 
 @click.command()
 @click.argument("image", type=FILE)
-@stack(image_options, true_ortho_option, output_options, machine_options)
+@stack(image_options, true_ortho_option, usable_options, output_options, machine_options)
 def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
     """Rectify one image onto a DEM or a height.
 

@@ -97,7 +97,7 @@ def mosaic_words(result: MosaicResult) -> str:
     if result.balance.overlaps:
         before, after = (rms(values.tolist()) for values in (result.balance.before, result.balance.after))
         lines.append(colour_words(result.balance.overlaps, before, after))
-        lines += said_of(result.balance)
+    lines += said_of(result.balance)
     if result.stretch is not None:
         lines.append(f"stretched to 8 bits: {result.stretch.low:g} to {result.stretch.high:g} ({result.stretch.how})")
     lines.append(

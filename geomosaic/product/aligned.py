@@ -9,6 +9,7 @@ import numpy as np
 from geomosaic.block.footprint import Footprint
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.radiometry.curve import Curve
+from geomosaic.raster.shrink import block_sum
 from geomosaic.raster.source import Source
 from geomosaic.resample.warp import CELL, Colour, value_range
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
@@ -18,6 +19,8 @@ from geomosaic.types import AnyArray, ByteArray
 NEAR = 0.01
 """Pixels that an image may lie beside the grid: below what its geotransform can mean, and half the usual tolerance."""
 _PLACES = 5
+_STRIP = 1 << 23
+"""Samples that are read at once for means of cells."""
 
 Offset = tuple[int, int]
 """Columns and rows: image pixel = output pixel + offset."""
@@ -118,6 +121,49 @@ def copied(
         np.copyto(out[inside], values, where=mask[..., None])
         out_valid[inside][mask] = 1
     return [_exact(window, offset)]
+
+
+def cell_means(source: Source, offset: Offset, window: Window, size: int, out: AnyArray, out_valid: ByteArray) -> None:
+    """Means over cells of size × size output pixels: images of the same pixels have the same means, to the bit.
+
+    Parameters
+    ----------
+    source : Source
+    offset : (columns, rows)
+        See `offset_on`.
+    window : Window
+        Of the cells.
+    size : int
+    out : array (rows, cols, bands)
+    out_valid : uint8 array (rows, cols)
+        1 where at least half of a cell's pixels are valid.
+    """
+    image = Window(-offset[0], -offset[1], source.info.width, source.info.height)
+    samples = size * size * out.shape[2]  # of a cell
+    rows, cols = max(1, _STRIP // (samples * window.width)), max(1, 8 * _STRIP // samples)
+    for strip in window.split(min(window.width, cols), rows):
+        cells = Window(strip.col * size, strip.row * size, strip.width * size, strip.height * size)
+        part = cells.intersection(image)
+        if part.empty:
+            continue
+        values, valid = source.read(Window(part.col + offset[0], part.row + offset[1], part.width, part.height))
+        if valid is None:
+            valid = np.ones(values.shape[:2], dtype=np.uint8)
+        else:
+            values = np.where(valid[..., None] > 0, values, values.dtype.type(0))
+        if part != cells:
+            edges = (
+                (part.row - cells.row, cells.stop_row - part.stop_row),
+                (part.col - cells.col, cells.stop_col - part.stop_col),
+            )
+            values, valid = np.pad(values, (*edges, (0, 0))), np.pad(valid, edges)
+        here = (
+            slice(strip.row - window.row, strip.stop_row - window.row),
+            slice(strip.col - window.col, strip.stop_col - window.col),
+        )
+        count = block_sum(valid, size, np.int32)
+        out[here] = block_sum(values, size, np.float64) / np.maximum(count, 1)[..., None]
+        out_valid[here] = 2 * count >= size * size
 
 
 def table_of(colour: Colour | Curve, scale: float, source: np.dtype[Any], out: np.dtype[Any]) -> AnyArray | None:

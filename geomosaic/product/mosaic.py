@@ -200,7 +200,7 @@ def _pools(photos: Photos, shapes: list[Any], applied: Sequence[Correction], opt
     from geomosaic.product.seams.water import read_water
     from geomosaic.product.seams.water_tone import pools
 
-    return pools(photos, read_water(options.water, photos.grid.crs), shapes, applied)
+    return pools(photos, read_water(options.water, photos.grid), shapes, applied)
 
 
 def _said_of_water(water: Sequence[Pool]) -> str:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from geomosaic.block.scene import Scene
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.names import find_by_name
 from geomosaic.project.tables import read_table
@@ -30,6 +31,15 @@ def with_usable(inputs: BlockInputs, scenes: Sequence[Scene]) -> tuple[Scene, ..
         if ring is not None:
             _check(ring, scene, str(inputs.usable) if rings else "margin")
         found.append(replace(scene, usable=ring) if ring is not None else scene)
+    bare = [scene.name for scene in found if scene.usable is None]
+    if inputs.fiducials is not None and bare:
+        names = ", ".join(bare[:3]) + (f" and {len(bare) - 3} more" if len(bare) > 3 else "")
+        warnings.warn(
+            f"marks, clocks and borders of the film are shown like the ground ({names}): leave them out with --margin "
+            "PIXELS or --usable FILE (in a project margin or usable under [project])",
+            GeomosaicWarning,
+            stacklevel=2,
+        )
     return tuple(found)
 
 

@@ -201,6 +201,7 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
     import geopandas
     import pyogrio
     from pyogrio.errors import DataLayerError, DataSourceError
+    from shapely.errors import GEOSException
 
     names = layer_names(path)
     if layer is not None and layer not in names:
@@ -210,7 +211,10 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of further layers: the first is what is documented
+            warnings.simplefilter("ignore", RuntimeWarning)  # of outlines that do not close: an error of our own tells
             frame = pyogrio.read_dataframe(path, layer=layer or names[0])
+    except GEOSException as error:
+        raise _no_geometry(path, layer or names[0], str(error)) from error
     except (DataSourceError, DataLayerError, IndexError) as error:
         raise InputError(
             f"this is not a vector file that can be read ({error})", where=str(path), mend="convert it to GeoPackage"
@@ -218,3 +222,20 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
     if not isinstance(frame, geopandas.GeoDataFrame):
         raise InputError("the layer has no geometry", where=str(path))
     return frame
+
+
+def _no_geometry(path: PathLike, layer: str, cause: str) -> InputError:
+    """Name the first row whose outline does not close, or has too few points."""
+    import pyogrio.raw
+    import shapely
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        written = pyogrio.raw.read(path, layer=layer, columns=[])[2]
+    read = shapely.from_wkb(written, on_invalid="ignore")
+    row = next((i for i, (wkb, shape) in enumerate(zip(written, read, strict=True), 1) if wkb and shape is None), 0)
+    return InputError(
+        f"row {row} is no geometry: {cause.partition(': ')[2] or cause}",
+        where=f"{path}, layer {layer}",
+        mend="close the outline of each area, with three corners or more, for example by drawing it anew in QGIS",
+    )

@@ -34,7 +34,7 @@ class BlockGround:
         x, y = surface_xy[:, 0], surface_xy[:, 1]
         col, row = t.a * x + t.b * y + t.c - 0.5, t.d * x + t.e * y + t.f - 0.5
         first_col, first_row = (max(0, int(np.floor(np.nanmin(v) - 1e-6)) - 1) for v in (col, row))
-        last_col, last_row = (int(np.ceil(np.nanmax(v) + 1e-6)) + 2 for v in (col, row))
+        last_col, last_row = (max(0, int(np.ceil(np.nanmax(v) + 1e-6)) + 2) for v in (col, row))
         return HeightPatch(self.patch.heights[first_row:last_row, first_col:last_col], t).range
 
 

@@ -31,7 +31,8 @@ class HeightPatch:
     @property
     def range(self) -> tuple[float, float]:
         """Lowest and highest known height; NaN where none is known."""
-        return float(np.fmin.reduce(self.heights, None)), float(np.fmax.reduce(self.heights, None))
+        low, high = (step.reduce(self.heights, None, initial=np.nan) for step in (np.fmin, np.fmax))
+        return float(low), float(high)
 
 
 class Surface(Protocol):

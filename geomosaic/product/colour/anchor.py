@@ -88,7 +88,7 @@ def _shown(reference: Scene, photos: Photos, coarse: Grid) -> Thumbnail:
     try:
         if photo.source.info.bands != photos.info.bands:
             raise InputError(
-                f"the reference has {photo.source.info.bands} bands, the images {photos.info.bands}",
+                f"bands of the reference: {photo.source.info.bands}, of the images: {photos.info.bands}",
                 where=reference.path,
                 mend="say which of its bands go with those of the images: --reference-bidx",
             )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.product.aligned import cell_means
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo, pull
 from geomosaic.product.photos import Photos
@@ -107,6 +108,14 @@ def _inner(valid: ByteArray) -> ByteArray:
     return out
 
 
+def _cells_of(photo: Photo, grid: Grid) -> int | None:
+    """Output pixels along a cell of a coarse grid, where they are pixels of the photo too."""
+    if photo.grid is None or photo.offset is None:
+        return None
+    size = round(grid.resolution[0] / photo.grid.resolution[0])
+    return size if size > 1 and photo.grid.coarser(size) == grid else None
+
+
 def thumbnail(
     photo: Photo, surface: Surface | None, grid: Grid, window: Window, resampling: str, dtype: str
 ) -> Thumbnail:
@@ -115,6 +124,11 @@ def thumbnail(
     values = np.zeros((max(window.height, 0), max(window.width, 0), bands), dtype=dtype)
     valid = np.zeros(values.shape[:2], dtype=np.uint8)
     if window.empty:
+        return Thumbnail(window, values, valid)
+    size = _cells_of(photo, grid) if resampling == "average" else None
+    if size is not None and photo.offset is not None:
+        cell_means(photo.source, photo.offset, window, size, values, valid)
+        values *= photo.scale
         return Thumbnail(window, values, valid)
     engine, colour = engine_for(4 * valid.size, resampling), Colour.identity(bands)
     below = Ground.under(grid, surface)

@@ -10,7 +10,7 @@ from geomosaic.block.footprint import Footprint, footprint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid
-from geomosaic.product.colour.areas import read_areas
+from geomosaic.product.areas import read_areas
 from geomosaic.product.colour.balance import comparison_grid, thumbnail, within, without
 from geomosaic.product.colour.solve import named
 from geomosaic.product.mosaic_options import MosaicOptions
@@ -44,15 +44,14 @@ def match_histograms(photos: Photos, options: MosaicOptions) -> Balance:
         With curves; its gains and offsets are what the curves do on the whole.
     """
     method, master, reference, render = options.histogram, options.master, options.reference, options.render
-    region, hidden = (
-        None if path is None else read_areas(path, photos.grid.crs) for path in (options.region, options.mask)
-    )
+    region = None if options.region is None else read_areas(options.region, photos.grid, must_meet=True)
+    hidden = () if options.mask is None else read_areas(options.mask, photos.grid)
     grid = comparison_grid(photos, CELLS)
     chosen = named(photos, master)
     pieces: list[Thumbnail] = []
 
     def looked_at(found: Thumbnail) -> Thumbnail:
-        return within(without(found, grid, hidden or ()), grid, region)
+        return within(without(found, grid, hidden), grid, region)
 
     def piece(index: int) -> Thumbnail:
         return looked_at(_piece(photos, index, grid))

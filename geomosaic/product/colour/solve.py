@@ -36,10 +36,11 @@ def colours(photos: Photos, options: MosaicOptions) -> Balance:
     grid = comparison_grid(photos)
     hidden: list[Any] = []
     if options.mask is not None:
-        from geomosaic.product.colour.areas import read_areas
+        from geomosaic.product.areas import read_areas
 
-        hidden = read_areas(options.mask, photos.grid.crs)
-    (pairs, level), count, notes = meet(photos, options.render, grid, hidden), len(photos), []
+        hidden = read_areas(options.mask, photos.grid)
+    (pairs, level), count = meet(photos, options.render, grid, hidden), len(photos)
+    notes: list[str] = []
     anchor = named(photos, options.master)
     if options.reference is not None:
         from geomosaic.product.colour.anchor import meet_reference
@@ -47,12 +48,25 @@ def colours(photos: Photos, options: MosaicOptions) -> Balance:
         more, note = meet_reference(photos, options.render, grid, options.reference, hidden)
         pairs, anchor, count = [*pairs, *more], count, count + 1
         notes.append(note)
+    notes += _alone(photos, pairs)
     start = solve(count, photos.info.bands, pairs)
     anchored = _anchored(start, anchor, pairs)
     if options.colour == ("gain",) or not start.overlaps:
         return _without(anchored, len(photos), pairs, notes)
     level = np.concatenate([level, np.full((count - len(photos), level.shape[1]), np.nan)])
     return _with_fields(photos, options, grid, pairs, level, start, anchored, anchor, notes)
+
+
+def _alone(photos: Photos, pairs: list[Overlap]) -> list[str]:
+    """Say which images show too little of what others show to be compared."""
+    met = {i for pair in pairs for i in (pair.first, pair.second)}
+    alone = [scene.name for i, scene in enumerate(photos.block.scenes) if i not in met]
+    if not alone or len(photos) == 1:
+        return []
+    if not met:
+        return ["no image shows enough of what another shows to be compared with it: no colour is changed"]
+    names = ", ".join(alone[:5]) + (f" and {len(alone) - 5} more" if len(alone) > 5 else "")
+    return [f"shows too little of what others show to have its colour compared with theirs: {names}"]
 
 
 def named(photos: Photos, master: str | None) -> int | None:

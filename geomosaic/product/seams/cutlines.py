@@ -12,7 +12,7 @@ from pyproj import CRS
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.transform import Transform
-from geomosaic.product.seams.layers import AREAS, check_area
+from geomosaic.product.areas import AREAS, check_kind
 from geomosaic.raster.vector import layer_names, read_layer
 from geomosaic.seam.cutlines import matters
 from geomosaic.seam.voronoi import polygonal
@@ -67,9 +67,7 @@ def read_cutlines(path: Path, names: Sequence[str], outlines: Sequence[Any], crs
             )
         if geometry is None or geometry.is_empty:
             continue
-        if geometry.geom_type not in AREAS:
-            raise InputError(f"row {row} is a {geometry.geom_type}, not an area", where=where, mend="draw polygons")
-        check_area(geometry, f"row {row}", where)
+        check_kind(geometry, AREAS, f"row {row}", where)
         number = list(names).index(name)
         own, moved = outlines[number], shapely.make_valid(shapely.transform(shapely.force_2d(geometry), move))
         if own.is_empty:

@@ -51,7 +51,7 @@ def _with_water(photos: Photos, shapes: list[Any], colours: Sequence[Correction]
     from geomosaic.product.seams.water import calmest, read_water
     from geomosaic.seam.cutlines import with_cutlines
 
-    return with_cutlines(shares, calmest(photos, read_water(options.water, photos.grid.crs), shapes, colours))
+    return with_cutlines(shares, calmest(photos, read_water(options.water, photos.grid), shapes, colours))
 
 
 def _laid(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
@@ -60,7 +60,7 @@ def _laid(photos: Photos, shapes: list[Any], colours: Sequence[Correction], opti
         from geomosaic.product.seams.lay import alike_regions
         from geomosaic.product.seams.layers import read_seam_layers
 
-        layers = read_seam_layers(options.follow, options.avoid, photos.grid.crs)
+        layers = read_seam_layers(options.follow, options.avoid, photos.grid)
         return alike_regions(photos, shapes, colours, options.render, options.seam_weights, layers)
     if options.seams == "halve":
         from geomosaic.product.seams.lay import halved_regions

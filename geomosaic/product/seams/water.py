@@ -7,17 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyproj import CRS
 
-from geomosaic.errors import InputError
-from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid
-from geomosaic.geo.transform import Transform
+from geomosaic.product.areas import read_areas
 from geomosaic.product.colour.balance import comparison_grid, thumbnail
 from geomosaic.product.colour.corrections import Correction, corrected
 from geomosaic.product.photos import Photos
 from geomosaic.raster.burn import burn
-from geomosaic.raster.vector import layer_names, read_layer
 from geomosaic.seam.voronoi import polygonal
 
 LAYER = "water"
@@ -27,38 +23,24 @@ GLINT = 90.0
 """Percentile of brightness over a piece of water by which images are compared: glint is bright, and not everywhere."""
 
 
-def read_water(path: Path, crs: CRS) -> list[Any]:
-    """Pieces of water in the output map, each a polygon; those that touch are one piece.
+def read_water(path: Path, grid: Grid) -> list[Any]:
+    """Pieces of water in the map of a grid, each a polygon; those that touch are one piece.
 
     Parameters
     ----------
     path : Path
         Vector file with a layer `water`, or with one layer.
-    crs : CRS
+    grid : Grid
         Of the output.
 
     Raises
     ------
     InputError
-        No such layer, no CRS, or a geometry that is no area.
+        No such layer, no CRS, a geometry that is no area, an area that crosses itself.
     """
     import shapely
 
-    layers = layer_names(path)
-    layer = LAYER if LAYER in layers or len(layers) != 1 else layers[0]
-    frame = read_layer(path, layer)
-    where = f"{path}, layer {layer}"
-    if frame.crs is None:
-        raise InputError("the layer has no CRS", where=where, mend="set it, for example in QGIS")
-    move = Transform(horizontal(CRS.from_user_input(frame.crs)), crs)
-    shapes = []
-    for row, geometry in enumerate(frame.geometry, start=1):
-        if geometry is None or geometry.is_empty:
-            continue
-        if geometry.geom_type not in ("Polygon", "MultiPolygon"):
-            raise InputError(f"row {row} is a {geometry.geom_type}, not an area", where=where, mend="draw polygons")
-        shapes.append(shapely.make_valid(shapely.transform(geometry, move)))
-    joined = shapely.union_all(np.array(shapes, dtype=object))
+    joined = shapely.union_all(np.array(read_areas(path, grid, LAYER), dtype=object))
     return [part for part in getattr(joined, "geoms", [joined]) if part.area > 0]
 
 

@@ -1,0 +1,60 @@
+"""`geomosaic water`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from geomosaic.cli.options import FILE, debug_option, json_option
+from geomosaic.cli.talk import answer, notes
+
+
+@click.command()
+@click.argument("image", type=FILE)
+@click.option("--dem", type=FILE, required=True, help="Heights of the ground.")
+@click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it.")
+@click.option(
+    "--min-area",
+    type=click.FloatRange(0, min_open=True),
+    metavar="M2",
+    help="Smallest water, square metres.  [default: 40 cells]",
+)
+@click.option("-o", "--output", type=FILE, required=True, help="GeoPackage to write.")
+@click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+@json_option
+@debug_option
+def command(
+    image: Path,
+    dem: Path,
+    dem_heights: str | None,
+    min_area: float | None,
+    output: Path,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Propose areas of water: level and even, and lower than their shores.
+
+    Look at them, mend them, and give the file to geomosaic mosaic --water.
+
+    \b
+    Example:
+      geomosaic water mosaic.tif --dem dem.tif -o water.gpkg
+    """  # noqa: D301
+    from geomosaic.product.maps.water import propose_water
+
+    with notes():
+        made = propose_water(image, dem, output, smallest=min_area, heights=dem_heights, overwrite=overwrite)
+    facts = {
+        "output": str(made.path),
+        "areas_m2": [round(area, 1) for area in made.areas],
+        "cell_m": made.cell,
+        "smallest_m2": made.smallest,
+        "heights": made.heights,
+    }
+    found = f"{len(made.areas)} areas that may be water" if len(made.areas) != 1 else "one area that may be water"
+    words = (
+        f"{made.path}: {found}, of {sum(made.areas) / 1e4:.4g} ha together (cells of {made.cell:g} m, areas from "
+        f"{made.smallest:.4g} m2)\nthese are proposals: look at them and mend them, then give them to --water"
+    )
+    answer(facts, words, as_json)

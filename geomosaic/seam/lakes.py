@@ -1,0 +1,200 @@
+"""Where water may lie: level ground in a DEM that looks even and lies lower than its shores.
+
+Cells are taken as water to begin with where the ground is level and neighbouring cells look alike. Groups of such cells
+that are level as a whole grow to their shores, and count if the land around them rises: water would run out elsewhere.
+These are proposals. A level, even field between banks passes as well, and a rough DEM over water hides it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geomosaic.types import BoolArray, FloatArray, IntArray
+
+EVEN = 0.15
+"""Parts of the picture's contrast that neighbouring cells of water differ by (standard deviation of 3 × 3)."""
+ALIKE = 0.6
+"""The same, by which the shallows may differ from the middle of the water."""
+STEEP = 0.02
+"""Slope of the DEM over four of its nodes on water: their noise."""
+RISE = 0.2
+"""Metres by which the land around rises above water at least, in the middle; and the most that it may lie below it."""
+RUN_OUT = 0.1
+"""Part of a shore that may lie lower: an outlet, a dam."""
+SHORE = 6
+"""Cells: how far water grows beyond its level, even middle, and how far the shore is looked at."""
+
+
+@dataclass(frozen=True)
+class Lake:
+    """A group of cells that may be water, and why.
+
+    Attributes
+    ----------
+    number : int
+        In the raster of numbers.
+    cells : int
+    level : float
+        Metres: median height.
+    tilt : float
+        Slope of the plane through its heights.
+    roughness : float
+        Metres: RMS of the heights about that plane.
+    rise : float
+        Metres: median height of the shore above the nearest water.
+    unevenness : float
+        Parts of the picture's contrast: median of the local standard deviation.
+    """
+
+    number: int
+    cells: int
+    level: float
+    tilt: float
+    roughness: float
+    rise: float
+    unevenness: float
+
+
+def find_lakes(
+    values: FloatArray, valid: BoolArray, heights: FloatArray, cell: float, *, smallest: int, tilt: float
+) -> tuple[IntArray, list[Lake]]:
+    """Propose water.
+
+    Parameters
+    ----------
+    values : array (rows, cols, bands)
+        What cells look like.
+    valid : bool array (rows, cols)
+    heights : array (rows, cols)
+        Metres; NaN where unknown.
+    cell : float
+        Metres.
+    smallest : int
+        Cells of the smallest water.
+    tilt : float
+        Largest slope of a group as a whole.
+
+    Returns
+    -------
+    array (rows, cols)
+        Numbers of lakes, −1 elsewhere.
+    list of Lake
+        The largest first; numbers count from 0 in this order.
+    """
+    from scipy.ndimage import binary_opening, find_objects, label
+
+    known = valid & np.isfinite(heights)
+    out: IntArray = np.full(known.shape, -1)
+    if not known.any():
+        return out, []
+    looks = values / np.maximum(_contrast(values[valid]), 1e-9)
+    uneven = _local_deviation(looks, valid)
+    middle = known & (uneven <= EVEN) & (_slope(heights, cell) <= STEEP)
+    groups, _ = label(binary_opening(middle, np.ones((3, 3))))
+    found: list[tuple[Lake, tuple[slice, slice], BoolArray]] = []
+    for number, box in enumerate(find_objects(groups), start=1):
+        around = tuple(
+            slice(max(0, s.start - 2 * SHORE), min(size, s.stop + 2 * SHORE))
+            for s, size in zip(box, known.shape, strict=True)
+        )
+        own = groups[around] == number
+        if own.sum() >= smallest / 4:
+            lake, shape = _judged(own, looks[around], uneven[around], heights[around], known[around], cell, tilt)
+            if lake is not None and lake.cells >= smallest:
+                found.append((lake, around, shape))  # type: ignore[arg-type]
+    found.sort(key=lambda entry: -entry[0].cells)
+    lakes: list[Lake] = []
+    for lake, around, shape in found:
+        free = shape & (out[around] < 0)
+        out[around][free] = len(lakes)
+        lakes.append(replace(lake, number=len(lakes)))
+    return out, lakes
+
+
+def _judged(
+    own: BoolArray,
+    looks: FloatArray,
+    uneven: FloatArray,
+    heights: FloatArray,
+    known: BoolArray,
+    cell: float,
+    tilt: float,
+) -> tuple[Lake | None, BoolArray]:
+    """Let a group grow to its shores, and see whether it is level and lies low."""
+    from scipy.ndimage import binary_dilation, binary_propagation, distance_transform_edt
+
+    slope, roughness = _plane(own, heights, cell)
+    if slope > tilt:
+        return None, own
+    distance, nearest = distance_transform_edt(~own, return_indices=True)
+    above = heights - np.where(own, heights, np.nan)[tuple(nearest)]
+    within = max(RISE, 3 * roughness)
+    typical = np.median(looks[own], axis=0)
+    alike = (np.abs(looks - typical) <= ALIKE).all(axis=2)
+    level = known & (np.abs(above) <= within)
+    whole = binary_propagation(own, mask=own | (level & alike & (distance <= SHORE)))
+    whole = _without_glint(whole, level)
+    shore = binary_dilation(whole, iterations=SHORE) & ~whole & known & (distance > 1)
+    if shore.sum() < 0.3 * (binary_dilation(whole, iterations=SHORE) & ~whole).sum() or not shore.any():
+        return None, own  # most of its shores lie beyond what is known
+    rise = above[shore]
+    if np.median(rise) < within or (rise < -within).mean() > RUN_OUT:
+        return None, own
+    lake = Lake(
+        0, int(whole.sum()), float(np.median(heights[own])), slope, roughness, float(np.median(rise)),
+        float(np.median(uneven[own])),
+    )  # fmt: skip
+    return lake, whole
+
+
+def _without_glint(whole: BoolArray, level: BoolArray) -> BoolArray:
+    """Fill holes that are level with the water: glint, boats, foam; islands stay."""
+    from scipy.ndimage import binary_fill_holes, label
+
+    holes, count = label(binary_fill_holes(whole) & ~whole)
+    if not count:
+        return whole
+    cells = np.bincount(holes.ravel(), minlength=count + 1)
+    flat = np.bincount(holes.ravel(), weights=level.ravel().astype(float), minlength=count + 1) >= 0.9 * cells
+    flat[0] = False
+    return np.asarray(whole | flat[holes])
+
+
+def _contrast(values: FloatArray) -> FloatArray:
+    """Contrast (bands,) of a picture as a standard deviation, whatever its few brightest places."""
+    low, high = np.percentile(values, [5, 95], axis=0)
+    return np.asarray((high - low) / 3.29)
+
+
+def _local_deviation(looks: FloatArray, valid: BoolArray) -> FloatArray:
+    """Standard deviation of 3 × 3 cells, mean over bands; infinite where one of them is missing."""
+    from scipy.ndimage import minimum_filter, uniform_filter
+
+    filled = np.where(valid[..., None], looks, 0.0)
+    mean = uniform_filter(filled, (3, 3, 1))
+    square = uniform_filter(filled**2, (3, 3, 1))
+    deviation = np.sqrt(np.maximum(square - mean**2, 0.0)).mean(axis=2)
+    return np.where(minimum_filter(valid, 3), deviation, np.inf)
+
+
+def _slope(heights: FloatArray, cell: float) -> FloatArray:
+    """Slope over eight cells, four nodes of a DEM, of heights evened out over 3 × 3; infinite where unknown."""
+    from scipy.ndimage import uniform_filter
+
+    even = uniform_filter(np.nan_to_num(heights), 3)
+    rows, cols = (np.zeros_like(even) for _ in range(2))
+    rows[4:-4] = (even[8:] - even[:-8]) / (8 * cell)
+    cols[:, 4:-4] = (even[:, 8:] - even[:, :-8]) / (8 * cell)
+    unknown = uniform_filter(np.isnan(heights).astype(float), 11) > 1e-9
+    return np.where(unknown, np.inf, np.hypot(rows, cols))
+
+
+def _plane(own: BoolArray, heights: FloatArray, cell: float) -> tuple[float, float]:
+    """Slope of the plane through the heights of a group, and their RMS about it."""
+    r, c = np.nonzero(own)
+    z = heights[own]
+    design = np.stack([np.ones(len(z)), (c - c.mean()) * cell, (r - r.mean()) * cell], axis=1)
+    plane = np.linalg.lstsq(design, z, rcond=None)[0]
+    return float(np.hypot(plane[1], plane[2])), float(np.sqrt(np.mean((z - design @ plane) ** 2)))

@@ -1,0 +1,86 @@
+"""What a person has drawn, wrong: open and crossing outlines, areas of another block; and images that share nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import geopandas
+import mosaic_rig as rig
+import numpy as np
+import pytest
+import shapely
+
+from geomosaic.cli.words import mosaic_words
+from geomosaic.errors import GeomosaicWarning, InputError
+
+L, T = rig.LEFT, rig.TOP
+CROSSING = [(L, T), (L + 200, T - 100), (L + 200, T), (L, T - 100)]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder, ground = tmp_path_factory.mktemp("drawn"), rig.scene(100, 200).astype(np.uint8)
+    return [rig.write(folder / "a.tif", ground[:, :120]), rig.write(folder / "b.tif", ground[:, 80:], 80)]
+
+
+def drawn(folder: Path, *shapes: shapely.Geometry) -> Path:
+    frame = geopandas.GeoDataFrame({"image": ["a.tif"] * len(shapes)}, geometry=list(shapes), crs="EPSG:32633")
+    frame.to_file(folder / "drawn.gpkg")
+    return folder / "drawn.gpkg"
+
+
+WAYS = {
+    "mask": {"balance": True},
+    "region": {"balance": True, "histogram": "whole"},
+    "water": {},
+    "cutlines": {},
+    "avoid": {"seams": "alike"},
+    "follow": {"seams": "alike"},
+}
+
+
+def given(way: str, path: Path) -> dict[str, object]:
+    return {**WAYS[way], way: (path,) if way in ("avoid", "follow") else path}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_an_outline_that_does_not_close_or_crosses_itself(files: list[Path], tmp_path: Path, way: str) -> None:
+    ring = [(L, T), (L + 200, T), (L + 200, T - 100), (L, T - 100)]
+    geometries = [[[*ring, ring[0]]], [ring]]
+    features = [
+        {"type": "Feature", "properties": {"image": "a.tif"}, "geometry": {"type": "Polygon", "coordinates": g}}
+        for g in geometries
+    ]
+    crs = {"type": "name", "properties": {"name": "EPSG:32633"}}
+    path = tmp_path / "open.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": features}))
+    with pytest.raises(InputError, match="row 2 is no geometry") as told:
+        rig.run(files, tmp_path / "out.tif", **given(way, path))
+    assert told.value.mend is not None
+    assert "close" in told.value.mend
+    path = drawn(tmp_path, shapely.box(L, T - 50, L + 50, T), shapely.Polygon(CROSSING))
+    with pytest.raises(InputError, match="row 2 is no valid area"):
+        rig.run(files, tmp_path / "out.tif", **given(way, path))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_areas_of_another_block(files: list[Path], tmp_path: Path, way: str) -> None:
+    path = drawn(tmp_path, shapely.box(L + 5000, T - 50, L + 5050, T))
+    if way in ("region", "cutlines"):  # without them something else than asked for would come out
+        with pytest.raises(InputError, match="another block"):
+            rig.run(files, tmp_path / "out.tif", **given(way, path))
+    else:
+        with pytest.warns(GeomosaicWarning, match="nothing in this file reaches the mosaic"):
+            rig.run(files, tmp_path / "out.tif", **given(way, path))
+
+
+def test_images_that_share_nothing_are_told(files: list[Path], tmp_path: Path) -> None:
+    ground = rig.scene(100, 120, 3).astype(np.uint8)
+    apart = rig.write(tmp_path / "apart.tif", ground, 200)
+    made = rig.run([files[0], apart], tmp_path / "out.tif", balance=True)
+    assert "no colour is changed" in mosaic_words(made)
+    made = rig.run([*files, apart], tmp_path / "out.tif", balance=True)
+    assert "have its colour compared with theirs: apart.tif" in mosaic_words(made)
+    made = rig.run(files, tmp_path / "out.tif", balance=True)
+    assert "compared" not in mosaic_words(made)
