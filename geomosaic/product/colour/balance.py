@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.product.aligned import picked
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo, pull
 from geomosaic.product.photos import Photos
@@ -115,6 +116,10 @@ def thumbnail(
     values = np.zeros((max(window.height, 0), max(window.width, 0), bands), dtype=dtype)
     valid = np.zeros(values.shape[:2], dtype=np.uint8)
     if window.empty:
+        return Thumbnail(window, values, valid)
+    step = photo.step_of(grid) if resampling == "nearest" and values.dtype == photo.source.dtype else None
+    if step is not None and photo.offset is not None:
+        picked(photo.source, photo.offset, step, window, values, valid)
         return Thumbnail(window, values, valid)
     engine, colour = engine_for(4 * valid.size, resampling), Colour.identity(bands)
     below = Ground.under(grid, surface)
