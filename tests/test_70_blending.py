@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from pathlib import Path
 
 import mosaic_rig as rig
@@ -15,6 +16,7 @@ from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Grid
 from geomosaic.product.blend.options import Blending, Width
 from geomosaic.resample import pyramid
+from geomosaic.resample.warp import value_range
 
 PLACES = [(0, 0), (180, 40), (60, 190)]
 SIZE = (330, 420)
@@ -157,6 +159,33 @@ def test_steps_of_both_engines_are_the_same() -> None:
     assert np.array_equal(compiled.reduce(values), small)
     assert np.array_equal(compiled.expand(small), plain.expand(small))
     assert np.allclose(plain.expand(plain.reduce(np.ones_like(values))), 1, atol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "int16", "uint16", "int32", "float32", "float64"])
+def test_both_engines_take_apart_and_join_the_same(dtype: str) -> None:
+    rng, shape = np.random.default_rng(5), (40, 64)
+    exact = np.zeros(1, dtype="float64" if dtype in ("int32", "float64") else "float32")
+    values, both = rng.normal(120, 90, (*shape, 3)).clip(0, 255).astype(dtype), rng.random(shape) > 0.2
+    ground = rng.normal(100, 60, values.shape).astype(exact.dtype)
+    blend, own = rng.normal(0, 9, (2, 3, *shape)).astype(np.float32)
+    label = np.where(both, rng.integers(0, 2, shape), -1)
+    if dtype.startswith("f"):
+        values[~both] = np.nan  # may stand where nothing was measured
+    compiled, plain = pyramid.steps(compiled=True), pyramid.steps(compiled=False)
+    apart = plain.minus(values, ground, both)
+    assert apart.dtype == np.float32
+    assert apart.tobytes() == compiled.minus(values, ground, both).tobytes()
+    assert np.allclose(apart, np.where(both, np.moveaxis(values.astype(float) - ground, -1, 0), 0), atol=1e-4)
+    for differs, blends in itertools.product((False, True), repeat=2):
+        made = [np.zeros_like(values), np.zeros_like(values)]
+        for engine, out in zip((compiled, plain), made, strict=True):
+            engine.join(values, own, differs, blend, blends, label, 1, *value_range(dtype), exact, out)
+        assert made[0].tobytes() == made[1].tobytes()
+        raw = np.moveaxis(values.astype(float), -1, 0) + blends * blend - differs * own
+        least, most, whole = value_range(dtype)
+        expected = np.moveaxis(np.clip(np.floor(raw + 0.5), least, most) if whole else raw, 0, -1)
+        assert np.abs(np.where(label[..., None] == 1, made[0] - expected, 0)).max() < 1e-3
+        assert not made[0][label != 1].any()
 
 
 @pytest.mark.parametrize("blending", [Blending("multiband"), Blending("overlap"), Blending(limit=True)], ids=str)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of malloc.h
-_KEPT, _LARGEST = 512 << 20, 64 << 20
+_KEPT, _LARGEST = 128 << 20, 64 << 20
 
 
 def keep_pages() -> None:

@@ -46,6 +46,37 @@ def offset_on(grid: Grid, mapper: MapToImage, footprint: Footprint) -> Offset | 
     return int(whole[0]), int(whole[1])
 
 
+def picked(source: Source, offset: Offset, step: int, window: Window, out: AnyArray, out_valid: ByteArray) -> None:
+    """Take the middle pixel of each cell, of `step` × `step` pixels of the output; a source that `thins`.
+
+    Parameters
+    ----------
+    source : Source
+    offset : (columns, rows)
+        See `offset_on`.
+    step : int
+    window : Window
+        In cells.
+    out : array (rows, cols, bands)
+        Of the window.
+    out_valid : uint8 array (rows, cols)
+        Set to 1 where the image is seen.
+    """
+    at = offset[0] + step // 2, offset[1] + step // 2  # of the middle pixel of cell 0
+    size = source.info.width, source.info.height
+    low = [max(start, -(place // step)) for start, place in zip((window.col, window.row), at, strict=True)]
+    ends = zip((window.stop_col, window.stop_row), at, size, strict=True)
+    high = [min(stop, -((place - length) // step)) for stop, place, length in ends]
+    if low[0] >= high[0] or low[1] >= high[1]:
+        return
+    first = at[0] + low[0] * step, at[1] + low[1] * step
+    values, valid = source.picked(first, (high[0] - low[0], high[1] - low[1]), step)
+    seen = np.ones(values.shape[:2], dtype=np.uint8) if valid is None else valid
+    inside = slice(low[1] - window.row, high[1] - window.row), slice(low[0] - window.col, high[0] - window.col)
+    np.copyto(out[inside], values, where=seen[..., None] > 0)
+    out_valid[inside] = seen
+
+
 def is_identity(colour: Colour) -> bool:
     """Whether a correction leaves all values as they are."""
     return bool((colour.gain == 1.0).all() and (colour.offset == 0.0).all())

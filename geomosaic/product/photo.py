@@ -51,6 +51,14 @@ class Photo:
             self.tables[key] = colour, table_of(colour, self.scale, self.source.dtype, out)
         return self.tables[key][1]
 
+    def step_of(self, coarse: Grid) -> int | None:
+        """Pixels along a side of the cells of a coarser grid, where single ones can be picked; None where not."""
+        if self.offset is None or self.grid is None or self.scale != 1.0 or not self.source.thins:
+            return None
+        step = round(coarse.resolution[0] / self.grid.resolution[0])
+        same = self.grid.coarser(step)
+        return step if (same.transform, same.shape) == (coarse.transform, coarse.shape) else None
+
     @classmethod
     def open(
         cls, scene: Scene, surface: Surface | None, grid: Grid, footprint: Footprint, memory: int, scale: float = 1.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +81,9 @@ class Source:
             self.bands: tuple[int, ...] = tuple(plain if bands is None else bands)
             self._block_rows = int(dataset.block_shapes[self.bands[0] - 1][0])
             declared = dataset.nodatavals
+            overviews = bool(dataset.overviews(self.bands[0]))
+        self.thins = self.info.direct and not overviews and usable is None
+        """Whether one pixel out of many costs little, see `picked`."""
         self._dtype = np.dtype(self.info.dtype)
         values = [declared[band - 1] if nodata is None else nodata for band in self.bands]
         self._nodata = tuple(usable_nodata(self._dtype, value) for value in values)
@@ -139,6 +142,33 @@ class Source:
             raise ValueError(f"{window} does not start at a multiple of shrink {shrink}")
         return self._read_reduced(window, shrink)
 
+    def picked(self, first: tuple[int, int], count: tuple[int, int], step: int) -> tuple[AnyArray, ByteArray | None]:
+        """Read one pixel out of many, where the source `thins`: the others are not even looked for in the file.
+
+        Parameters
+        ----------
+        first : (col, row)
+            The first pixel.
+        count : (cols, rows)
+            So many pixels, all inside the image.
+        step : int
+            Columns and rows from one to the next.
+
+        Returns
+        -------
+        values, valid
+            As of `read`.
+        """
+        values = np.empty((count[1], count[0], len(self.bands)), dtype=self._dtype)
+        valid = np.ones(values.shape[:2], dtype=np.uint8)
+        for rows, row, height in _runs(first[1], count[1], step, self.info.height):
+            for cols, col, width in _runs(first[0], count[0], step, self.info.width):
+                shape = rows.stop - rows.start, cols.stop - cols.start
+                values[rows, cols], seen = self._decode(Window(col, row, width, height), shape)
+                if seen is not None:
+                    valid[rows, cols] = seen
+        return values, None if valid.all() else valid
+
     def _read_reduced(self, window: Window, shrink: int) -> tuple[AnyArray, ByteArray | None]:
         row_bytes = window.width * len(self.bands) * self._dtype.itemsize
         rows = shrink * max(1, _STRIP_BYTES // (row_bytes * shrink))
@@ -182,9 +212,10 @@ class Source:
                 valid[strip.row : strip.stop_row] = part
         return InMemory(values, valid)
 
-    def _decode(self, window: Window) -> tuple[AnyArray, ByteArray | None]:
-        """Read a window through this thread's GDAL handle."""
-        values = np.empty((window.height, window.width, len(self.bands)), dtype=self._dtype)
+    def _decode(self, window: Window, shape: tuple[int, int] | None = None) -> tuple[AnyArray, ByteArray | None]:
+        """Read a window through this thread's GDAL handle, or so many rows and columns of its pixels."""
+        shape = shape or (window.height, window.width)
+        values = np.empty((*shape, len(self.bands)), dtype=self._dtype)
         area = rasterio.windows.Window(window.col, window.row, window.width, window.height)
         mask: AnyArray | None = None
         try:
@@ -193,9 +224,9 @@ class Source:
                 # GDAL writes through the strides, so pixels come out interleaved without a second copy.
                 dataset.read(list(self.bands), window=area, out=np.moveaxis(values, -1, 0))
                 if self.info.alpha is not None:
-                    mask = dataset.read(self.info.alpha, window=area)
+                    mask = dataset.read(self.info.alpha, window=area, out_shape=shape)
                 elif self.info.mask_band:
-                    mask = dataset.read_masks(self.bands[0], window=area)
+                    mask = dataset.read_masks(self.bands[0], window=area, out_shape=shape)
         except (RasterioError, OSError) as error:
             cause = str(error.__cause__ or error).strip().splitlines()
             raise RasterReadError(
@@ -216,3 +247,19 @@ class Source:
             self._local.dataset = dataset
             self._handles.append(dataset)
         return dataset
+
+
+def _runs(first: int, count: int, step: int, size: int) -> Iterator[tuple[slice, int, int]]:
+    """Cut picked pixels along an axis into runs: which they are, and the start and length of a window for them.
+
+    GDAL takes the middle of each `step` pixels; the first and the last of the picked ones may lie too near to the
+    image's edge for that, and are read on their own.
+    """
+    before = first - step // 2
+    start, stop = int(before < 0), count - int(before + count * step > size)
+    for alone in range(start):
+        yield slice(alone, alone + 1), first, 1
+    if start < stop:
+        yield slice(start, stop), before + start * step, (stop - start) * step
+    for alone in range(max(start, stop), count):
+        yield slice(alone, alone + 1), first + alone * step, 1

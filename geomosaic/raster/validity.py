@@ -49,8 +49,8 @@ def missing_by_value(values: AnyArray, nodata: Sequence[float | None]) -> BoolAr
     if values.dtype.kind != "f":  # compared with a float, every value would first become one
         nodata = [None if value is None else values.dtype.type(value) for value in nodata]
     one = nodata[0] if ordinary and len(set(nodata)) == 1 else None
-    if one is not None and values.flags.c_contiguous and values.size:
-        return _all_bands(values == one)
+    if one is not None and values.flags.c_contiguous:
+        return _all_bands(values, one)
     if any(value is not None for value in nodata):
         marked: BoolArray | None = None
         for band, value in enumerate(nodata):
@@ -69,24 +69,26 @@ def missing_by_value(values: AnyArray, nodata: Sequence[float | None]) -> BoolAr
     return found
 
 
-def _all_bands(hit: BoolArray) -> BoolArray | None:
-    """Pixels (rows, cols) hit in every band of (rows, cols, bands); None where there are none.
+def _all_bands(values: AnyArray, one: Any) -> BoolArray | None:
+    """Pixels (rows, cols) that have one value in every band of (rows, cols, bands); None where there are none.
 
-    Only the rows and columns with any hit are looked at band by band: along the memory a look takes a tenth of that.
+    Looked at along the memory: bits that differ from the value, of as many samples in a row as there are bands. Only
+    where that finds none, pixels are looked at one by one, which takes ten times as long.
     """
-    rows = np.flatnonzero(hit.reshape(hit.shape[0], -1).any(axis=1))
-    if not len(rows):
+    bands, flat = values.shape[2], values.reshape(-1)
+    if flat.size < bands:
         return None
-    cols = np.flatnonzero(np.asarray(hit.any(axis=0)).any(axis=1))
-    box = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
-    every = hit[box][..., 0].copy()
-    for band in range(1, hit.shape[2]):
-        every &= hit[box][..., band]
-    if not every.any():
+    differ = flat ^ one if one else flat
+    if bands > 1:
+        count = flat.size - bands + 1
+        joined = differ[:count] | differ[1 : count + 1]
+        for band in range(2, bands):
+            joined |= differ[band : count + band]
+        differ = joined
+    if differ.min():
         return None
-    found = np.zeros(hit.shape[:2], dtype=bool)
-    found[box] = every
-    return found
+    found: BoolArray = (differ[::bands] == 0).reshape(values.shape[:2])
+    return found if found.any() else None
 
 
 def combine(missing: BoolArray | None, mask: AnyArray | None) -> ByteArray | None:

@@ -16,10 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from geomosaic.resample.pyramid import Steps, ascend, descend, filled
+from geomosaic.resample.warp import value_range
 from geomosaic.types import AnyArray, BoolArray, IntArray
 
 REACH = 5
@@ -65,10 +67,8 @@ def differences(views: Sequence[View], label: IntArray, noise: float | None, by:
     """
     count = np.bincount(label[label >= 0].ravel(), minlength=len(views))
     base = int(np.argmax(count))
-    kind = views[base].values.dtype
-    exact = np.float32 if kind.itemsize < 4 or kind == np.float32 else np.float64
     known = views[base].valid.copy()
-    ground = views[base].values.astype(exact)
+    ground = views[base].values.astype(_exact(views[base].values.dtype))
     if not known.all():  # whatever stands there, it may be no number
         ground[~known] = 0
     found: list[AnyArray | None] = [None] * len(views)
@@ -80,11 +80,7 @@ def differences(views: Sequence[View], label: IntArray, noise: float | None, by:
         i = left.pop(int(np.argmax(shared)))
         view, both = views[i], known & views[i].valid
         # Bands lie one after the other from here on: a weight then serves them all at no cost.
-        raw = np.empty((ground.shape[2], *both.shape), dtype=np.float32)
-        for band in range(len(raw)):
-            np.subtract(view.values[..., band], ground[..., band], out=raw[band], dtype=exact, casting="same_kind")
-        if not both.all():
-            raw[:, ~both] = 0
+        raw = by.minus(view.values, ground, both)
         certain = both[None].astype(np.float32)
         if noise is not None:
             certain = believed(raw, certain, noise, by)
@@ -170,18 +166,26 @@ def by_weights(apart: Sequence[AnyArray | None], weights: Sequence[AnyArray]) ->
 
 
 def corrected(
-    views: Sequence[View], apart: Sequence[AnyArray | None], blend: AnyArray | None, label: IntArray
-) -> AnyArray:
-    """Own value of each pixel and its correction, not rounded (rows, cols, bands); zero where no image is."""
-    kind = views[0].values.dtype
-    exact = np.float32 if kind.itemsize < 4 or kind == np.float32 else np.float64
-    out: AnyArray = np.zeros(views[0].values.shape, dtype=exact)
-    masks = [label == i for i in range(len(views))]
-    for band in range(views[0].values.shape[2]):
-        whole: AnyArray = np.zeros(label.shape, dtype=exact) if blend is None else blend[band].astype(exact)
-        for mask, view, difference in zip(masks, views, apart, strict=True):
-            np.add(whole, view.values[..., band], out=whole, where=mask)
-            if difference is not None:
-                np.subtract(whole, difference[band], out=whole, where=mask)
-        out[..., band] = np.where(label >= 0, whole, 0)
-    return out
+    views: Sequence[View],
+    apart: Sequence[AnyArray | None],
+    blend: AnyArray | None,
+    label: IntArray,
+    by: Steps,
+    out: AnyArray,
+) -> None:
+    """Put each pixel's own value and its correction into `out` (rows, cols, bands), rounded; zero where no image is."""
+    kind = np.zeros(1, dtype=_exact(views[0].values.dtype))
+    out[label < 0] = 0
+    for i, (view, own) in enumerate(zip(views, apart, strict=True)):
+        by.join(
+            view.values, _NONE if own is None else own, own is not None, _NONE if blend is None else blend,
+            blend is not None, label, i, *value_range(str(out.dtype)), kind, out,
+        )  # fmt: skip
+
+
+_NONE = np.zeros((1, 1, 1), dtype=np.float32)
+
+
+def _exact(kind: np.dtype[Any]) -> type[np.floating[Any]]:
+    """Floating point type that holds the samples of a type."""
+    return np.float32 if kind.itemsize < 4 or kind == np.float32 else np.float64

@@ -7,26 +7,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.types import AnyArray
+from geomosaic.types import AnyArray, BoolArray, IntArray
 
 Step = Callable[[AnyArray], AnyArray]
 
 
 @dataclass(frozen=True)
 class Steps:
-    """One step down and one up; arrays (bands, rows, cols) of float32, of even size where they go down."""
+    """One step down and one up; arrays (bands, rows, cols) of float32, of even size where they go down.
+
+    And what is done pixel by pixel at either end: `kernels.differ`.
+    """
 
     reduce: Step
     expand: Step
+    minus: Callable[[AnyArray, AnyArray, BoolArray], AnyArray]
+    join: Callable[..., None]
 
 
 def steps(*, compiled: bool) -> Steps:
     """Compiled steps, or NumPy's where there is too little to do to wait for a compiler; both give the same bytes."""
     if not compiled:
-        return Steps(reduce, expand)
-    from geomosaic.resample.kernels import pyramid
+        return Steps(reduce, expand, minus, join)
+    from geomosaic.resample.kernels import differ, pyramid
 
-    return Steps(pyramid.reduce, pyramid.expand)
+    return Steps(pyramid.reduce, pyramid.expand, differ.minus, differ.join)
 
 
 def reduce(fine: AnyArray) -> AnyArray:
@@ -37,6 +42,41 @@ def reduce(fine: AnyArray) -> AnyArray:
 def expand(coarse: AnyArray) -> AnyArray:
     """Twice the size, see `kernels.pyramid.expand`."""
     return _doubled(_doubled(coarse, 1), 2)
+
+
+def minus(values: AnyArray, ground: AnyArray, both: BoolArray) -> AnyArray:
+    """Differences, see `kernels.differ.minus`."""
+    out = np.zeros((values.shape[2], *both.shape), dtype=np.float32)
+    for band in range(len(out)):
+        np.subtract(
+            values[..., band], ground[..., band], out=out[band], where=both, dtype=ground.dtype, casting="same_kind"
+        )
+    return out
+
+
+def join(
+    values: AnyArray,
+    own: AnyArray,
+    differs: bool,
+    blend: AnyArray,
+    blends: bool,
+    label: IntArray,
+    index: int,
+    low: float,
+    high: float,
+    whole: bool,
+    kind: AnyArray,
+    out: AnyArray,
+) -> None:
+    """Values and their corrections, see `kernels.differ.join`."""
+    mask = label == index
+    for band in range(values.shape[2]):
+        exact: AnyArray = values[..., band][mask].astype(kind.dtype)
+        if blends:
+            exact = blend[band][mask].astype(kind.dtype) + exact
+        if differs:
+            exact = exact - own[band][mask].astype(kind.dtype)
+        out[..., band][mask] = np.clip(np.floor(exact + kind.dtype.type(0.5)), low, high) if whole else exact
 
 
 def _halved(values: AnyArray, axis: int) -> AnyArray:

@@ -17,7 +17,7 @@ from geomosaic.product.visibility import Shades
 from geomosaic.raster.burn import burn
 from geomosaic.resample.multiband import View, by_weights, corrected, differences, in_bands
 from geomosaic.resample.pyramid import Steps
-from geomosaic.resample.warp import CELL, value_range
+from geomosaic.resample.warp import CELL
 from geomosaic.sensor.ground import BlockGround
 from geomosaic.types import AnyArray, Float32Array, IntArray
 
@@ -201,23 +201,19 @@ class BandBlender(Blender):
             blend = in_bands(apart, local, self.levels, self.steps)
         else:
             blend = by_weights(apart, weights)
-        exact = corrected(
-            [View(view.values[inside], view.valid[inside]) for view in views],
-            [None if one is None else one[:, *inside] for one in apart],
-            None if blend is None else blend[:, *inside],
-            local[inside],
-        )
-        low, high, whole = value_range(str(target[0].dtype))
-        if whole:
-            exact = np.clip(np.floor(exact + 0.5), low, high)
         block = (
             slice(part.row - window.row, part.stop_row - window.row),
             slice(part.col - window.col, part.stop_col - window.col),
         )
-        seen = local[inside] >= 0
-        target[0][block] = np.where(seen[..., None], exact, 0)
-        target[1][block] = seen
-        target[2][block] = np.where(seen, np.array([*images, -1])[local[inside]] + 1, 0)
+        corrected(
+            [View(view.values[inside], view.valid[inside]) for view in views],
+            [None if one is None else one[:, *inside] for one in apart],
+            None if blend is None else blend[:, *inside],
+            local[inside], self.steps, target[0][block],
+        )  # fmt: skip
+        target[1][block] = local[inside] >= 0
+        numbers = np.array([*(i + 1 for i in images), 0], dtype=target[2].dtype)  # −1 takes the last
+        target[2][block] = numbers[local[inside]]
 
     def _views(
         self, ground: BlockGround, label: IntArray, lattices: Lattices, shades: Shades | None

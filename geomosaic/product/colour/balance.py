@@ -9,7 +9,11 @@ from typing import Any
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
+<<<<<<< HEAD
 from geomosaic.product.aligned import cell_means
+=======
+from geomosaic.product.aligned import picked
+>>>>>>> n
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo, pull
 from geomosaic.product.photos import Photos
@@ -125,10 +129,16 @@ def thumbnail(
     valid = np.zeros(values.shape[:2], dtype=np.uint8)
     if window.empty:
         return Thumbnail(window, values, valid)
+<<<<<<< HEAD
     size = _cells_of(photo, grid) if resampling == "average" else None
     if size is not None and photo.offset is not None:
         cell_means(photo.source, photo.offset, window, size, values, valid)
         values *= photo.scale
+=======
+    step = photo.step_of(grid) if resampling == "nearest" and values.dtype == photo.source.dtype else None
+    if step is not None and photo.offset is not None:
+        picked(photo.source, photo.offset, step, window, values, valid)
+>>>>>>> n
         return Thumbnail(window, values, valid)
     engine, colour = engine_for(4 * valid.size, resampling), Colour.identity(bands)
     below = Ground.under(grid, surface)
