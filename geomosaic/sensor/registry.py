@@ -78,7 +78,7 @@ def build(name: str, request: SensorRequest) -> SensorModel:
     Raises
     ------
     HeightDatumError
-        The model depends on heights, and its CRS does not say from where they count: so no plugin guesses it in silence.
+        The model depends on heights, and its CRS does not say from where they count. No plugin guesses in silence.
     """
     tool = plugin(name)
     model = tool.build(request)
@@ -91,7 +91,7 @@ def build(name: str, request: SensorRequest) -> SensorModel:
 
 
 def _depends_on_heights(model: SensorModel) -> bool:
-    """Whether the image of a place moves where its height changes: half-way to the edge, for below a camera none does."""
+    """Whether a place moves in the image when its height changes; half-way to the edge, as below a camera none does."""
     x, y, z = model.seed
     step = 1e-6 * max(abs(x), 1.0)
     image = model.ground_to_image(np.array([[x, y, z], [x + step, y, z]]))
