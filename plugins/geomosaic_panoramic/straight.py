@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic_panoramic.read import number, numbers
 
 PER_STEP = {"scanner": "line", "sweeps": "sweep", "panoramic": "sweep"}
@@ -56,5 +56,6 @@ def cells(along: float, across: float, where: str) -> None:
         warnings.warn(
             f"{where}: below the scanner a pixel is {across:.3g} m across and {along:.3g} m along the flight; is "
             "field_of_view in degrees, and advance (or v_over_h) that of one line?",
+            GeomosaicWarning,
             stacklevel=2,
         )
