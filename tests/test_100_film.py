@@ -111,8 +111,7 @@ def call(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, 
 
 
 def found(film: Path, capsys: pytest.CaptureFixture[str], output: str = "marks.csv") -> Path:
-    col, row = rig.marks(**SCAN)["1"]
-    template = ("--template", film / "scan.tif", "--at", round(col), round(row), "--side", 8.8)
+    template = ("--template", film / "scan.tif", "--at", 1129, 57, "--side", 9.6)  # as docs/film.md has it
     code, _, err = call(
         capsys, "fiducials", film / "scan.tif", "--camera", film / "certificate.toml", *template,
         "--pixel-size", PIXEL, "-o", film / output, "--overwrite",
@@ -128,7 +127,9 @@ def test_marks_are_found_to_a_tenth_of_a_pixel(film: Path, capsys: pytest.Captur
     for line in table[1:]:
         image, name, col, row, *_ = line.split(",")
         assert image == "scan.tif"
-        assert np.hypot(*(np.array([float(col), float(row)]) - rig.marks(**SCAN)[name])) < 0.1
+        off = float(np.hypot(*(np.array([float(col), float(row)]) - rig.marks(**SCAN)[name])))
+        print(f"mark {name}: {off:.3f} px off")
+        assert off < 0.03
 
 
 @pytest.mark.parametrize(("right", "down", "fine"), [(3, -4, True), (18, 2, False)])

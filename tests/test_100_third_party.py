@@ -20,6 +20,10 @@ SAMPLE = ROOT / "tests" / "sample_plugin"
 PLACE, FOCAL, SIZE = (500000.0, 5500000.0, 1000.0), 800.0, (900, 700)
 
 
+class Failed(Exception):
+    """A command that failed: its exit code and what it said."""
+
+
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder that the wheel of the sample was installed into; nothing is fetched."""
@@ -44,12 +48,21 @@ def python(installed: Path, *arguments: str, cwd: Path) -> str:
     done = subprocess.run(
         [sys.executable, *arguments], capture_output=True, text=True, cwd=cwd, env={**os.environ, "PYTHONPATH": path}
     )
-    assert done.returncode == 0, done.stderr
+    if done.returncode:
+        raise Failed(done.returncode, done.stderr)
     return done.stdout
 
 
 def geomosaic(installed: Path, *arguments: str, cwd: Path) -> str:
     return python(installed, "-m", "geomosaic.cli", *arguments, cwd=cwd)
+
+
+def refused(installed: Path, *arguments: str, cwd: Path) -> str:
+    """Standard error of a command that fails as a user's error does."""
+    with pytest.raises(Failed) as caught:
+        geomosaic(installed, *arguments, cwd=cwd)
+    assert caught.value.args[0] == 1
+    return str(caught.value.args[1])
 
 
 def test_it_is_listed_and_described(installed: Path, tmp_path: Path) -> None:
@@ -117,9 +130,37 @@ def test_an_ortho_a_place_and_an_adjustment(installed: Path, tmp_path: Path) -> 
     assert valid.mean() > 0.95
     assert np.abs(made - picture(e, n))[valid].max() < 4.0  # 4.4 grey values per metre at the steepest
     sigmas = [word for name in "xyz" for word in ("--sigma", f"{name}=0.2")]
+    undeclared = [word for word in sensor if word not in ("--heights", "ellipsoidal", "--dem-heights")]
+    heights = ["--dem-heights", "ellipsoidal"]
+    failed = refused(installed, "ortho", "photo.tif", *undeclared, *heights, *area, "-o", "no.tif", cwd=tmp_path)
+    assert re.search(r"'vertical' have no vertical datum.* differ by 45.\d m here \(up to \d+ px", failed)
     told = geomosaic(
         installed, "locate", "photo.tif", *sensor, *sigmas, "--pixel", "200.5", "100.5", "--json", cwd=tmp_path
     )
     (point,) = json.loads(told)["points"]
     assert np.allclose([point["x"], point["y"]], [x[100, 200], y[100, 200]], atol=1e-6)
     assert 0.19 < point["semi_minor_m"] < point["semi_major_m"] < 0.3
+
+
+def test_a_project_adjusts_it(installed: Path, tmp_path: Path) -> None:
+    """The example that is shown runs as it is shown; with the position 60 m off, control points bring it back."""
+    shown = json.loads(geomosaic(installed, "sensors", "vertical", "--json", cwd=tmp_path))["example"]
+    (width, height), project = shown["size"], shown["project"]
+    with rasterio.open(
+        tmp_path / "image.tif", "w", driver="GTiff", count=1, width=width, height=height, dtype="uint8"
+    ) as file:
+        file.write(np.arange(width * height, dtype=np.uint8).reshape(1, height, width))
+    (tmp_path / "project.toml").write_text(project)
+    geomosaic(installed, "run", "project.toml", cwd=tmp_path)
+    assert (tmp_path / "output" / "mosaic.tif").exists()
+    ground = [(499800.0, 5499850.0, 300.0), (500250.0, 5500200.0, 340.0), (500200.0, 5499900.0, 280.0)]
+    rows = [
+        f"p{i},{x},{y},{z},image.tif,{500 + 1000 * (x - 5e5) / (1300 - z)!r},{400 - 1000 * (y - 55e5) / (1300 - z)!r}"
+        for i, (x, y, z) in enumerate(ground)
+    ]
+    (tmp_path / "gcps.csv").write_text("\n".join(["id,x,y,z,image,col,row", *rows]) + "\n")
+    moved = project.replace("[500000.0, 5500000.0, 1300.0]", "[500050.0, 5499980.0, 1330.0]")
+    (tmp_path / "project.toml").write_text(f'{moved}\n[control]\nfile = "gcps.csv"\n')
+    geomosaic(installed, "run", "project.toml", cwd=tmp_path)
+    state = json.loads((tmp_path / "output" / "models" / "image.tif.json").read_text())["state"]
+    assert np.allclose(state["centre"], [500000.0, 5500000.0, 1300.0], atol=1e-5)

@@ -14,7 +14,7 @@ from pyproj import CRS
 from rasterio.errors import NotGeoreferencedWarning
 from solve_rig import MAP, PLACE, control
 
-from geomosaic.errors import GeomosaicError, HeightDatumError
+from geomosaic.errors import GeomosaicError, GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.local import LocalFrame, map_place
 from geomosaic.product.options import RenderOptions
 from geomosaic.project.inputs import BlockInputs
@@ -203,6 +203,18 @@ def test_what_is_wrong_is_said(change: dict[str, Any], said: str) -> None:
     with pytest.raises(GeomosaicError) as caught:
         made({**SCANNER, **change})
     assert said in str(caught.value)
+
+
+def test_cells_far_from_square_are_doubted() -> None:
+    """A field of 90 degrees given in radians: pixels of 8 cm by 4 m."""
+    with pytest.warns(GeomosaicWarning, match=r"a pixel is 0\.0\d+ m across and 4 m along .*field_of_view in degrees"):
+        made({**SCANNER, "field_of_view": 1.5708})
+
+
+def test_a_scanner_that_does_not_advance() -> None:
+    with pytest.raises(InputError) as caught:
+        made({name: value for name, value in SCANNER.items() if name != "advance"})
+    assert caught.value.mend == "give advance or v_over_h"
 
 
 def test_heights_are_declared() -> None:

@@ -24,7 +24,7 @@ def shown(name: str, capsys: pytest.CaptureFixture[str]) -> tuple[tuple[int, int
     """Size, project and files of an example, out of what the command prints."""
     assert run(["sensors", name]) == 0
     out = capsys.readouterr().out
-    head, _, rest = out.partition("example: a project for an image of ")
+    head, _, rest = out.partition("example: a project, project.toml, for image.tif of ")
     assert "inputs:" in head
     found = re.match(r"(\d+) x (\d+) pixels\n", rest)
     assert found, out
@@ -45,8 +45,8 @@ def test_the_example_runs(name: str, tmp_path: Path, capsys: pytest.CaptureFixtu
         tmp_path / "image.tif", "w", driver="GTiff", width=size[0], height=size[1], count=1, dtype="uint8"
     ) as image:
         image.write(np.full((1, size[1], size[0]), 99, dtype=np.uint8))
-    (tmp_path / "p.toml").write_text(f'format = 1\n[project]\nimages = ["image.tif"]\n\n{project}')
-    block = build_block(load_project(tmp_path / "p.toml").inputs)
+    (tmp_path / "project.toml").write_text(project)
+    block = build_block(load_project(tmp_path / "project.toml").inputs)
     model = block.scenes[0].model
     assert block.scenes[0].sensor == name
     pixels = np.array([[0.5, 0.5], [size[0] / 2, size[1] / 2], [size[0] - 0.5, size[1] - 0.5]])

@@ -29,6 +29,8 @@ from geomosaic.project.orientation.exterior import read_exterior
 from geomosaic.project.orientation.printed import Printed, read_printed
 from geomosaic.project.photos import Photo
 from geomosaic.project.planar.tables import read_block
+from geomosaic.project.rpc.ties import read_ties
+from geomosaic.project.things.surface_file import read_surface
 from geomosaic.raster.photo_tags import PhotoTags
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
@@ -57,6 +59,22 @@ def printed(path: Path) -> object:
 def track(path: Path) -> object:
     options = {"track": path.name, "focal_length_px": 900.0, "columns": "left", "start_time": 1.0, "line_period": 0.01}
     return registry.build("pushbroom", SensorRequest("a", (40, 30), options, MAP, str(path.parent)))
+
+
+def strip(path: Path) -> object:
+    """The track of an across-track scanner: another table."""
+    options = {"kind": "scanner", "field_of_view": 60.0, "track": path.name, "start_time": 1.0, "period": 0.01}
+    return registry.build("panoramic", SensorRequest("a", (40, 30), options, MAP, str(path.parent)))
+
+
+def certificate(path: Path) -> object:
+    options = {
+        "camera": dict(read_camera(path)),
+        "fiducials": {"1": [1.0, 1.0], "2": [39.0, 1.0], "3": [39.0, 29.0], "4": [1.0, 29.0]},
+        "position": [500000.0, 5500000.0, 900.0],
+        "orientation": {"system": "opk", "omega": 0.0, "phi": 0.0, "kappa": 0.0},
+    }
+    return registry.build("frame", SensorRequest("a.jpg", (40, 30), options, MAP, str(path.parent)))
 
 
 def colmap(path: Path) -> object:
@@ -100,6 +118,15 @@ CAMERA_FILE = 'focal_length = 24.0\nsensor_size = [36, 24]\n[distortion]\nmodel 
 PROJECT = 'format = 1\n[project]\nimages = ["*.toml"]\n[sensor]\nname = "frame"\n[dem]\nheight = 3.0\n'
 TRACK = "time,x,y,z,roll,pitch,heading\n" + "".join(f"{t},{500000 + t},5500000,900,0,0,90\n" for t in range(9))
 
+STRIP = "time,x,y,z,heading,pitch,roll\n" + "".join(f"{t},{500000 + t},5500000,900,90,0,0\n" for t in range(9))
+FILM = (
+    "focal_length = 150.0\nprincipal_point_autocollimation = [0.01, 0.0]\n[fiducials]\n1 = [-95.0, 70.0]\n"
+    "2 = [95.0, 70.0]\n3 = [95.0, -70.0]\n4 = [-95.0, -70.0]\n[distortion]\nmodel = 'radial'\n"
+    "radius = [0, 50, 100, 150]\ndistortion = [0, 2, -3, 4]\n"
+)
+TOWER = 'kind = "cylinder"\npoint = [10.0, 20.0, 0.0]\naxis = [0, 0, 1]\nradius = 4.0\nbottom = 0.0\ntop = 15.0\n'
+DOME = 'kind = "ellipsoid"\ncentre = [1.0, 2.0, 0.0]\nsemi_axes = [4.0, 3.0]\nprojection = "dome-plan"\nbottom = 1.0\n'
+
 KINDS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     "orientation table": ("t.csv", TABLE, lambda path: read_exterior(path, "opk")),
     "printed list": ("t.lst", "101 1000.0 2000.0 3000.0 1.0D+00 2.0 3.0\n102 1 2 3 4 5 6\n", printed),
@@ -119,7 +146,16 @@ KINDS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     "correction grid": ("c.csv", "col,row,d_col,d_row\n0,0,0.1,0\n9,0,0,0\n0,9,0,0\n9,9,0,0.1\n", read_corrections),
     "camera": ("c.toml", CAMERA_FILE, read_camera),
     "project": ("p.toml", PROJECT, load_project),
+    "certificate": ("film.toml", FILM, certificate),
     "track": ("track.csv", TRACK, track),
+    "track of a scanner": ("track.csv", STRIP, strip),
+    "tie points of scenes": (
+        "ties.csv",
+        "id,image,col,row\n1,a.jpg,1,2\n1,b.jpg,3,4\n",
+        lambda path: read_ties(path, ["a.jpg", "b.jpg"]),
+    ),
+    "surface": ("tower.toml", TOWER, read_surface),
+    "dome": ("dome.toml", DOME, read_surface),
     "OpenSfM": ("reconstruction.json", SHOT, frame("opensfm")),
     "ODM": ("reconstruction.json", SHOT, frame("odm")),
     "Pix4D": ("p_calibrated_camera_parameters.txt", PIX4D, frame("pix4d")),

@@ -50,7 +50,7 @@ def command(scans: tuple[Path, ...], output: Path, overwrite: bool, as_json: boo
     for image, marks in found.items():
         there = [mark for mark in marks.values() if mark.found]
         missing = [name for name, mark in marks.items() if not mark.found]
-        worst = f", sigmas up to {max(mark.sigma for mark in there):.3f} px" if there else ""
+        worst = f", sigmas by noise up to {max(mark.sigma for mark in there):.3f} px" if there else ""
         lost = f"; not found: {', '.join(missing)}" if missing else ""
         words.append(f"{image}: {len(there)} of {len(marks)} fiducials found{worst}{lost}")
         facts[image] = {

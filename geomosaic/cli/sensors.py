@@ -11,6 +11,14 @@ from geomosaic.cli.talk import answer
 from geomosaic.sensor.plugin import HasExample, SensorExample
 from geomosaic.sensor.registry import SensorEntry, installed, plugin
 
+HEAD = """\
+format = 1
+
+[project]
+images = ["image.tif"]
+
+"""
+
 
 @click.command()
 @click.argument("name", required=False)
@@ -38,15 +46,15 @@ def command(name: str | None, as_json: bool) -> None:
     result: dict[str, object] = {"name": loaded.name, "summary": loaded.summary, "inputs": inputs}
     if isinstance(loaded, HasExample):
         words += ["", *_example(loaded.example)]
-        result["example"] = asdict(loaded.example)
+        result["example"] = {**asdict(loaded.example), "project": HEAD + loaded.example.project}
     answer(result, "\n".join(words), as_json)
 
 
 def _example(example: SensorExample) -> list[str]:
     """Project and files of an example, as they would be written."""
     width, height = example.size
-    lines = [f"example: a project for an image of {width} x {height} pixels", ""]
-    lines += [f"  {line}".rstrip() for line in example.project.splitlines()]
+    lines = [f"example: a project, project.toml, for image.tif of {width} x {height} pixels", ""]
+    lines += [f"  {line}".rstrip() for line in (HEAD + example.project).splitlines()]
     for name, text in example.files.items():
         lines += ["", f"with {name}:", "", *(f"  {line}".rstrip() for line in text.splitlines())]
     return lines

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 
+import numpy as np
+
 from geomosaic.errors import SensorError
+from geomosaic.geo.crs import has_heights
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.plugin import SensorPlugin, SensorRequest
 
@@ -70,5 +73,29 @@ def plugin(name: str) -> SensorPlugin:
 
 
 def build(name: str, request: SensorRequest) -> SensorModel:
-    """Make the model of one image with the sensor `name`."""
-    return plugin(name).build(request)
+    """Make the model of one image with the sensor `name`.
+
+    Raises
+    ------
+    HeightDatumError
+        The model depends on heights, and its CRS does not say from where they count. No plugin guesses in silence.
+    """
+    tool = plugin(name)
+    model = tool.build(request)
+    if not has_heights(model.crs) and _depends_on_heights(model):
+        from geomosaic.sensor.datum import need_heights
+
+        positions = f"the positions of sensor '{name}'"
+        need_heights(model.crs, positions, request.image, lambda crs: tool.build(replace(request, crs=crs)))
+    return model
+
+
+def _depends_on_heights(model: SensorModel) -> bool:
+    """Whether a place moves in the image when its height changes; half-way to the edge, as below a camera none does."""
+    x, y, z = model.seed
+    step = 1e-6 * max(abs(x), 1.0)
+    image = model.ground_to_image(np.array([[x, y, z], [x + step, y, z]]))
+    moved = float(np.abs(image[1] - image[0]).max())
+    aside = step * 0.25 * min(model.size) / moved if moved > 0.0 else 0.0
+    image = model.ground_to_image(np.array([[x + aside, y, z], [x + aside, y, z + 10.0]]))
+    return bool(np.abs(image[1] - image[0]).max() > 1e-6)  # NaN is neither

@@ -26,9 +26,9 @@ from geomosaic_panoramic.geometry import KINDS, Scan
 from geomosaic_panoramic.model import NAMES, PanoramicModel
 from geomosaic_panoramic.read import number, numbers, word
 from geomosaic_panoramic.relative import RelativeStrip
+from geomosaic_panoramic.straight import PER_STEP, cells, straight
 from geomosaic_panoramic.sweeps import Sweeps
 
-PER_STEP = {"scanner": "line", "sweeps": "sweep", "panoramic": "sweep"}
 STRAIGHT = ("heading", "course", "rates", "advance", "v_over_h", "climb")
 """Inputs of a straight flight, which a table or an orbit replaces."""
 OF_KIND = {
@@ -158,8 +158,10 @@ def _placed(request: SensorRequest) -> PanoramicModel:
         turn = 0.0
         if grid and horizontal(request.crs).is_projected:
             turn = map_place(request.crs, position[0], position[1]).convergence
-        motion = _straight(options, kind, above, turn, where)
+        motion = straight(options, kind, above, turn, where)
     beta = _field(options, kind, where) / request.size[0]
+    if kind == "scanner" and poses is None:
+        cells(float(np.hypot(motion[3], motion[4])), above * math.radians(beta), where)
     values = np.array([*motion, beta, *_inner(options, kind, beta, where)])
     seed = position.copy()
     seed[2] = ground
@@ -210,21 +212,6 @@ def _table(request: SensorRequest, periods: float) -> tuple[np.ndarray | None, n
     tau = (table[:, 0] - start) / period - periods / 2
     cover(tau, periods / 2, f"{where} ({file})")
     return table, tau
-
-
-def _straight(options: Mapping[str, Any], kind: str, above: float, turn: float, where: str) -> np.ndarray:
-    """East, north, up, speeds, attitude and rates of a straight flight (12,); metres and degrees."""
-    heading = number(options, "heading", where) + turn
-    course = math.radians(number(options, "course", where, heading - turn) + turn)
-    advance = _advance(options, kind, above, where)
-    return np.array(
-        [
-            0.0, 0.0, 0.0,
-            advance * math.sin(course), advance * math.cos(course), number(options, "climb", where, 0.0),
-            heading, number(options, "pitch", where, 0.0), number(options, "roll", where, 0.0),
-            *numbers(options, "rates", 3, where, (0.0, 0.0, 0.0)),
-        ]
-    )  # fmt: skip
 
 
 def _field(options: Mapping[str, Any], kind: str, where: str) -> float:
@@ -282,19 +269,3 @@ def _parameters(kind: str, scan: Scan, values: np.ndarray, above: float) -> Para
     unit = PER_STEP[kind]
     units = ("m",) * 3 + (f"m/{unit}",) * 3 + ("deg",) * 3 + (f"deg/{unit}",) * 3 + ("deg", "px", "px")
     return Parameters(NAMES[kind], units[: len(values)], values, np.array(sigmas), np.array(steps))
-
-
-def _advance(options: Mapping[str, Any], kind: str, above: float, where: str) -> float:
-    if "advance" in options and "v_over_h" in options:
-        raise InputError("advance and v_over_h are given together", where=where, mend="give one of them")
-    if "v_over_h" in options:
-        if "ground_height" not in options:
-            raise InputError("v_over_h needs the height above ground", where=where, mend="give ground_height")
-        advance = number(options, "v_over_h", where) * above
-    else:
-        advance = number(options, "advance", where, 0.0 if kind == "panoramic" else None)
-    if kind != "panoramic" and advance <= 0.0:
-        raise InputError(
-            f"the scanner advances by {advance:g} m per {PER_STEP[kind]}", where=where, mend="give a positive advance"
-        )
-    return advance

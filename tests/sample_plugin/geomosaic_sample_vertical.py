@@ -10,7 +10,22 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.sensor.parameters import Parameters
-from geomosaic.sensor.plugin import SensorInput, SensorRequest
+from geomosaic.sensor.plugin import SensorExample, SensorInput, SensorRequest
+from geomosaic.sensor.solve import resect
+
+EXAMPLE = """\
+[sensor]
+name = "vertical"
+position = [500000.0, 5500000.0, 1300.0]
+focal_length_px = 1000.0
+
+[exterior]
+crs = "EPSG:32633"
+heights = "egm96"
+
+[dem]
+height = 300.0
+"""
 
 
 @dataclass(frozen=True)
@@ -66,8 +81,11 @@ class VerticalPlugin:
     inputs = (
         SensorInput("position", "x, y, z of the projection centre in the project's CRS", "m"),
         SensorInput("focal_length_px", "camera constant", "px"),
+        SensorInput("points", "control points {x, y, z, col, row, sigma}; in a project those of [control]"),
+        SensorInput("refine", "points: the position is adjusted to them; none: left as it is", default="points"),
     )
     model = VerticalModel
+    example = SensorExample((1000, 800), EXAMPLE)
 
     def build(self, request: SensorRequest) -> VerticalModel:
         """Make the model of one image."""
@@ -79,7 +97,13 @@ class VerticalPlugin:
         if missing or request.crs is None:
             raise InputError(f"{', '.join(missing) or 'the CRS of the position'} is missing", where=request.image)
         x, y, z = (float(value) for value in request.options["position"])
-        return VerticalModel(request.crs, request.size, (x, y, z), float(request.options["focal_length_px"]))
+        model = VerticalModel(request.crs, request.size, (x, y, z), float(request.options["focal_length_px"]))
+        points = request.options.get("points", ()) if request.options.get("refine", "points") == "points" else ()
+        if not points:
+            return model
+        ground = np.array([[p["x"], p["y"], p["z"]] for p in points], dtype=float)
+        image = np.array([[p["col"], p["row"]] for p in points], dtype=float)
+        return resect(model, ground, image, np.array([p.get("sigma", 1.0) for p in points])).model
 
 
 plugin = VerticalPlugin()
