@@ -115,8 +115,8 @@ def _finished(path: Path, title: str) -> None:
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     # As an option of the driver it would become capitals.
-    name = f"<name>{escape(title)}</name>".encode()
-    members["doc.kml"] = re.sub(rb"<name>.*?</name>|<name/>", lambda _: name, members["doc.kml"], count=1)
+    heading = f"<name>{escape(title)}</name>".encode()
+    members["doc.kml"] = re.sub(rb"<name>.*?</name>|<name/>", lambda _: heading, members["doc.kml"], count=1)
     order = sorted(members, key=lambda name: (name != "doc.kml", name))
     with zipfile.ZipFile(path, "w") as archive:
         for name in order:
