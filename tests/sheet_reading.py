@@ -31,7 +31,7 @@ class SheetPdf:
     def __init__(self, path: Path) -> None:
         import pypdfium2
 
-        self.data = path.read_bytes()
+        self.path, self.data = path, path.read_bytes()
         self._document = pypdfium2.PdfDocument(str(path))
         self._page = self._document[0]
         self.media = np.array(self._page.get_mediabox()) * MM
