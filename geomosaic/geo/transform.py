@@ -57,6 +57,11 @@ class Transform:
             )
         return _operation(_key(horizontal(self.source)), _key(horizontal(self.target)))
 
+    @property
+    def identical(self) -> bool:
+        """Whether points stay as they are."""
+        return self._operation is None
+
     def __call__(self, xyz: FloatArray) -> FloatArray:
         """Transform points.
 

@@ -163,4 +163,6 @@ def _exact(window: Window, offset: Offset) -> Lattice:
         float(window.stop_col + offset[0]), float(window.stop_row + offset[1]),
     )  # fmt: skip
     seen = np.ones((rows, cols), dtype=np.bool_)
-    return Lattice(window, step, nodes, np.zeros((rows + 1, cols + 1, 2)), 0.0, 0.0, 0.0, bounds, 1.0, seen)
+    return Lattice(
+        window, step, nodes, np.zeros((rows + 1, cols + 1, 2)), 0.0, 0.0, 0.0, bounds, 1.0, seen, nodes[None, ..., ::4]
+    )

@@ -8,6 +8,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 from typing import TypeVar
 
+from geomosaic.raster.environment import enter_for_good, environment
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -22,10 +24,12 @@ def in_order(
     """
     if threads == 1:
         for item in items:
-            yield item, function(item)
+            with environment():
+                result = function(item)
+            yield item, result
         return
     source = iter(items)
-    with ThreadPoolExecutor(threads, thread_name_prefix="geomosaic") as executor:
+    with ThreadPoolExecutor(threads, "geomosaic", enter_for_good) as executor:
         waiting: deque[tuple[Item, Future[Result]]] = deque()
         try:
             for item in islice(source, threads * ahead):

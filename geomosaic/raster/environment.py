@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 import warnings
 from typing import Any
 
@@ -50,7 +51,8 @@ logging.getLogger("rasterio").addHandler(logging.NullHandler())  # GDAL's messag
 def environment(**settings: Any) -> Any:
     """Return a context manager in which GDAL works with geomosaic's settings.
 
-    Options hold for the thread that enters it, so every thread enters its own.
+    Options hold for the thread that enters it, so every thread enters its own. Entered again inside of itself it does
+    nothing, which costs nothing: rasterio would take all settings back and make them anew.
 
     Parameters
     ----------
@@ -59,6 +61,37 @@ def environment(**settings: Any) -> Any:
 
     Returns
     -------
-    rasterio.Env
+    context manager
     """
-    return rasterio.Env(**{**_SETTINGS, **settings})
+    return rasterio.Env(**{**_SETTINGS, **settings}) if settings else _Held()
+
+
+def enter_for_good() -> None:
+    """Enter the environment for the rest of this thread's life, as threads do that read all the time."""
+    _Held().__enter__()
+
+
+class _Here(threading.local):
+    """How often this thread has entered, and what it entered first."""
+
+    depth = 0
+    env: Any = None
+
+
+_here = _Here()
+
+
+class _Held:
+    """rasterio's environment, made by the first of those that are entered one inside the other."""
+
+    def __enter__(self) -> None:
+        if _here.depth == 0:
+            _here.env = rasterio.Env(**_SETTINGS)
+            _here.env.__enter__()
+        _here.depth += 1
+
+    def __exit__(self, *error: object) -> None:
+        _here.depth -= 1
+        if _here.depth == 0:
+            env, _here.env = _here.env, None
+            env.__exit__(*error)

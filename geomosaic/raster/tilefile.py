@@ -21,6 +21,7 @@ from geomosaic.raster import codec, tiff
 from geomosaic.raster.blank import filled
 from geomosaic.raster.codec import BLOCK
 from geomosaic.raster.earlier import EarlierTiles, inside_of
+from geomosaic.raster.environment import enter_for_good
 from geomosaic.raster.pyramid import Kept, Level, Parents, Tile, halve, levels
 from geomosaic.raster.tiff import Directory, Field
 from geomosaic.raster.tilestore import TileStore, write_all
@@ -92,7 +93,7 @@ class TileFile:
         self._earlier: EarlierTiles | None = None
         self._jobs: deque[Future[tuple[Tile, bytes, _Half | None]]] = deque()
         self._most_jobs = 4 * threads
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="tiles") if threads > 1 else None
+        self._pool = ThreadPoolExecutor(threads, "tiles", enter_for_good) if threads > 1 else None
         self._files: list[BinaryIO] = []
         names = [path.with_name(f"{path.name}.{i}") for i in range(len(self._levels))] if cog else [path]
         try:

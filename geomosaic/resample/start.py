@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-import sys
-import threading
-from types import ModuleType
+from threading import Lock
 
-_BLAS = "scipy.linalg.cython_blas"
+_lock = Lock()
 
 
 def load_numba() -> None:
     """Import what Numba imports when it first runs a kernel.
 
-    To learn whether there is a BLAS it imports SciPy's linear algebra, a tenth of a second and more for matrix products
-    that no kernel takes. That module is given an empty stand-in meanwhile; who multiplies matrices later gets the true
-    one, which Numba looks up anew. Not where other threads run: one that imports SciPy meanwhile would be given it.
+    To learn whether there is a BLAS, Numba's array functions import SciPy's linear algebra, a tenth of a second and
+    more for matrix products that no kernel takes. They are told that there is one; who multiplies matrices later asks
+    again, and gets the true answer.
     """
-    absent = _BLAS not in sys.modules and threading.active_count() == 1
-    if absent:
-        sys.modules[_BLAS] = ModuleType(_BLAS)
-    try:
-        import numba.np.arraymath  # noqa: F401
-    finally:
-        if absent:
-            del sys.modules[_BLAS]
+    import numba.np.linalg as linear
+
+    with _lock:
+        asked = linear.ensure_blas
+        linear.ensure_blas = _taken_for_granted
+        try:
+            import numba.np.arraymath  # noqa: F401
+        finally:
+            linear.ensure_blas = asked
+
+
+def _taken_for_granted() -> None:
+    """Stand in for the question whether there is a BLAS."""

@@ -13,7 +13,6 @@ from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.resample.engine import Engine
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
-from geomosaic.sensor.lattice_error import at_height
 from geomosaic.surface.model import HeightPatch
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
@@ -242,9 +241,9 @@ def _cells(lattice: Lattice) -> ByteArray:
 def _boxes(lattice: Lattice) -> FloatArray:
     """Left, top, −right, −bottom (4, rows, cols) of each cell of 64 x 64 pixels in the image; infinite where unseen."""
     per = CELL // lattice.step
-    levels = (0.0,) if lattice.flat else (-1.0, 0.0, 1.0)
-    ends = np.stack([at_height(lattice.nodes, t) for t in levels])
-    both = np.moveaxis(np.concatenate([ends, -ends], axis=-1), -1, 0)  # (4, levels, node rows, node cols)
+    both = np.moveaxis(
+        np.concatenate([lattice.levels, -lattice.levels], axis=-1), -1, 0
+    )  # (4, levels, node rows, node cols)
     least = np.fmin.reduce(both, axis=1)
     for axis in (1, 2):
         starts = np.arange(0, least.shape[axis] - 1, per)

@@ -70,8 +70,7 @@ def weights(
 def signed_distance(mask: BoolArray, reach: float) -> AnyArray:
     """Distance of cell centres to the edge of a mask, in cells; positive inside, exact up to `reach`.
 
-    Beyond it, and where there is no edge, ± infinity. Separable: the distance along rows first, then the least of
-    squares over columns (Saito and Toriwaki, 1994), both no farther than is asked.
+    Beyond it, and where there is no edge, ± infinity.
     """
     if mask.all():
         return np.full(mask.shape, np.inf)
@@ -83,22 +82,27 @@ def signed_distance(mask: BoolArray, reach: float) -> AnyArray:
 
         exact: AnyArray = np.where(mask, distance_transform_edt(mask) - 0.5, 0.5 - distance_transform_edt(~mask))
         return np.where(np.abs(exact) > cells - 0.5, np.copysign(np.inf, exact), exact)
-    return np.where(mask, _nearest(~mask, cells) - 0.5, 0.5 - _nearest(mask, cells))
+    distance = _to_edge(mask, cells) - 0.5
+    return np.where(mask, distance, -distance)
 
 
-def _nearest(mask: BoolArray, cells: int) -> AnyArray:
-    """Distance to the nearest cell of a mask, infinite beyond `cells`."""
+def _to_edge(mask: BoolArray, cells: int) -> AnyArray:
+    """Distance of each cell to the nearest one of the other kind, infinite beyond `cells`.
+
+    Separable: the distance along rows first, then the least of squares over columns (Saito and Toriwaki, 1994), both no
+    farther than is asked.
+    """
     rows, cols = mask.shape
-    far = np.uint16(4 * cells * cells)  # _MOST_CELLS keeps sums of two squares within sixteen bits
-    along = np.where(mask, np.uint16(0), far)
-    for k in range(1, min(cells, cols - 1) + 1):
-        square = np.where(mask, np.uint16(k * k), far)
-        np.minimum(along[:, k:], square[:, :-k], out=along[:, k:])
-        np.minimum(along[:, :-k], square[:, k:], out=along[:, :-k])
+    along = np.full(mask.shape, 4 * cells * cells, dtype=np.uint16)  # _MOST_CELLS keeps sums of two within 16 bits
+    for k in range(min(cells, cols - 1), 0, -1):
+        differs = mask[:, k:] != mask[:, :-k]
+        np.copyto(along[:, k:], k * k, where=differs)
+        np.copyto(along[:, :-k], k * k, where=differs)
     least = along.copy()
     for k in range(1, min(cells, rows - 1) + 1):
-        square = along + np.uint16(k * k)
-        np.minimum(least[k:], square[:-k], out=least[k:])
-        np.minimum(least[:-k], square[k:], out=least[:-k])
-    roots = np.sqrt(np.arange(cells * cells + 1, dtype=np.float64))
-    return np.append(roots, np.inf)[np.minimum(least, cells * cells + 1)]
+        farther, differs = along + np.uint16(k * k), mask[k:] != mask[:-k]
+        for here, there in ((slice(k, None), slice(None, -k)), (slice(None, -k), slice(k, None))):
+            np.minimum(least[here], np.where(differs, np.uint16(k * k), farther[there]), out=least[here])
+    roots = np.append(np.sqrt(np.arange(cells * cells + 1, dtype=np.float64)), np.inf)
+    distance: AnyArray = roots[np.minimum(least, cells * cells + 1)]
+    return distance

@@ -15,7 +15,7 @@ import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.sensor.ground import BlockGround
-from geomosaic.sensor.lattice_error import ENDS, Cells, at_height
+from geomosaic.sensor.lattice_error import ENDS, Cells, at_heights
 from geomosaic.sensor.mapper import MapToImage
 from geomosaic.types import BoolArray, FloatArray
 
@@ -51,6 +51,8 @@ class Lattice:
         Image pixels per output pixel, along the direction where that is most.
     seen : bool array (rows − 1, cols − 1)
         Cells that may show the image.
+    levels : array (3 or 1, rows, cols, 2)
+        Image of the nodes at the bottom, the middle and the top of the height range; one level where it is flat.
     """
 
     window: Window
@@ -63,6 +65,7 @@ class Lattice:
     bounds: tuple[float, float, float, float]
     scale: float
     seen: BoolArray
+    levels: FloatArray
 
     @property
     def flat(self) -> bool:
@@ -108,11 +111,12 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
     divisible = half > 0 and max(window.width, window.height) > SMALLEST
     while True:
         places, nodes, exact = _sampled(mapper, grid, window, step, middle, half)
-        bounds = _bounds(nodes, half)
+        levels = at_heights(nodes, (-1.0, 0.0, 1.0) if half else (0.0,))
+        bounds = _bounds(levels)
         if bounds is None or _misses(bounds, mapper.model.size):
             return []
         scale, close = _scale(nodes, step), step <= CLOSE_STEP
-        cells = Cells(mapper, grid, window, step, middle, half, places, nodes, exact, scale)
+        cells = Cells(mapper, grid, window, step, middle, half, places, nodes, levels[::2], exact, scale)
         miss = cells.measure(tolerance / 2, thorough=close)
         good = not miss.error > tolerance / 2
         if (good and (close or not miss.ragged)) or step == 1:
@@ -122,7 +126,7 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
             if cubic or close or miss.error > before / 2:
                 return _parts(mapper, grid, ground, window, tolerance)
         step, before = step // 2, miss.error
-    return [Lattice(window, step, nodes, places[::2, ::2], middle, half, miss.error, bounds, scale, miss.seen)]
+    return [Lattice(window, step, nodes, places[::2, ::2], middle, half, miss.error, bounds, scale, miss.seen, levels)]
 
 
 def _parts(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, tolerance: float) -> list[Lattice]:
@@ -187,12 +191,11 @@ def _sampled(
     return places, nodes, exact
 
 
-def _bounds(nodes: FloatArray, half: float) -> tuple[float, float, float, float] | None:
-    ends = np.stack([at_height(nodes, t) for t in ((-1.0, 0.0, 1.0) if half else (0.0,))])
-    finite = np.isfinite(ends).all(axis=-1)
+def _bounds(levels: FloatArray) -> tuple[float, float, float, float] | None:
+    finite = np.isfinite(levels).all(axis=-1)
     if not finite.any():
         return None
-    seen = ends[finite]
+    seen = levels[finite]
     (left, top), (right, bottom) = seen.min(axis=0), seen.max(axis=0)
     return float(left), float(top), float(right), float(bottom)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +16,12 @@ ENDS = np.array([-1.0, 1.0])
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 
 
-def at_height(nodes: FloatArray, t: float) -> FloatArray:
-    """Image (rows, cols, 2) of a lattice's nodes (rows, cols, 8) at a normalised height."""
-    n = nodes
-    col = ((n[..., 3] * t + n[..., 2]) * t + n[..., 1]) * t + n[..., 0]
-    row = ((n[..., 7] * t + n[..., 6]) * t + n[..., 5]) * t + n[..., 4]
-    return np.stack([col, row], axis=-1)
+def at_heights(nodes: FloatArray, heights: Sequence[float]) -> FloatArray:
+    """Image (heights, rows, cols, 2) of a lattice's nodes (rows, cols, 8) at some normalised heights."""
+    powers = np.vander(heights, 4, increasing=True)
+    # One at a time, not a matrix product: the same digits on every machine.
+    image: FloatArray = np.einsum("rcap,tp->trca", nodes.reshape(*nodes.shape[:2], 2, 4), powers)
+    return image
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,8 @@ class Cells:
     """The cells of a lattice under construction; its parts are those of `lattice.Lattice`, and two more.
 
     `places` (2 · rows + 1, 2 · cols + 1, 2) is the surface map of nodes and of what lies half-way between; `exact`
-    (levels, 2 · rows + 1, 2 · cols + 1, 2) what the model says there at the heights `ENDS`, one level where flat.
+    (levels, 2 · rows + 1, 2 · cols + 1, 2) what the model says there at the heights `ENDS`, one level where flat;
+    `ends` (levels, rows + 1, cols + 1, 2) what the nodes say.
 
     Errors count in image pixels, or in output pixels where those are larger: nobody sees a hundredth of an image pixel
     in an output ten times coarser.
@@ -64,6 +66,7 @@ class Cells:
     half: float
     places: FloatArray
     nodes: FloatArray
+    ends: FloatArray
     exact: FloatArray
     scale: float
 
@@ -81,7 +84,7 @@ class Cells:
             Measure the cells that err more again, at every output pixel and height at which they show the image:
             outside of it the model may be rough, and nobody will see that.
         """
-        ends = np.stack([at_height(self.nodes, t) for t in ENDS[: len(self.exact)]])
+        ends = self.ends
         with np.errstate(invalid="ignore"):
             miss = np.fmax.reduce(np.hypot(*np.moveaxis(_halved(ends) - self.exact, -1, 0))) / self._unit
             inside = (self.exact > 0.0) & (self.exact < np.array(self.mapper.model.size))
@@ -97,8 +100,8 @@ class Cells:
         ragged = bool((counts & (known < 4).any(axis=0)).any())
         error = float(worst[counts].max(initial=0.0))
         # The surface's own map is interpolated as well: a shift of its place, in output pixels, counts the same.
-        shift = _halved(self.places[None, ::2, ::2])[0] - self.places
-        if self.half and shift.any():
+        if self.half and not self.mapper.to_surface.identical:
+            shift = _halved(self.places[None, ::2, ::2])[0] - self.places
             with np.errstate(invalid="ignore"):
                 error = float(np.fmax(error, np.fmax.reduce(np.hypot(*shift.reshape(-1, 2).T)) / self._pixel))
         cubic = float(np.fmax.reduce(miss[::2, ::2][shown[::2, ::2]], initial=0.0))
@@ -134,7 +137,7 @@ class Cells:
         worst = np.zeros(len(cells))
         for t in _LEVELS if self.half else (0.0,):
             exact = self.mapper.image(xy, np.full(len(xy), self.middle + self.half * t)).reshape(len(cells), -1, 2)
-            a, b, below_a, below_b = _corners(at_height(self.nodes, t))[:, cells, None]
+            a, b, below_a, below_b = _corners(at_heights(self.nodes, [t])[0])[:, cells, None]
             near = (1 - r) * ((1 - c) * a + c * b) + r * ((1 - c) * below_a + c * below_b)
             with np.errstate(invalid="ignore"):
                 shown = ((exact > -1.0) & (exact < size + 1.0)).all(axis=-1)

@@ -86,7 +86,7 @@ class Blender:
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Render one block into its place in a unit."""
-        near = self.photos.near(window)
+        near = close = self.photos.near(window)
         if not near:
             return
         ground = self.below.block(window)
@@ -110,7 +110,8 @@ class Blender:
         if len(shares) == 1 and not filled:
             unit.counts[shares[0].index + 1] += np.count_nonzero(valid.view(np.bool_))
         else:
-            unit.counts[:] += np.bincount(label.ravel(), minlength=len(unit.counts))
+            for number in (*(i + 1 for i in close), hidden_label(len(self.photos))):
+                unit.counts[number] += np.count_nonzero(label == number)
         unit.facts.extend((lattice.error, lattice.scale) for used in lattices.values() for lattice in used)
 
     def _mark_hidden(self, shades: Shades | None, valid: ByteArray, label: AnyArray) -> bool:

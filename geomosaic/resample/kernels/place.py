@@ -55,13 +55,16 @@ def bilinear_rgb(geometry, size, need, source, corner, ending, out, out_valid):
     x, y = np.empty(width), np.empty(width)
     values, plain = source.reshape(-1), _plain(ending)
     for k in range(height):
+        a, b = _wanted(need[k // 64], width)
+        if a == b:
+            continue
         _row(geometry, 1, (k + 0.5) / geometry[6], need[k // 64], room, x, y)
-        inside = _inside(x, y, size, source.shape, corner, 1)
+        inside = _inside(x[a:b], y[a:b], size, source.shape, corner, 1)
         if inside < 0:
             return k
         if inside > 0:
-            _bilinear_taps(x, y, size, source.shape, corner, taps)
-            _bilinear_values(values, source.shape[1], taps, plain, ending, out[k], out_valid[k])
+            _bilinear_taps(x[a:b], y[a:b], size, source.shape, corner, taps[:, a:b])
+            _bilinear_values(values, source.shape[1], taps[:, a:b], plain, ending, out[k, a:b], out_valid[k, a:b])
     return height
 
 
@@ -74,20 +77,43 @@ def cubic_rgb(geometry, size, need, source, corner, ending, out, out_valid):
     at, across, down = np.empty(width, dtype=np.int32), np.empty((4, width), np.int32), np.empty((4, width), np.int32)
     values, packed, plain = source.reshape(-1), _packed(source), _plain(ending)
     for k in range(height):
+        a, b = _wanted(need[k // 64], width)
+        if a == b:
+            continue
         _row(geometry, 1, (k + 0.5) / geometry[6], need[k // 64], room, x, y)
-        inside = _inside(x, y, size, source.shape, corner, 2)
+        inside = _inside(x[a:b], y[a:b], size, source.shape, corner, 2)
         if inside < 0:
             return k
         if inside == 0:
             continue
-        edge = _cubic_taps(x, y, size, source.shape, corner, at, across, down)
-        _cubic_values(packed, source.shape[1], at, across, down, plain, ending, out[k], out_valid[k])
+        edge = _cubic_taps(x[a:b], y[a:b], size, source.shape, corner, at[a:b], across[:, a:b], down[:, a:b])
+        _cubic_values(
+            packed,
+            source.shape[1],
+            at[a:b],
+            across[:, a:b],
+            down[:, a:b],
+            plain,
+            ending,
+            out[k, a:b],
+            out_valid[k, a:b],
+        )
         if edge:
-            _bilinear_taps(x, y, size, source.shape, corner, taps)
-            for c in range(width):
+            _bilinear_taps(x[a:b], y[a:b], size, source.shape, corner, taps[:, a:b])
+            for c in range(a, b):
                 taps[0, c] = taps[0, c] if at[c] == EDGE else NONE
-            _bilinear_values(values, source.shape[1], taps, plain, ending, out[k], out_valid[k])
+            _bilinear_values(values, source.shape[1], taps[:, a:b], plain, ending, out[k, a:b], out_valid[k, a:b])
     return height
+
+
+@njit(nogil=True, error_model="numpy")
+def _wanted(need, width):
+    """First column of the first of the cells that are wanted, and where the last of them stops."""
+    first, stop = 0, 0
+    for cell in range(need.shape[0]):
+        if need[cell]:
+            first, stop = (first if stop else cell), cell + 1
+    return 64 * first, min(64 * stop, width)
 
 
 @njit(nogil=True, error_model="numpy")
