@@ -106,15 +106,12 @@ class Satellite:
         """Write `IMAGERY.tif` and `METADATA.DIM`: `seen` gives colours (N, 3), `height` metres at (x, y) in a map."""
         folder.mkdir(exist_ok=True)
         values = np.empty((3, self.size[1], self.size[0]), dtype=np.uint8)
-        inside = (np.arange(2) + 0.5) / 2  # four samples in a pixel
         for first in range(0, self.size[1], CELL):
             rows = np.arange(first, min(first + CELL, self.size[1]))
-            col, row = np.meshgrid(
-                (np.arange(self.size[0])[:, None] + inside).ravel(), (rows[:, None] + inside).ravel()
-            )
+            col, row = np.meshgrid(np.arange(self.size[0]) + 0.5, rows + 0.5)
             x, y = self._places(col, row, first, crs, height)
-            fine = seen(x.ravel(), y.ravel()).reshape(len(rows), 2, self.size[0], 2, 3)
-            values[:, rows] = np.moveaxis(255.0 * fine.mean(axis=(1, 3)) + 0.5, 2, 0).astype(np.uint8)
+            shown = 255.0 * seen(x.ravel(), y.ravel()).reshape(*x.shape, 3) + 0.5
+            values[:, rows] = np.moveaxis(shown, 2, 0).astype(np.uint8)
         path = folder / "IMAGERY.tif"
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
