@@ -1,4 +1,4 @@
-"""Three bands of eight bits, whole blocks at once: the parts whose taps all exist by the short way, the rest with care."""
+"""Three bands of eight bits, blocks at once: parts whose taps all exist the short way, the rest with care."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ def fill_rgb(
     corner = window.col, window.row
     careful = engine.quick[kernel]
     if not (kernel == "bilinear" and geometry[5] and _unchanged(ending) and out.dtype == np.uint8):
-        return careful(geometry, size, need, source, corner, ending, out, out_valid)
+        return int(careful(geometry, size, need, source, corner, ending, out, out_valid))
     inner = _inner(geometry, need, source, window)
-    per, height = CELL // geometry[6], out.shape[0]
+    per, height = CELL // geometry[6], int(out.shape[0])
     parts = [(0, need.shape[0], 0, need.shape[1])]
     while parts:
         top, bottom, left, right = parts.pop()
