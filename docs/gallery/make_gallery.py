@@ -51,7 +51,7 @@ def spot(folder: Path) -> Path:
     SPOT.write(folder, "spot")
     SPOT.vectors(folder / "spot.gpkg")
     target = Transform(parse_crs(f"{SPOT.crs}+5773"), parse_crs("EPSG:4978"))(np.array([[*SPOT.centre, 450.0]]))[0]
-    satellite = Satellite.above(target, (1680, 1420))
+    satellite = Satellite.above(target, (1760, 1540))
     scene = satellite.write(folder / "scene", SPOT.crs, lambda x, y: SPOT.colour(x, y, (4, 1, 2)), SPOT.height)
     command("ortho", scene, "--sensor", "pushbroom", "--dem", folder / "spot-dem.tif", "--dst-crs", SPOT.crs,
             "--res", SPOT.pixel, "--bounds", *SPOT_MAP, "--threads", 1, "-o", folder / "spot.tif")  # fmt: skip
