@@ -6,6 +6,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import rasterio
 import rasterio.crs
 import rasterio.shutil
 from rasterio._err import CPLE_BaseError
@@ -46,7 +47,7 @@ def write_raster_pdf(
     check_output(path, overwrite=overwrite)
     unfinished: Path | None = None
     try:
-        with environment() as gdal, warnings.catch_warnings():
+        with environment(), rasterio.Env() as gdal, warnings.catch_warnings():
             if "PDF" not in gdal.drivers():
                 raise InputError(
                     "this GDAL cannot write PDF",
