@@ -31,7 +31,7 @@ class SheetPdf:
     def __init__(self, path: Path) -> None:
         import pypdfium2
 
-        self.data = path.read_bytes()
+        self.path, self.data = path, path.read_bytes()
         self._document = pypdfium2.PdfDocument(str(path))
         self._page = self._document[0]
         self.media = np.array(self._page.get_mediabox()) * MM
@@ -81,7 +81,8 @@ class SheetPdf:
         return self._moved(self._numbers(b"/BBox") * MM)
 
     def _numbers(self, key: bytes) -> np.ndarray:
-        found = re.search(key + rb" \[ ([^\]]*)\]", self.data[self.data.rindex(b"/Type /Viewport") :])
+        start = self.data.rindex(b" obj", 0, self.data.rindex(b"/Type /Viewport"))
+        found = re.search(key + rb" \[ ([^\]]*)\]", self.data[start:])
         assert found, key
         return np.array([float(v) for v in found[1].split()])
 
@@ -89,6 +90,18 @@ class SheetPdf:
         """Box of the map (4,) in mm, its corners as parts of it (4, 2), and their longitude and latitude (4, 2)."""
         degrees = self._numbers(b"/GPTS").reshape(-1, 2)[:, ::-1]
         return self.map_box(), self._numbers(b"/LPTS").reshape(-1, 2), degrees
+
+    def picture(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (rows, cols, 3) of the one picture, and its box in mm."""
+        import pypdfium2.raw as raw
+
+        (item,) = self._page.get_objects(filter=[raw.FPDF_PAGEOBJ_IMAGE])
+        image = np.asarray(item.get_bitmap().to_pil().convert("RGB"))
+        return image, self._moved(np.array(item.get_bounds()) * MM)
+
+    def title(self) -> str:
+        """Title of the document."""
+        return str(self._document.get_metadata_dict()["Title"])
 
     def fonts_embedded(self) -> bool:
         """Whether every font that is described is in the file."""

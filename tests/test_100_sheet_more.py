@@ -16,6 +16,7 @@ import rasterio
 import shapely
 from affine import Affine
 from PIL import Image
+from pyproj import Transformer
 from sheet_reading import SheetPdf
 
 from geomosaic.cli.main import run
@@ -295,3 +296,43 @@ def test_rules_of_foreign_styles_are_told(raster: Path, tmp_path: Path, capsys: 
     _, told = sheet(capsys, raster, *words, "-o", tmp_path / "a.pdf")
     assert "not understood" in told
     assert "the rule 2 by its filter (BBOX)" in told
+
+
+@pytest.mark.parametrize("collar", [False, True])
+def test_a_raster_geopdf(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], collar: bool) -> None:
+    """Read back by PDFium: the page has the size of the print, its pixels are those of the GeoTIFF of the same sheet,
+    and its corners are where the GeoTIFF has them."""
+    words = [raster, "--scale", "1:5000", "--dpi", "127", "--title", "Grüne Fläche", *(["--collar"] if collar else [])]
+    made, _ = sheet(capsys, *words, "--driver", "PDF", "-o", tmp_path / "a.pdf")
+    sheet(capsys, *words, "-o", tmp_path / "a.tif")
+    page = SheetPdf(tmp_path / "a.pdf")
+    with rasterio.open(tmp_path / "a.tif") as source:
+        wanted = np.moveaxis(source.read(), 0, 2)
+        left, bottom, right, top = source.bounds
+    size = np.array(wanted.shape[1::-1]) * 25.4 / 127
+    assert page.media == pytest.approx([0, 0, *size], abs=1e-3)
+    if not collar:
+        neatline = np.array(made["neatline_mm"])
+        assert size == pytest.approx(neatline[2:] - neatline[:2], abs=0.2)
+    pixels, place = page.picture()
+    assert np.array_equal(pixels, wanted)
+    assert place == pytest.approx(page.media, abs=1e-3)
+    assert page.title() == "Grüne Fläche"
+    box, parts, degrees = page.viewport()
+    assert box == pytest.approx(page.media, abs=1e-3)
+    x, y = Transformer.from_crs("EPSG:4326", "EPSG:32633", always_xy=True).transform(*degrees.T)
+    tenth = 0.5  # metres: 0.1 mm on the sheet
+    assert x == pytest.approx(left + parts[:, 0] * (right - left), abs=tenth)
+    assert y == pytest.approx(bottom + parts[:, 1] * (top - bottom), abs=tenth)
+    first = (tmp_path / "a.pdf").read_bytes()
+    sheet(capsys, *words, "--driver", "PDF", "--overwrite", "-o", tmp_path / "a.pdf")
+    assert (tmp_path / "a.pdf").read_bytes() == first
+
+
+def test_a_raster_geopdf_is_refused(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    wall = write(tmp_path / "wall.tif", np.full((3, 300, 500), 120, np.uint8), LOCAL, 0.02, (-5.0, 6.0))
+    for words, said in (([raster, "-o", "x.tif"], "end the name in .pdf"), ([wall, "-o", "x.pdf"], "not tied to the")):
+        given = [str(tmp_path / word) if str(word).startswith("x.") else str(word) for word in words]
+        assert run(["sheet", *given, "--driver", "PDF"]) == 1
+        assert said in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["wall.tif"]

@@ -160,6 +160,14 @@ def test_page_of_a_sheet(raster: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert (tmp_path / "d" / f"{SHEET}.pdf").is_file()
 
 
+def test_a_sheet_beside_the_raster(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It is named before anything is drawn."""
+    words = ("make", raster, *POLISH, "--only", SHEET, "--only", "N-34-1-A-a-1", "-o", tmp_path / "out")
+    assert run(["sheets", *map(str, words)]) == 1
+    assert "sheet N-34-1-A-a-1 shows nothing of the raster" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_drawn_sheets_and_overlap(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with rasterio.open(raster) as file:
         left, bottom, right, top = file.bounds

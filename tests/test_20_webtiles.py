@@ -5,14 +5,20 @@ from __future__ import annotations
 import sqlite3
 import subprocess
 import sys
+import zipfile
 from io import BytesIO
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from affine import Affine
 from PIL import Image
 
+from geomosaic.geo.crs import parse_crs
+from geomosaic.geo.grid import Grid
 from geomosaic.raster.mbtiles import SIDE, write_mbtiles
+from geomosaic.raster.webtiles import write_web
 
 FULL = """
 import resource, sys
@@ -74,3 +80,12 @@ def test_all_tiles_of_all_levels(tmp_path: Path) -> None:
         mean = (blocks[..., :3] * blocks[..., 3:]).sum(axis=(1, 3)) / np.maximum(alpha, 1)
         whole = np.concatenate([mean, alpha / 4], axis=2)
     base.close()
+
+
+def test_the_title_of_an_overlay_is_kept(tmp_path: Path) -> None:
+    """Capitals and all; GDAL's own name for it would be in capitals only."""
+    grid = Grid(parse_crs("EPSG:32633"), Affine(1, 0, 5e5, 0, -1, 5.5e6), 300, 300)
+    write_web(tmp_path / "a.kmz", grid, np.full((300, 300, 4), 255, np.uint8), title="Wzgórza & <hills>")
+    with zipfile.ZipFile(tmp_path / "a.kmz") as archive:
+        root = ElementTree.fromstring(archive.read("doc.kml"))
+    assert root.findtext(".//{*}Document/{*}name") == "Wzgórza & <hills>"

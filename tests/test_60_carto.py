@@ -114,8 +114,26 @@ def test_a_grid_of_the_next_zone_is_turned() -> None:
 def test_grids_that_cannot_be_drawn() -> None:
     with pytest.raises(InputError, match="1700 lines"):
         map_grid(UTM33, UTM33, AREA, 100.0, interval=1.0)
-    with pytest.raises(InputError, match="180th meridian"):
-        map_grid(CRS("EPSG:4326"), CRS("EPSG:32601"), (100_000.0, 0.0, 200_000.0, 100_000.0), 10_000.0)
+    with pytest.raises(InputError, match="has a pole on it"):
+        map_grid(CRS("EPSG:4326"), CRS("EPSG:3995"), (-200_000.0, -100_000.0, 100_000.0, 200_000.0), 10_000.0)
+
+
+def test_a_graticule_across_the_180th_meridian() -> None:
+    """Fiji: each vertex has the longitude that its line is labelled with; 180 degrees are neither east nor west."""
+    area = (2_127_000.0, 4_017_000.0, 2_139_000.0, 4_026_000.0)
+    fiji, degrees = CRS("EPSG:3460"), CRS("EPSG:4720")
+    grid = map_grid(degrees, fiji, area, 2500.0)
+    back = Transformer.from_crs(fiji, degrees, always_xy=True)
+    meridians = [line for line in grid.lines if line.axis == 0]
+    for line in grid.lines:
+        (piece,) = line.pieces
+        vertices = np.array(back.transform(*piece[1:-1].T)).T[:, line.axis]
+        assert np.abs((vertices - line.value + 180.0) % 360.0 - 180.0).max() < 1e-9
+        assert {side for side, _, _ in line.ends} == ({"left", "right"} if line.axis else {"bottom", "top"})
+    assert [grid.label(line) for line in meridians] == ["179°58′\u202fE", "180°00′", "179°58′\u202fW"]
+    x = [float(line.pieces[0][:, 0].mean()) for line in meridians]
+    assert np.diff(x) == pytest.approx(2 / 60 * 111_320 * math.cos(math.radians(16.8)), rel=0.01)
+    assert len(grid.crossings) == 3 * (len(grid.lines) - 3)
 
 
 def test_true_north_is_where_the_meridian_runs() -> None:

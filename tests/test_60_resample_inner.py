@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +21,7 @@ SIZE = (1500, 900)
 
 def lattice_of(turn: float, scale: float, window: Window, bend: float = 0.0) -> Lattice:
     """Turned by radians, scaled, and bent by `bend` pixels across the block."""
-    ny, nx = window.height // 64 + 1, window.width // 64 + 1
+    ny, nx = -(-window.height // 64) + 1, -(-window.width // 64) + 1
     c, r = np.meshgrid(np.arange(nx) * 64.0 + window.col, np.arange(ny) * 64.0 + window.row)
     nodes = np.zeros((ny, nx, 8))
     nodes[..., 0] = 200.37 + scale * (np.cos(turn) * c - np.sin(turn) * r) + bend * (c / window.width) ** 2
@@ -59,6 +60,29 @@ def test_a_block_that_leaves_the_image_goes_the_careful_way() -> None:
     assert 0.2 < valid.mean() < 0.95
     assert np.array_equal(out[..., 0] == 77, valid == 1)
     assert (out[valid == 0] == 0).all()
+
+
+@pytest.mark.parametrize("need", [None, "chequered"])
+def test_a_block_across_the_edge_is_cut(need: str | None) -> None:
+    """What is inside goes the short way, what is not the careful one: the bytes and the mask of the twin."""
+    image = np.random.default_rng(4).integers(0, 256, (SIZE[1], SIZE[0], 3), dtype=np.uint8)
+    lattice = lattice_of(0.03, 1.0, Window(640, 384, 1000, 500))
+    cells = None if need is None else np.indices((8, 16)).sum(axis=0).astype(np.uint8) % 2
+    compiled = numba_engine()
+    taken: list[str] = []
+
+    def watched(name: str) -> Callable[..., int]:
+        return lambda *a: (taken.append(name), compiled.quick[name](*a))[1]
+
+    ways = []
+    for engine in (numpy_engine(), replace(compiled, quick={name: watched(name) for name in compiled.quick})):
+        out, valid = np.zeros((500, 1000, 3), dtype=np.uint8), np.zeros((500, 1000), dtype=np.uint8)
+        warp(engine, ArrayReader(image, None), SIZE, lattice, None, "bilinear", Colour.identity(3), out, valid, cells)
+        ways.append((out, valid))
+    assert {"bilinear", "bilinear, inner"} <= set(taken)
+    assert 0.2 < ways[0][1].mean() < 0.95
+    assert np.array_equal(*(valid for _, valid in ways))
+    assert np.array_equal(*(out for out, _ in ways))
 
 
 def test_numba_starts_without_linear_algebra_and_has_it_when_asked() -> None:

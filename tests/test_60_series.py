@@ -30,6 +30,20 @@ PUBLISHED: list[tuple[str, int, str, tuple[float, float], tuple[float, float], t
     ("international", 1_000_000, "M-34", (18, 48), (24, 52), (19.94, 50.06)),
     ("international", 1_000_000, "O-36", (30, 56), (36, 60), (30.32, 59.94)),
     ("international", 1_000_000, "M-33", (12, 48), (18, 52), (14.42, 50.09)),
+    # Sheets 1:1 000 000 of the Soviet general staff and of the state geological map of Russia, and a town on each.
+    ("international", 1_000_000, "N-36", (30, 52), (36, 56), (32.05, 54.78)),  # Smolensk
+    ("international", 1_000_000, "O-37", (36, 56), (42, 60), (39.87, 57.62)),  # Yaroslavl
+    ("international", 1_000_000, "O-40", (54, 56), (60, 60), (56.25, 58.0)),  # Perm
+    ("international", 1_000_000, "O-41", (60, 56), (66, 60), (60.6, 56.84)),  # Yekaterinburg
+    ("international", 1_000_000, "N-41", (60, 52), (66, 56), (61.4, 55.16)),  # Chelyabinsk
+    ("international", 1_000_000, "N-40", (54, 52), (60, 56), (55.97, 54.73)),  # Ufa
+    ("international", 1_000_000, "N-43", (72, 52), (78, 56), (73.37, 54.98)),  # Omsk
+    ("international", 1_000_000, "N-44", (78, 52), (84, 56), (82.92, 55.03)),  # Novosibirsk
+    ("international", 1_000_000, "O-38", (42, 56), (48, 60), (44.0, 56.33)),  # Nizhny Novgorod
+    ("international", 1_000_000, "N-39", (48, 52), (54, 56), (50.15, 53.2)),  # Samara
+    ("international", 1_000_000, "M-36", (30, 48), (36, 52), (30.52, 50.45)),  # Kiev
+    ("international", 1_000_000, "M-53", (132, 48), (138, 52), (135.08, 48.48)),  # Khabarovsk
+    ("international", 1_000_000, "P-36", (30, 60), (36, 64), (34.35, 61.78)),  # Petrozavodsk
     ("international", 500_000, "M-34-A", (18, 50), (21, 52), (19.94, 50.06)),
     ("international", 250_000, "M-34-A-c", (18, 50), (dms(19, 30), 51), (19.0, 50.3)),
     ("international", 200_000, "N-34-XV", (20, 54), (21, dms(54, 40)), (20.5, 54.35)),
@@ -43,6 +57,22 @@ PUBLISHED: list[tuple[str, int, str, tuple[float, float], tuple[float, float], t
     ("puwg1992", 100_000, "N-34-138", (20.5, 52), (21, dms(52, 20)), (20.9, 52.2)),
     ("puwg1992", 100_000, "N-34-139", (21, 52), (21.5, dms(52, 20)), (21.1, 52.25)),
     ("puwg1992", 100_000, "M-34-64", (19.5, 50), (20, dms(50, 20)), (19.94, 50.06)),
+    # Towns of Poland and the sheets 1:100 000 they lie on.
+    ("puwg1992", 100_000, "N-33-130", (16.5, dms(52, 20)), (17, dms(52, 40)), (16.93, 52.41)),  # Poznań
+    ("puwg1992", 100_000, "M-33-35", (17, 51), (17.5, dms(51, 20)), (17.03, 51.11)),  # Wrocław
+    ("puwg1992", 100_000, "N-34-50", (18.5, dms(54, 20)), (19, dms(54, 40)), (18.65, 54.35)),  # Gdańsk
+    ("puwg1992", 100_000, "M-34-3", (19, dms(51, 40)), (19.5, 52), (19.45, 51.77)),  # Łódź
+    ("puwg1992", 100_000, "M-34-34", (22.5, 51), (23, dms(51, 20)), (22.57, 51.25)),  # Lublin
+    ("puwg1992", 100_000, "M-34-63", (19, 50), (19.5, dms(50, 20)), (19.02, 50.26)),  # Katowice
+    ("puwg1992", 100_000, "M-34-69", (22, 50), (22.5, dms(50, 20)), (22.03, 50.04)),  # Rzeszów
+    ("puwg1992", 100_000, "N-33-90", (14.5, dms(53, 20)), (15, dms(53, 40)), (14.55, 53.43)),  # Szczecin
+    ("puwg1992", 100_000, "N-34-107", (23, 53), (23.5, dms(53, 20)), (23.16, 53.13)),  # Białystok
+    ("puwg1992", 100_000, "M-34-100", (19.5, 49), (20, dms(49, 20)), (19.95, 49.3)),  # Zakopane
+    ("puwg1992", 100_000, "N-34-77", (20, dms(53, 40)), (20.5, 54), (20.48, 53.78)),  # Olsztyn
+    ("puwg1992", 100_000, "M-34-42", (20.5, dms(50, 40)), (21, 51), (20.63, 50.87)),  # Kielce
+    ("puwg1992", 100_000, "N-33-69", (16, 54), (16.5, dms(54, 20)), (16.18, 54.19)),  # Koszalin
+    ("puwg1992", 100_000, "M-34-39", (19, dms(50, 40)), (19.5, 51), (19.12, 50.81)),  # Częstochowa
+    ("puwg1992", 100_000, "N-34-70", (22.5, 54), (23, dms(54, 20)), (22.93, 54.1)),  # Suwałki
     ("puwg1992", 50_000, "M-34-64-D", (19.75, 50), (20, dms(50, 10)), (19.94, 50.06)),
     ("puwg1992", 25_000, "M-34-64-D-c", (19.75, 50), (dms(19, 52, 30), dms(50, 5)), (19.8, 50.02)),
     ("puwg1992", 10_000, "M-34-64-D-c-3", (19.75, 50), (dms(19, 48, 45), dms(50, 2, 30)), (19.78, 50.02)),
@@ -56,6 +86,21 @@ PUBLISHED: list[tuple[str, int, str, tuple[float, float], tuple[float, float], t
     ("tk", 25_000, "6938", (12, 49), (dms(12, 10), dms(49, 6)), (12.10, 49.01)),
     ("tk", 25_000, "6417", (dms(8, 30), dms(49, 30)), (dms(8, 40), dms(49, 36)), (8.53, 49.52)),
     ("tk", 25_000, "7835", (dms(11, 30), dms(48, 6)), (dms(11, 40), dms(48, 12)), (11.575, 48.137)),
+    # TK 25 that bear the names of towns.
+    ("tk", 25_000, "6518", (dms(8, 40), dms(49, 24)), (dms(8, 50), dms(49, 30)), (8.69, 49.41)),  # Heidelberg-Nord
+    ("tk", 25_000, "6916", (dms(8, 20), 49), (dms(8, 30), dms(49, 6)), (8.404, 49.012)),  # Karlsruhe-Nord
+    ("tk", 25_000, "7121", (dms(9, 10), dms(48, 48)), (dms(9, 20), dms(48, 54)), (9.28, 48.81)),  # Stuttgart-Nordost
+    ("tk", 25_000, "7220", (9, dms(48, 42)), (dms(9, 10), dms(48, 48)), (9.108, 48.727)),  # Stuttgart-Südwest
+    ("tk", 25_000, "5208", (7, dms(50, 42)), (dms(7, 10), dms(50, 48)), (7.1, 50.735)),  # Bonn
+    ("tk", 25_000, "5007", (dms(6, 50), dms(50, 54)), (7, 51), (6.96, 50.94)),  # Köln
+    ("tk", 25_000, "6532", (11, dms(49, 24)), (dms(11, 10), dms(49, 30)), (11.077, 49.453)),  # Nürnberg
+    ("tk", 25_000, "4948", (dms(13, 40), 51), (dms(13, 50), dms(51, 6)), (13.74, 51.05)),  # Dresden
+    ("tk", 25_000, "4640", (dms(12, 20), dms(51, 18)), (dms(12, 30), dms(51, 24)), (12.375, 51.34)),  # Leipzig
+    ("tk", 25_000, "3624", (dms(9, 40), dms(52, 18)), (dms(9, 50), dms(52, 24)), (9.73, 52.375)),  # Hannover
+    ("tk", 25_000, "5818", (dms(8, 40), dms(50, 6)), (dms(8, 50), dms(50, 12)), (8.69, 50.115)),  # Frankfurt Ost
+    ("tk", 25_000, "8532", (11, dms(47, 24)), (dms(11, 10), dms(47, 30)), (11.095, 47.485)),  # Garmisch
+    ("tk", 25_000, "6015", (dms(8, 10), dms(49, 54)), (dms(8, 20), 50), (8.27, 49.98)),  # Mainz
+    ("tk", 25_000, "6205", (dms(6, 30), dms(49, 42)), (dms(6, 40), dms(49, 48)), (6.641, 49.757)),  # Trier
     ("tk", 50_000, "L 7934", (dms(11, 20), 48), (dms(11, 40), dms(48, 12)), (11.575, 48.137)),
     ("tk", 50_000, "L 6516", (dms(8, 20), dms(49, 24)), (dms(8, 40), dms(49, 36)), (8.47, 49.49)),
     ("tk", 100_000, "C 7934", (dms(11, 20), 48), (12, dms(48, 24)), (11.575, 48.137)),
@@ -283,3 +328,17 @@ def test_sheets_of_an_area() -> None:
     assert set(sheets_on(series, crs, bounds)) > {"M-34-64-D-c-3"}
     with pytest.raises(InputError):
         list(sheets_on(series, CRS("EPSG:2180"), (1e9, 1e9, 2e9, 2e9)))
+
+
+def test_sheets_across_the_180th_meridian() -> None:
+    """Those of an area are those that its places lie on, each once; the last column has the first one in the east."""
+    series, utm = scheme("international", 100_000), CRS("EPSG:32601")
+    bounds = (330_000.0, 7_300_000.0, 390_000.0, 7_360_000.0)
+    x, y = np.meshgrid(np.linspace(bounds[0], bounds[2], 40)[1:-1], np.linspace(bounds[1], bounds[3], 40)[1:-1])
+    places = np.column_stack(Transformer.from_crs(utm, 4326, always_xy=True).transform(x.ravel(), y.ravel()))
+    names = list(sheets_on(series, utm, bounds))
+    assert {series.find(*place) for place in places} <= set(names)
+    assert len(names) == len(set(names)) < 12
+    assert {name.split("-")[1] for name in names} == {"60", "01"}
+    assert scheme("international", 1_000_000).neighbours("Q-60")["E"] == "Q-01"
+    assert scheme("international", 1_000_000).neighbours("Q-01")["W"] == "Q-60"

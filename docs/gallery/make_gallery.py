@@ -15,10 +15,16 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
+import numpy as np  # noqa: E402
 from dome import dome  # noqa: E402
+from satellite import Satellite  # noqa: E402
 from scenes import Ground, command, old_photo, sample_mosaic, write_vectors  # noqa: E402
 
-SPOT = Ground("EPSG:32633", (400_000.0, 5_500_000.0), (6_900.0, 5_300.0), 5.0, 4.0)
+from geomosaic.geo.crs import parse_crs  # noqa: E402
+from geomosaic.geo.transform import Transform  # noqa: E402
+
+SPOT = Ground("EPSG:32633", (400_000.0, 5_500_000.0), (9_000.0, 7_400.0), 5.0, 4.0)
+SPOT_MAP = (396_550.0, 5_497_350.0, 403_450.0, 5_502_650.0)
 PUWG = Ground("EPSG:2180", (555_930.0, 239_580.0), (4_800.0, 4_900.0), 4.0, 3.0, rise=1.2, seed=11)
 ZONES = Ground("EPSG:32633", (718_600.0, 5_480_000.0), (6_900.0, 5_300.0), 5.0, 4.5, rise=3.0, seed=23)
 PUWG_SHEET = "M-34-64-D-c-3"
@@ -41,9 +47,14 @@ def photomap(folder: Path) -> Path:
 
 
 def spot(folder: Path) -> Path:
-    """SPOT-like scene in false colour, 1 : 25 000, with contours and roads."""
-    SPOT.write(folder, "spot", (4, 1, 2))
+    """SPOT-like scene in false colour, 1 : 25 000, with contours and roads: taken line by line, and rectified."""
+    SPOT.write(folder, "spot")
     SPOT.vectors(folder / "spot.gpkg")
+    target = Transform(parse_crs(f"{SPOT.crs}+5773"), parse_crs("EPSG:4978"))(np.array([[*SPOT.centre, 450.0]]))[0]
+    satellite = Satellite.above(target, (1760, 1540))
+    scene = satellite.write(folder / "scene", SPOT.crs, lambda x, y: SPOT.colour(x, y, (4, 1, 2)), SPOT.height)
+    command("ortho", scene, "--sensor", "pushbroom", "--dem", folder / "spot-dem.tif", "--dst-crs", SPOT.crs,
+            "--res", SPOT.pixel, "--bounds", *SPOT_MAP, "--threads", 1, "-o", folder / "spot.tif")  # fmt: skip
     return _sheet(folder, "spot")
 
 

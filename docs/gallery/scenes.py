@@ -54,22 +54,32 @@ class Ground:
     rise: float = 2.0
     seed: int = 7
 
-    def write(self, folder: Path, name: str, bands: tuple[int, ...]) -> None:
-        """Write `NAME.tif` of bands counted from red, green, blue, near infrared, and `NAME-dem.tif` at 4 pixels."""
-        for step, suffix in ((self.pixel, ""), (4 * self.pixel, "-dem")):
+    def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """EGM96 heights (N,) at places of the map."""
+        return 450.0 + self.rise * heights((x - self.centre[0]) / self.larger, (y - self.centre[1]) / self.larger)
+
+    def colour(self, x: np.ndarray, y: np.ndarray, bands: tuple[int, ...]) -> np.ndarray:
+        """Colours (N, bands) from 0 to 1, of bands counted from red, green, blue, near infrared."""
+        u, v = (
+            ((at - middle) / self.larger).astype(np.float32) for at, middle in zip((x, y), self.centre, strict=True)
+        )
+        _, zu, zv = relief(u, v)
+        slope = np.float32(self.rise / self.larger)
+        land = Land(max(2.5, 2.0 * self.pixel / self.larger), self.seed, 4)
+        return land(u, v, slope * zu, slope * zv)[:, [band - 1 for band in bands]]
+
+    def write(self, folder: Path, name: str, bands: tuple[int, ...] = ()) -> None:
+        """Write `NAME-dem.tif` of nodes at 4 pixels, and `NAME.tif` where bands are named."""
+        for step, suffix in ((4 * self.pixel, "-dem"), (self.pixel, ""))[: 2 if bands else 1]:
             cols, rows = (round(length / step) for length in self.size)
             left, top = self.centre[0] - cols * step / 2, self.centre[1] + rows * step / 2
-            x = ((np.arange(cols) + 0.5 - cols / 2) * step / self.larger).astype(np.float32)
-            y = ((rows / 2 - 0.5 - np.arange(rows)) * step / self.larger).astype(np.float32)
-            u, v = (part.ravel() for part in np.meshgrid(x, y))
+            x, y = left + step * (np.arange(cols) + 0.5), top - step * (np.arange(rows) + 0.5)
+            places = [part.ravel() for part in np.meshgrid(x, y)]
             if suffix:
-                values = (450.0 + self.rise * heights(u.astype(float), v.astype(float))).reshape(1, rows, cols)
+                values = self.height(*places).reshape(1, rows, cols)
                 crs, kind = f"{self.crs}+5773", "float32"
             else:
-                _, zu, zv = relief(u, v)
-                slope = np.float32(self.rise / self.larger)
-                colour = Land(max(2.5, 2.0 * step / self.larger), self.seed, 4)(u, v, slope * zu, slope * zv)
-                values = (255.0 * colour[:, [band - 1 for band in bands]].T + 0.5).reshape(len(bands), rows, cols)
+                values = (255.0 * self.colour(*places, bands).T + 0.5).reshape(len(bands), rows, cols)
                 crs, kind = self.crs, "uint8"
             with rasterio.open(
                 folder / f"{name}{suffix}.tif", "w", driver="GTiff", width=cols, height=rows, count=len(values),

@@ -57,7 +57,10 @@ class MapGrid:
     def label(self, line: GridLine) -> str:
         """What stands beside a line."""
         if self.degrees:
-            return angle_text(line.value, self.interval, signs="NS" if line.axis else "EW")
+            signs = "NS" if line.axis else "EW"
+            if not line.axis and abs(abs(line.value) - 180.0) < 1e-9:
+                return angle_text(180.0, self.interval)  # east and west are one there
+            return angle_text(line.value, self.interval, signs=signs)
         return grouped(line.value, decimals(self.interval, 3))
 
 
@@ -87,9 +90,11 @@ def map_grid(crs: CRS, map_crs: CRS, bounds: Bounds, spacing: float, interval: f
     edge = there(_outline(bounds))
     if not np.isfinite(edge).all():
         raise InputError(f"the grid of '{flat.name}' is not defined on this sheet", mend="choose another grid CRS")
+    if flat.is_geographic and np.ptp(edge[:, 0]) > 180.0:
+        edge[:, 0] %= 360.0  # across the 180th meridian
+        if np.ptp(edge[:, 0]) > 180.0:
+            raise InputError("the sheet has a pole on it", mend='give [graticule] style = "none"')
     low, high = edge.min(axis=0), edge.max(axis=0)
-    if flat.is_geographic and high[0] - low[0] > 180.0:
-        raise InputError("the sheet crosses the 180th meridian", mend='give [graticule] style = "none"')
     if interval is None:
         size = np.array([bounds[2] - bounds[0], bounds[3] - bounds[1]])
         interval = nice_step(float(spacing * np.max((high - low) / size)), degrees=bool(flat.is_geographic))
@@ -104,12 +109,21 @@ def map_grid(crs: CRS, map_crs: CRS, bounds: Bounds, spacing: float, interval: f
         for value in multiples(low[axis], high[axis], interval):
             path = np.empty((SAMPLES, 2))
             path[:, axis], path[:, 1 - axis] = value, along
-            line = _inside(axis, float(value), back(path), bounds)
+            path = _whole(path, flat)
+            line = _inside(axis, float(path[0, axis]), back(path), bounds)
             if line is not None:
                 lines.append(line)
     xs, ys = (multiples(low[i], high[i], interval) for i in (0, 1))
-    nodes = back(np.array([(x, y) for x in xs for y in ys]).reshape(-1, 2))
+    nodes = back(_whole(np.array([(x, y) for x in xs for y in ys]).reshape(-1, 2), flat))
     return MapGrid(flat, float(interval), tuple(lines), nodes[_within(nodes, bounds)])
+
+
+def _whole(places: FloatArray, crs: CRS) -> FloatArray:
+    """Longitudes beyond 180 degrees as those of the west."""
+    if not crs.is_geographic:
+        return places
+    beyond = places[:, 0] > 180.0
+    return np.column_stack([places[:, 0] - 360.0 * beyond, places[:, 1]])
 
 
 def _outline(bounds: Bounds) -> FloatArray:

@@ -77,9 +77,14 @@ def _checked(read: Any, value: str | None) -> str | None:
     help=".pdf or .png; the map alone: .tif, .mbtiles, .kmz.",
 )
 @click.option(
-    "-f", "--driver", type=click.Choice(["GTiff", "COG"]), default="GTiff", show_default=True, help="Of .tif."
+    "-f",
+    "--driver",
+    type=click.Choice(["GTiff", "COG", "PDF"]),
+    default="GTiff",
+    show_default=True,
+    help="Of .tif; PDF: make .pdf a raster GeoPDF of the map alone.",
 )
-@click.option("--collar", is_flag=True, help="Write the whole page to .tif, not the map alone.")
+@click.option("--collar", is_flag=True, help="Write the whole page to .tif or a raster GeoPDF, not the map alone.")
 @click.option("--world-file", is_flag=True, help="Write a world file beside .tif and .png.")
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 @json_option

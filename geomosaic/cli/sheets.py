@@ -81,8 +81,15 @@ def _scheme(flags: dict[str, Any]) -> Scheme:
 @click.option(
     "--format", "suffix", type=click.Choice(["pdf", "png", "tif", "mbtiles", "kmz"]), default="pdf", show_default=True
 )
-@click.option("-f", "--driver", type=click.Choice(["GTiff", "COG"]), default="GTiff", show_default=True, help="Of tif.")
-@click.option("--collar", is_flag=True, help="Write the whole page to tif, not the map alone.")
+@click.option(
+    "-f",
+    "--driver",
+    type=click.Choice(["GTiff", "COG", "PDF"]),
+    default="GTiff",
+    show_default=True,
+    help="Of tif; PDF: make pdf a raster GeoPDF of the map alone.",
+)
+@click.option("--collar", is_flag=True, help="Write the whole page to tif or a raster GeoPDF, not the map alone.")
 @click.option("--world-file", is_flag=True, help="Write world files beside tif and png.")
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that draw.")
 @click.option("-o", "--output", type=FILE, required=True, help="Folder for the sheets and their index.")

@@ -52,12 +52,11 @@ class Photo:
         return self.tables[key][1]
 
     def step_of(self, coarse: Grid) -> int | None:
-        """Pixels along a side of the cells of a coarser grid, where single ones can be picked; None where not."""
-        if self.offset is None or self.grid is None or self.scale != 1.0 or not self.source.thins:
+        """Output pixels along a cell of a coarser grid, where they are pixels of the photo too; None where not."""
+        if self.offset is None or self.grid is None:
             return None
         step = round(coarse.resolution[0] / self.grid.resolution[0])
-        same = self.grid.coarser(step)
-        return step if (same.transform, same.shape) == (coarse.transform, coarse.shape) else None
+        return step if step > 1 and self.grid.coarser(step) == coarse else None
 
     @classmethod
     def open(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import sqlite3
 import warnings
 import zipfile
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 import numpy as np
 import rasterio
@@ -62,8 +64,8 @@ def write_web(path: PathLike, grid: Grid, pixels: ByteArray, *, title: str, over
                 col, row = round((affine.c + MERCATOR) / affine.a), round((MERCATOR - affine.f) / affine.a)
                 write_mbtiles(unfinished, np.moveaxis(warped, 0, 2), level, col, row, title=title)
             else:
-                _overlay(unfinished, warped, affine, target, title)
-                _undated(unfinished)
+                _overlay(unfinished, warped, affine, target)
+                _finished(unfinished, title)
         sync(unfinished)
         unfinished.replace(path)
         sync(path.parent)
@@ -96,7 +98,7 @@ def _warped(grid: Grid, pixels: ByteArray, target: rasterio.crs.CRS) -> tuple[By
     return out, affine
 
 
-def _overlay(path: Path, pixels: ByteArray, affine: Affine, crs: rasterio.crs.CRS, title: str) -> None:
+def _overlay(path: Path, pixels: ByteArray, affine: Affine, crs: rasterio.crs.CRS) -> None:
     """Write pixels (4, rows, cols) as a KML super-overlay in a KMZ, by GDAL."""
     with MemoryFile() as memory:
         with memory.open(
@@ -106,15 +108,18 @@ def _overlay(path: Path, pixels: ByteArray, affine: Affine, crs: rasterio.crs.CR
             made.write(pixels)
         with memory.open() as source:
             try:
-                rasterio.shutil.copy(source, path, driver="KMLSUPEROVERLAY", NAME=title, FORMAT="PNG")
+                rasterio.shutil.copy(source, path, driver="KMLSUPEROVERLAY", FORMAT="PNG")
             except Exception as error:  # of GDAL, in a class that rasterio keeps to itself
                 raise OSError(str(error)) from error
 
 
-def _undated(path: Path) -> None:
-    """Write the members of a KMZ again without the time, in the order of their names, doc.kml first."""
+def _finished(path: Path, title: str) -> None:
+    """Write the members of a KMZ again with its title, without the time, in the order of their names, doc.kml first."""
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
+    # As an option of the driver it would become capitals.
+    heading = f"<name>{escape(title)}</name>".encode()
+    members["doc.kml"] = re.sub(rb"<name>.*?</name>|<name/>", lambda _: heading, members["doc.kml"], count=1)
     order = sorted(members, key=lambda name: (name != "doc.kml", name))
     with zipfile.ZipFile(path, "w") as archive:
         for name in order:

@@ -12,6 +12,7 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.resample.engine import Engine
+from geomosaic.resample.quick import fill_rgb
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
 from geomosaic.surface.model import HeightPatch
 from geomosaic.types import AnyArray, ByteArray, FloatArray
@@ -180,13 +181,9 @@ def _fill(
     source, valid = reader.read(window, shape.shrink)
     start, (height, width), n = 0, out_valid.shape, shape.n
     if valid is None and n == 1 and shape.kernel in engine.quick and _is_rgb(source):
-        if shape.kernel == "bilinear" and _is_inner(geometry, need, source, window, colour, out):
-            line = np.empty((height, 3 * width), dtype=np.uint8)
-            engine.quick["bilinear, inner"](geometry[0], geometry[6], source, (window.col, window.row), line)
-            out[...], out_valid[...] = line.reshape(out.shape), 1
-            return
-        quick = engine.quick[shape.kernel]
-        start = quick(geometry, shape.size, need, source, (window.col, window.row), ending, out, out_valid)
+        start = fill_rgb(
+            engine, shape.kernel, geometry, shape.size, need, source, window, ending, out, out_valid
+        )  # fmt: skip
     rows_at_once = max(1, STRIP // (width * n * n))
 
     def strip(start: int) -> None:
@@ -215,18 +212,6 @@ def _is_rgb(source: AnyArray) -> bool:
     return bool(
         source.dtype == np.uint8 and source.shape[2] == 3 and min(source.shape) > 1 and source.flags.c_contiguous
     )
-
-
-def _is_inner(
-    geometry: Geometry, need: ByteArray, source: AnyArray, window: Window, colour: Colour, out: AnyArray
-) -> bool:
-    """Whether heights play no part, all four taps of every pixel are in the window, and values stay what they are."""
-    if not (geometry[5] and need.all() and out.dtype == np.uint8):
-        return False
-    if not ((colour.gain == 1.0).all() and (colour.offset == 0.0).all()):
-        return False
-    places = geometry[0][..., ::4].reshape(-1, 2) - (window.col, window.row)  # what lies between nodes is within them
-    return bool((places >= 1.0).all() and (places < (source.shape[1] - 1.0, source.shape[0] - 1.0)).all())
 
 
 def _cells(lattice: Lattice) -> ByteArray:

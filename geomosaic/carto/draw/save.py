@@ -17,6 +17,7 @@ from geomosaic.errors import InputError, OutputError
 from geomosaic.geo.crs import is_local
 from geomosaic.geo.grid import Grid
 from geomosaic.raster.output import check_output, partial, remove, sync
+from geomosaic.raster.pdf import write_raster_pdf
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.webtiles import write_web
 from geomosaic.types import ByteArray, FloatArray
@@ -34,9 +35,9 @@ class FileOptions:
     Attributes
     ----------
     driver : str
-        Of GeoTIFFs: 'GTiff' or 'COG'.
+        Of GeoTIFFs: 'GTiff' or 'COG'. 'PDF' of PDFs: a raster GeoPDF by GDAL instead of a page of vectors and text.
     collar : bool
-        GeoTIFFs have the whole page instead of the map alone.
+        GeoTIFFs and raster GeoPDFs have the whole page instead of the map alone.
     world_file : bool
         Write a world file beside PNG and GeoTIFF: six lines with the affine of pixel centres.
     """
@@ -73,22 +74,25 @@ def write_sheet(
     """
     check_format(path)
     check_output(path, overwrite=overwrite)
-    suffix = path.suffix.lower()
+    suffix, flat = path.suffix.lower(), files.driver == "PDF"
     page = parts.page
-    if suffix in WEB and is_local(page.crs):
+    if flat and suffix != ".pdf":
+        raise InputError(f"the driver PDF does not write '{suffix}'", where=str(path), mend="end the name in .pdf")
+    if (flat or suffix in WEB) and is_local(page.crs):
         raise InputError(
-            f"'{page.crs.name}' is not tied to the Earth, so its map has no place on the web",
+            f"'{page.crs.name}' is not tied to the Earth, so its map has no place "
+            + ("in a raster GeoPDF" if flat else "on the web"),
             where=str(path),
-            mend="write .pdf, .png or .tif",
+            mend="leave out --driver PDF" if flat else "write .pdf, .png or .tif",
         )
-    if suffix != ".pdf" and page.width * page.height * (dpi / 25.4) ** 2 > MOST_PIXELS:
+    if (flat or suffix != ".pdf") and page.width * page.height * (dpi / 25.4) ** 2 > MOST_PIXELS:
         raise InputError(
             f"a sheet of {page.width:g} x {page.height:g} mm at {dpi} dpi has too many pixels",
             where=str(path),
-            mend="lower --dpi, or write a PDF",
+            mend="lower --dpi, or write a PDF of vectors",
         )
-    if suffix in WEB:
-        return _web(path, parts, pixels, dpi, overwrite=overwrite)
+    if flat or suffix in WEB:
+        return _by_gdal(path, parts, pixels, dpi, files, overwrite=overwrite)
     if suffix.startswith(".tif"):
         return _geotiff(path, parts, pixels, dpi, files, overwrite=overwrite)
     canvas, told = draw_sheet(parts, pixels)
@@ -182,12 +186,19 @@ def _geotiff(
     return told
 
 
-def _web(path: Path, parts: SheetParts, pixels: Pixels, dpi: int, *, overwrite: bool) -> list[str]:
-    """Draw the map alone, for the web."""
-    grid, drawn, valid, told = _drawn(parts, pixels, dpi, collar=False)
-    alpha = np.ones(grid.shape, dtype=np.uint8) if valid is None else valid
+def _by_gdal(
+    path: Path, parts: SheetParts, pixels: Pixels, dpi: int, files: FileOptions, *, overwrite: bool
+) -> list[str]:
+    """Draw a raster GeoPDF, or the map alone for the web."""
+    flat = files.driver == "PDF"
+    grid, drawn, valid, told = _drawn(parts, pixels, dpi, collar=flat and files.collar)
     title = parts.layout.sheet.title or "Map"
-    write_web(path, grid, np.dstack([drawn, 255 * alpha]), title=title, overwrite=overwrite)
+    alpha = np.ones(grid.shape, dtype=np.uint8) if valid is None else valid
+    if not flat:
+        write_web(path, grid, np.dstack([drawn, 255 * alpha]), title=title, overwrite=overwrite)
+    else:
+        shown = drawn if valid is None else np.dstack([drawn, 255 * alpha])
+        write_raster_pdf(path, grid, shown, dpi=dpi, title=title, overwrite=overwrite)
     return told
 
 

@@ -78,8 +78,8 @@ def international(
         fine *= parts
 
     def name_of(col: int, row: int) -> str | None:
-        big, up = col // fine, row // fine
-        if not (0 <= big < 60 and 0 <= up < len(ROWS)):
+        big, up = col // fine % 60, row // fine  # the last column has the first one in the east
+        if not 0 <= up < len(ROWS):
             return None
         words = [ROWS[up], f"{big + 1:02d}"]
         # Parts count southwards from the upper left.
@@ -98,6 +98,8 @@ def international(
         if len(words) != 2 + len(steps) or words[0].upper() not in ROWS or not words[1].isdigit():
             return None
         col, row = int(words[1]) - 1, ROWS.index(words[0].upper())
+        if not 0 <= col < 60:
+            return None
         across = down = 0
         for (parts, kind), word in zip(steps, words[2:], strict=True):
             number = _read(word, kind)

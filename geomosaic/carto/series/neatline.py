@@ -100,9 +100,18 @@ def sheets_on(scheme: Scheme, map_crs: CRS, bounds: Bounds) -> Iterator[str]:
     seen = Transform(map_crs, parse_crs(scheme.crs))(outline(corners, PARTS))
     if not np.isfinite(seen).all():
         raise InputError(f"the area has no coordinates in {scheme.crs}", mend="use another scheme")
-    low, high = seen.min(axis=0), seen.max(axis=0)
     area = box(*bounds)
-    for name in scheme.within((float(low[0]), float(low[1]), float(high[0]), float(high[1]))):
+    names = dict.fromkeys(name for around in _around(seen, parse_crs(scheme.crs)) for name in scheme.within(around))
+    for name in names:
         part = Polygon(sheet_place(scheme, name, map_crs).ring).intersection(area)
         if part.area > 1e-9 * area.area:
             yield name
+
+
+def _around(places: FloatArray, crs: CRS) -> list[Bounds]:
+    """Smallest box around places (N, 2), or one on each side of the 180th meridian where they lie across it."""
+    (left, bottom), (right, top) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
+    x = places[:, 0]
+    if crs.is_geographic and right - left > 180.0 and np.ptp(x % 360.0) < 180.0:
+        return [(float(x[x > 0].min()), bottom, 180.0, top), (-180.0, bottom, float(x[x <= 0].max()), top)]
+    return [(left, bottom, right, top)]

@@ -9,11 +9,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
-<<<<<<< HEAD
-from geomosaic.product.aligned import cell_means
-=======
-from geomosaic.product.aligned import picked
->>>>>>> n
+from geomosaic.product.aligned import cell_means, picked
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo, pull
 from geomosaic.product.photos import Photos
@@ -112,14 +108,6 @@ def _inner(valid: ByteArray) -> ByteArray:
     return out
 
 
-def _cells_of(photo: Photo, grid: Grid) -> int | None:
-    """Output pixels along a cell of a coarse grid, where they are pixels of the photo too."""
-    if photo.grid is None or photo.offset is None:
-        return None
-    size = round(grid.resolution[0] / photo.grid.resolution[0])
-    return size if size > 1 and photo.grid.coarser(size) == grid else None
-
-
 def thumbnail(
     photo: Photo, surface: Surface | None, grid: Grid, window: Window, resampling: str, dtype: str
 ) -> Thumbnail:
@@ -129,17 +117,15 @@ def thumbnail(
     valid = np.zeros(values.shape[:2], dtype=np.uint8)
     if window.empty:
         return Thumbnail(window, values, valid)
-<<<<<<< HEAD
-    size = _cells_of(photo, grid) if resampling == "average" else None
+    size = photo.step_of(grid)
     if size is not None and photo.offset is not None:
-        cell_means(photo.source, photo.offset, window, size, values, valid)
-        values *= photo.scale
-=======
-    step = photo.step_of(grid) if resampling == "nearest" and values.dtype == photo.source.dtype else None
-    if step is not None and photo.offset is not None:
-        picked(photo.source, photo.offset, step, window, values, valid)
->>>>>>> n
-        return Thumbnail(window, values, valid)
+        if resampling == "average":
+            cell_means(photo.source, photo.offset, window, size, values, valid)
+            values *= photo.scale
+            return Thumbnail(window, values, valid)
+        if photo.source.thins and photo.scale == 1.0 and values.dtype == photo.source.dtype:
+            picked(photo.source, photo.offset, size, window, values, valid)
+            return Thumbnail(window, values, valid)
     engine, colour = engine_for(4 * valid.size, resampling), Colour.identity(bands)
     below = Ground.under(grid, surface)
     # The window itself is cut into blocks, not the grid: only the heights below the photo are read.

@@ -24,6 +24,7 @@ from geomosaic.carto.series.scheme import Scheme
 from geomosaic.carto.style import Label, Line, Style, Symbol
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
+from geomosaic.geo.grid import Bounds
 from geomosaic.product.maps.sheet import VectorInput, make_sheet
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.source import Source
@@ -107,13 +108,20 @@ def make_series(
     with Source(inputs.raster) as source:
         grid = raster_grid(source, str(inputs.raster))
     names = [scheme.proper(name) for name in only] or _all(scheme, grid.crs, grid.bounds)
+    places = [sheet_place(scheme, name, grid.crs, overlap) for name in names]
+    for place in places:
+        if not _meet(place.bounds, grid.bounds):
+            raise InputError(
+                f"sheet {place.name} shows nothing of the raster",
+                where=str(inputs.raster),
+                mend="leave it out of --only; without --only all sheets that show something are made",
+            )
     folder.mkdir(parents=True, exist_ok=True)
     _tell_crs(scheme, names[0], grid.crs)
     record = _read_record(folder)
     base = _ingredients(inputs, record)
     tasks, kept, order = [], [], []
-    for name in names:
-        place = sheet_place(scheme, name, grid.crs, overlap)
+    for name, place in zip(names, places, strict=True):
         path = folder / (file_name(name) + suffix)
         key = _digest({**base, "name": name, "overlap": overlap, "ring": place.ring.tolist(), "suffix": suffix})
         order.append((place, path))
@@ -144,6 +152,10 @@ class Task:
     place: SheetPlace
     path: Path
     overwrite: bool
+
+
+def _meet(a: Bounds, b: Bounds) -> bool:
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
 def _all(scheme: Scheme, crs: CRS, bounds: Any) -> list[str]:

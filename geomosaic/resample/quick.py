@@ -1,0 +1,101 @@
+"""Three bands of eight bits, blocks at once: parts whose taps all exist the short way, the rest with care."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from geomosaic.geo.grid import Window
+from geomosaic.resample.engine import Engine
+from geomosaic.types import AnyArray, BoolArray, ByteArray
+
+CELL = 64
+"""Pixels of the cells in which blocks are cut, as `sensor.lattice` has them."""
+Ending = tuple[Any, Any, float, float, bool]
+"""Gain and offset per band, lowest and highest value, and whether values are rounded."""
+
+
+def fill_rgb(
+    engine: Engine,
+    kernel: str,
+    geometry: tuple[Any, ...],
+    size: tuple[int, int],
+    need: ByteArray,
+    source: AnyArray,
+    window: Window,
+    ending: Ending,
+    out: AnyArray,
+    out_valid: ByteArray,
+) -> int:
+    """Fill a block from the `window` of an image; returns the first row that is not filled, its height if all are.
+
+    Parameters
+    ----------
+    engine : Engine
+        With quick kernels.
+    kernel : str
+        'bilinear' or 'cubic'.
+    geometry : tuple
+        See `warp.Geometry`.
+    size : tuple of int
+        Width and height of the image.
+    need : uint8 array (rows / 64, cols / 64)
+        Cells that are wanted.
+    source : uint8 array (rows, cols, 3)
+        What the window shows, all of it valid.
+    ending : tuple
+        What happens to values before they are written.
+    out : array (rows, cols, 3)
+    out_valid : uint8 array (rows, cols)
+        Set to 1 where the image is seen.
+    """
+    corner = window.col, window.row
+    careful = engine.quick[kernel]
+    if not (kernel == "bilinear" and geometry[5] and _unchanged(ending) and out.dtype == np.uint8):
+        return int(careful(geometry, size, need, source, corner, ending, out, out_valid))
+    inner = _inner(geometry, need, source, window)
+    per, height = CELL // geometry[6], int(out.shape[0])
+    parts = [(0, need.shape[0], 0, need.shape[1])]
+    while parts:
+        top, bottom, left, right = parts.pop()
+        rows, cols = slice(top * CELL, bottom * CELL), slice(left * CELL, right * CELL)
+        here, wanted = inner[top:bottom, left:right], np.ascontiguousarray(need[top:bottom, left:right])
+        nodes = np.ascontiguousarray(geometry[0][top * per : bottom * per + 1, left * per : right * per + 1])
+        if here.all():
+            part = out[rows, cols]
+            line = np.empty((part.shape[0], 3 * part.shape[1]), dtype=np.uint8)
+            engine.quick["bilinear, inner"](nodes, geometry[6], source, corner, line)
+            part[...], out_valid[rows, cols] = line.reshape(part.shape), 1
+        elif not here.any() or (bottom - top == 1 and right - left == 1):
+            if wanted.any():
+                done = careful(
+                    (nodes, *geometry[1:]), size, wanted, source, corner, ending, out[rows, cols], out_valid[rows, cols]
+                )
+                if done < out_valid[rows, cols].shape[0]:
+                    return 0
+        elif bottom - top >= right - left:
+            middle = (top + bottom) // 2
+            parts += [(middle, bottom, left, right), (top, middle, left, right)]
+        else:
+            middle = (left + right) // 2
+            parts += [(top, bottom, middle, right), (top, bottom, left, middle)]
+    return height
+
+
+def _unchanged(ending: Ending) -> bool:
+    return bool((ending[0] == 1.0).all() and (ending[1] == 0.0).all())
+
+
+def _inner(geometry: tuple[Any, ...], need: ByteArray, source: AnyArray, window: Window) -> BoolArray:
+    """Cells (rows, cols) that are wanted and all four taps of whose every pixel are in the window."""
+    places = geometry[0][..., ::4] - (window.col, window.row)
+    ends = source.shape[1] - 1.0, source.shape[0] - 1.0
+    here = ((places >= 1.0) & (places < ends)).all(axis=-1)  # what lies between nodes is within them
+    per = CELL // geometry[6]
+    for axis in (0, 1):
+        starts = np.arange(0, here.shape[axis] - 1, per)
+        last = here.take(np.minimum(starts + per, here.shape[axis] - 1), axis=axis)
+        here = np.logical_and.reduceat(here, starts, axis=axis) & last
+    found: BoolArray = here & (need > 0)
+    return found
