@@ -71,7 +71,7 @@ def blunder_advice(search: BlunderSearch, searched: Sequence[str], fit: ControlF
         That is to be drawn.
     """
     names = tuple(name for name in fit.ids if name in set(search.blunders))
-    alone = tuple(n for n in fit.ids if n in set(search.snooping.blunders) ^ set(search.estimate.blunders))
+    alone = tuple(n for n in fit.ids if n in set(search.accused) - {*search.blunders, *search.bent})
     typical = search.estimate.fit.rms_total
     if len(names) + len(alone) > UNFIT * len(fit.ids):
         what = f"{len(names) + len(alone)} of {len(fit.ids)} points stand out against the rest, which agrees within "
@@ -92,6 +92,19 @@ def blunder_advice(search: BlunderSearch, searched: Sequence[str], fit: ControlF
         what = f"one of two tests, but not the other, finds wrong: {listed(alone)}"
         found.append(Advice("suspect", "warning", what, alone, "look at these points again"))
     return found
+
+
+def bent_advice(search: BlunderSearch, fit: ControlFit, model: str) -> list[Advice]:
+    """Say so where the fit misses points, or rejects them, that a smooth bend of the image explains."""
+    bent = [name for name in search.bent if name in fit.ids]
+    if not bent:
+        return []
+    lengths = dict(zip(fit.ids, np.hypot(*fit.residuals.T).tolist(), strict=True))
+    told = listed([f"{name} ({lengths[name]:.1f} px)" for name in sorted(bent, key=lambda name: -lengths[name])])
+    what = f"{model} misses {len(bent)} of {len(fit.ids)} points more than the others, but a smooth bend of the image "
+    what += f"explains {'them' if len(bent) > 1 else 'it'}: {told}"
+    mend = "more points around them, which tell a bend from a blunder; --model tps follows a bend"
+    return [Advice("bent", "warning", what, tuple(bent), mend)]
 
 
 def opinion_advice(opinion: Opinion, fit: ControlFit, named: Sequence[str]) -> list[Advice]:
@@ -144,8 +157,13 @@ def odd_advice(choice: Choice | None, fit: ControlFit, named: Sequence[str]) -> 
 
 def size_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
     """Say so where errors are large for the image: whatever was fitted, it is no map of it."""
-    # The residuals of few points are smaller than errors are: their share of the redundancy is taken off.
-    own = max(fit.rms_total, fit.sigma0 * float(np.sqrt(2.0) * np.median(fit.sigma))) if fit.redundancy else np.nan
+    left_out = np.hypot(*fit.leave_one_out.T)
+    # The residuals of few points are smaller than errors are: their share of the redundancy is taken off. A spline
+    # has none, and misses corners that are left out: the RMS that belongs to the median error counts.
+    if fit.redundancy:
+        own = max(fit.rms_total, fit.sigma0 * float(np.sqrt(2.0) * np.median(fit.sigma)))
+    else:
+        own = 1.2 * float(np.nanmedian(left_out)) if np.isfinite(left_out).any() else np.nan
     error = max((e for e in (own, fit.leave_one_out_rms) if np.isfinite(e)), default=0.0)
     limit = LARGE * float(np.hypot(*size))
     if error <= limit:

@@ -20,6 +20,7 @@ from geomosaic.control.reading import Reading
 from geomosaic.errors import InputError
 from geomosaic.product.checks.advice import check_advice
 from geomosaic.product.georeference.examine import (
+    bent_advice,
     blunder_advice,
     comparison_advice,
     deletion_advice,
@@ -146,6 +147,7 @@ def solve(
     advice = (*advice, *deletion_advice(deletion), *comparison_advice(choice, name))
     if trial.search is not None:
         advice = (*advice, *blunder_advice(trial.search, searched, fit))
+        advice = (*advice, *bent_advice(trial.search, fit, name))
     if trial.opinion is not None:
         advice = (*advice, *opinion_advice(trial.opinion, fit, _named(advice)))
     advice = (*advice, *odd_advice(choice, fit, _named(advice)))

@@ -10,7 +10,7 @@ from geomosaic.adjust.problem import Build, registry_build
 from geomosaic.adjust.robust import BlunderSearch, search_blunders
 from geomosaic.control.points import ImageControl
 from geomosaic.errors import GeomosaicError
-from geomosaic.product.georeference.opinion import Opinion, confirmed, second_opinion
+from geomosaic.product.georeference.opinion import Opinion, confirmed, pardoned, second_opinion, unbent
 from geomosaic.product.georeference.request import FitRequest, kind_order
 from geomosaic.sensor.plugin import SensorRequest
 
@@ -86,6 +86,9 @@ def try_models(image: str, size: tuple[int, int], points: ImageControl, request:
     model = choice.name if auto and choice is not None else request.model
     for _ in range(ROUNDS):
         search, said = _search(builder(model, image, size, points), points, model, opinion)
+        if search is not None:
+            search = pardoned(search, points, model if choice is None else choice.name)
+            said = search.said
         found = set(blamed)
         if request.robust or (auto and request.threshold is not None):
             found |= set(search.blunders if search is not None else () if choice is None else choice.odd)
@@ -122,7 +125,7 @@ def _choose(image: str, size: tuple[int, int], points: ImageControl, *, needed: 
         return None
     builds = planar_builds(SensorRequest(image, size, {}, points.crs), points.xy, points.colrow, SENSOR)
     try:
-        return choose_model(builds, points.names, points.xy, points.colrow, points.sigma)
+        return unbent(choose_model(builds, points.names, points.xy, points.colrow, points.sigma), points)
     except GeomosaicError:
         if needed:
             raise
