@@ -24,8 +24,8 @@ LARGE = 0.01
 BETTER = 0.67
 """Share of the leave-one-out error of the model asked for, below which another one is named."""
 SAME = {"poly1": "affine"}
-HOPELESS = ("few-points",)
-"""Errors with which no fit is possible, whoever insists."""
+HOPELESS = ("few-points", "collinear", "nowhere")
+"""Errors with which nothing is drawn, whoever insists."""
 UNFIT = 0.4
 """Share of points that stand out from which on it is the fit that is wrong."""
 EVEN = 0.5
@@ -37,26 +37,37 @@ STEPS = 33
 class BadControlError(InputError):
     """Control that would draw a wrong picture; `advice` has all that was found."""
 
-    def __init__(self, advice: Sequence[Advice], where: str) -> None:
+    def __init__(self, advice: Sequence[Advice], where: str, *, final: bool = False) -> None:
         errors = [found for found in advice if found.severity == "error"]
         what = "; ".join(f"{found.what} ({found.code})" for found in errors[:3])
         more = f"; and {len(errors) - 3} more" if len(errors) > 3 else ""
         mends = "; ".join(dict.fromkeys(found.mend for found in errors[:3]))
-        if not any(found.code in HOPELESS for found in errors):
+        if not final:
             mends += "; or --insist, to draw it all the same"
         super().__init__(what + more, where=where, mend=mends)
         self.advice = tuple(advice)
 
 
-def stop_on_errors(advice: Sequence[Advice], where: str, *, insist: bool) -> None:
-    """Stop where a finding is an error, unless the user insists.
+def stop_on_errors(advice: Sequence[Advice], where: str, *, insist: bool, possible: bool = True) -> None:
+    """Stop where a finding is an error; where the user insists, only where nothing can be drawn.
+
+    Parameters
+    ----------
+    advice : sequence of Advice
+    where : str
+        For the error.
+    insist : bool
+    possible : bool
+        Whether the points have places at all.
 
     Raises
     ------
     BadControlError
     """
-    if not insist and any(found.severity == "error" for found in advice):
-        raise BadControlError(advice, where)
+    errors = [found for found in advice if found.severity == "error"]
+    final = not possible or any(found.code in HOPELESS for found in errors)
+    if errors and (final or not insist):
+        raise BadControlError(advice, where, final=final)
 
 
 def blunder_advice(search: BlunderSearch, searched: Sequence[str], fit: ControlFit) -> list[Advice]:

@@ -18,6 +18,7 @@ from geomosaic.control.finding import SEVERITIES, Advice
 from geomosaic.control.points import ImageControl
 from geomosaic.control.reading import Reading
 from geomosaic.errors import InputError
+from geomosaic.geo.transform import Transform
 from geomosaic.product.checks.advice import check_advice
 from geomosaic.product.georeference.examine import (
     bent_advice,
@@ -123,7 +124,7 @@ def solve(
     given, where = reading.control, reading.control.origins[0].path
     auto = request.model == "auto"
     advice = first_look(given, size, request, near)
-    control = replace(given, ground=given.xy).to_crs(crs)
+    control = _placed(given, crs)
     points = control.of_role("control")
     if not len(points):
         raise InputError("no point takes part in the fit: all are disabled or check points", where=where, mend=MEND)
@@ -191,7 +192,9 @@ def first_look(
         The advice has errors, and the user does not insist.
     """
     advice = _advised(control, "conformal" if request.model == "auto" else request.model, size, near)
-    stop_on_errors(advice, control.origins[0].path, insist=request.insist)
+    enabled = control.select(control.enabled)
+    possible = not (control.crs.is_geographic and (np.abs(enabled.xy[:, 1]) > 90.0).any())
+    stop_on_errors(advice, control.origins[0].path, insist=request.insist, possible=possible)
     return advice
 
 
@@ -207,6 +210,15 @@ def _advised(
 
 def _named(advice: tuple[Advice, ...]) -> list[str]:
     return [name for found in advice if found.code in ("blunder", "contradiction") for name in found.points]
+
+
+def _placed(control: ImageControl, crs: CRS) -> ImageControl:
+    """Control in the CRS of the fit, x and y, without those disabled points that have no place in it."""
+    flat = replace(control, ground=control.xy)
+    if not control.enabled.all():
+        there = np.isfinite(Transform(flat.crs, crs)(flat.ground)).all(axis=1)
+        flat = flat.select(flat.enabled | there)
+    return flat.to_crs(crs)
 
 
 def _spatial(xy: FloatArray) -> FloatArray:
