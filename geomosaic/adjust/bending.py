@@ -11,12 +11,14 @@ import numpy as np
 from geomosaic.adjust.polyharmonic import predictions
 from geomosaic.types import AnyArray, BoolArray, FloatArray
 
-ORDERS = (2, 3, 4)
+ORDERS = (3, 4)
 AROUND = 60
 """Points that predict one."""
 FEWEST = 12
 WITHIN = 3.0
-"""Median errors, each divided by its standard deviation, within which a point agrees with those around it."""
+"""Median errors to be expected of it, within which a point agrees with those around it."""
+TELLING = 5.0
+"""Pixels, the median error to be expected beyond which an order, extrapolating, tells nothing: any blunder agrees."""
 COMPARABLE = 2.0
 """Times the least median error, up to which an order is a witness."""
 ROUNDS = 10
@@ -60,7 +62,7 @@ def _agrees(places: FloatArray, image: FloatArray, kept: BoolArray, index: int) 
     local = places[near] - places[near].mean(axis=0)
     local /= max(float(np.abs(local).max()), 1e-300)
     others = np.arange(len(near)) < len(near) - 1
-    medians, ratios = list[float](), list[float]()
+    medians, agree = list[float](), list[bool]()
     for order in ORDERS:
         if len(near) < order * (order + 1):  # twice the powers it needs
             continue
@@ -69,8 +71,9 @@ def _agrees(places: FloatArray, image: FloatArray, kept: BoolArray, index: int) 
         except np.linalg.LinAlgError:
             continue
         lengths = np.hypot(*errors.T)
-        scaled = lengths / np.sqrt(np.maximum(variance, 1e-300))
+        spread = np.sqrt(np.maximum(variance, 1e-300))
+        expected = float(spread[-1] * np.median(lengths[others] / spread[others]))
         medians.append(float(np.median(lengths[others])))
-        ratios.append(float(scaled[-1] / max(np.median(scaled[others]), 1e-300)))
+        agree.append(expected <= TELLING and bool(lengths[-1] <= WITHIN * expected))
     least = min(medians, default=0.0)
-    return any(r <= WITHIN and m <= COMPARABLE * least for r, m in zip(ratios, medians, strict=True))
+    return any(told and m <= COMPARABLE * least for told, m in zip(agree, medians, strict=True))

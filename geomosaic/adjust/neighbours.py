@@ -1,8 +1,9 @@
 """Blunders that a fit passes through: each point is held against its neighbours, and the rest against a spline of them.
 
-A thin plate spline has no residuals. What it says of a point left out has (`polyharmonic`). Errors are divided by their
-standard deviation, so that a corner which the others only extrapolate is no blunder. The start is a robust one: a plane through every three of the eight neighbours
-of a point, the one that most of them agree with (least quantile of squares, Rousseeuw 1984).
+A thin plate spline has no residuals. What it says of a point left out has (`polyharmonic`). Errors are divided by
+their standard deviation, so that a corner which the others only extrapolate is no blunder. The start is a robust one:
+a plane through every three of the eight neighbours of a point, the one that most of them agree with (least quantile of
+squares, Rousseeuw 1984).
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from geomosaic.adjust.local import map_by_image
 from geomosaic.adjust.robust import BlunderSearch
 from geomosaic.control.advice import advise
 from geomosaic.control.finding import SEVERITIES, Advice
+from geomosaic.control.placement import has_places
 from geomosaic.control.points import ImageControl
 from geomosaic.control.reading import Reading
 from geomosaic.errors import InputError
@@ -123,6 +124,7 @@ def solve(
     """
     given, where = reading.control, reading.control.origins[0].path
     auto = request.model == "auto"
+    why = "as asked for"
     advice = first_look(given, size, request, near)
     control = _placed(given, crs)
     points = control.of_role("control")
@@ -134,6 +136,7 @@ def solve(
     if auto:
         advice = _advised(given, name, size, near)
         stop_on_errors(advice, where, insist=request.insist)
+        why = trial.why or (choice.said.removeprefix(f"{name}: ") if choice is not None else why)
     build = builder(name, image, size, points)
     deletion = None
     if request.threshold is not None:
@@ -164,7 +167,7 @@ def solve(
         advice = (*advice, *check_advice(check.names, pixels, judged.errors, unit, fit.leave_one_out_rms))
     return Solution(
         name,
-        choice.said.removeprefix(f"{name}: ") if choice is not None and auto else "as asked for",
+        why,
         crs,
         control,
         _states(control, fit, set(trial.suspects), deletion),
@@ -192,8 +195,7 @@ def first_look(
         The advice has errors, and the user does not insist.
     """
     advice = _advised(control, "conformal" if request.model == "auto" else request.model, size, near)
-    enabled = control.select(control.enabled)
-    possible = not (control.crs.is_geographic and (np.abs(enabled.xy[:, 1]) > 90.0).any())
+    possible = has_places(control.select(control.enabled))
     stop_on_errors(advice, control.origins[0].path, insist=request.insist, possible=possible)
     return advice
 

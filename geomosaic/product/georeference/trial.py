@@ -10,6 +10,7 @@ from geomosaic.adjust.problem import Build, registry_build
 from geomosaic.adjust.robust import BlunderSearch, search_blunders
 from geomosaic.control.points import ImageControl
 from geomosaic.errors import GeomosaicError
+from geomosaic.product.georeference.four import through_four
 from geomosaic.product.georeference.opinion import Opinion, confirmed, pardoned, second_opinion, unbent
 from geomosaic.product.georeference.request import FitRequest, kind_order
 from geomosaic.sensor.plugin import SensorRequest
@@ -40,6 +41,8 @@ class Trial:
         What the search found, or why there is none.
     opinion : Opinion, optional
         On blunders, without the model.
+    why : str
+        Why another model than `choice` has.
     """
 
     model: str
@@ -49,6 +52,7 @@ class Trial:
     search: BlunderSearch | None
     said: str
     opinion: Opinion | None = None
+    why: str = ""
 
 
 def try_models(image: str, size: tuple[int, int], points: ImageControl, request: FitRequest) -> Trial:
@@ -83,6 +87,10 @@ def try_models(image: str, size: tuple[int, int], points: ImageControl, request:
             blamed = suspects = opinion.blunders
             clean = _without(points, suspects)
             choice = _choose(image, size, clean, needed=auto)
+    if auto and choice is not None:
+        why = through_four(points, choice, lambda name, some: builder(name, image, size, some))
+        if why:
+            return Trial("projective", points, (), choice, None, why, None, why)
     model = choice.name if auto and choice is not None else request.model
     for _ in range(ROUNDS):
         search, said = _search(builder(model, image, size, points), points, model, opinion)
