@@ -184,7 +184,7 @@ def size_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
     lengths = np.hypot(*(fit.leave_one_out if np.isfinite(fit.leave_one_out).any() else fit.residuals).T)
     worst = tuple(fit.ids[i] for i in np.argsort(-np.nan_to_num(lengths), kind="stable")[:3])
     what += f", most of all {', '.join(worst)}"
-    mend = "look for wrong points, give more of them, or choose a fit of more parameters"
+    mend = "look for wrong or exchanged points, give more of them, or choose a fit of more parameters"
     mend += ": --model projective for an oblique photo"
     return [Advice("large-errors", severity, what, (), mend)]
 
