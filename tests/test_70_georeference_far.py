@@ -74,6 +74,7 @@ def test_what_has_no_place_on_the_earth_is_refused_whoever_insists(tmp_path: Pat
     scan = image(tmp_path / "scan.tif", affine_map)
     metres = table(tmp_path / "gcps.csv", places(), affine_map(places()))
     typed = degrees_of(tmp_path, change={4: (16.5, 489.0)})
+    drawn = _map(tmp_path)
     for path, code in ((metres, "metres-in-degrees"), (typed, "outside-crs-area")):
         for insist in (False, True):
             given = ControlInput(path, "EPSG:4326")
@@ -81,7 +82,7 @@ def test_what_has_no_place_on_the_earth_is_refused_whoever_insists(tmp_path: Pat
                 georeference(scan, tmp_path / "map.tif", given, FitRequest("affine", insist=insist), options=PLAIN)
             assert "--insist" not in (refused.value.mend or "")
             with pytest.raises(InputError, match=code) as refused_check:
-                check_map(_map(tmp_path), path, crs="EPSG:4326", insist=insist)
+                check_map(drawn, path, crs="EPSG:4326", insist=insist)
             assert "--insist" not in (refused_check.value.mend or "")
     # Left out as told, the others are drawn: the point has no place, and needs none.
     given = ControlInput(typed, "EPSG:4326", without=("P4",))
