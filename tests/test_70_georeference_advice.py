@@ -303,6 +303,7 @@ def test_four_points_of_which_three_agree_have_a_wrong_one() -> None:
         with pytest.raises(BadControlError) as caught:
             solved(few(4, {index: shift}, tilt=0.0))
         assert {name for found in caught.value.advice for name in found.points} == {f"P{index}"}
+    assert solved(few(4, {3: (60.0, 10.0)}, tilt=0.0), robust=True).fit.ids == ("P0", "P1", "P2")
 
 
 def test_four_points_in_another_order_are_not_drawn() -> None:

@@ -154,6 +154,8 @@ def solve(
         advice = (*advice, *bent_advice(trial.search, fit, name))
     if trial.opinion is not None:
         advice = (*advice, *opinion_advice(trial.opinion, fit, _named(advice)))
+    if trial.four is not None and trial.four.points[0] in fit.ids and not _named(advice):
+        advice = (*advice, trial.four)
     advice = (*advice, *odd_advice(choice, fit, _named(advice)))
     if not _named(advice):  # large errors follow from blunders, and are not said again
         advice = (*advice, *size_advice(fit, size))

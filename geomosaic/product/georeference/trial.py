@@ -8,9 +8,10 @@ from geomosaic.adjust.choose import Choice, choose_model, planar_builds
 from geomosaic.adjust.explanation import MOST
 from geomosaic.adjust.problem import Build, registry_build
 from geomosaic.adjust.robust import BlunderSearch, search_blunders
+from geomosaic.control.finding import Advice
 from geomosaic.control.points import ImageControl
 from geomosaic.errors import GeomosaicError
-from geomosaic.product.georeference.four import through_four
+from geomosaic.product.georeference.four import look_at_four
 from geomosaic.product.georeference.opinion import Opinion, confirmed, pardoned, second_opinion, unbent
 from geomosaic.product.georeference.request import FitRequest, kind_order
 from geomosaic.sensor.plugin import SensorRequest
@@ -43,6 +44,8 @@ class Trial:
         On blunders, without the model.
     why : str
         Why another model than `choice` has.
+    four : Advice, optional
+        Of four points, which is wrong.
     """
 
     model: str
@@ -53,6 +56,7 @@ class Trial:
     said: str
     opinion: Opinion | None = None
     why: str = ""
+    four: Advice | None = None
 
 
 def try_models(image: str, size: tuple[int, int], points: ImageControl, request: FitRequest) -> Trial:
@@ -87,8 +91,9 @@ def try_models(image: str, size: tuple[int, int], points: ImageControl, request:
             blamed = suspects = opinion.blunders
             clean = _without(points, suspects)
             choice = _choose(image, size, clean, needed=auto)
+    four = None
     if auto and choice is not None:
-        why = through_four(points, choice, lambda name, some: builder(name, image, size, some))
+        why, four = look_at_four(points, choice, lambda name, some: builder(name, image, size, some))
         if why:
             return Trial("projective", points, (), choice, None, why, None, why)
     model = choice.name if auto and choice is not None else request.model
@@ -113,7 +118,7 @@ def try_models(image: str, size: tuple[int, int], points: ImageControl, request:
             break
     if not request.robust:  # all take part, and deletion finds the worst itself
         clean, suspects = points, ()
-    return Trial(model, clean, suspects, choice, search, said, opinion)
+    return Trial(model, clean, suspects, choice, search, said, opinion, four=four)
 
 
 def _without(points: ImageControl, names: tuple[str, ...]) -> ImageControl:
