@@ -17,7 +17,7 @@ AROUND = 60
 FEWEST = 12
 WITHIN = 3.0
 """Median errors to be expected of it, within which a point agrees with those around it."""
-TELLING = 5.0
+TELLING = 7.0
 """Pixels, the median error to be expected beyond which an order, extrapolating, tells nothing: any blunder agrees."""
 COMPARABLE = 2.0
 """Times the least median error, up to which an order is a witness."""
