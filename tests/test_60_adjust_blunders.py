@@ -8,9 +8,10 @@ from adjust_rig import CENTRE, builder, names, noisy, places, spoil, truth
 
 from geomosaic.adjust.explanation import KINDS, _choices, _fit, explain
 from geomosaic.adjust.fit import fit_control
-from geomosaic.adjust.neighbours import predictions, search_neighbours
+from geomosaic.adjust.neighbours import search_neighbours
 from geomosaic.adjust.odd_checks import odd_checks
 from geomosaic.adjust.perspective import without_perspective
+from geomosaic.adjust.polyharmonic import predictions
 from geomosaic.errors import SolveError
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geomosaic.block.block import ControlPoint
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.project.planar.control_check import examine
 
@@ -44,3 +44,10 @@ def test_one_place_with_two_grounds_is_named() -> None:
     with pytest.raises(InputError, match=r"twice.*one-place-two-grounds|one-place-two-grounds") as caught:
         examine(made, UTM, None)
     assert "a.tif" in str(caught.value)
+
+
+def test_who_insists_goes_on_and_is_warned() -> None:
+    with pytest.warns(GeomosaicWarning, match="swapped-axes"):
+        examine(points(swap=True), UTM, None, "keep")
+    with pytest.raises(InputError, match="--insist"):
+        examine(points(swap=True), UTM, None, "leave")

@@ -1,10 +1,9 @@
 """Blunders that a fit passes through: each point is held against its neighbours, and the rest against a spline of them.
 
-A thin plate spline has no residuals. What it says of a point left out has: with K the matrix of r²·log r between the
-others, bordered by 1, x and y, the error of prediction is that of kriging with a generalised covariance (Matheron
-1981), and its variance grows with the distance to the others. Errors are divided by it, so that a corner which the
-others only extrapolate is no blunder. The start is a robust one: a plane through every three of the eight neighbours
-of a point, the one that most of them agree with (least quantile of squares, Rousseeuw 1984).
+A thin plate spline has no residuals. What it says of a point left out has (`polyharmonic`). Errors are divided by
+their standard deviation, so that a corner which the others only extrapolate is no blunder. The start is a robust one:
+a plane through every three of the eight neighbours of a point, the one that most of them agree with (least quantile of
+squares, Rousseeuw 1984).
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ import numpy as np
 
 from geomosaic.adjust.fit import total_rms
 from geomosaic.adjust.perspective import without_perspective
+from geomosaic.adjust.polyharmonic import predictions
 from geomosaic.errors import SolveError
 from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
 
@@ -164,53 +164,3 @@ def _by_spline(places: FloatArray, image: FloatArray, near: IntArray, kept: Bool
             break
         kept = more
     return kept, errors
-
-
-def predictions(
-    places: FloatArray, image: FloatArray, kept: BoolArray, smooth: float = 1e-10
-) -> tuple[FloatArray, FloatArray]:
-    """Errors (N, 2) of all points under the thin plate spline through those kept, the point itself left out.
-
-    Parameters
-    ----------
-    places : array (N, 2)
-        On the map, |x|, |y| ≤ 1 or so.
-    image : array (N, 2)
-        Pixels.
-    kept : bool array (N,)
-    smooth : float
-        Added to the diagonal of K: the spline then passes near its points instead of through them.
-
-    Returns
-    -------
-    errors : array (N, 2)
-        Measured minus predicted.
-    variance : array (N,)
-        Of prediction, up to a factor.
-    """
-    nodes, values = places[kept], image[kept]
-    count = len(nodes)
-    matrix = np.zeros((count + 3, count + 3))
-    matrix[:count, :count] = _radial(nodes, nodes) + smooth * np.eye(count)
-    matrix[:count, count] = matrix[count, :count] = 1.0
-    matrix[:count, count + 1 :] = nodes
-    matrix[count + 1 :, :count] = nodes.T
-    inverse = np.linalg.inv(matrix)
-    coefficients = inverse[:, :count] @ values
-    errors, variance = np.zeros_like(image), np.zeros(len(image))
-    own = np.diagonal(inverse)[:count]
-    held = np.where(np.abs(own) > 1e-14, own, np.inf)
-    errors[kept] = coefficients[:count] / held[:, None]
-    variance[kept] = 1.0 / np.abs(held)
-    out = ~kept
-    if out.any():
-        row = np.column_stack([_radial(places[out], nodes), np.ones(out.sum()), places[out]])
-        errors[out] = image[out] - row @ coefficients
-        variance[out] = np.abs(np.einsum("ni,ij,nj->n", row, inverse, row))
-    return errors, variance
-
-
-def _radial(first: FloatArray, second: FloatArray) -> FloatArray:
-    squared = ((first[:, None, :] - second) ** 2).sum(axis=2)
-    radial: FloatArray = 0.5 * squared * np.log(np.where(squared > 0.0, squared, 1.0))
-    return radial

@@ -70,6 +70,8 @@ class BlunderSearch:
         Share of blunders that the samples of the start can bear; 0.5 where all samples were tried.
     said : str
         In a sentence or two.
+    bent : tuple of str
+        Found by one or both, and pardoned since: a smooth bend of the image explains them.
     """
 
     snooping: Snooping
@@ -78,6 +80,12 @@ class BlunderSearch:
     blunders: tuple[str, ...]
     bearable: float
     said: str
+    bent: tuple[str, ...] = ()
+
+    @property
+    def accused(self) -> tuple[str, ...]:
+        """Points that any of the two methods finds wrong."""
+        return tuple(dict.fromkeys((*self.snooping.blunders, *self.estimate.blunders)))
 
 
 def search_blunders(

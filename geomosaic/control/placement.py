@@ -67,6 +67,11 @@ def misplaced(control: ImageControl, near: tuple[float, float] | None = None, wi
     return [Advice(code, "error", f"the points ({at}, ...) do not lie {reach}: {looks}", names, mend)]
 
 
+def has_places(control: ImageControl) -> bool:
+    """Whether all points may lie somewhere on the Earth: no latitude is beyond a pole."""
+    return not (control.crs.is_geographic and bool((np.abs(control.xy[:, 1]) > 90.0).any()))
+
+
 def _tiny(control: ImageControl) -> bool:
     """Say whether numbers are small enough for degrees, and pixels too small for metres."""
     xy = np.abs(control.xy)

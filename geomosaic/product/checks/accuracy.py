@@ -10,6 +10,7 @@ import numpy as np
 from geomosaic.adjust.checkpoints import CheckStatistics, check_errors
 from geomosaic.control.advice import advise
 from geomosaic.control.finding import Advice
+from geomosaic.control.placement import has_places
 from geomosaic.control.points import ImageControl
 from geomosaic.control.positions import has_positions, read_positions
 from geomosaic.control.read import read_control
@@ -123,8 +124,9 @@ def check_map(
     found, measured = found.select(found.enabled), measured[found.enabled]
     advice = _examined(found, measured, info.size)
     wrong = next((finding for finding in advice if finding.severity == "error"), None)
-    if wrong is not None and not insist:
-        raise InputError(f"{wrong.what} ({wrong.code})", where=str(points), mend=f"{wrong.mend}; or --insist")
+    if wrong is not None and not (insist and has_places(found)):
+        mend = f"{wrong.mend}; or --insist" if has_places(found) else wrong.mend
+        raise InputError(f"{wrong.what} ({wrong.code})", where=str(points), mend=mend)
     true = found.to_crs(grid.crs).xy
     pixel = measured - grid.colrow(true)
     statistics = check_errors(found.names, grid.xy(measured) - true, short_unit(grid.crs), survey_rms)

@@ -24,8 +24,8 @@ LARGE = 0.01
 BETTER = 0.67
 """Share of the leave-one-out error of the model asked for, below which another one is named."""
 SAME = {"poly1": "affine"}
-HOPELESS = ("few-points",)
-"""Errors with which no fit is possible, whoever insists."""
+HOPELESS = ("few-points", "collinear", "nowhere")
+"""Errors with which nothing is drawn, whoever insists."""
 UNFIT = 0.4
 """Share of points that stand out from which on it is the fit that is wrong."""
 EVEN = 0.5
@@ -37,26 +37,37 @@ STEPS = 33
 class BadControlError(InputError):
     """Control that would draw a wrong picture; `advice` has all that was found."""
 
-    def __init__(self, advice: Sequence[Advice], where: str) -> None:
+    def __init__(self, advice: Sequence[Advice], where: str, *, final: bool = False) -> None:
         errors = [found for found in advice if found.severity == "error"]
         what = "; ".join(f"{found.what} ({found.code})" for found in errors[:3])
         more = f"; and {len(errors) - 3} more" if len(errors) > 3 else ""
         mends = "; ".join(dict.fromkeys(found.mend for found in errors[:3]))
-        if not any(found.code in HOPELESS for found in errors):
+        if not final:
             mends += "; or --insist, to draw it all the same"
         super().__init__(what + more, where=where, mend=mends)
         self.advice = tuple(advice)
 
 
-def stop_on_errors(advice: Sequence[Advice], where: str, *, insist: bool) -> None:
-    """Stop where a finding is an error, unless the user insists.
+def stop_on_errors(advice: Sequence[Advice], where: str, *, insist: bool, possible: bool = True) -> None:
+    """Stop where a finding is an error; where the user insists, only where nothing can be drawn.
+
+    Parameters
+    ----------
+    advice : sequence of Advice
+    where : str
+        For the error.
+    insist : bool
+    possible : bool
+        Whether the points have places at all.
 
     Raises
     ------
     BadControlError
     """
-    if not insist and any(found.severity == "error" for found in advice):
-        raise BadControlError(advice, where)
+    errors = [found for found in advice if found.severity == "error"]
+    final = not possible or any(found.code in HOPELESS for found in errors)
+    if errors and (final or not insist):
+        raise BadControlError(advice, where, final=final)
 
 
 def blunder_advice(search: BlunderSearch, searched: Sequence[str], fit: ControlFit) -> list[Advice]:
@@ -71,7 +82,7 @@ def blunder_advice(search: BlunderSearch, searched: Sequence[str], fit: ControlF
         That is to be drawn.
     """
     names = tuple(name for name in fit.ids if name in set(search.blunders))
-    alone = tuple(n for n in fit.ids if n in set(search.snooping.blunders) ^ set(search.estimate.blunders))
+    alone = tuple(n for n in fit.ids if n in set(search.accused) - {*search.blunders, *search.bent})
     typical = search.estimate.fit.rms_total
     if len(names) + len(alone) > UNFIT * len(fit.ids):
         what = f"{len(names) + len(alone)} of {len(fit.ids)} points stand out against the rest, which agrees within "
@@ -92,6 +103,19 @@ def blunder_advice(search: BlunderSearch, searched: Sequence[str], fit: ControlF
         what = f"one of two tests, but not the other, finds wrong: {listed(alone)}"
         found.append(Advice("suspect", "warning", what, alone, "look at these points again"))
     return found
+
+
+def bent_advice(search: BlunderSearch, fit: ControlFit, model: str) -> list[Advice]:
+    """Say so where the fit misses points, or rejects them, that a smooth bend of the image explains."""
+    bent = [name for name in search.bent if name in fit.ids]
+    if not bent:
+        return []
+    lengths = dict(zip(fit.ids, np.hypot(*fit.residuals.T).tolist(), strict=True))
+    told = listed([f"{name} ({lengths[name]:.1f} px)" for name in sorted(bent, key=lambda name: -lengths[name])])
+    what = f"{model} misses {len(bent)} of {len(fit.ids)} points more than the others, but a smooth bend of the image "
+    what += f"explains {'them' if len(bent) > 1 else 'it'}: {told}"
+    mend = "more points around them, which tell a bend from a blunder; --model tps follows a bend"
+    return [Advice("bent", "warning", what, tuple(bent), mend)]
 
 
 def opinion_advice(opinion: Opinion, fit: ControlFit, named: Sequence[str]) -> list[Advice]:
@@ -144,8 +168,13 @@ def odd_advice(choice: Choice | None, fit: ControlFit, named: Sequence[str]) -> 
 
 def size_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
     """Say so where errors are large for the image: whatever was fitted, it is no map of it."""
-    # The residuals of few points are smaller than errors are: their share of the redundancy is taken off.
-    own = max(fit.rms_total, fit.sigma0 * float(np.sqrt(2.0) * np.median(fit.sigma))) if fit.redundancy else np.nan
+    left_out = np.hypot(*fit.leave_one_out.T)
+    # The residuals of few points are smaller than errors are: their share of the redundancy is taken off. A spline
+    # has none, and misses corners that are left out: the RMS that belongs to the median error counts.
+    if fit.redundancy:
+        own = max(fit.rms_total, fit.sigma0 * float(np.sqrt(2.0) * np.median(fit.sigma)))
+    else:
+        own = 1.2 * float(np.nanmedian(left_out)) if np.isfinite(left_out).any() else np.nan
     error = max((e for e in (own, fit.leave_one_out_rms) if np.isfinite(e)), default=0.0)
     limit = LARGE * float(np.hypot(*size))
     if error <= limit:
@@ -155,7 +184,7 @@ def size_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
     lengths = np.hypot(*(fit.leave_one_out if np.isfinite(fit.leave_one_out).any() else fit.residuals).T)
     worst = tuple(fit.ids[i] for i in np.argsort(-np.nan_to_num(lengths), kind="stable")[:3])
     what += f", most of all {', '.join(worst)}"
-    mend = "look for wrong points, give more of them, or choose a fit of more parameters"
+    mend = "look for wrong or exchanged points, give more of them, or choose a fit of more parameters"
     mend += ": --model projective for an oblique photo"
     return [Advice("large-errors", severity, what, (), mend)]
 

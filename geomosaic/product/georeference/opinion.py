@@ -7,9 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geomosaic.adjust.bending import explained_by_bend
 from geomosaic.adjust.choose import Choice
 from geomosaic.adjust.explanation import FEWEST, MOST, Explanation, explain
 from geomosaic.adjust.neighbours import NeighbourSearch, search_neighbours
+from geomosaic.adjust.robust import BlunderSearch
+from geomosaic.control.finding import listed
 from geomosaic.control.points import ImageControl
 from geomosaic.control.spread import needed
 
@@ -19,6 +22,8 @@ SEEN = 1.5
 """Pixels below which no blunder is named: a hand misses by as much."""
 COMPARABLE = 2.0
 """Times the least leave-one-out error, up to which a kind of fit is a witness."""
+BENT = ("poly3", "poly4", "poly5", "tps")
+"""Kinds that are chosen only where the image is bent."""
 ROOM = 3
 """Times the points a polynomial needs, from which on its own residuals show blunders."""
 
@@ -127,9 +132,49 @@ def confirmed(opinion: Opinion, points: ImageControl, choice: Choice | None, eve
         if row.fit is not None and row.redundancy > 0:
             errors = np.hypot(*row.fit.leave_one_out[accused].T)
             wrong &= ~(errors <= max(GROSS * opinion.rms, GROSS_PIXELS))
+    if choice is not None and choice.name in BENT:
+        wrong &= ~explained_by_bend(points.xy, points.colrow, accused)[accused]
     names = tuple(name for name, bad in zip(held.names, wrong, strict=True) if bad)
     if names == opinion.blunders:
         return opinion
     pardoned = ", ".join(name for name in opinion.blunders if name not in names)
-    said = f"{opinion.said}; but a fit of another kind predicts {pardoned}"
+    said = f"{opinion.said}; but another kind of fit, or a smooth bend, predicts {pardoned}"
     return replace(opinion, blunders=names, said=said)
+
+
+def pardoned(search: BlunderSearch, points: ImageControl, model: str) -> BlunderSearch:
+    """Take those out of what was found under a kind of fit that a smooth bend of the image explains.
+
+    Parameters
+    ----------
+    search : BlunderSearch
+    points : ImageControl
+        All of them.
+    model : str
+        That suits the points best: of an image that is not bent none is pardoned.
+    """
+    accused = np.array([name in search.accused for name in points.names])
+    if model not in BENT or not accused.any():
+        return search
+    agree = explained_by_bend(points.xy, points.colrow, accused)
+    bent = tuple(name for name, good in zip(points.names, agree, strict=True) if good)
+    if not bent:
+        return search
+    left = tuple(name for name in search.blunders if name not in bent)
+    return replace(search, blunders=left, bent=bent, said=f"{search.said}; a smooth bend explains {listed(bent)}")
+
+
+def unbent(choice: Choice, points: ImageControl) -> Choice:
+    """Take those out of what no kind of fit predicts that a smooth bend of the image explains.
+
+    Parameters
+    ----------
+    choice : Choice
+    points : ImageControl
+        It was made with.
+    """
+    odd = np.array([name in choice.odd for name in points.names])
+    if choice.name not in BENT or not odd.any():
+        return choice
+    odd &= ~explained_by_bend(points.xy, points.colrow, odd)
+    return replace(choice, odd=tuple(name for name, out in zip(points.names, odd, strict=True) if out))

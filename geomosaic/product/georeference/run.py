@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.footprint import footprint
+from geomosaic.block.footprint import Footprint, footprint
 from geomosaic.block.scene import Scene
 from geomosaic.control.finding import SEVERITIES, Advice
 from geomosaic.control.points import ImageControl
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.product.extent import check_size, note_far_crs, output_grid, utm_zone
-from geomosaic.product.georeference.examine import fold_advice, stop_on_errors
+from geomosaic.product.georeference.examine import BadControlError, fold_advice, stop_on_errors
 from geomosaic.product.georeference.find import find_control
 from geomosaic.product.georeference.metres import short_unit
 from geomosaic.product.georeference.request import ControlInput, FitRequest, Place
@@ -103,13 +103,14 @@ def georeference(
     solution = solve(reading, image.name, info.size, crs, request, given.near, short_unit(crs))
     scene = Scene(image.stem, str(image), SENSOR, solution.fit.model, bands=bands)
     out_crs = target if target is not None else crs if not crs.is_geographic else _zone_of(reading.control)
-    outline = footprint(scene, None, out_crs)
+    where = reading.control.origins[0].path
+    outline = _outline(scene, out_crs, solution.model, where)
     note_far_crs(out_crs, [outline])
     grid = output_grid(out_crs, [outline], place.resolution, place.bounds)
     check_size(grid)
     folds = fold_advice(solution.fit.model, solution.fit.xyz, grid)
     solution = replace(solution, advice=_sorted((*solution.advice, *folds)))
-    stop_on_errors(folds, reading.control.origins[0].path, insist=request.insist)
+    stop_on_errors(folds, where, insist=request.insist)
     product = ortho(scene, None, grid, outline, output, options)
     from geomosaic.product.georeference.files import write_files
     from geomosaic.product.georeference.report import report_facts
@@ -119,6 +120,18 @@ def georeference(
         write_files(facts, image, crs, out_crs, files, overwrite=options.overwrite)
     paths = [files[end] if report else None for end in (".json", ".html", ".gpkg")]
     return Georeferenced(product, solution, facts, *paths)
+
+
+def _outline(scene: Scene, crs: CRS, model: str, where: str) -> Footprint:
+    try:
+        return footprint(scene, None, crs)
+    except InputError as error:
+        if not crs.equals(scene.model.crs) and _outline(scene, scene.model.crs, model, where):
+            what = f"the image has no place in '{crs.name}'"
+            raise InputError(what, where="--dst-crs", mend="give a CRS that is made for its area") from error
+        what = f"the fit ({model}) has no ground for the middle of the image: its horizon runs through it"
+        mend = "look for wrong points, give more of them, or choose a fit of fewer parameters"
+        raise BadControlError([Advice("nowhere", "error", what, (), mend)], where, final=True) from error
 
 
 def fit_crs(control: ImageControl, given: str | None, target: CRS | None) -> CRS:

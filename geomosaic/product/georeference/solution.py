@@ -15,11 +15,14 @@ from geomosaic.adjust.local import map_by_image
 from geomosaic.adjust.robust import BlunderSearch
 from geomosaic.control.advice import advise
 from geomosaic.control.finding import SEVERITIES, Advice
+from geomosaic.control.placement import has_places
 from geomosaic.control.points import ImageControl
 from geomosaic.control.reading import Reading
 from geomosaic.errors import InputError
+from geomosaic.geo.transform import Transform
 from geomosaic.product.checks.advice import check_advice
 from geomosaic.product.georeference.examine import (
+    bent_advice,
     blunder_advice,
     comparison_advice,
     deletion_advice,
@@ -121,8 +124,9 @@ def solve(
     """
     given, where = reading.control, reading.control.origins[0].path
     auto = request.model == "auto"
+    why = "as asked for"
     advice = first_look(given, size, request, near)
-    control = replace(given, ground=given.xy).to_crs(crs)
+    control = _placed(given, crs)
     points = control.of_role("control")
     if not len(points):
         raise InputError("no point takes part in the fit: all are disabled or check points", where=where, mend=MEND)
@@ -132,6 +136,7 @@ def solve(
     if auto:
         advice = _advised(given, name, size, near)
         stop_on_errors(advice, where, insist=request.insist)
+        why = trial.why or (choice.said.removeprefix(f"{name}: ") if choice is not None else why)
     build = builder(name, image, size, points)
     deletion = None
     if request.threshold is not None:
@@ -146,8 +151,11 @@ def solve(
     advice = (*advice, *deletion_advice(deletion), *comparison_advice(choice, name))
     if trial.search is not None:
         advice = (*advice, *blunder_advice(trial.search, searched, fit))
+        advice = (*advice, *bent_advice(trial.search, fit, name))
     if trial.opinion is not None:
         advice = (*advice, *opinion_advice(trial.opinion, fit, _named(advice)))
+    if trial.four is not None and trial.four.points[0] in fit.ids and not _named(advice):
+        advice = (*advice, trial.four)
     advice = (*advice, *odd_advice(choice, fit, _named(advice)))
     if not _named(advice):  # large errors follow from blunders, and are not said again
         advice = (*advice, *size_advice(fit, size))
@@ -161,7 +169,7 @@ def solve(
         advice = (*advice, *check_advice(check.names, pixels, judged.errors, unit, fit.leave_one_out_rms))
     return Solution(
         name,
-        choice.said.removeprefix(f"{name}: ") if choice is not None and auto else "as asked for",
+        why,
         crs,
         control,
         _states(control, fit, set(trial.suspects), deletion),
@@ -189,7 +197,8 @@ def first_look(
         The advice has errors, and the user does not insist.
     """
     advice = _advised(control, "conformal" if request.model == "auto" else request.model, size, near)
-    stop_on_errors(advice, control.origins[0].path, insist=request.insist)
+    possible = has_places(control.select(control.enabled))
+    stop_on_errors(advice, control.origins[0].path, insist=request.insist, possible=possible)
     return advice
 
 
@@ -205,6 +214,15 @@ def _advised(
 
 def _named(advice: tuple[Advice, ...]) -> list[str]:
     return [name for found in advice if found.code in ("blunder", "contradiction") for name in found.points]
+
+
+def _placed(control: ImageControl, crs: CRS) -> ImageControl:
+    """Control in the CRS of the fit, x and y, without those disabled points that have no place in it."""
+    flat = replace(control, ground=control.xy)
+    if not control.enabled.all():
+        there = np.isfinite(Transform(flat.crs, crs)(flat.ground)).all(axis=1)
+        flat = flat.select(flat.enabled | there)
+    return flat.to_crs(crs)
 
 
 def _spatial(xy: FloatArray) -> FloatArray:

@@ -8,9 +8,11 @@ from geomosaic.adjust.choose import Choice, choose_model, planar_builds
 from geomosaic.adjust.explanation import MOST
 from geomosaic.adjust.problem import Build, registry_build
 from geomosaic.adjust.robust import BlunderSearch, search_blunders
+from geomosaic.control.finding import Advice
 from geomosaic.control.points import ImageControl
 from geomosaic.errors import GeomosaicError
-from geomosaic.product.georeference.opinion import Opinion, confirmed, second_opinion
+from geomosaic.product.georeference.four import look_at_four
+from geomosaic.product.georeference.opinion import Opinion, confirmed, pardoned, second_opinion, unbent
 from geomosaic.product.georeference.request import FitRequest, kind_order
 from geomosaic.sensor.plugin import SensorRequest
 
@@ -40,6 +42,10 @@ class Trial:
         What the search found, or why there is none.
     opinion : Opinion, optional
         On blunders, without the model.
+    why : str
+        Why another model than `choice` has.
+    four : Advice, optional
+        Of four points, which is wrong.
     """
 
     model: str
@@ -49,6 +55,8 @@ class Trial:
     search: BlunderSearch | None
     said: str
     opinion: Opinion | None = None
+    why: str = ""
+    four: Advice | None = None
 
 
 def try_models(image: str, size: tuple[int, int], points: ImageControl, request: FitRequest) -> Trial:
@@ -83,9 +91,17 @@ def try_models(image: str, size: tuple[int, int], points: ImageControl, request:
             blamed = suspects = opinion.blunders
             clean = _without(points, suspects)
             choice = _choose(image, size, clean, needed=auto)
+    four = None
+    if auto and choice is not None:
+        why, four = look_at_four(points, choice, lambda name, some: builder(name, image, size, some))
+        if why:
+            return Trial("projective", points, (), choice, None, why, None, why)
     model = choice.name if auto and choice is not None else request.model
     for _ in range(ROUNDS):
         search, said = _search(builder(model, image, size, points), points, model, opinion)
+        if search is not None:
+            search = pardoned(search, points, model if choice is None else choice.name)
+            said = search.said
         found = set(blamed)
         if request.robust or (auto and request.threshold is not None):
             found |= set(search.blunders if search is not None else () if choice is None else choice.odd)
@@ -102,7 +118,7 @@ def try_models(image: str, size: tuple[int, int], points: ImageControl, request:
             break
     if not request.robust:  # all take part, and deletion finds the worst itself
         clean, suspects = points, ()
-    return Trial(model, clean, suspects, choice, search, said, opinion)
+    return Trial(model, clean, suspects, choice, search, said, opinion, four=four)
 
 
 def _without(points: ImageControl, names: tuple[str, ...]) -> ImageControl:
@@ -122,7 +138,7 @@ def _choose(image: str, size: tuple[int, int], points: ImageControl, *, needed: 
         return None
     builds = planar_builds(SensorRequest(image, size, {}, points.crs), points.xy, points.colrow, SENSOR)
     try:
-        return choose_model(builds, points.names, points.xy, points.colrow, points.sigma)
+        return unbent(choose_model(builds, points.names, points.xy, points.colrow, points.sigma), points)
     except GeomosaicError:
         if needed:
             raise

@@ -78,7 +78,7 @@ def build_planar(inputs: BlockInputs, wanted: PlanarInputs) -> tuple[Block, dict
     photos, _ = photos_of(inputs)
     block, points = read_block(photos, wanted.ties, inputs.control)
     if points and wanted.kind != "uncontrolled":
-        examine(points, crs, inputs.control)
+        examine(points, crs, inputs.control, wanted.wrong)
     tables = " and ".join(path.name for path in (wanted.ties, inputs.control) if path is not None)
     placed = place(block, wanted, tables)
     scenes = tuple(_scene(inputs, photo, placed.transforms[photo.name], crs) for photo in photos)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,10 +14,10 @@ from geomosaic.control.finding import Advice
 from geomosaic.control.pairs import contradictions
 from geomosaic.control.placement import misplaced
 from geomosaic.control.points import ImageControl, Origin
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
 
 
-def examine(points: Sequence[ControlPoint], crs: CRS, path: Path | None) -> None:
+def examine(points: Sequence[ControlPoint], crs: CRS, path: Path | None, policy: str = "stop") -> None:
     """Refuse control whose coordinates do not fit their CRS, or contradict each other.
 
     Parameters
@@ -27,6 +28,8 @@ def examine(points: Sequence[ControlPoint], crs: CRS, path: Path | None) -> None
         Of their ground coordinates.
     path : Path, optional
         The table, for errors.
+    policy : str
+        'keep' goes on with such control, and warns; see `geomosaic.project.inputs.wrong_policy`.
 
     Raises
     ------
@@ -45,7 +48,11 @@ def examine(points: Sequence[ControlPoint], crs: CRS, path: Path | None) -> None
         found += [(f"{where}, {image}", advice) for advice in contradictions(_control(alone, crs, where))]
     for at, advice in found:
         if advice.severity == "error":
-            raise InputError(f"{advice.what} ({advice.code})", where=at, mend=advice.mend)
+            what = f"{advice.what} ({advice.code})"
+            if policy != "keep":
+                mend = f"{advice.mend}; or --insist, to go on all the same (in a project: insist under [planar])"
+                raise InputError(what, where=at, mend=mend)
+            warnings.warn(f"{at}: {what}; {advice.mend}", GeomosaicWarning, stacklevel=3)
 
 
 def _control(points: Sequence[ControlPoint], crs: CRS, where: str) -> ImageControl:

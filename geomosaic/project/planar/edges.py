@@ -95,7 +95,7 @@ def match_photos(inputs: EdgeInputs) -> EdgeMatch:
     names = [path.name for path in inputs.images]
     control, common = read_control(inputs.control, names), read_common(inputs.common, names)
     crs = parse_map(inputs.crs, "CRS of the control")
-    examine(control, crs, inputs.control)
+    examine(control, crs, inputs.control, inputs.wrong)
     photos, tables = _started(inputs, crs, control, common), f"{inputs.control.name} and {inputs.common.name}"
     return match_edges(photos, control, common, crs=crs, reach=inputs.reach, wrong=inputs.wrong, tables=tables)
 
