@@ -10,9 +10,10 @@ import pytest
 from planar_rig import PHOTOS, textbook_block
 
 from geomosaic.adjust.network.shifts import Shifts
+from geomosaic.adjust.planar.linearised import shifts_of
 from geomosaic.adjust.planar.simultaneous import adjust
 from geomosaic.adjust.planar.values import Control, PlanarBlock
-from geomosaic.adjust.planar.wrong import _shifts, adjust_checked, look, look_singly, look_somehow, without
+from geomosaic.adjust.planar.wrong import adjust_checked, look, look_singly, look_somehow, without
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 
 
@@ -29,7 +30,7 @@ def moved(block: PlanarBlock, point: str, photo: str, by: tuple[float, float]) -
 def shifts(block: PlanarBlock, kind: str) -> tuple[Shifts, list[tuple[str, str | None]]]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GeomosaicWarning)
-        found, _, doubts = _shifts(block, adjust(block, kind), {}, [])
+        found, _, doubts = shifts_of(block, adjust(block, kind), {})
     return found, doubts
 
 
