@@ -98,11 +98,11 @@ def simplest(
     best = search(tilted)
     if best is None:
         raise RuntimeError("photos whose unknowns are not held")
-    while LACKING[kind] and best.found.taken and best.tilted != photos:
+    while LACKING[kind] and best.tilted != photos:
         blamed = Counter(image for shift in best.found.taken for image in best.labels[shift].images)
         suspects = [image for image, _ in blamed.most_common() if image in photos - best.tilted]
         ways = [*(frozenset({image}) for image in suspects[:TRIED]), frozenset(suspects), photos]
-        chosen = dict.fromkeys(best.tilted | way for way in ways)
+        chosen = dict.fromkeys(best.tilted | way for way in ways if way)
         trials = [trial for trial in map(search, chosen) if trial is not None]
         gains = [trial.gain(best, kind, len(photos)) for trial in trials]
         if not gains or not max(gains) > 0.0:
