@@ -85,6 +85,12 @@ def planar_inputs(flags: Mapping[str, Any]) -> PlanarInputs | None:
             f"--kind {flags['kind']} places photos without a rigorous model, and --sensor {flags['sensor']} names one",
             mend="leave one of them out",
         )
+    kind = flags["kind"]
+    of = {"scale": "uncontrolled", "azimuth": "uncontrolled", "rectify": "controlled"}
+    idle = next((name for name, own_kind in of.items() if flags[name] is not None and kind != own_kind), None)
+    if idle is not None:
+        what = f"--{idle} belongs to {of[idle]} mosaics, and this one is {kind}"
+        raise InputError(what, where=f"--{idle}", mend="leave it out")
     scale = 1.0 if flags["scale"] is None else flags["scale"]
     azimuth = flags["azimuth"] or 0.0
     wrong = wrong_policy(flags["robust"], flags["insist"])

@@ -10,7 +10,7 @@ from pyproj import CRS
 
 from geomosaic.block.block import Block, ControlPoint
 from geomosaic.block.scene import Scene
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import GeomosaicWarning, InputError, counted
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.project.inputs import BlockInputs, PlanarInputs
 from geomosaic.project.photos import Photo, photos_of
@@ -107,10 +107,16 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
 
         block, found = look_somehow(block, model, False).settled(tables, wanted.wrong)
         grown = grow(block, model)
-        for one in grown.failed:
+        if grown.failed:
+            worst = sorted(grown.failed, key=lambda one: -one.largest)
+            named = "; ".join(
+                f"{one.first} and {one.second} {one.along:.1f} px along the seam, {one.across:.1f} px across it, "
+                f"largest gap {one.largest:.1f} px"
+                for one in worst[:3]
+            )
             warnings.warn(
-                f"the join of {one.first} and {one.second} is off by {one.along:.1f} px along the seam and "
-                f"{one.across:.1f} px across it (largest gap {one.largest:.1f} px): measure more control there",
+                f"{len(worst)} of {counted(len(grown.joins), 'join')} do not meet: {named}"
+                f"{f'; and {len(worst) - 3} more' if len(worst) > 3 else ''}: measure more control there",
                 GeomosaicWarning,
                 stacklevel=2,
             )

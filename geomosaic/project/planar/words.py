@@ -66,6 +66,6 @@ def _tilted_words(tilted: Sequence[Mapping[str, Any]]) -> list[str]:
     """Photos that the model does not follow."""
     if not tilted:
         return []
-    named = ", ".join(f"{one['photo']} ({one['px']:.1f} px)" for one in tilted[:6])
-    more = f" and {len(tilted) - 6} more" if len(tilted) > 6 else ""
+    named = ", ".join(f"{one['photo']} ({one['px']:.1f} px)" for one in tilted[:3])
+    more = f" and {len(tilted) - 3} more" if len(tilted) > 3 else ""
     return [f"tilted, or on sloping ground, as this model does not follow: {named}{more}; controlled mosaics follow it"]
