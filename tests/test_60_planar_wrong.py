@@ -176,3 +176,22 @@ def test_uncontrolled_blocks_are_looked_at_by_their_ties() -> None:
     (wrong,) = looked.findings.wrong
     assert wrong.label.images == ("III", "VII")
     assert len(looked.block.ties) == len(free.ties) - 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "least"), [("conformal", (1.0, 1.0, 1.0)), ("affine", (1.0, 0.95, 0.7))])
+def test_share_that_is_named(kind: str, least: tuple[float, ...]) -> None:
+    """One measurement of the textbook's block moved by 100, 20 and 8 px, 30 blocks each: it is named, and nothing else.
+
+    The table of the docs: `pytest -m slow -rP -k share_that_is_named`.
+    """
+    for size, wanted in zip((100.0, 20.0, 8.0), least, strict=True):
+        named = 0
+        for seed in range(30):
+            _, block = textbook_block(kind, 0.5, seed)
+            random = np.random.default_rng(1000 + seed)
+            chosen, angle = random.choice(block.measurements), random.uniform(0.0, 2.0 * np.pi)
+            bad = moved(block, chosen.id, chosen.photo, (size * np.cos(angle), size * np.sin(angle)))
+            named += [each.label.id for each in look(bad, kind).findings.wrong] == [chosen.id]
+        print(f"{kind}, {size:g} px: {named / 30:.0%}")
+        assert named / 30 >= wanted

@@ -116,7 +116,7 @@ planar_flags = stack(
     ),
     click.option(
         "--azimuth",
-        type=click.FloatRange(-360, 360),
+        type=float,
         metavar="DEGREES",
         help="Direction of the top of an uncontrolled mosaic's start photo, from north.  [default: 0]",
     ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -85,14 +86,10 @@ def planar_inputs(flags: Mapping[str, Any]) -> PlanarInputs | None:
             f"--kind {flags['kind']} places photos without a rigorous model, and --sensor {flags['sensor']} names one",
             mend="leave one of them out",
         )
-    kind = flags["kind"]
-    of = {"scale": "uncontrolled", "azimuth": "uncontrolled", "rectify": "controlled"}
-    idle = next((name for name, own_kind in of.items() if flags[name] is not None and kind != own_kind), None)
-    if idle is not None:
-        what = f"--{idle} belongs to {of[idle]} mosaics, and this one is {kind}"
-        raise InputError(what, where=f"--{idle}", mend="leave it out")
     scale = 1.0 if flags["scale"] is None else flags["scale"]
     azimuth = flags["azimuth"] or 0.0
+    if not (math.isfinite(scale) and math.isfinite(azimuth)):
+        raise InputError("--scale and --azimuth are finite numbers", mend="give map units per pixel, and degrees")
     wrong = wrong_policy(flags["robust"], flags["insist"])
     return PlanarInputs(flags["kind"], flags["model"], flags["ties"], scale, azimuth, flags["rectify"], wrong)
 

@@ -99,6 +99,7 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
             mend=f"{wanted.kind} takes {' or '.join(allowed)}"
             + (", controlled takes projective" if wanted.kind == "semicontrolled" else ""),
         )
+    _refuse_idle(wanted)
     if wanted.kind == "uncontrolled":
         block, found = look_somehow(block, model, True).settled(tables, wanted.wrong)
         return _uncontrolled(block, model, wanted, found)
@@ -147,6 +148,18 @@ def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs, found: F
     adjusted, against = reference(block, made, model)
     error = compare(block, made, adjusted.transforms, against, adjusted.kind)
     return Placed(made.transforms, chain_facts(block, made, model, error) | wrong_facts(found))
+
+
+def _refuse_idle(wanted: PlanarInputs) -> None:
+    """Refuse what this kind of mosaic has no use for."""
+    given = [("scale", "uncontrolled", wanted.scale != 1.0), ("azimuth", "uncontrolled", wanted.azimuth != 0.0)]
+    given.append(("rectify", "controlled", wanted.rectify is not None))
+    for name, kind, is_given in given:
+        if is_given and wanted.kind != kind:
+            raise InputError(
+                f"--{name} belongs to {kind} mosaics, and this one is {wanted.kind}",
+                mend=f"leave it out (in a project: {name} under [planar])",
+            )
 
 
 def _singly(block: PlanarBlock, wanted: PlanarInputs) -> bool:
