@@ -89,7 +89,7 @@ def test_flags_that_do_not_belong_together(folder: Path, tmp_path: Path, capsys:
 def test_tables_of_another_block(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Rows of other images are named; a measurement far outside its image or made twice stops with its line."""
     lines = (folder / "ties.csv").read_text().splitlines()
-    words = ["--kind", "uncontrolled", "-o", str(tmp_path / "m.tif"), "--ties"]
+    words = ["--kind", "uncontrolled", "--overwrite", "-o", str(tmp_path / "m.tif"), "--ties"]
     ties = tmp_path / "ties.csv"
     point, photo, _, *rest = lines[5].split(",")
     ties.write_text("\n".join([*lines, ",".join(["x1", "strip1_0.tif", "20", "30", *rest[1:]])]) + "\n")
