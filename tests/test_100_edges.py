@@ -56,4 +56,18 @@ def test_what_is_wrong_is_told(files: Path, capsys: pytest.CaptureFixture[str]) 
     assert "no point of these images" in capsys.readouterr().err
     (files / "common.csv").write_text("id,image,col,row\np,photo-0,1,1\n")
     assert run(words(files)) == 1
-    assert "in one photo only" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "1 point in one of these photos only, left out: p" in said
+    assert "the photos share no point: there is no edge to match" in said
+
+
+def test_common_points_of_a_larger_block(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A table of more photos than these: what only one of them shows is left out, and counted."""
+    assert run(words(files, "--json")) == 0
+    before = json.loads(capsys.readouterr().out)["edges"]
+    with (files / "common.csv").open("a") as file:
+        file.write("\nx1,photo-0,50,60,0.3\nx1,photo-7,50,60,0.3\n")
+    assert run(words(files, "--json", "--overwrite")) == 0
+    captured = capsys.readouterr()
+    assert "1 point in one of these photos only, left out: x1" in captured.err
+    assert json.loads(captured.out)["edges"] == before

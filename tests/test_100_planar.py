@@ -78,6 +78,31 @@ def test_flags_that_do_not_belong_together(folder: Path, tmp_path: Path, capsys:
         assert "--kind" not in said
     assert run(command(folder, "--sensor", "frame", "--ties", ties, "-o", output)) == 1
     assert "leave one of them out" in capsys.readouterr().err
+    control = ["--gcps", str(folder / "gcps.csv"), "--crs", "EPSG:32633", "-o", output]
+    for idle, kind in (("--scale=2", "grown"), ("--azimuth=9", "controlled"), ("--rectify=singly", "semicontrolled")):
+        assert run(command(folder, "--kind", kind, idle, "--ties", ties, *control)) == 1
+        assert f"and this one is {kind}" in capsys.readouterr().err
+    assert run(command(folder, "--kind", "uncontrolled", "--azimuth", "nan", "--ties", ties, "-o", output)) == 1
+    assert "finite" in capsys.readouterr().err
+
+
+def test_tables_of_another_block(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Rows of other images are named; a measurement far outside its image or made twice stops with its line."""
+    lines = (folder / "ties.csv").read_text().splitlines()
+    words = ["--kind", "uncontrolled", "--overwrite", "-o", str(tmp_path / "m.tif"), "--ties"]
+    ties = tmp_path / "ties.csv"
+    point, photo, _, *rest = lines[5].split(",")
+    ties.write_text("\n".join([*lines, ",".join(["x1", "strip1_0.tif", "20", "30", *rest[1:]])]) + "\n")
+    assert run([*command(folder, *words), str(ties)]) == 0
+    assert "1 row of images that are not of the block: strip1_0.tif (did you mean 'strip1_0" in capsys.readouterr().err
+    ties.write_text("\n".join([*lines[:5], ",".join([point, photo, "9000", *rest]), *lines[6:]]) + "\n")
+    assert run([*command(folder, *words), str(ties)]) == 1
+    said = capsys.readouterr().err
+    assert "ties.csv, line 6: point" in said
+    assert "lies outside" in said
+    ties.write_text("\n".join([*lines, lines[5]]) + "\n")
+    assert run([*command(folder, *words), str(ties)]) == 1
+    assert f"ties.csv, line 6 and {ties}, line {len(lines) + 1})" in capsys.readouterr().err.replace("\n", "")
 
 
 PROJECT = """

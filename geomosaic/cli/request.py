@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -87,6 +88,8 @@ def planar_inputs(flags: Mapping[str, Any]) -> PlanarInputs | None:
         )
     scale = 1.0 if flags["scale"] is None else flags["scale"]
     azimuth = flags["azimuth"] or 0.0
+    if not (math.isfinite(scale) and math.isfinite(azimuth)):
+        raise InputError("--scale and --azimuth are finite numbers", mend="give map units per pixel, and degrees")
     wrong = wrong_policy(flags["robust"], flags["insist"])
     return PlanarInputs(flags["kind"], flags["model"], flags["ties"], scale, azimuth, flags["rectify"], wrong)
 

@@ -97,6 +97,8 @@ class Findings:
         Pixels: standard deviation of one coordinate of the others; NaN without redundancy.
     detectable : float
         Pixels: an error of a measurement that would be found in half of all cases, median over those that are checked.
+    tilted : tuple of (str, float)
+        Photos that do not follow the model, and by how many pixels at most; their points are not wrong for it.
     done : str
         Which of `POLICIES` was followed.
     """
@@ -107,6 +109,7 @@ class Findings:
     redundancy: int = 0
     agree: float = float("nan")
     detectable: float = float("nan")
+    tilted: tuple[tuple[str, float], ...] = ()
     done: str = field(default="stop")
 
     def settle(self, where: str, policy: str) -> None:
@@ -187,4 +190,5 @@ def together(parts: Sequence[Findings]) -> Findings:
         sum(part.redundancy for part in parts),
         float(np.median(agree)) if agree else float("nan"),
         max((part.detectable for part in parts if part.measurements), default=float("nan")),
+        tuple(each for part in parts for each in part.tilted),
     )

@@ -148,6 +148,19 @@ class Shifts:
         statistic[checked] = (z[checked] * solved).sum(axis=1)
         return State(statistic, shifts, max(squares, 0.0), self.network.redundancy - 2 * len(chosen))
 
+    def unknowns(self, taken: Sequence[int]) -> FloatArray:
+        """Unknowns (U,) of the photos with some shifts let in; they must be told apart."""
+        n, right = self.network, self.network.right
+        if len(taken):
+            at = self.state(taken)
+            if at is None:
+                raise RuntimeError("shifts that cannot be told apart")
+            chosen = np.array(taken, dtype=np.int64)
+            columns = self._columns[:, (2 * chosen[:, None] + [0, 1]).ravel()]
+            right = right - columns @ at.shifts[chosen].ravel()
+        solved: FloatArray = n.normals.solve(n.design.T @ right)[: n.unknowns]
+        return solved
+
     @property
     def share(self) -> FloatArray:
         """Redundancy number (H,) of each: how much of its weight others check, 0 to 1, mean of both axes."""

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 STEEPEST = 0.5
 """Largest |a3·x + b3·y| inside a photo that a near-vertical one can have: a tilt of 30° at a half angle of 40°."""
+WELL = 1e3
+"""Condition number below which it is not the geometry that an adjustment fails of."""
 BAD_FIT = 3.0
 """Standard deviation of unit weight from which relief, blunders or too small sigmas are told."""
 
@@ -100,7 +102,8 @@ def ill_conditioned(block: PlanarBlock, kind: str, condition: float, photo: str,
     number = "infinite" if not np.isfinite(condition) else f"{condition:.1e}"
     several = len(block.photos) > 1
     advice = {
-        "conformal": "look for points of one name that are not the same place, and for photos that hang on one place",
+        "conformal": "look for points of one name that are not the same place, for photos that hang on one place, and "
+        "whether col and row are meant alike in all tables (rows count downwards from the top)",
         "affine": "the tie or control points lie nearly on a line somewhere: spread them, or choose conformal",
         "projective": "relief at the tie points does this: rectify each photo singly (controlled, 4 or more control "
         "points in each), or choose affine",
@@ -108,8 +111,13 @@ def ill_conditioned(block: PlanarBlock, kind: str, condition: float, photo: str,
     mend = advice[kind]
     if kind == "projective" and not several:
         mend = "spread the points over the photo, no three of four on one line; where the relief is strong take affine"
+    what = (
+        "is ill-conditioned"
+        if kind == "projective" or not condition < WELL
+        else "does not settle: the points contradict each other"
+    )
     return SolveError(
-        f"the {kind} adjustment is ill-conditioned: condition number {number}, worst in photo '{photo}'",
+        f"the {kind} adjustment {what}: condition number {number}, worst in photo '{photo}'",
         where=where,
         mend=mend,
     )

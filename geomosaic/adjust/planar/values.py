@@ -97,15 +97,19 @@ class PlanarBlock:
         doubled = next((name for name, count in Counter(names).items() if count > 1), None)
         if doubled is not None:
             raise InputError(f"two photos share the name '{doubled}'", mend="name each photo once")
-        known, measured, ground = set(names), set[tuple[str, str]](), dict[str, tuple[float, float, float]]()
+        known, measured, ground = set(names), dict[tuple[str, str], str](), dict[str, tuple[float, float, float]]()
         for point in self.measurements:
             where = f"point '{point.id}' in '{point.photo}'"
             if point.photo not in known:
                 raise InputError("the photo is not in the block", where=where, mend=did_you_mean(point.photo, known))
             _numbers(point, where)
             if (point.id, point.photo) in measured:
-                raise InputError("the point is measured twice in this photo", where=where, mend="keep one of them")
-            measured.add((point.id, point.photo))
+                lines = [one for one in (measured[point.id, point.photo], point.where) if one]
+                said = f" ({' and '.join(lines)})" if lines else ""
+                raise InputError(
+                    f"the point is measured twice in this photo{said}", where=where, mend="keep one of them"
+                )
+            measured[point.id, point.photo] = point.where
             if isinstance(point, Control):
                 place = (point.x, point.y, point.sigma_xy)
                 if ground.setdefault(point.id, place) != place:

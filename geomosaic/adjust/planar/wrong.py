@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.adjust.network.findings import Findings, Label, findings, together
-from geomosaic.adjust.network.labels import Doubt, named
-from geomosaic.adjust.network.linear import Network
+from geomosaic.adjust.network.findings import Findings, together
+from geomosaic.adjust.network.labels import Doubt
 from geomosaic.adjust.network.search import search
-from geomosaic.adjust.network.shifts import Shifts
 from geomosaic.adjust.planar.check import check_plausible
 from geomosaic.adjust.planar.compare import as_ties
-from geomosaic.adjust.planar.equations import GROUND, mean_positions, views_of
-from geomosaic.adjust.planar.kinds import by_parameters, by_photo
-from geomosaic.adjust.planar.problem import Problem
-from geomosaic.adjust.planar.residuals import image_residuals
+from geomosaic.adjust.planar.linearised import shifts_of, tilt_shifts
 from geomosaic.adjust.planar.simultaneous import solve
 from geomosaic.adjust.planar.solution import PlanarSolution
+from geomosaic.adjust.planar.tilt import STEADY, Trial, simplest
 from geomosaic.adjust.planar.transform import Frame, PlanarTransform, half
 from geomosaic.adjust.planar.uncontrolled import middle
 from geomosaic.adjust.planar.values import PlanarBlock, Tie
@@ -84,7 +80,7 @@ def look(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | N
         The block cannot be adjusted, and no wrong point is to blame.
     """
     held, left = dict(fixed or {}), list[Doubt]()
-    said, out = Findings(), list[Doubt]()
+    said, out, tilted = Findings(), list[Doubt](), frozenset[str]()
     whole: tuple[PlanarSolution, PlanarSolution | None] | None = None
     for _ in range(ROUNDS):
         try:
@@ -96,11 +92,11 @@ def look(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | N
             if kind != "projective":
                 raise
             solution, _ = solve(block, "affine", held, None)
-        shifts, labels, doubts = _shifts(block, solution, held, left)
-        index = {doubt: k for k, doubt in enumerate(doubts)}
-        found = search(shifts, [index[doubt] for doubt in left if doubt in index])
-        said, before = findings(shifts, found, labels), set(left)
-        left, out = [doubts[k] for k in found.taken], [doubts[each.shift] for each in said.wrong]
+        free = frozenset(photo.name for photo in block.photos if photo.name not in held)
+        trial = simplest(_searches(block, solution, held, left), solution.kind, tilted, free)
+        tilted = trial.tilted
+        said, before = trial.said(), set(left)
+        left, out = [trial.doubts[k] for k in trial.found.taken], [trial.doubts[each.shift] for each in said.wrong]
         if set(left) == before:
             if solution.kind != kind:  # neither kind has a wrong point to blame: let the error say what it is
                 solve(block, kind, held, None)
@@ -156,45 +152,18 @@ def without(block: PlanarBlock, left: Sequence[Doubt]) -> PlanarBlock:
     return PlanarBlock(block.photos, tuple(ties), tuple(p for p in control if p.id not in places))
 
 
-def _shifts(
+def _searches(
     block: PlanarBlock, solution: PlanarSolution, fixed: Mapping[str, PlanarTransform], left: Sequence[Doubt]
-) -> tuple[Shifts, list[Label], list[Doubt]]:
-    """The block at a solution of most of it, what may be wrong in it, and the names of that."""
-    views, kind, values = views_of(block), solution.kind, solution.values
-    problem = Problem(block, kind, views, solution.frame, fixed)
-    names = [None if i == GROUND else block.photos[i].name for i in views.photo]
-    out = set(left)
-    off = np.array([(views.ids[p], name) in out for p, name in zip(views.point, names, strict=True)])
-    inside = problem.in_photo
-    sigma = np.where(off, np.inf, problem.sigma_ground(values, views.xy))
-    points = mean_positions(views, problem.positions(values, views.xy), sigma)
-    errors = image_residuals(problem, values, points)[inside]
-    at, photo, point = problem.adjusted(values, points)[inside], views.photo[inside], views.point[inside]
-    own = values[photo]
-    turn = np.array([1.0, -1.0]) / problem.half[photo, None]
-    by_point = np.linalg.inv(by_photo(kind, own, at) * turn[:, None, :])
-    slopes = -by_point @ by_parameters(kind, own, at)
+) -> Callable[[frozenset[str]], Trial | None]:
+    """The search in the block at a solution, as a function of the photos that are taken as tilted."""
 
-    given, given_sigma = np.zeros((len(views.ids), 2)), np.full(len(views.ids), np.inf)
-    ground = np.flatnonzero(~inside)
-    known = views.point[ground]
-    given[known] = problem.ground[ground] - points[known]
-    given_sigma[known] = views.sigma[ground] / problem.frame.scale
-    held = given_sigma[point] == 0.0  # linearised where the photos put it, but held where it is given
-    errors[held] -= np.einsum("nij,nj->ni", by_point[held], given[point[held]])
+    def search_with(tilted: frozenset[str]) -> Trial | None:
+        shifts, labels, doubts = shifts_of(block, solution, fixed, left, tilted)
+        if tilted and not shifts.network.normals.condition()[0] < STEADY:
+            return None
+        index = {doubt: k for k, doubt in enumerate(doubts)}
+        found = search(shifts, [index[doubt] for doubt in left if doubt in index])
+        size = tilt_shifts(block, solution.kind, tilted, shifts.unknowns(found.taken))
+        return Trial(size, shifts, labels, doubts, found)
 
-    seen = np.bincount(point, minlength=len(views.ids))
-    used = (seen[point] > 1) | np.isfinite(given_sigma[point])
-    numbers = np.unique(point[used], return_inverse=True)[1]
-    chosen = np.unique(point[used])
-    first = problem.first[photo[used]]
-    columns = np.where(first[:, None] >= 0, first[:, None] + np.arange(problem.count), -1)
-    network = Network(
-        numbers, columns, slopes[used], by_point[used], errors[used], views.sigma[inside][used],
-        np.where(given_sigma[chosen, None] > 0.0, given[chosen], 0.0), given_sigma[chosen],
-        np.full(problem.unknowns, np.inf), np.zeros(problem.unknowns),
-    )  # fmt: skip
-    images = [block.photos[int(k)].name for k in photo[used]]
-    ids = [views.ids[k] for k in chosen]
-    lines = [block.by_photo[name][ids[k]].where for name, k in zip(images, numbers, strict=True)]
-    return named(network, ids, images, lines, "tie point")
+    return search_with

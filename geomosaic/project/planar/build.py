@@ -10,7 +10,7 @@ from pyproj import CRS
 
 from geomosaic.block.block import Block, ControlPoint
 from geomosaic.block.scene import Scene
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import GeomosaicWarning, InputError, counted
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.project.inputs import BlockInputs, PlanarInputs
 from geomosaic.project.photos import Photo, photos_of
@@ -99,6 +99,7 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
             mend=f"{wanted.kind} takes {' or '.join(allowed)}"
             + (", controlled takes projective" if wanted.kind == "semicontrolled" else ""),
         )
+    _refuse_idle(wanted)
     if wanted.kind == "uncontrolled":
         block, found = look_somehow(block, model, True).settled(tables, wanted.wrong)
         return _uncontrolled(block, model, wanted, found)
@@ -107,10 +108,16 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
 
         block, found = look_somehow(block, model, False).settled(tables, wanted.wrong)
         grown = grow(block, model)
-        for one in grown.failed:
+        if grown.failed:
+            worst = sorted(grown.failed, key=lambda one: -one.largest)
+            named = "; ".join(
+                f"{one.first} and {one.second} {one.along:.1f} px along the seam, {one.across:.1f} px across it, "
+                f"largest gap {one.largest:.1f} px"
+                for one in worst[:3]
+            )
             warnings.warn(
-                f"the join of {one.first} and {one.second} is off by {one.along:.1f} px along the seam and "
-                f"{one.across:.1f} px across it (largest gap {one.largest:.1f} px): measure more control there",
+                f"{len(worst)} of {counted(len(grown.joins), 'join')} do not meet: {named}"
+                f"{f'; and {len(worst) - 3} more' if len(worst) > 3 else ''}: measure more control there",
                 GeomosaicWarning,
                 stacklevel=2,
             )
@@ -141,6 +148,18 @@ def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs, found: F
     adjusted, against = reference(block, made, model)
     error = compare(block, made, adjusted.transforms, against, adjusted.kind)
     return Placed(made.transforms, chain_facts(block, made, model, error) | wrong_facts(found))
+
+
+def _refuse_idle(wanted: PlanarInputs) -> None:
+    """Refuse what this kind of mosaic has no use for."""
+    given = [("scale", "uncontrolled", wanted.scale != 1.0), ("azimuth", "uncontrolled", wanted.azimuth != 0.0)]
+    given.append(("rectify", "controlled", wanted.rectify is not None))
+    for name, kind, is_given in given:
+        if is_given and wanted.kind != kind:
+            raise InputError(
+                f"--{name} belongs to {kind} mosaics, and this one is {wanted.kind}",
+                mend=f"leave it out (in a project: {name} under [planar])",
+            )
 
 
 def _singly(block: PlanarBlock, wanted: PlanarInputs) -> bool:

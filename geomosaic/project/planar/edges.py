@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +15,7 @@ from pyproj import CRS
 from geomosaic.adjust.edges import CommonPoint, EdgeMatch, match_edges
 from geomosaic.block.block import Block, ControlPoint
 from geomosaic.block.scene import Scene
-from geomosaic.errors import InputError, SolveError
+from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
 from geomosaic.geo.crs import parse_map
 from geomosaic.project.control import read_control
 from geomosaic.project.make import Area, plan, refuse_existing
@@ -66,7 +68,9 @@ class EdgeInputs:
 
 
 def read_common(path: PathLike, images: Sequence[str]) -> tuple[CommonPoint, ...]:
-    """Read common points: columns id, image, col, row and optionally sigma_px and z; other images are left out.
+    """Read common points: columns id, image, col, row and optionally sigma_px and z.
+
+    Other images are left out, and so are points that only one of these shows: a note counts them.
 
     Raises
     ------
@@ -87,7 +91,13 @@ def read_common(path: PathLike, images: Sequence[str]) -> tuple[CommonPoint, ...
         raise InputError(
             "the table has no point of these images", where=str(path), mend="check the names of the images"
         )
-    return tuple(points)
+    seen = Counter(point.id for point in points)
+    alone = [point.id for point in points if seen[point.id] == 1]
+    if alone:
+        some = ", ".join(alone[:4]) + (" and more" if len(alone) > 4 else "")
+        what = f"{path}: {counted(len(alone), 'point')} in one of these photos only, left out: {some}"
+        warnings.warn(what, GeomosaicWarning, stacklevel=2)
+    return tuple(point for point in points if seen[point.id] > 1)
 
 
 def match_photos(inputs: EdgeInputs) -> EdgeMatch:
@@ -97,7 +107,14 @@ def match_photos(inputs: EdgeInputs) -> EdgeMatch:
     crs = parse_map(inputs.crs, "CRS of the control")
     examine(control, crs, inputs.control, inputs.wrong)
     photos, tables = _started(inputs, crs, control, common), f"{inputs.control.name} and {inputs.common.name}"
-    return match_edges(photos, control, common, crs=crs, reach=inputs.reach, wrong=inputs.wrong, tables=tables)
+    matched = match_edges(photos, control, common, crs=crs, reach=inputs.reach, wrong=inputs.wrong, tables=tables)
+    if not matched.after.ids:
+        raise InputError(
+            "the photos share no point: there is no edge to match",
+            where=tables,
+            mend="measure common points in their overlaps, or georeference each photo by itself",
+        )
+    return matched
 
 
 def make_edge_mosaic(

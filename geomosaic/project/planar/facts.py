@@ -115,6 +115,7 @@ def wrong_facts(found: Findings) -> dict[str, Any]:
             "detectable_px": finite(found.detectable),
             "unchecked": list(found.unchecked),
             "left_out": found.done == "leave",
+            "tilted": [{"photo": photo, "px": size} for photo, size in found.tilted],
             "found": [
                 {
                     "point": each.label.id,

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from geomosaic.adjust.planar.values import Control, PlanarBlock, PlanarPhoto, Tie
 from geomosaic.block.block import ControlPoint
-from geomosaic.errors import InputError, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean
 from geomosaic.project.control import ROLES
 from geomosaic.project.names import stem
 from geomosaic.project.photos import Photo
 from geomosaic.project.tables import Row, Table, read_table
 
 TIE_COLUMNS = ("id", "image", "col", "row")
+OUTSIDE = 0.1
+"""Share of an image's longer side by which a measurement may lie outside it."""
 CONTROL_COLUMNS = ("id", "x", "y", "image", "col", "row")
 
 
@@ -25,7 +28,7 @@ def read_block(
     Parameters
     ----------
     photos : sequence of Photo
-        Measurements in other images are left out; a name that looks like a slip of one of these is an error.
+        Measurements in other images are left out, and a note names those images.
     ties : Path, optional
         Columns id, image, col, row and optionally sigma_px.
     control : Path, optional
@@ -42,7 +45,7 @@ def read_block(
     Raises
     ------
     InputError
-        Names file and line.
+        Names file and line. A measurement far outside its image is one: axes exchanged, another size or unit.
     """
     names = {stem(photo.name): photo.name for photo in photos}
     found: list[Tie] = []
@@ -71,6 +74,11 @@ def read_block(
                     where=row.where,
                 )
             )
+    sizes = {photo.name: photo.info.size for photo in photos}
+    for place in ((t.id, t.photo, t.col, t.row, t.where) for t in found):
+        _inside(*place, sizes)
+    for point in points:
+        _inside(point.id, point.image, *point.colrow, point.where, sizes)
     known = [
         Control(p.id, p.xyz[0], p.xyz[1], p.image, *p.colrow, p.sigma_px, p.sigma_xy, p.where)
         for p in points
@@ -89,12 +97,14 @@ def read_block(
 
 def _rows(table: Table, names: dict[str, str]) -> list[tuple[Row, str]]:
     """Rows of the block's images, with the images' full names."""
-    found = []
+    found, others = [], dict[str, int]()
     for row in table:
         image = row.text("image")
         name = names.get(stem(image))
         if name is not None:
             found.append((row, name))
+        else:
+            others[image] = others.get(image, 0) + 1
     if not found:
         image = table.rows[0].text("image")
         raise InputError(
@@ -102,7 +112,28 @@ def _rows(table: Table, names: dict[str, str]) -> list[tuple[Row, str]]:
             where=table.path,
             mend=did_you_mean(stem(image), names) or f"the images are {', '.join(list(names.values())[:4])}",
         )
+    if others:
+        some = ", ".join(f"{image} ({did_you_mean(stem(image), names) or counted(count, 'row')})"
+                         for image, count in list(others.items())[:4])  # fmt: skip
+        more = f" and {len(others) - 4} more" if len(others) > 4 else ""
+        warnings.warn(
+            f"{table.path}: {counted(sum(others.values()), 'row')} of images that are not of the block: {some}{more}",
+            GeomosaicWarning,
+            stacklevel=3,
+        )
     return found
+
+
+def _inside(name: str, image: str, col: float, row: float, where: str, sizes: Mapping[str, tuple[int, int]]) -> None:
+    """Refuse a measurement far outside its image: what is cropped may lack a margin, no more."""
+    width, height = sizes[image]
+    margin = OUTSIDE * max(width, height)
+    if not (-margin <= col <= width + margin and -margin <= row <= height + margin):
+        raise InputError(
+            f"point '{name}' at col {col:g}, row {row:g} lies outside {image}, which has {width} x {height} pixels",
+            where=where,
+            mend="col counts to the right and row down, in pixels of the image as it is stored",
+        )
 
 
 def _sigma(row: Row) -> float:

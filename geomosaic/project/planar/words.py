@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from geomosaic.errors import counted
@@ -59,4 +59,13 @@ def wrong_words(found: Mapping[str, Any]) -> list[str]:
     if unchecked:
         more = f" and {len(unchecked) - 3} more" if len(unchecked) > 3 else ""
         line += f"; nothing checks {', '.join(unchecked[:3])}{more}"
-    return [line]
+    return [line, *_tilted_words(found["tilted"])]
+
+
+def _tilted_words(tilted: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Photos that the model does not follow."""
+    if not tilted:
+        return []
+    named = ", ".join(f"{one['photo']} ({one['px']:.1f} px)" for one in tilted[:3])
+    more = f" and {len(tilted) - 3} more" if len(tilted) > 3 else ""
+    return [f"tilted, or on sloping ground, as this model does not follow: {named}{more}; controlled mosaics follow it"]
