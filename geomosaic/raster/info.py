@@ -201,7 +201,7 @@ def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> Sou
         mask_band=mask_band,
         descriptions=tuple(dataset.descriptions[i] for i in numbers),
         units=tuple(dataset.units[i] or None for i in numbers),
-        colors=tuple(colors[i].name for i in numbers),
+        colors=tuple(_colour(dataset, i + 1, colors[i]) for i in numbers),
         scales=tuple(float(dataset.scales[i]) for i in numbers),
         offsets=tuple(float(dataset.offsets[i]) for i in numbers),
     )
@@ -234,6 +234,15 @@ def _crs(dataset: Any, path: str) -> CRS | None:
             where=path,
             mend="assign one with gdal_edit -a_srs",
         ) from error
+
+
+def _colour(dataset: Any, band: int, color: Any) -> str:
+    """Return the name of a band's colour; a palette of greys in their order, as each BMP has, is none."""
+    if color == ColorInterp.palette and all(
+        number == red == green == blue for number, (red, green, blue, _) in dataset.colormap(band).items()
+    ):
+        return ColorInterp.gray.name
+    return str(color.name)
 
 
 def _windowed(dataset: Any, rows: int, cols: int) -> bool:
