@@ -241,7 +241,7 @@ def _colour(dataset: Any, band: int, color: Any) -> str:
     if color == ColorInterp.palette and all(
         number == red == green == blue for number, (red, green, blue, _) in dataset.colormap(band).items()
     ):
-        return ColorInterp.gray.name
+        return "gray"
     return str(color.name)
 
 
