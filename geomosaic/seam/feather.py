@@ -82,8 +82,21 @@ def signed_distance(mask: BoolArray, reach: float) -> AnyArray:
 
         exact: AnyArray = np.where(mask, distance_transform_edt(mask) - 0.5, 0.5 - distance_transform_edt(~mask))
         return np.where(np.abs(exact) > cells - 0.5, np.copysign(np.inf, exact), exact)
-    distance = _to_edge(mask, cells) - 0.5
+    near = tuple(_about(mask, axis, cells) for axis in (0, 1))
+    distance = np.full(mask.shape, np.inf)
+    distance[near] = _to_edge(mask[near], cells) - 0.5
     return np.where(mask, distance, -distance)
+
+
+def _about(mask: BoolArray, axis: int, cells: int) -> slice:
+    """Rows or columns that lie within so many cells of those that the edge of a mask touches."""
+    touched = mask.any(axis=1 - axis) & ~mask.all(axis=1 - axis)  # of both kinds
+    other = np.moveaxis(mask, axis, 0)
+    changes = (other[1:] != other[:-1]).any(axis=1)  # to the next one
+    touched[1:] |= changes
+    touched[:-1] |= changes
+    at = np.flatnonzero(touched)
+    return slice(max(0, int(at[0]) - cells), int(at[-1]) + cells + 1)
 
 
 def _to_edge(mask: BoolArray, cells: int) -> AnyArray:
