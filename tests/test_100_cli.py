@@ -289,6 +289,18 @@ def test_a_project_and_the_command_make_the_same_bytes(tell, block, project, tmp
     assert (after < before).all()
 
 
+def test_a_mosaic_and_nothing_else(tell, block, project, tmp_path):
+    """The same bytes, without what says how they came about."""
+    words = [*photos(block), *flags(block), *PLACE, "--no-labels", "--no-records", "--json"]
+    code, out, err = tell("mosaic", *words, "-o", tmp_path / "m.tif")
+    assert code == 0, err
+    assert [path.name for path in tmp_path.iterdir()] == ["m.tif"]
+    assert (tmp_path / "m.tif").read_bytes() == (project.parent / "output" / "trial.tif").read_bytes()
+    facts = json.loads(out)
+    assert facts["labels"] is facts["vectors"] is facts["stac"] is None
+    assert sum(facts["pixels_per_image"]) == facts["valid_pixels"]
+
+
 def test_georeferenced_images_need_no_sensor(tell, project, tmp_path):
     """A mosaic of a mosaic on its own grid is itself."""
     mosaic = project.parent / "output" / "trial.tif"

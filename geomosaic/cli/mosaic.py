@@ -95,6 +95,12 @@ mosaic_flags = stack(
     ),
     true_ortho_option,
     click.option("--labels/--no-labels", default=True, show_default=True, help="Write the raster of source images."),
+    click.option(
+        "--records/--no-records",
+        default=True,
+        show_default=True,
+        help="Write footprints, seams and gains (GeoPackage), and the STAC item with the checksum.",
+    ),
 )
 
 

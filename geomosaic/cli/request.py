@@ -154,6 +154,8 @@ def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> Mosai
         None,
         balanced(flags),
         flags["labels"],
+        flags["records"],
+        flags["records"],
         histogram=flags["histogram"],
         master=flags["master"],
         reference=None if reference is None else reference_scene(reference, flags["reference_bidx"] or flags["bands"]),

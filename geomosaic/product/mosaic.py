@@ -136,7 +136,8 @@ def mosaic(
         reuse = reuse_of(options, blender, at_hand, _said_of_water(water))
         with Clock(seconds, "mosaic"):
             pixels, hidden, record = _render(blender, output, labels, options, reuse, water)
-        checksum = beside_it.submit(sha256 if options.memory is None else options.memory.digest, output)
+        digest = sha256 if options.memory is None else options.memory.digest
+        checksum = None if item is None else beside_it.submit(digest, output)
         photos.again()
         if vectors is not None or item is not None:
             about = source_facts(photos, options.about)
@@ -166,7 +167,7 @@ def mosaic(
             write_vectors(
                 vectors, grid, outlines, shares, solved, pixels, parts, quality, about, overwrite=render.overwrite
             )
-        if item is not None:
+        if item is not None and checksum is not None:
             images = [Path(scene.path) for scene in block.scenes]
             sums = {output: checksum.result()}
             sources: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels, **about}

@@ -82,7 +82,7 @@ def signed_distance(mask: BoolArray, reach: float) -> AnyArray:
 
         exact: AnyArray = np.where(mask, distance_transform_edt(mask) - 0.5, 0.5 - distance_transform_edt(~mask))
         return np.where(np.abs(exact) > cells - 0.5, np.copysign(np.inf, exact), exact)
-    near = tuple(_about(mask, axis, cells) for axis in (0, 1))
+    near = _about(mask, 0, cells), _about(mask, 1, cells)
     distance = np.full(mask.shape, np.inf)
     distance[near] = _to_edge(mask[near], cells) - 0.5
     return np.where(mask, distance, -distance)
@@ -90,9 +90,9 @@ def signed_distance(mask: BoolArray, reach: float) -> AnyArray:
 
 def _about(mask: BoolArray, axis: int, cells: int) -> slice:
     """Rows or columns that lie within so many cells of those that the edge of a mask touches."""
-    touched = mask.any(axis=1 - axis) & ~mask.all(axis=1 - axis)  # of both kinds
+    touched: BoolArray = np.asarray(mask.any(axis=1 - axis) & ~mask.all(axis=1 - axis))  # of both kinds
     other = np.moveaxis(mask, axis, 0)
-    changes = (other[1:] != other[:-1]).any(axis=1)  # to the next one
+    changes = np.asarray((other[1:] != other[:-1]).any(axis=1))  # to the next one
     touched[1:] |= changes
     touched[:-1] |= changes
     at = np.flatnonzero(touched)
