@@ -12,7 +12,6 @@ import click
 
 import geomosaic
 from geomosaic.cli.ending import end, patient_streams, stop_on_signals
-from geomosaic.cli.pages import keep_pages
 
 # Read when NumPy is first loaded. Our matrices are small, and threads of our own keep the processor busy; more of them
 # would also make the last bits of a solution depend on the machine.
@@ -57,7 +56,6 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         command: click.Command = import_module(f"geomosaic.cli.{cmd_name}").command
-        keep_pages()
         return command
 
     def resolve_command(

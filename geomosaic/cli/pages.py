@@ -10,7 +10,7 @@ def keep_pages() -> None:
     """Let glibc keep the memory of arrays that are freed for those that come next, instead of giving it back at once.
 
     Blocks of pixels are of the same few sizes over and over; that the system clears every page anew took a tenth to a
-    sixth of a mosaic's processor time. The peak stays the same. Elsewhere nothing happens.
+    sixth of a mosaic's processor time. The peak may be a hundred megabytes higher. Elsewhere nothing happens.
     """
     import ctypes
 
