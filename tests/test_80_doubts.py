@@ -124,7 +124,8 @@ def test_right_data_says_nothing(tmp_path: Path, witness: str, recwarn: pytest.W
     build_block(sample(**control))
     table = write(tmp_path / "table.csv", matrices(transposed=True))
     build_block(sample(exterior=table, angles="matrix", matrix="image_to_ground", **control))
-    assert not recwarn.list
+    # What other tests left open is told whenever it is collected.
+    assert not [str(each.message) for each in recwarn.list if each.category is not ResourceWarning]
 
 
 @pytest.mark.parametrize("error", [0.3, 3.0])

@@ -225,10 +225,13 @@ def _zero(given: Mapping[str, Any], where: str) -> FloatArray | None:
 
 
 def _number(value: Any, name: str, where: str) -> float:
-    good = isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
-    if not good:
-        raise InputError(f"{name} = {value!r} is not a finite number", where=where)
-    return float(value)
+    try:
+        number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else np.nan
+    except OverflowError:  # a whole number of hundreds of digits
+        number = np.inf
+    if not np.isfinite(number):
+        raise InputError(f"{name} = {value!r:.40} is not a finite number", where=where)
+    return number
 
 
 def _positive(value: Any, name: str, where: str) -> float:
