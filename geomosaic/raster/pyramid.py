@@ -77,7 +77,7 @@ def halve(values: AnyArray, valid: ByteArray | None, how: str) -> tuple[AnyArray
         Valid where any of the four (average) or the upper left (nearest) is.
     """
     if how == "nearest":
-        return values[0::2, 0::2], None if valid is None else valid[0::2, 0::2]
+        return values[0::2, 0::2].copy(), None if valid is None else valid[0::2, 0::2].copy()
     kind = np.int32 if values.dtype.kind in "ui" and values.dtype.itemsize <= 2 else np.float64
     if valid is not None:
         values = np.where(valid[:, :, None] != 0, values, values.dtype.type(0))
@@ -107,17 +107,20 @@ class Kept:
     index: int
 
 
+Half = tuple[AnyArray, ByteArray | None]
+
+
 @dataclass
 class _Open:
-    """A tile under construction: children that are still to come, and those that were kept and not looked at."""
+    """A tile under construction: the number of parts to come, those there are, and those that were kept unread.
+
+    Parts stay apart until the last one is there: whole tiles would take the place of parts that are still to come, for
+    every tile of a row.
+    """
 
     left: int
+    parts: dict[int, Half]
     kept: list[int]
-    values: AnyArray | None = None
-    valid: ByteArray | None = None
-
-
-Half = tuple[AnyArray, ByteArray | None]
 
 
 class Parents:
@@ -140,7 +143,7 @@ class Parents:
 
     def add(self, level: int, index: int, values: AnyArray, valid: ByteArray | None) -> Tile | None:
         """Put the half of a tile in its place; returns the parent when that was its last part."""
-        self._put(self._parent(level, index), level, index, values, valid)
+        self._parent(level, index).parts[index] = values, valid
         whole = self._arrived(level, index)
         assert not isinstance(whole, Kept)
         return whole
@@ -159,17 +162,8 @@ class Parents:
         if key not in self._open:
             row, col = divmod(index, size.across)
             children = min(2, size.down - row // 2 * 2) * min(2, size.across - col // 2 * 2)
-            self._open[key] = _Open(children, [])
+            self._open[key] = _Open(children, {}, [])
         return self._open[key]
-
-    def _put(self, parent: _Open, level: int, index: int, values: AnyArray, valid: ByteArray | None) -> None:
-        if parent.values is None or parent.valid is None:
-            parent.values = np.zeros((BLOCK, BLOCK, self._bands), dtype=self._dtype)
-            parent.valid = np.zeros((BLOCK, BLOCK), dtype=np.uint8)
-        row, col = divmod(index, self._sizes[level].across)
-        place = np.s_[row % 2 * HALF : row % 2 * HALF + HALF, col % 2 * HALF : col % 2 * HALF + HALF]
-        parent.values[place] = values
-        parent.valid[place] = 1 if valid is None else valid
 
     def _arrived(self, level: int, index: int) -> Tile | Kept | None:
         key = self._key(level, index)
@@ -178,9 +172,16 @@ class Parents:
         if parent.left:
             return None
         del self._open[key]
-        if parent.values is None:
+        if not parent.parts:
             return Kept(*key)
-        for child in parent.kept:
-            self._put(parent, level, child, *self._again(level, child))
-        valid = parent.valid
-        return Tile(*key, parent.values, None if valid is None or valid.all() else valid)
+        return self._joined(key, level, parent.parts | {child: self._again(level, child) for child in parent.kept})
+
+    def _joined(self, key: tuple[int, int], level: int, parts: dict[int, Half]) -> Tile:
+        values = np.zeros((BLOCK, BLOCK, self._bands), dtype=self._dtype)
+        valid = np.zeros((BLOCK, BLOCK), dtype=np.uint8)
+        for index, (part, part_valid) in parts.items():
+            row, col = divmod(index, self._sizes[level].across)
+            place = np.s_[row % 2 * HALF : row % 2 * HALF + HALF, col % 2 * HALF : col % 2 * HALF + HALF]
+            values[place] = part
+            valid[place] = 1 if part_valid is None else part_valid
+        return Tile(*key, values, None if valid.all() else valid)

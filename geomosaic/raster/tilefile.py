@@ -22,7 +22,7 @@ from geomosaic.raster.blank import filled
 from geomosaic.raster.codec import BLOCK
 from geomosaic.raster.earlier import EarlierTiles, inside_of
 from geomosaic.raster.environment import enter_for_good
-from geomosaic.raster.pyramid import Kept, Level, Parents, Tile, halve, levels
+from geomosaic.raster.pyramid import Half, Kept, Level, Parents, Tile, halve, levels
 from geomosaic.raster.tiff import Directory, Field
 from geomosaic.raster.tilestore import TileStore, write_all
 from geomosaic.types import AnyArray, ByteArray
@@ -91,7 +91,7 @@ class TileFile:
         self._levels = levels(grid.width, grid.height) if overviews else [Level(grid.width, grid.height)]
         self._parents = Parents(self._levels, bands, self._dtype, self._half_again)
         self._earlier: EarlierTiles | None = None
-        self._jobs: deque[Future[tuple[Tile, bytes, _Half | None]]] = deque()
+        self._jobs: deque[Future[tuple[Tile, bytes, Half | None]]] = deque()
         self._most_jobs = 4 * threads
         self._pool = ThreadPoolExecutor(threads, "tiles", enter_for_good) if threads > 1 else None
         self._files: list[BinaryIO] = []
@@ -170,7 +170,7 @@ class TileFile:
         if tile.level + 1 < len(self._levels):
             self._go_on(self._parents.keep(tile.level, tile.index))
 
-    def _half_again(self, level: int, index: int) -> _Half:
+    def _half_again(self, level: int, index: int) -> Half:
         """Half of a tile of the earlier file, whose neighbours have changed."""
         assert self._earlier is not None
         values, valid = self._earlier.decoded(level, index, self._levels[level], self._nodata)
@@ -206,7 +206,7 @@ class TileFile:
         while len(self._jobs) > self._most_jobs:
             self._place(*self._jobs.popleft().result())
 
-    def _pieces(self, tile: Tile, blank: bool) -> tuple[Tile, bytes, _Half | None]:
+    def _pieces(self, tile: Tile, blank: bool) -> tuple[Tile, bytes, Half | None]:
         """Fill, compress and halve a tile; changes nothing of this object, so any thread may do it."""
         if not blank:
             tile = Tile(tile.level, tile.index, filled(tile.values, tile.valid, self._nodata), tile.valid)
@@ -216,7 +216,7 @@ class TileFile:
             half = halve(tile.values, tile.valid, self._overviews or "average")
         return tile, data, half
 
-    def _place(self, tile: Tile, data: bytes, half: _Half | None) -> None:
+    def _place(self, tile: Tile, data: bytes, half: Half | None) -> None:
         store = self._stores[tile.level]
         if self._keep_mask:
             store.masks[tile.index] = codec.encode_mask(tile.valid)
@@ -295,6 +295,3 @@ class TileFile:
                 self._files[i].seek(0)
                 shutil.copyfileobj(self._files[i], final, 1 << 20)
                 final.write(masks[i])
-
-
-_Half = tuple[AnyArray, ByteArray | None]
