@@ -135,7 +135,8 @@ class RasterSink:
         window : Window
             Starts at multiples of 512 pixels and ends at such or at the image's edge.
         values : array (rows, cols, bands)
-            Of the raster's type; what stands in invalid pixels does not matter.
+            Of the raster's type; what stands in invalid pixels does not matter. The sink keeps it, and `valid`: neither
+            may change afterwards.
         valid : uint8 array (rows, cols) of 1 and 0, optional
             All are valid without it.
         blank : bool

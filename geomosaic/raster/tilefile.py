@@ -93,7 +93,8 @@ class TileFile:
         self._earlier: EarlierTiles | None = None
         self._jobs: deque[Future[tuple[Tile, bytes, Half | None]]] = deque()
         self._most_jobs = 4 * threads
-        self._pool = ThreadPoolExecutor(threads, "tiles", enter_for_good) if threads > 1 else None
+        laborious = not self._raw or len(self._levels) > 1
+        self._pool = ThreadPoolExecutor(threads, "tiles", enter_for_good) if threads > 1 and laborious else None
         self._files: list[BinaryIO] = []
         names = [path.with_name(f"{path.name}.{i}") for i in range(len(self._levels))] if cog else [path]
         try:
@@ -132,13 +133,15 @@ class TileFile:
         window : Window
             In pixels of the grid.
         values : array (rows, cols, bands)
-            Of the file's type. Not changed; the caller may use it again at once.
+            Of the file's type. Neither it nor `valid` may change afterwards: parts of them wait for their turn.
         valid : uint8 array (rows, cols) of 1 and 0, or None
             None where all are valid.
         blank : bool
             Whether invalid pixels, and no others, hold nodata already (zero where there is none).
         """
         across = self._levels[0].across
+        if valid is not None and valid.view(np.bool_).all():
+            valid = None
         for part in window.split(BLOCK, BLOCK):
             rows = slice(part.row - window.row, part.stop_row - window.row)
             cols = slice(part.col - window.col, part.stop_col - window.col)
@@ -189,8 +192,7 @@ class TileFile:
             valid = None
         self._masked = self._masked or valid is not None
         if (rows, cols) == (BLOCK, BLOCK):
-            copy = np.ascontiguousarray if self._pool is None else np.array
-            return Tile(0, index, copy(values), None if valid is None else copy(valid))
+            return Tile(0, index, values, valid)
         whole = np.zeros((BLOCK, BLOCK, self._bands), dtype=self._dtype)
         whole[:rows, :cols] = values
         whole_valid = np.zeros((BLOCK, BLOCK), dtype=np.uint8)
@@ -208,8 +210,8 @@ class TileFile:
 
     def _pieces(self, tile: Tile, blank: bool) -> tuple[Tile, bytes, Half | None]:
         """Fill, compress and halve a tile; changes nothing of this object, so any thread may do it."""
-        if not blank:
-            tile = Tile(tile.level, tile.index, filled(tile.values, tile.valid, self._nodata), tile.valid)
+        values, valid = np.ascontiguousarray(tile.values), tile.valid
+        tile = Tile(tile.level, tile.index, values if blank else filled(values, valid, self._nodata), valid)
         data = b"" if self._raw else codec.encode_tile(tile.values, self._profile, classes=self._classes)
         half = None
         if tile.level + 1 < len(self._levels):

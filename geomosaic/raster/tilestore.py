@@ -32,6 +32,7 @@ class TileStore:
         self.masks: dict[int, bytes] = {}
         self._waiting: dict[int, bytes | None] = {}
         self._next = 0
+        self._at = 0
 
     @property
     def complete(self) -> bool:
@@ -50,17 +51,21 @@ class TileStore:
 
     def _append(self, index: int, data: bytes | memoryview | None) -> None:
         size = self.counts[index]
-        self.file.seek(self.end)
+        if self._at != self.end:
+            self.file.seek(self.end)
         if self.framed:
             write_all(self.file, struct.pack("<I", size))
             self.end += 4
+            self._at = self.end
         self.offsets[index] = self.end
+        self.end += size
         if data is not None:
             write_all(self.file, data)
-        self.end += size
+            self._at = self.end
         if self.framed:
             if data is not None:
                 write_all(self.file, data[-4:])
+                self._at += 4
             self.end += 4
         self._next += 1
 
