@@ -39,7 +39,7 @@ def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: 
     Examples:
       geomosaic enhance scene.tif -b 4,3,2 --stretch percentile --gamma 1.2 -o print.tif
       geomosaic enhance xs.tif --pan pan.tif --method regression -o sharp.tif
-    """  # noqa: D301
+    """
     from geomosaic.errors import InputError
     from geomosaic.product.maps.enhance_raster import enhance_raster, sharpen_with_pan
 
