@@ -99,7 +99,7 @@ def tell(capsys) -> Callable[..., tuple[int, str, str]]:
 def elsewhere(*words: object, **more: object) -> subprocess.CompletedProcess[str]:
     """Run the command line in a process of its own."""
     command = [sys.executable, "-m", "geomosaic.cli", *map(str, words)]
-    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=300, **more)  # type: ignore[call-overload,no-any-return]
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=300, **more)
 
 
 # Start-up
@@ -249,7 +249,7 @@ def test_a_project_is_run_in_no_less_than_it_takes(tell):
 def test_sizes_are_read():
     from geomosaic.cli.values import size
 
-    assert [size(None, None, text) for text in ("512M", "2G", "1.5g", "100MiB", str(1 << 28))] == [  # type: ignore[arg-type]
+    assert [size(None, None, text) for text in ("512M", "2G", "1.5g", "100MiB", str(1 << 28))] == [
         512 << 20, 2 << 30, 3 << 29, 100 << 20, 1 << 28,
     ]  # fmt: skip
 

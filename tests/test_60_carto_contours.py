@@ -23,7 +23,7 @@ def heights(formula: object, size: int = 101) -> Heights:
     """Nodes of a formula z(x, y), metres from the middle of the grid."""
     middle = CELL * (size - 1) / 2
     col, row = np.meshgrid(np.arange(size), np.arange(size))
-    return Heights(formula(col * CELL - middle, middle - row * CELL), PLACE)  # type: ignore[operator]
+    return Heights(formula(col * CELL - middle, middle - row * CELL), PLACE)
 
 
 def from_middle(xy: np.ndarray, size: int = 101) -> np.ndarray:

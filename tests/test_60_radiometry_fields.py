@@ -128,7 +128,7 @@ def test_known_cameras_come_back(name: str, noise: float) -> None:
     ],
 )
 def test_what_is_not_there_is_not_chosen(given: dict[str, float], wanted: set[str], unwanted: set[str]) -> None:
-    cameras = Cameras(**given)  # type: ignore[arg-type]
+    cameras = Cameras(**given)
     pairs = cameras.overlaps(noise=2.0)
     start = solve(cameras.count, 3, pairs)
     views = gather(pairs, cameras.places, 8000)
