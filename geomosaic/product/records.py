@@ -12,7 +12,7 @@ import numpy as np
 from pyproj import CRS, Geod
 
 from geomosaic.block.footprint import Footprint
-from geomosaic.errors import InputError, OutputError
+from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
@@ -20,7 +20,7 @@ from geomosaic.product.seams.quality import SeamQuality
 from geomosaic.product.taken import time_span
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.checksum import sha256
-from geomosaic.raster.output import check_output, partial, remove
+from geomosaic.raster.output import check_output, write_text
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.seam.lines import Segment, segments
 
@@ -176,19 +176,7 @@ def write_item(
             if file is not None
         },
     }
-    try:
-        unfinished = partial(path)
-        try:
-            unfinished.write_text(json.dumps(item, indent=2) + "\n", encoding="utf-8")
-            unfinished.replace(path)
-        finally:
-            remove(unfinished)
-    except OSError as error:
-        raise OutputError(
-            f"writing failed ({error.strerror})",
-            where=str(path),
-            mend="check the space on the disk and the rights of the folder",
-        ) from error
+    write_text(path, json.dumps(item, indent=2) + "\n", overwrite=overwrite)
 
 
 def _asset(file: Path, kind: str, role: str, checksum: str) -> dict[str, Any]:

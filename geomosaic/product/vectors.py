@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.product.vector_cut import moved
-from geomosaic.raster.output import check_output, partial, remove, sync
+from geomosaic.raster.output import check_output, under_construction
 from geomosaic.raster.vector import append_layer, layer_names, read_layer
 
 DRIVERS = {
@@ -89,8 +89,7 @@ def reproject_vectors(
     layers: dict[str, int] = {}
     sources: list[CRS] = []
     lost, cut = 0, 0
-    unfinished = partial(output, output.suffix)
-    try:
+    with under_construction(output, output.suffix) as unfinished:
         for name in names:
             frame = read_layer(path, name)
             own = source or _own(frame, f"{path}, layer {name}")
@@ -99,10 +98,6 @@ def reproject_vectors(
                 sources.append(own)
             append_layer(unfinished, found, name, driver)
             layers[name], lost, cut = len(found), lost + gone, cut + pieces
-        sync(unfinished)
-        unfinished.replace(output)
-    finally:
-        remove(unfinished)
     return VectorResult(output, layers, lost, tuple(sources), cut)
 
 

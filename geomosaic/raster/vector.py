@@ -14,7 +14,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError, OutputError
-from geomosaic.raster.output import check_output, partial, remove, sync
+from geomosaic.raster.output import check_output, under_construction
 from geomosaic.types import PathLike
 
 if TYPE_CHECKING:
@@ -70,25 +70,14 @@ def write_layers(path: PathLike, layers: Mapping[str, Layer], *, overwrite: bool
     if not layers:
         raise InputError("there is no layer to write", where=str(path))
     before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
-    unfinished: Path | None = None
+    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": _date()})
     try:
-        unfinished = partial(final, ".gpkg")
-        pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": _date()})
-        for name, layer in layers.items():
-            _write(unfinished, name, layer)
-        sync(unfinished)
-        unfinished.replace(final)
-        sync(final.parent)
-    except (DataSourceError, DataLayerError, FeatureError, GeometryError, OSError) as error:
-        raise OutputError(
-            f"writing failed ({error})",
-            where=str(path),
-            mend="check the space on the disk and the rights of the folder",
-        ) from error
+        failures = DataSourceError, DataLayerError, FeatureError, GeometryError
+        with under_construction(final, ".gpkg", failures) as unfinished:
+            for name, layer in layers.items():
+                _write(unfinished, name, layer)
     finally:
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": before})
-        if unfinished is not None:
-            remove(unfinished)
     return final
 
 

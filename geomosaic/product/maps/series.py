@@ -27,6 +27,7 @@ from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Bounds
 from geomosaic.product.maps.sheet import VectorInput, make_sheet
 from geomosaic.raster.checksum import sha256
+from geomosaic.raster.output import write_text
 from geomosaic.raster.source import Source
 from geomosaic.raster.vector import Layer, write_layers
 
@@ -251,9 +252,7 @@ def _read_record(folder: Path) -> dict[str, Any]:
 
 
 def _write_record(folder: Path, record: Mapping[str, Any]) -> None:
-    unfinished = folder / f"{RECORD}.partial"
-    unfinished.write_text(json.dumps(record, indent=1, sort_keys=True), encoding="utf-8")
-    unfinished.replace(folder / RECORD)
+    write_text(folder / RECORD, json.dumps(record, indent=1, sort_keys=True), overwrite=True)
 
 
 def _index(inputs: SeriesInputs, order: Sequence[tuple[SheetPlace, Path]], folder: Path, crs: CRS) -> tuple[Path, ...]:
