@@ -36,7 +36,7 @@ def test_every_command_has_help_with_its_options(tell):
         return out
 
     for name in COMMANDS:
-        command = import_module(f"geomosaic.cli.{name}").command
+        command = import_module(f"geomosaic.cli.commands.{name}").command
         own = getattr(command, "commands", None)
         for out in [asked(name)] if own is None else [asked(name, part) for part in own]:
             assert "--json" in out

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from geomosaic.cli.memory import note_memory
-from geomosaic.cli.mosaic import mosaic_flags
+from geomosaic.cli.mosaic_flags import mosaic_flags
 from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack, usable_options
 from geomosaic.cli.request import area, block_inputs, mosaic_options
 from geomosaic.cli.talk import answer, notes, progress
