@@ -131,10 +131,7 @@ def copied(
     if part.empty:
         return []
     values, valid = source.read(Window(part.col + offset[0], part.row + offset[1], part.width, part.height))
-    inside = (
-        slice(part.row - window.row, part.stop_row - window.row),
-        slice(part.col - window.col, part.stop_col - window.col),
-    )
+    inside = part.slices_in(window)
     mask = None if need is None or need.all() else _pixels(need)[inside]
     if valid is not None:
         mask = valid > 0 if mask is None else mask & (valid > 0)
@@ -188,10 +185,7 @@ def cell_means(source: Source, offset: Offset, window: Window, size: int, out: A
                 (part.col - cells.col, cells.stop_col - part.stop_col),
             )
             values, valid = np.pad(values, (*edges, (0, 0))), np.pad(valid, edges)
-        here = (
-            slice(strip.row - window.row, strip.stop_row - window.row),
-            slice(strip.col - window.col, strip.stop_col - window.col),
-        )
+        here = strip.slices_in(window)
         count = block_sum(valid, size, np.int32)
         out[here] = block_sum(values, size, np.float64) / np.maximum(count, 1)[..., None]
         out_valid[here] = 2 * count >= size * size

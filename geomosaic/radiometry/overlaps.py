@@ -94,8 +94,7 @@ def compare(
         return None
     views, seen = [], np.ones((common.height, common.width), dtype=bool)
     for piece in (one, other):
-        row, col = common.row - piece.window.row, common.col - piece.window.col
-        here = slice(row, row + common.height), slice(col, col + common.width)
+        here = common.slices_in(piece.window)
         values = piece.values[here]
         seen &= piece.valid[here] > 0
         if clipped is not None:

@@ -140,10 +140,9 @@ class TileFile:
         """
         across = self._levels[0].across
         for part in window.split(BLOCK, BLOCK):
-            rows = slice(part.row - window.row, part.stop_row - window.row)
-            cols = slice(part.col - window.col, part.stop_col - window.col)
+            place = part.slices_in(window)
             index = (part.row // BLOCK) * across + part.col // BLOCK
-            tile = self._tile(index, values[rows, cols], None if valid is None else valid[rows, cols])
+            tile = self._tile(index, values[place], None if valid is None else valid[place])
             self._add(tile, blank=blank)
 
     def copies(self, path: Path) -> bool:

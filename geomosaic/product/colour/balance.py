@@ -131,8 +131,7 @@ def thumbnail(
     # The window itself is cut into blocks, not the grid: only the heights below the photo are read.
     for part in window.split(BLOCK_WIDTH, BLOCK_HEIGHT):
         ground = below.block(part)
-        rows, cols = part.row - window.row, part.col - window.col
-        here = slice(rows, rows + part.height), slice(cols, cols + part.width)
+        here = part.slices_in(window)
         pull(
             engine, photo, grid, ground, resampling, NEAR_ENOUGH, colour, values[here], valid[here],
             most_samples=MOST_SAMPLES,

@@ -130,7 +130,7 @@ def _compare(
 
 
 def _cropped(found: Features, window: Window, part: Window) -> Features:
-    own = _slices(Window(part.col - window.col, part.row - window.row, part.width, part.height))
+    own = part.slices_in(window)
     return Features(found.values[own], found.valid[own], found.slope[own], found.texture[own], found.contrast)
 
 
