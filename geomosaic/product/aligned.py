@@ -64,15 +64,16 @@ def picked(source: Source, offset: Offset, step: int, window: Window, out: AnyAr
     """
     at = offset[0] + step // 2, offset[1] + step // 2  # of the middle pixel of cell 0
     size = source.info.width, source.info.height
-    low = [max(start, -(place // step)) for start, place in zip((window.col, window.row), at, strict=True)]
-    ends = zip((window.stop_col, window.stop_row), at, size, strict=True)
-    high = [min(stop, -((place - length) // step)) for stop, place, length in ends]
-    if low[0] >= high[0] or low[1] >= high[1]:
+    (col, stop_col), (row, stop_row) = (
+        (-(place // step), -((place - length) // step)) for place, length in zip(at, size, strict=True)
+    )
+    part = Window(col, row, stop_col - col, stop_row - row).intersection(window)
+    if part.empty:
         return
-    first = at[0] + low[0] * step, at[1] + low[1] * step
-    values, valid = source.picked(first, (high[0] - low[0], high[1] - low[1]), step)
+    first = at[0] + part.col * step, at[1] + part.row * step
+    values, valid = source.picked(first, (part.width, part.height), step)
     seen = np.ones(values.shape[:2], dtype=np.uint8) if valid is None else valid
-    inside = slice(low[1] - window.row, high[1] - window.row), slice(low[0] - window.col, high[0] - window.col)
+    inside = part.slices_in(window)
     np.copyto(out[inside], values, where=seen[..., None] > 0)
     out_valid[inside] = seen
 

@@ -69,7 +69,7 @@ def chain_facts(block: PlanarBlock, made: Chain, model: str, error: Accumulated)
     }
 
 
-def growth_facts(block: PlanarBlock, grown: Growth, model: str) -> dict[str, Any]:
+def growth_facts(grown: Growth, model: str) -> dict[str, Any]:
     """Of a mosaic grown photo by photo."""
     return {
         "kind": "grown",
