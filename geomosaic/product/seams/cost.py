@@ -16,7 +16,7 @@ from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
-from geomosaic.product.provenance import between
+from geomosaic.product.records.provenance import between
 from geomosaic.product.seams.layers import SeamLayers
 from geomosaic.raster.burn import burn
 from geomosaic.seam.cost import Features, SeamWeights, disagreement, features, nearness_of_edge, standing_out

@@ -16,8 +16,8 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
+from geomosaic.product.records.taken import time_span
 from geomosaic.product.seams.quality import SeamQuality
-from geomosaic.product.taken import time_span
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_output, write_text
@@ -123,9 +123,8 @@ def write_item(
 ) -> None:
     """Write a STAC item (version 1.1) whose assets are the files beside it; `checksums` are known SHA-256.
 
-    Its times are the span in which the images were taken (`geomosaic.product.taken`); `geomosaic:times` says how it is
-    known. Equal runs make equal bytes. `sources` are columns of facts by image, which go into the property
-    `geomosaic:sources`.
+    Its times are the span in which the images were taken (`taken.py`); `geomosaic:times` says how it is known. Equal
+    runs make equal bytes. `sources` are columns of facts by image, which go into the property `geomosaic:sources`.
 
     Raises
     ------

@@ -16,7 +16,7 @@ from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
-from geomosaic.product.provenance import NODES, UNIT, between
+from geomosaic.product.records.provenance import NODES, UNIT, between
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.types import AnyArray, FloatArray
