@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 from xml.etree.ElementTree import Element
 
 from geomosaic.carto.foreign.told import Told, mixed
@@ -45,7 +46,7 @@ def read_qml(root: Element, told: Told) -> Style:
                 rest = Symbol() if hide else symbol
             else:
                 value = node.get("value", "")
-                rules.append(replace(_rule(symbol, node.get("label") or value), value=value, hide=hide))
+                rules.append(_rule(symbol, node.get("label") or value, value=value, hide=hide))
         return Style(symbol=rest, column=column, rules=tuple(rules), label=label)
     if kind == "graduatedSymbol":
         rules = []
@@ -55,14 +56,14 @@ def read_qml(root: Element, told: Told) -> Style:
             # The upper limit of a class belongs to it, and the first class that holds is taken; ours end before it.
             high = math.nextafter(high, math.inf)
             symbol = symbols.get(node.get("symbol", ""), Symbol())
-            rules.append(replace(_rule(symbol, node.get("label", "")), least=low, below=high))
+            rules.append(_rule(symbol, node.get("label", ""), least=low, below=high))
         return Style(column=column, rules=tuple(rules), label=label)
     told.say(f"renderer '{kind}'; its first symbol is used for all")
     return Style(symbol=next(iter(symbols.values()), Symbol()), label=label)
 
 
-def _rule(symbol: Symbol, name: str) -> Rule:
-    return Rule(title=name, line=symbol.line, fill=symbol.fill, marker=symbol.marker)
+def _rule(symbol: Symbol, name: str, **limits: Any) -> Rule:
+    return Rule(title=name, line=symbol.line, fill=symbol.fill, marker=symbol.marker, **limits)
 
 
 def _options(layer: Element) -> dict[str, str]:

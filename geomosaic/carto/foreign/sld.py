@@ -33,7 +33,7 @@ def read_sld(root: Element, told: Told) -> Style:
         if found is None:
             rest = symbol if symbol != Symbol() else rest
             continue
-        limits = _filter(found)
+        limits = _filter(found, told)
         if limits is None or (column and limits[0] != column):
             parts = ", ".join(_tag(part) for part in found) or "empty"
             called = f"'{title}'" if title else str(number)
@@ -61,7 +61,7 @@ def _text(node: Element, tag: str) -> str:
     return (found.text or "").strip() if found is not None else ""
 
 
-def _filter(node: Element) -> tuple[str, str | None, float | None, float | None] | None:
+def _filter(node: Element, told: Told) -> tuple[str, str | None, float | None, float | None] | None:
     """Column, value, least and below of a filter; None where it says something else."""
     parts = list(node)
     if len(parts) == 1 and _tag(parts[0]) == "And":
