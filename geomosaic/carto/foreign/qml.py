@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 from xml.etree.ElementTree import Element
 
 from geomosaic.carto.foreign.told import Told, mixed
@@ -62,8 +61,8 @@ def read_qml(root: Element, told: Told) -> Style:
     return Style(symbol=next(iter(symbols.values()), Symbol()), label=label)
 
 
-def _rule(symbol: Symbol, name: str, **limits: Any) -> Rule:
-    return Rule(title=name, line=symbol.line, fill=symbol.fill, marker=symbol.marker, **limits)
+def _rule(symbol: Symbol, name: str, **limits: object) -> Rule:
+    return Rule(title=name, line=symbol.line, fill=symbol.fill, marker=symbol.marker, **limits)  # type: ignore[arg-type]
 
 
 def _options(layer: Element) -> dict[str, str]:
