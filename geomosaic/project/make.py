@@ -117,7 +117,21 @@ def refuse_existing(path: Path, overwrite: bool, inputs: BlockInputs | None = No
 
 
 def make_ortho(inputs: BlockInputs, area: Area, output: Path, options: RenderOptions) -> OrthoResult:
-    """Rectify the one image of `inputs`."""
+    """Rectify the one image of `inputs`.
+
+    Parameters
+    ----------
+    inputs : BlockInputs
+    area : Area
+    output : Path
+        GeoTIFF to write.
+    options : RenderOptions
+
+    Raises
+    ------
+    GeomosaicError
+        InputError, OutputError, SensorError or SolveError; nothing is left under the final name.
+    """
     from geomosaic.product.ortho import ortho
 
     refuse_existing(output, options.overwrite, inputs)
@@ -132,13 +146,26 @@ def reference_scene(path: Path, bands: Sequence[int] | None) -> Scene:
 
 
 def make_mosaic(inputs: BlockInputs, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
-    """Make a mosaic of all images of `inputs`."""
-    from geomosaic.product.mosaic import beside, mosaic
+    """Make a mosaic of all images of `inputs`.
+
+    Parameters
+    ----------
+    inputs : BlockInputs
+    area : Area
+    output : Path
+        GeoTIFF to write; labels, vectors and the STAC item go beside it.
+    options : MosaicOptions
+
+    Raises
+    ------
+    GeomosaicError
+        InputError, OutputError, SensorError or SolveError; nothing is left under the final names.
+    """
+    from geomosaic.product.mosaic import mosaic
     from geomosaic.project.bands import check_same_bands, with_named_bands
     from geomosaic.project.mosaic_grid import note_scattered, plan_mosaic
 
-    named = (("-labels", ".tif", options.labels), ("", ".gpkg", options.vectors), ("", ".stac.json", options.stac))
-    for file in (output, *(beside(output, mark, suffix) for mark, suffix, wanted in named if wanted)):
+    for file in _files(output, options):
         refuse_existing(file, options.render.overwrite, inputs)
     block = build_block(inputs)
     if inputs.band_names is not None:
@@ -149,10 +176,28 @@ def make_mosaic(inputs: BlockInputs, area: Area, output: Path, options: MosaicOp
     return mosaic(block, grid, outlines, output, options)
 
 
+def _files(output: Path, options: MosaicOptions) -> list[Path]:
+    """The mosaic and what is written beside it."""
+    from geomosaic.product.mosaic import beside
+
+    named = (("-labels", ".tif", options.labels), ("", ".gpkg", options.vectors), ("", ".stac.json", options.stac))
+    return [output, *(beside(output, mark, suffix) for mark, suffix, wanted in named if wanted)]
+
+
 def make_planar_mosaic(
     inputs: BlockInputs, wanted: PlanarInputs, area: Area, output: Path, options: MosaicOptions
 ) -> tuple[MosaicResult, dict[str, Any], Path]:
     """Place photos of flat ground together and make their mosaic.
+
+    Parameters
+    ----------
+    inputs : BlockInputs
+    wanted : PlanarInputs
+        How they are placed.
+    area : Area
+    output : Path
+        GeoTIFF to write; labels, vectors, the STAC item and the facts go beside it.
+    options : MosaicOptions
 
     Returns
     -------
@@ -169,9 +214,7 @@ def make_planar_mosaic(
     from geomosaic.project.planar.facts import control_facts
 
     facts_path = beside(output, "-placement", ".json")
-    named = (("-labels", ".tif", options.labels), ("", ".gpkg", options.vectors), ("", ".stac.json", options.stac))
-    companions = (beside(output, mark, suffix) for mark, suffix, wanted_too in named if wanted_too)
-    for file in (output, facts_path, *companions):
+    for file in (facts_path, *_files(output, options)):
         refuse_existing(file, options.render.overwrite, inputs)
     block, placed = build_planar(inputs, wanted)
     facts = {**placed, **control_facts(check_control(block))}

@@ -93,7 +93,15 @@ def solve(images: int, bands: int, overlaps: Sequence[Overlap], *, hold: bool = 
     """Solve gains and offsets of all images, band by band.
 
     An image without overlaps keeps gain 1 and offset 0. Clipped values are to be left out beforehand: they look too
-    much like the ground to be told from it. `hold` bounds the drift along strips, see `drift`.
+    much like the ground to be told from it.
+
+    Parameters
+    ----------
+    images, bands : int
+    overlaps : sequence of Overlap
+        Grey values of pairs of images, numbered from 0.
+    hold : bool
+        Bound the drift along strips, see `drift`.
 
     Raises
     ------
