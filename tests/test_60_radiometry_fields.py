@@ -7,7 +7,8 @@ import pytest
 
 from geomosaic.radiometry.choose import choose, solve_terms
 from geomosaic.radiometry.fields import Fields, solve_fields
-from geomosaic.radiometry.gain_offset import Overlap, solve
+from geomosaic.radiometry.gain_offset import solve
+from geomosaic.radiometry.overlaps import Overlap
 from geomosaic.radiometry.steps import Setting
 from geomosaic.radiometry.views import Views, gather
 

@@ -20,8 +20,9 @@ import numpy as np
 from geomosaic.errors import SolveError
 from geomosaic.radiometry import drift
 from geomosaic.radiometry.curve import Curve
+from geomosaic.radiometry.overlaps import Overlap
 from geomosaic.radiometry.relation import Relation, relate
-from geomosaic.types import AnyArray, FloatArray, IntArray
+from geomosaic.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from geomosaic.radiometry.choose import Trial
@@ -34,27 +35,6 @@ LEAST_SIGMA = 0.003
 """Of an observation, in the same units: one line per image is no exact model (vignetting, view angle)."""
 MOST_DENSE = 1000
 """Images beyond which the normal equations are kept sparse."""
-
-
-@dataclass(frozen=True)
-class Overlap:
-    """The same ground in two images.
-
-    Attributes
-    ----------
-    first, second : int
-        Numbers of the images.
-    a, b : array (N, bands)
-        Values in the first and in the second.
-    cells : int array (N, 2), optional
-        Column and row of each sample in the coarse grid that all images share.
-    """
-
-    first: int
-    second: int
-    a: AnyArray
-    b: AnyArray
-    cells: AnyArray | None = None
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo, pull
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
-from geomosaic.radiometry.gain_offset import Balance, Overlap, solve
-from geomosaic.radiometry.overlaps import Overlaps, Thumbnail
+from geomosaic.radiometry.gain_offset import Balance, solve
+from geomosaic.radiometry.overlaps import Overlap, Overlaps, Thumbnail
 from geomosaic.resample.engine import engine_for
 from geomosaic.resample.warp import Colour, value_range
 from geomosaic.sensor.ground import Ground

@@ -12,7 +12,8 @@ from geomosaic.geo.grid import Grid
 from geomosaic.product.colour.balance import comparison_grid, meet
 from geomosaic.product.colour.places import cameras, places_of, shade_of
 from geomosaic.product.photos import Photos
-from geomosaic.radiometry.gain_offset import Balance, Overlap, solve
+from geomosaic.radiometry.gain_offset import Balance, solve
+from geomosaic.radiometry.overlaps import Overlap
 from geomosaic.resample.warp import value_range
 from geomosaic.types import FloatArray
 
