@@ -17,14 +17,14 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.raster import codec, tiff
+from geomosaic.raster.blank import filled
+from geomosaic.raster.codec import BLOCK
+from geomosaic.raster.earlier import EarlierTiles, inside_of
 from geomosaic.raster.environment import enter_for_good
-from geomosaic.raster.tiles import codec, tiff
-from geomosaic.raster.tiles.blank import filled
-from geomosaic.raster.tiles.codec import BLOCK
-from geomosaic.raster.tiles.earlier import EarlierTiles, inside_of
-from geomosaic.raster.tiles.pyramid import Half, Kept, Level, Parents, Tile, halve, levels
-from geomosaic.raster.tiles.tiff import Directory, Field
-from geomosaic.raster.tiles.tilestore import TileStore, write_all
+from geomosaic.raster.pyramid import Half, Kept, Level, Parents, Tile, halve, levels
+from geomosaic.raster.tiff import Directory, Field
+from geomosaic.raster.tilestore import TileStore, write_all
 from geomosaic.types import AnyArray, ByteArray
 
 _START = 16
@@ -140,9 +140,10 @@ class TileFile:
         """
         across = self._levels[0].across
         for part in window.split(BLOCK, BLOCK):
-            place = part.slices_in(window)
+            rows = slice(part.row - window.row, part.stop_row - window.row)
+            cols = slice(part.col - window.col, part.stop_col - window.col)
             index = (part.row // BLOCK) * across + part.col // BLOCK
-            tile = self._tile(index, values[place], None if valid is None else valid[place])
+            tile = self._tile(index, values[rows, cols], None if valid is None else valid[rows, cols])
             self._add(tile, blank=blank)
 
     def copies(self, path: Path) -> bool:

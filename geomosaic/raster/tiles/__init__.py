@@ -1,1 +1,0 @@
-"""Tiled GeoTIFF and COG files, put together tile by tile; `RasterSink` writes through them."""
