@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pyproj import CRS
@@ -13,6 +13,9 @@ from geomosaic.errors import InputError
 from geomosaic.product.vector_cut import moved
 from geomosaic.raster.output import check_output, under_construction
 from geomosaic.raster.vector import append_layer, layer_names, read_layer
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
 
 DRIVERS = {
     ".gpkg": "GPKG",
@@ -101,13 +104,13 @@ def reproject_vectors(
     return VectorResult(output, layers, lost, tuple(sources), cut)
 
 
-def _own(frame: Any, where: str) -> CRS:
+def _own(frame: GeoDataFrame, where: str) -> CRS:
     if frame.crs is None:
         raise InputError("the layer has no CRS", where=where, mend="name it with --src-crs")
     return CRS.from_user_input(frame.crs)
 
 
-def _moved(frame: Any, own: CRS, crs: CRS) -> tuple[Any, int, int]:
+def _moved(frame: GeoDataFrame, own: CRS, crs: CRS) -> tuple[GeoDataFrame, int, int]:
     """Return the layer in the new CRS, how many features have no place there, and how many were cut."""
     import shapely
 

@@ -6,7 +6,7 @@ import csv
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pyproj import CRS
 from pyproj.exceptions import CRSError
@@ -16,6 +16,9 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.product.vectors import DRIVERS
 from geomosaic.raster.output import check_output, under_construction
 from geomosaic.raster.vector import append_layer
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
 
 SUFFIXES = (*DRIVERS, ".csv")
 
@@ -58,7 +61,7 @@ def _writable(crs: CRS) -> bool:
     return "BOUNDCRS" not in crs.to_wkt()
 
 
-def write_frame(path: Path, frame: Any, layer: str, *, overwrite: bool) -> None:
+def write_frame(path: Path, frame: GeoDataFrame, layer: str, *, overwrite: bool) -> None:
     """Write a data frame of features as one layer.
 
     Parameters

@@ -159,7 +159,7 @@ def _meet(a: Bounds, b: Bounds) -> bool:
     return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
-def _all(scheme: Scheme, crs: CRS, bounds: Any) -> list[str]:
+def _all(scheme: Scheme, crs: CRS, bounds: Bounds) -> list[str]:
     names = []
     for name in sheets_on(scheme, crs, bounds):
         names.append(name)
