@@ -14,8 +14,9 @@ from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.product.blend.options import Blending, Width
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.options import RenderOptions
+from geomosaic.project.area import Area
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import Area, make_mosaic
+from geomosaic.project.make import make_mosaic
 from geomosaic.testing.synthetic import AnalyticGround
 
 SIZE, SHIFT, PIXEL = (360, 520), 240, 1.0

@@ -13,8 +13,9 @@ from PIL import Image
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.options import RenderOptions
+from geomosaic.project.area import Area
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import Area, make_mosaic
+from geomosaic.project.make import make_mosaic
 from geomosaic.testing.synthetic import AnalyticGround
 
 CRS = "EPSG:32633"

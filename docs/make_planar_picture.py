@@ -12,8 +12,9 @@ from PIL import Image, ImageDraw, ImageOps
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.options import RenderOptions
+from geomosaic.project.area import Area
 from geomosaic.project.inputs import BlockInputs, PlanarInputs
-from geomosaic.project.make import Area, make_planar_mosaic
+from geomosaic.project.make import make_planar_mosaic
 from geomosaic.testing.synthetic import AnalyticGround, render, synthetic_block
 
 CRS = "EPSG:32633"

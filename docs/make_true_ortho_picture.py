@@ -18,8 +18,9 @@ from city_rig import CORNER, FOCAL, GROUND_CLASS, PIXEL, SIDE, WALL_CLASS, City,
 
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.options import RenderOptions
+from geomosaic.project.area import Area
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import Area, make_mosaic
+from geomosaic.project.make import make_mosaic
 
 PART = np.s_[230:470, 250:490]
 BOUNDS = (CORNER[0], CORNER[1], CORNER[0] + SIDE, CORNER[1] + SIDE)

@@ -1,12 +1,14 @@
-"""What every test shares: where the real data is, and the sample block."""
+"""What every test shares: where the real data is, the sample block, a project made of it, and the command line."""
 
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from cli_rig import PHOTOS, PLACE, flags, photos
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -29,3 +31,51 @@ def real_data() -> Callable[[str], Path]:
 def sample() -> Path:
     """Folder of the sample block in the repository."""
     return ROOT / "data" / "sample"
+
+
+@pytest.fixture(scope="session")
+def block(sample, tmp_path_factory) -> Path:
+    """Four photos of the sample with their tables; read only."""
+    folder = tmp_path_factory.mktemp("block")
+    (folder / "photos").mkdir()
+    for name in PHOTOS:
+        shutil.copy(sample / "photos" / name, folder / "photos")
+    for name in ("camera.toml", "exterior.csv", "gcps.csv", "dem.tif"):
+        shutil.copy(sample / name, folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def project(block, tmp_path_factory) -> Path:
+    """A project made by `new` and run once over a small place; tests copy it before they change it."""
+    from geomosaic.cli.main import run
+
+    folder = tmp_path_factory.mktemp("project") / "one"
+    shutil.copytree(block, folder)
+    file = folder / "trial.toml"
+    words = ["new", str(file), *photos(folder), *flags(folder), "--gcps", str(folder / "gcps.csv")]
+    assert run(words) == 0
+    text = file.read_text().replace("# resolution = 0.5 ", "resolution = 1.0 ")
+    file.write_text(text.replace("# bounds = [left, bottom, right, top]", f"bounds = [{', '.join(PLACE[3:])}]"))
+    assert run(["run", str(file)]) == 0
+    return file
+
+
+@pytest.fixture
+def own(project, tmp_path) -> Path:
+    """A copy of the project that a test may change."""
+    shutil.copytree(project.parent, tmp_path / "own")
+    return tmp_path / "own" / project.name
+
+
+@pytest.fixture
+def tell(capsys) -> Callable[..., tuple[int, str, str]]:
+    """Run the command line: exit code, standard output, standard error."""
+    from geomosaic.cli.main import run
+
+    def call(*words: object) -> tuple[int, str, str]:
+        capsys.readouterr()
+        code = run([str(word) for word in words])
+        return code, *capsys.readouterr()
+
+    return call

@@ -15,7 +15,7 @@ from geomosaic.block.block import Block
 from geomosaic.product.mosaic import mosaic
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.options import RenderOptions
-from geomosaic.project.make import Area, plan
+from geomosaic.project.area import Area, plan
 
 HALF_WIDTH = 2.5
 """Metres of a road, and pixels."""

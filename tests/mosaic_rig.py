@@ -12,8 +12,9 @@ from affine import Affine
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import MosaicResult
 from geomosaic.product.options import RenderOptions
+from geomosaic.project.area import Area
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import Area, make_mosaic
+from geomosaic.project.make import make_mosaic
 
 LEFT, TOP = 500_000.37, 5_500_300.11
 

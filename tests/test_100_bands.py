@@ -90,4 +90,4 @@ def test_a_band_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 
 def test_no_choice_is_no_choice() -> None:
-    assert band_numbers(None, None, ()) is None  # type: ignore[arg-type]
+    assert band_numbers(None, None, ()) is None

@@ -17,8 +17,9 @@ from rasterio.errors import NotGeoreferencedWarning
 from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning
 from geomosaic.product.options import RenderOptions
+from geomosaic.project.area import Area
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import Area, make_ortho
+from geomosaic.project.make import make_ortho
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground

@@ -22,7 +22,7 @@ def piped(*words: str, close: str = "stdout", command: list[str] = COMMAND) -> t
     os.close(read)
     try:
         streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | {close: write}
-        done = subprocess.run([*command, *words], check=False, text=True, timeout=60, **streams)  # type: ignore[call-overload]
+        done = subprocess.run([*command, *words], check=False, text=True, timeout=60, **streams)
     finally:
         os.close(write)
     return done.returncode, (done.stderr if close == "stdout" else done.stdout)

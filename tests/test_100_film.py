@@ -182,7 +182,7 @@ def test_the_ortho_is_the_ground(film: Path, capsys: pytest.CaptureFixture[str])
     facts, values = ortho(film, capsys)
     x, y = np.meshgrid(np.arange(-699, 700, 2.0), np.arange(699, -700, -2.0))
     assert np.abs(values - ground_grey(x, y)).std() < 3.5  # the noise of the film
-    notes = " ".join(facts["notes"])  # type: ignore[arg-type]
+    notes = " ".join(facts["notes"])
     assert "interior orientation: affine, 4 fiducials" in notes
     moved = ground_grey(x - 2.0, y)
     assert np.abs(values - moved).std() > np.abs(values - ground_grey(x, y)).std()

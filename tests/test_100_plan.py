@@ -12,8 +12,8 @@ import rasterio
 from affine import Affine
 from click.testing import CliRunner
 
+from geomosaic.cli.commands.plan import command
 from geomosaic.cli.main import run
-from geomosaic.cli.plan import command
 from geomosaic.plan.relations import TOPICS
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import geopandas as gpd
@@ -17,20 +16,8 @@ import shapely
 from affine import Affine
 from rasterio.warp import Resampling, reproject
 
-from geomosaic.cli.main import run
-
 LAMBERT, UTM = "EPSG:2154", "EPSG:32631"
 LEFT, TOP, SIZE = 770_500.0, 6_277_700.0, 260
-
-
-@pytest.fixture
-def tell(capsys) -> Callable[..., tuple[int, str, str]]:
-    def call(*words: object) -> tuple[int, str, str]:
-        capsys.readouterr()
-        code = run([str(word) for word in words])
-        return code, *capsys.readouterr()
-
-    return call
 
 
 def texture(x: np.ndarray, y: np.ndarray) -> np.ndarray:

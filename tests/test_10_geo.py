@@ -66,6 +66,16 @@ def test_window_intersection_is_that_of_pixels(a, b):
     assert a.intersection(b) == b.intersection(a)
 
 
+@given(windows, st.data())
+def test_window_within_another_finds_its_pixels_in_that_ones_array(outer, data):
+    col = data.draw(st.integers(outer.col, outer.stop_col - 1))
+    row = data.draw(st.integers(outer.row, outer.stop_row - 1))
+    part = Window(col, row, outer.width, outer.height).intersection(outer)
+    rows, cols = np.mgrid[outer.row : outer.stop_row, outer.col : outer.stop_col]
+    place = part.slices_in(outer)
+    assert set(zip(cols[place].flat, rows[place].flat, strict=True)) == pixels(part)
+
+
 @given(windows, st.integers(1, 20), st.integers(1, 20))
 def test_window_split_covers_once_in_order(window, width, height):
     parts = window.split(width, height)

@@ -53,7 +53,7 @@ def test_the_files_of_the_sheet_on_the_page_are_whole(
 
     layout = read_layout(DOCS / "sheet" / "layout.toml")
     monkeypatch.syspath_prepend(str(DOCS / "sheet"))
-    from make_map import make  # type: ignore[import-not-found]
+    from make_map import make
 
     make(sample / "gcps.csv", tmp_path / "map.gpkg")
     sys.modules.pop("make_map")

@@ -19,8 +19,9 @@ from rasterio.warp import reproject
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import MosaicResult
 from geomosaic.product.options import RenderOptions
+from geomosaic.project.area import Area
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import Area, make_mosaic, reference_scene
+from geomosaic.project.make import make_mosaic, reference_scene
 
 RealData = Callable[[str], Path]
 

@@ -30,9 +30,9 @@ PLAIN = RenderOptions(threads=2, driver="GTiff", overwrite=True)
 
 def fitted(path: Path, crs: str, size: tuple[int, int], model: str, **more: object) -> Solution:
     """The fit alone, of control whose image is not at hand."""
-    reading = read_control(path, crs=crs, count=more.pop("count", None), image=more.pop("image", None))  # type: ignore[arg-type]
+    reading = read_control(path, crs=crs, count=more.pop("count", None), image=more.pop("image", None))
     frame = fit_crs(reading.control, None, None)
-    return solve(reading, "image", size, frame, FitRequest(model, insist=True, **more), None, "metre")  # type: ignore[arg-type]
+    return solve(reading, "image", size, frame, FitRequest(model, insist=True, **more), None, "metre")
 
 
 # Sentinel-1 quicklook: 210 points in the file, longitude and latitude, a radar image (mirrored).

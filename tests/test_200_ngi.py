@@ -16,8 +16,9 @@ from geomosaic.product.checks.check import against_reference
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import MosaicResult
 from geomosaic.product.options import RenderOptions
+from geomosaic.project.area import Area
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import Area, make_mosaic, make_ortho
+from geomosaic.project.make import make_mosaic, make_ortho
 
 RealData = Callable[[str], Path]
 

@@ -25,9 +25,10 @@ from geomosaic.product.mosaic import beside
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.ortho import ortho
+from geomosaic.project.area import Area, plan
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import Area, make_mosaic, plan
+from geomosaic.project.make import make_mosaic
 
 RealData = Callable[[str], Path]
 RESOLUTION = 0.15

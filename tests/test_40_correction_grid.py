@@ -118,4 +118,4 @@ def test_state() -> None:
 def test_refused(change: dict[str, object], words: str) -> None:
     given = {"origin": [0.0, 0.0], "spacing": [10.0, 10.0], "nodes": np.zeros((2, 2, 2)), **change}
     with pytest.raises(InputError, match=words):
-        CorrectionGrid(**given)  # type: ignore[arg-type]
+        CorrectionGrid(**given)

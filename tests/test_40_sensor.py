@@ -249,7 +249,7 @@ def test_missing_member_fails() -> None:
         seed = camera().seed
         parameters = camera().parameters
 
-    assert "lacks a member" in failures(Half(), GROUND)["test_members"]  # type: ignore[arg-type]
+    assert "lacks a member" in failures(Half(), GROUND)["test_members"]
 
 
 def test_ground_of_another_place_fails() -> None:

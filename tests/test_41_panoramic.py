@@ -17,15 +17,15 @@ from solve_rig import MAP, PLACE, control
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.local import LocalFrame, map_place
 from geomosaic.product.options import RenderOptions
+from geomosaic.project.area import Area
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import Area, make_ortho
+from geomosaic.project.make import make_ortho
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground, resect
 from geomosaic.surface.plane import Plane
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.types import FloatArray
-from geomosaic_panoramic.geometry import cell_size, swath
 from geomosaic_panoramic.model import PanoramicModel
 
 SIZE = (1000, 1200)
@@ -75,16 +75,18 @@ def test_the_plugin() -> None:
 
 
 def test_swath_and_cells_are_those_of_the_textbook() -> None:
+    """Swath 2·H·tan(θ/2), a cell β·H·sec² φ across the track."""
     model = made(LEVEL)
     edges = flat(model, np.array([[0.0, 600.0], [1000.0, 600.0]]), HEIGHT - GROUND)
-    assert np.hypot(*(edges[1] - edges[0])[:2]) == pytest.approx(swath(HEIGHT - GROUND, math.radians(90)), rel=1e-9)
-    assert swath(6000.0, math.radians(90.0)) == pytest.approx(12_000.0)  # the textbook's example
+    assert np.hypot(*(edges[1] - edges[0])[:2]) == pytest.approx(
+        2.0 * (HEIGHT - GROUND) * math.tan(math.radians(45.0)), rel=1e-9
+    )
     beta = math.radians(90.0) / 1000
     for degrees in (0.0, 20.0, 40.0):
         col = 500 + math.radians(degrees) / beta
         ends = flat(model, np.array([[col - 0.5, 600.0], [col + 0.5, 600.0]]), HEIGHT - GROUND)
         across = np.hypot(*(ends[1] - ends[0])[:2])
-        assert across == pytest.approx(cell_size(HEIGHT - GROUND, beta, math.radians(degrees))[1], rel=2e-6)
+        assert across == pytest.approx(beta * (HEIGHT - GROUND) / math.cos(math.radians(degrees)) ** 2, rel=2e-6)
 
 
 def test_tangential_distortion_compresses_the_edges_and_bends_what_runs_aslant() -> None:

@@ -140,7 +140,7 @@ def door(points: np.ndarray, image: np.ndarray, tmp_path: object, **more: object
         for k, ((x, y, z), (col, row)) in enumerate(zip(xyz.tolist(), image.tolist(), strict=True))
     ]
     options = {"rpc": path, "points": table, **more}
-    made = registry.build("rpc", SensorRequest("scene.tif", rig.SIZE, options, crs))  # type: ignore[arg-type]
+    made = registry.build("rpc", SensorRequest("scene.tif", rig.SIZE, options, crs))
     assert isinstance(made, RpcModel)
     return made
 

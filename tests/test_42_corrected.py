@@ -70,7 +70,7 @@ def test_rays_only_where_the_model_has_them() -> None:
     origins, directions = model.rays(colrow)
     back = model.ground_to_image(origins + 900.0 * directions)
     # The camera's own undistortion is part of the way; its share is what it misses without the grid.
-    bare_origins, bare = camera.rays(colrow)  # type: ignore[attr-defined]
+    bare_origins, bare = camera.rays(colrow)
     own = np.abs(camera.ground_to_image(bare_origins + 900.0 * bare) - colrow).max()
     assert np.abs(back - colrow).max() < 1e-9 + 2.0 * own
 

@@ -22,7 +22,7 @@ PLANE = Plane(GROUND, GROUND_HEIGHT)
 
 
 def scene(name: str = "photo", **camera: object) -> Scene:
-    return Scene(name, f"{name}.tif", "pinhole", PinholeOverMap(**camera))  # type: ignore[arg-type]
+    return Scene(name, f"{name}.tif", "pinhole", PinholeOverMap(**camera))
 
 
 def on_the_plane(model: PinholeOverMap, colrow: np.ndarray, height: float = GROUND_HEIGHT) -> np.ndarray:

@@ -41,7 +41,7 @@ def control(**changes: object) -> ImageControl:
         "enabled": np.array([True, True]),
         "origins": (Origin("f.csv", 2), Origin("f.csv", 3)),
     }
-    return ImageControl(**{**values, **changes})  # type: ignore[arg-type]
+    return ImageControl(**{**values, **changes})
 
 
 def test_value_is_frozen_and_selects() -> None:
@@ -293,7 +293,7 @@ def test_options_that_have_no_meaning(write: Write) -> None:
     path = write(TABLES["commas"])
     for option in ({"format": "xml"}, {"sign": "up"}, {"count": "edge"}, {"count": "centre", "format": "qgis"}):
         with pytest.raises(InputError):
-            read_control(path, crs=UTM, **option)  # type: ignore[arg-type]
+            read_control(path, crs=UTM, **option)
     for missing in (path.parent, path.parent / "absent.csv"):
         with pytest.raises(GeomosaicError):
             recognise(missing)

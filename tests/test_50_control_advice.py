@@ -42,7 +42,7 @@ def good(colrow: FloatArray = LIKE_A_GRID, crs: str = "EPSG:32633", **how: objec
     return ImageControl(
         tuple(f"P{i}" for i in range(count)),
         colrow + noise,
-        ground(colrow, **how),  # type: ignore[arg-type]
+        ground(colrow, **how),
         CRS(crs),
         np.ones(count),
         ("control",) * count,
@@ -56,7 +56,7 @@ def degrees(control: ImageControl) -> ImageControl:
 
 
 def moved(control: ImageControl, **parts: FloatArray) -> ImageControl:
-    return replace(control, **parts)  # type: ignore[arg-type]
+    return replace(control, **parts)
 
 
 def codes(found: tuple[Advice, ...]) -> list[str]:
@@ -242,7 +242,7 @@ CASES: dict[str, tuple[Callable[[], ImageControl], list[str], str, dict[str, obj
 def test_bad_control(
     make: Callable[[], ImageControl], expected: list[str], message: str, options: dict[str, object]
 ) -> None:
-    found = advise(make(), **{"size": SIZE, **options})  # type: ignore[arg-type]
+    found = advise(make(), **{"size": SIZE, **options})
     assert codes(found) == expected
     assert re.search(message, found[0].what), found[0].what
     assert all(advice.mend for advice in found)
@@ -252,7 +252,7 @@ def table_rows() -> list[str]:
     """What is said of every case, as lines of the table of the docs (see `test_70_georeference_advice.py`)."""
     lines = []
     for case, (make, _, _, options) in CASES.items():
-        for advice in advise(make(), **{"size": SIZE, **options})[:1]:  # type: ignore[arg-type]
+        for advice in advise(make(), **{"size": SIZE, **options})[:1]:
             lines.append(f"| {case} | `{advice.code}` ({advice.severity}) | {advice.what} | {advice.mend} |")
     return lines
 

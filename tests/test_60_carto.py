@@ -320,13 +320,13 @@ def test_names_along_lines() -> None:
     """On the line, where it is straight, never upside down; nowhere on a line that is too short or too bent."""
     bent = np.array([(0, 0), (5, 0), (5, 5), (45, 25), (45, 60)], dtype=float)
     for path in (bent, bent[::-1]):
-        spots = along_line(path, 15.0, 2.0)
+        spots = along_line(path, 15.0)
         assert spots[0].angle == pytest.approx(math.degrees(math.atan2(20, 40)), abs=0.01)
         assert shapely.LineString(path).distance(shapely.Point(spots[0].x, spots[0].y)) < 1e-9
         assert all(-90 < spot.angle <= 90 for spot in spots)
-    assert along_line(bent[:2], 15.0, 2.0) == []
+    assert along_line(bent[:2], 15.0) == []
     turns = np.radians(np.arange(0, 720, 20.0))
-    assert along_line(np.column_stack([3 * np.cos(turns), 3 * np.sin(turns)]), 15.0, 2.0) == []
+    assert along_line(np.column_stack([3 * np.cos(turns), 3 * np.sin(turns)]), 15.0) == []
     assert [upright(a) for a in (0, 90, 91, 180, -90, -45, 270)] == [0, 90, -89, 0, 90, -45, 90]
 
 

@@ -23,7 +23,7 @@ def heights(formula: object, size: int = 101) -> Heights:
     """Nodes of a formula z(x, y), metres from the middle of the grid."""
     middle = CELL * (size - 1) / 2
     col, row = np.meshgrid(np.arange(size), np.arange(size))
-    return Heights(formula(col * CELL - middle, middle - row * CELL), PLACE)  # type: ignore[operator]
+    return Heights(formula(col * CELL - middle, middle - row * CELL), PLACE)
 
 
 def from_middle(xy: np.ndarray, size: int = 101) -> np.ndarray:
@@ -128,7 +128,7 @@ def test_figures_look_uphill() -> None:
     checked = 0
     for c in trace(hill, 5.0, shortest=60.0):
         path = c.xy  # a page on which a millimetre is a metre
-        for spot in along_line(path, 12.0, 2.0, bend=15.0)[:3]:
+        for spot in along_line(path, 12.0, bend=15.0)[:3]:
             turned = uphill(spot, path)
             up = math.radians(turned.angle + 90.0)
             aside = 3.0 * np.array([[math.cos(up), math.sin(up)]])

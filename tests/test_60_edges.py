@@ -20,7 +20,7 @@ KINDS = ["conformal", "affine", "projective"]
 
 
 def matched(r: Rig, **options: object) -> EdgeMatch:
-    return match_edges(r.photos, r.control, r.common, **options)  # type: ignore[arg-type]
+    return match_edges(r.photos, r.control, r.common, **options)
 
 
 @pytest.mark.parametrize("kind", ["affine", "projective"])
@@ -146,7 +146,7 @@ def test_sigmas_describe_the_errors(trials: int) -> None:
         noisy = rig(2, "affine", seed=seed, bend=0.0, tilt=0.0)
         m = matched(noisy)
         for mine, true in zip(m.adjusted, truth.adjusted, strict=True):  # both on the same normalisation
-            np.testing.assert_array_equal(mine.centre, true.centre)  # type: ignore[attr-defined]
+            np.testing.assert_array_equal(mine.centre, true.centre)
         off = np.concatenate(
             [a.parameters.values - b.parameters.values for a, b in zip(m.adjusted, truth.adjusted, strict=True)]
         )

@@ -70,7 +70,9 @@ def test_what_bends_one_way_along_and_the_other_way_across_is_measured(tolerance
     """At the centres of cells such a mapping errs nowhere."""
     model = Squared()
     grid = Grid.from_bounds(MAP, (499000.0, 5499000.0, 501000.0, 5501000.0), 2.0)
-    for lattice in lattices_of(model, grid, tolerance):
+    lattices = lattices_of(model, grid, tolerance)
+    assert lattices
+    for lattice in lattices:
         error = true_error(model, grid, lattice)
         assert error <= tolerance
         assert error <= 1.5 * lattice.error + 1e-9

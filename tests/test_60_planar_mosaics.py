@@ -23,7 +23,7 @@ from geomosaic.errors import GeomosaicWarning, SolveError
 
 def azimuth_and_scale(transform: object) -> tuple[float, float]:
     """Direction of a photo's top, clockwise from north in degrees, and map units per pixel, by two points."""
-    down, up = transform.to_ground(np.array([[100.0, 1100.0], [100.0, 100.0]]))  # type: ignore[attr-defined]
+    down, up = transform.to_ground(np.array([[100.0, 1100.0], [100.0, 100.0]]))
     east, north = up - down
     return float(np.degrees(np.arctan2(east, north))), float(np.hypot(east, north) / 1000)
 

@@ -20,7 +20,7 @@ from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 def moved(block: PlanarBlock, point: str, photo: str, by: tuple[float, float]) -> PlanarBlock:
     """The block with one measurement shifted by pixels."""
 
-    def here(p):  # type: ignore[no-untyped-def]
+    def here(p):
         there = p.id == point and p.photo == photo
         return replace(p, col=p.col + by[0], row=p.row + by[1], where="points.csv, line 7") if there else p
 
@@ -102,7 +102,7 @@ def test_one_is_named_with_photo_size_and_line(kind: str, point: str, photo: str
     assert (kept.rms, said.done) == (adjust_quietly(bad, kind).rms, "keep")
 
 
-def adjust_quietly(block: PlanarBlock, kind: str):  # type: ignore[no-untyped-def]
+def adjust_quietly(block: PlanarBlock, kind: str):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GeomosaicWarning)
         return adjust(block, kind)

@@ -8,7 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from geomosaic.radiometry.gain_offset import Balance, Overlap, solve
+from geomosaic.radiometry.gain_offset import Balance, solve
+from geomosaic.radiometry.overlaps import Overlap
 
 IMAGES = 6
 CHAIN = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (0, 3), (1, 4)]
@@ -143,7 +144,8 @@ def test_a_small_block_does_not_load_scipy() -> None:
     code = """
 import sys
 import numpy as np
-from geomosaic.radiometry.gain_offset import Overlap, solve
+from geomosaic.radiometry.overlaps import Overlap
+from geomosaic.radiometry.gain_offset import solve
 values = np.arange(100.0)[:, None]
 assert solve(3, 1, [Overlap(0, 1, values, 0.8 * values)]).gain[1, 0] > 1.1
 assert "scipy" not in sys.modules

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from geomosaic.radiometry import drift
-from geomosaic.radiometry.gain_offset import LEAST_SIGMA, Overlap, solve
+from geomosaic.radiometry.gain_offset import LEAST_SIGMA, solve
+from geomosaic.radiometry.overlaps import Overlap
 
 PHOTOS = 50
 

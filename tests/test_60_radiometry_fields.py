@@ -7,7 +7,8 @@ import pytest
 
 from geomosaic.radiometry.choose import choose, solve_terms
 from geomosaic.radiometry.fields import Fields, solve_fields
-from geomosaic.radiometry.gain_offset import Overlap, solve
+from geomosaic.radiometry.gain_offset import solve
+from geomosaic.radiometry.overlaps import Overlap
 from geomosaic.radiometry.steps import Setting
 from geomosaic.radiometry.views import Views, gather
 
@@ -128,7 +129,7 @@ def test_known_cameras_come_back(name: str, noise: float) -> None:
     ],
 )
 def test_what_is_not_there_is_not_chosen(given: dict[str, float], wanted: set[str], unwanted: set[str]) -> None:
-    cameras = Cameras(**given)  # type: ignore[arg-type]
+    cameras = Cameras(**given)
     pairs = cameras.overlaps(noise=2.0)
     start = solve(cameras.count, 3, pairs)
     views = gather(pairs, cameras.places, 8000)

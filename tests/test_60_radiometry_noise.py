@@ -9,7 +9,8 @@ import pytest
 
 from geomosaic.errors import SolveError
 from geomosaic.radiometry import gain_offset
-from geomosaic.radiometry.gain_offset import Overlap, solve
+from geomosaic.radiometry.gain_offset import solve
+from geomosaic.radiometry.overlaps import Overlap
 from geomosaic.radiometry.relation import relate
 
 

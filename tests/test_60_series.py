@@ -114,7 +114,7 @@ def test_published_sheets(
 ) -> None:
     series = scheme(kind, scale)
     assert isinstance(series, GridScheme)
-    assert series.cell(name) == pytest.approx((*low, *high), abs=1e-12)  # type: ignore[misc]
+    assert series.cell(name) == pytest.approx((*low, *high), abs=1e-12)
     assert series.find(*place) == series.proper(name)
     assert series.scale == scale
 

@@ -13,8 +13,9 @@ from city_rig import CORNER, FOCAL, SIZE, write_image
 from geomosaic.errors import InputError
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.options import RenderOptions
+from geomosaic.project.area import Area
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import Area, make_mosaic
+from geomosaic.project.make import make_mosaic
 
 CENTRES = np.array([[120.0, 160.0, 420.0], [220.0, 160.0, 420.0]])
 LEVEL, PIXEL = 5.0, 2.0

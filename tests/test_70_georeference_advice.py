@@ -157,7 +157,7 @@ CASES: dict[str, tuple[str, ImageControl, str, dict[str, float]]] = {
 
 def found(points: ImageControl, model: str, more: dict[str, float]) -> list[Advice]:
     """Findings of a fit and its picture."""
-    request = FitRequest(model, insist=True, **more)  # type: ignore[arg-type]
+    request = FitRequest(model, insist=True, **more)
     solved = solve(Reading(points, "csv"), "photo.tif", SIZE, CRS, request, None, "m")
     outline = footprint(Scene("photo", "photo.tif", "planar", solved.fit.model), None, CRS)
     return [*solved.advice, *fold_advice(solved.fit.model, solved.fit.xyz, output_grid(CRS, [outline], 5.0))]
@@ -208,7 +208,7 @@ def test_of_good_control_nothing_is_said(model):
 
 def solved(points: ImageControl, **options: object) -> Solution:
     """What a request makes of control."""
-    request = FitRequest(**{"model": "auto", **options})  # type: ignore[arg-type]
+    request = FitRequest(**{"model": "auto", **options})
     return solve(Reading(points, "csv", ()), "scan.tif", SIZE, CRS, request, None, "m")
 
 

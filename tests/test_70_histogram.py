@@ -12,8 +12,6 @@ import pytest
 import rasterio
 from affine import Affine
 
-from geomosaic.cli.main import run
-
 LEFT, TOP, SIZE, STEP = 500_000.0, 5_500_000.0, 300, 180
 BENDS: list[Callable[[np.ndarray], np.ndarray]] = [
     lambda v: v,
@@ -43,16 +41,6 @@ def tile(path: Path, col: int, bend: Callable[[np.ndarray], np.ndarray], width: 
 @pytest.fixture
 def tiles(tmp_path) -> list[Path]:
     return [tile(tmp_path / f"t{i}.tif", i * STEP, bend) for i, bend in enumerate(BENDS)]
-
-
-@pytest.fixture
-def tell(capsys) -> Callable[..., tuple[int, str, str]]:
-    def call(*words: object) -> tuple[int, str, str]:
-        capsys.readouterr()
-        code = run([str(word) for word in words])
-        return code, *capsys.readouterr()
-
-    return call
 
 
 def miss(path: Path) -> np.ndarray:

@@ -14,8 +14,9 @@ from geomosaic.product.blend.options import Blending
 from geomosaic.product.depth import Depth
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.options import RenderOptions
+from geomosaic.project.area import Area
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import Area, make_mosaic
+from geomosaic.project.make import make_mosaic
 
 
 def two(folder: Path, one: np.ndarray, other: np.ndarray, **more: object) -> list[Path]:

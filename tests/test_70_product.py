@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
-import subprocess
-import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,98 +12,17 @@ import pytest
 import rasterio
 import shapely
 from affine import Affine
+from product_rig import GROUND, GSD, SIZE, SMALL, Job, Strip, bytes_of, job, make_strip, read, sha, write
 
-from geomosaic.block.block import Block
-from geomosaic.block.footprint import Footprint
-from geomosaic.block.scene import Scene
-from geomosaic.errors import GeomosaicError, InputError, OutputExistsError, RasterReadError
-from geomosaic.geo.crs import horizontal, parse_crs, with_heights
-from geomosaic.geo.grid import Grid
-from geomosaic.product.extent import footprints, output_grid
-from geomosaic.product.mosaic import beside, mosaic
-from geomosaic.product.mosaic_options import MosaicOptions
-from geomosaic.product.mosaic_result import MosaicResult
-from geomosaic.product.options import RenderOptions
-from geomosaic.product.ortho import OrthoResult, ortho
-from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.sensor.registry import build
+from geomosaic.product.mosaic import beside
+from geomosaic.product.ortho import OrthoResult
 from geomosaic.surface.dem import Dem
-from geomosaic.surface.model import Surface
-from geomosaic.testing.synthetic import CAMERA, AnalyticGround, SyntheticPhoto, coordinates, render, synthetic_block
-
-CRS3 = with_heights(parse_crs("EPSG:32633"), "egm96")
-MAP = horizontal(CRS3)
-GROUND = AnalyticGround(CRS3, origin=(400_000.0, 5_500_000.0), wavelength=8.0, spacing=1.0)
-SIZE, GSD = (400, 300), 2.0
-SMALL = {**CAMERA, "size": list(SIZE)}
+from geomosaic.testing.synthetic import CAMERA, AnalyticGround, SyntheticPhoto, coordinates, render
 
 
-def model_of(photo: SyntheticPhoto, camera: dict[str, Any]) -> Any:
-    """The photo's model by the public door."""
-    omega, phi, kappa = photo.angles
-    options = {
-        "camera": camera,
-        "position": list(photo.position),
-        "orientation": {"system": "opk", "omega": omega, "phi": phi, "kappa": kappa},
-        "ground_height": GROUND.base,
-    }
-    return build("frame", SensorRequest(photo.name, tuple(camera["size"]), options, CRS3))
-
-
-def write(path: Path, values: np.ndarray, **more: Any) -> Path:
-    """Write an image (rows, cols, bands) that knows nothing of its place."""
-    rows, cols, bands = values.shape
-    with rasterio.open(
-        path, "w", driver="GTiff", width=cols, height=rows, count=bands, dtype=values.dtype, tiled=True,
-        blockxsize=128, blockysize=128, **more,
-    ) as file:  # fmt: skip
-        file.write(values.transpose(2, 0, 1))
-    return path
-
-
-def read(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Values (rows, cols, bands) and whether they are valid (rows, cols)."""
-    with rasterio.open(path) as file:
-        return file.read().transpose(1, 2, 0), file.dataset_mask() > 0
-
-
-def sha(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-@dataclass(frozen=True)
-class Job:
-    """Photos of one block, ready for a product."""
-
-    block: Block
-    grid: Grid
-    outlines: list[Footprint]
-
-    def ortho(self, path: Path, index: int = 0, **options: Any) -> OrthoResult:
-        scene, outline = self.block.scenes[index], self.outlines[index]
-        return ortho(scene, self.block.surface, self.grid, outline, path, RenderOptions(overwrite=True, **options))
-
-    def mosaic(self, path: Path, feather: float | None = None, balance: bool = True, **options: Any) -> MosaicResult:
-        render_options = RenderOptions(overwrite=True, **options)
-        return mosaic(
-            self.block, self.grid, self.outlines, path, MosaicOptions(render_options, feather, balance, stac=False)
-        )
-
-
-def job(
-    surface: Surface,
-    files: Sequence[Path],
-    photos: Sequence[SyntheticPhoto],
-    resolution: float,
-    camera: dict[str, Any] | None = None,
-    nodata: float | None = None,
-) -> Job:
-    scenes = tuple(
-        Scene(photo.name, str(file), "frame", model_of(photo, camera or SMALL), nodata)
-        for file, photo in zip(files, photos, strict=True)
-    )
-    outlines = footprints(scenes, surface, MAP)
-    return Job(Block(scenes, surface), output_grid(MAP, outlines, resolution), outlines)
+@pytest.fixture(scope="module")
+def strip(tmp_path_factory: pytest.TempPathFactory) -> Strip:
+    return make_strip(tmp_path_factory.mktemp("strip"))
 
 
 # --- One photo against the ground it was taken of -----------------------------------------------------------------
@@ -176,47 +92,6 @@ def test_an_ortho_covers_what_the_photo_shows_and_nothing_else(strip: Strip, tmp
 
 
 # --- A block of photos --------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Strip:
-    """Four photos that overlap, their radiance as rendered, and the DEM."""
-
-    folder: Path
-    photos: list[SyntheticPhoto]
-    radiance: list[np.ndarray]
-    files: list[Path]
-    dem: Dem
-
-    def exposed(self, folder: Path, effect: Callable[[int, np.ndarray], np.ndarray], **more: Any) -> list[Path]:
-        """The photos with an effect each."""
-        folder.mkdir(exist_ok=True)
-        return [
-            write(folder / f"{photo.name}.tif", effect(i, values), **more)
-            for i, (photo, values) in enumerate(zip(self.photos, self.radiance, strict=True))
-        ]
-
-
-def bytes_of(values: np.ndarray) -> np.ndarray:
-    return np.clip(np.rint(20 + 200 * values), 0, 255).astype(np.uint8)
-
-
-@pytest.fixture(scope="module")
-def strip(tmp_path_factory: pytest.TempPathFactory) -> Strip:
-    folder = tmp_path_factory.mktemp("strip")
-    photos = synthetic_block(GROUND, SMALL, 2, 2, 0.6, 0.35, seed=5, gsd=GSD)
-    radiance = [render(photo.camera(SMALL, GROUND), GROUND, dtype=np.float32) for photo in photos]
-    files = [write(folder / f"{p.name}.tif", bytes_of(values)) for p, values in zip(photos, radiance, strict=True)]
-    nodes = np.arange(-1000.0, 1000.0, 2.0) + 1.0
-    x, y = np.meshgrid(nodes + GROUND.origin[0], nodes[::-1] + GROUND.origin[1])
-    heights = GROUND.height(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape).astype(np.float32)
-    path = folder / "dem.tif"
-    with rasterio.open(
-        path, "w", driver="GTiff", width=1000, height=1000, count=1, dtype="float32", crs="EPSG:32633+5773",
-        transform=Affine(2, 0, GROUND.origin[0] - 1000, 0, -2, GROUND.origin[1] + 1000), tiled=True,
-    ) as file:  # fmt: skip
-        file.write(heights, 1)
-    return Strip(folder, photos, radiance, files, Dem.open(path))
 
 
 RUNS = [(1, 1024), (2, 2048), (4, 1024), (4, 2048)]
@@ -437,181 +312,3 @@ def test_drone_over_towers_stays_within_the_tolerance(tmp_path: Path) -> None:
     assert inner.sum() > 30_000
     assert result.lattice_error <= 0.02
     assert miss.max() <= 0.02, f"worst {miss.max():.4f} px, reported {result.lattice_error:.4f} px"
-
-
-# --- What goes wrong is said, and leaves nothing behind -----------------------------------------------------------
-
-
-def refused(call: Callable[[], object], folder: Path, kind: type[GeomosaicError] = InputError) -> GeomosaicError:
-    """Call what must fail; nothing may be left of the output, whole or partial."""
-    before = {path.name for path in folder.iterdir()}
-    with pytest.raises(kind) as caught:
-        call()
-    assert {path.name for path in folder.iterdir()} == before
-    assert caught.value.what
-    assert caught.value.mend
-    return caught.value
-
-
-def test_an_image_outside_the_dem(strip: Strip, tmp_path: Path) -> None:
-    x, y, z = strip.photos[0].position
-    away = replace(strip.photos[0], position=(x + 9000.0, y, z))
-    error = refused(lambda: job(strip.dem, strip.files[:1], [away], GSD), tmp_path)
-    assert error.where == away.name
-    assert "DEM" in error.what
-
-
-def test_an_image_of_the_sky(strip: Strip, tmp_path: Path) -> None:
-    up = replace(strip.photos[0], angles=(180.0, 0.0, 0.0))
-    error = refused(lambda: job(strip.dem, strip.files[:1], [up], GSD), tmp_path)
-    assert "sky" in error.what
-    assert "angle" in str(error.mend)
-
-
-def test_an_image_that_is_not_the_models(strip: Strip, tmp_path: Path) -> None:
-    other = write(tmp_path / "other.tif", np.zeros((30, 40, 3), dtype=np.uint8))
-    made = job(strip.dem, [other, *strip.files[1:]], strip.photos, GSD)
-    for call in (made.ortho, made.mosaic):
-        error = refused(lambda call=call: call(tmp_path / "out.tif"), tmp_path)
-        assert error.where == str(other)
-        assert "40 x 30" in error.what
-        assert "400 x 300" in error.what
-
-
-@pytest.mark.parametrize(("values", "word"), [((300, 400, 1), "1 bands"), ((300, 400, 3), "uint16")])
-def test_images_that_do_not_go_together(strip: Strip, tmp_path: Path, values: tuple[int, ...], word: str) -> None:
-    other = write(tmp_path / "other.tif", np.ones(values, dtype="uint16" if word == "uint16" else "uint8"))
-    made = job(strip.dem, [*strip.files[:3], other], strip.photos, GSD)
-    error = refused(lambda: made.mosaic(tmp_path / "out.tif"), tmp_path)
-    assert error.where == str(other)
-    assert word in error.what
-
-
-def test_a_missing_image(strip: Strip, tmp_path: Path) -> None:
-    made = job(strip.dem, [tmp_path / "none.tif", *strip.files[1:]], strip.photos, GSD)
-    for call in (made.ortho, made.mosaic):
-        error = refused(lambda call=call: call(tmp_path / "out.tif"), tmp_path)
-        assert "none.tif" in str(error.where)
-
-
-def test_bounds_that_miss(strip: Strip, tmp_path: Path) -> None:
-    made = job(strip.dem, strip.files, strip.photos, GSD)
-    error = refused(lambda: output_grid(MAP, made.outlines, GSD, (0.0, 0.0, 1000.0, 1000.0)), tmp_path)
-    assert "bounds" in error.what
-    # Bounds within the outlines' box, where nevertheless no photo is: a corner of the grid.
-    left, _, _, top = made.grid.bounds
-    corner = replace(made, grid=output_grid(MAP, made.outlines, 0.1, (left, top - 2.0, left + 2.0, top)))
-    for call in (corner.ortho, corner.mosaic):
-        refused(lambda call=call: call(tmp_path / "out.tif"), tmp_path)
-
-
-def test_an_output_that_exists_stays(strip: Strip, tmp_path: Path) -> None:
-    made = job(strip.dem, strip.files, strip.photos, GSD)
-    old = tmp_path / "out.tif"
-    old.write_bytes(b"precious")
-    for call in (
-        lambda: ortho(made.block.scenes[0], made.block.surface, made.grid, made.outlines[0], old),
-        lambda: mosaic(made.block, made.grid, made.outlines, old),
-    ):
-        refused(call, tmp_path, OutputExistsError)
-        assert old.read_bytes() == b"precious"
-
-
-@pytest.mark.parametrize("kind", ["jpg", "tif"])
-def test_a_truncated_image(strip: Strip, sample: Path, tmp_path: Path, kind: str) -> None:
-    if kind == "jpg":
-        whole = sample / "photos" / "strip1_01.jpg"
-        camera, photo = CAMERA, SyntheticPhoto("cut", (400_010.0, 5_500_020.0, GROUND.base + 1000.0), (0.0, 0.0, 0.0))
-    else:
-        whole, camera, photo = strip.files[0], SMALL, strip.photos[0]
-    cut = tmp_path / f"cut.{kind}"
-    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
-
-    def run(product: str) -> None:
-        made = job(strip.dem, [cut], [photo], GSD, camera)
-        getattr(made, product)(tmp_path / "out.tif")
-
-    for product in ("ortho", "mosaic"):
-        error = refused(lambda product=product: run(product), tmp_path, RasterReadError)
-        assert "cut" in str(error.where)
-
-
-FULL_DISK = """
-import resource, sys
-from pathlib import Path
-import geomosaic.resample.kernels.place
-resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
-from geomosaic.cli.main import main
-main(sys.argv[1:])
-"""
-
-
-@pytest.mark.parametrize("command", ["ortho", "mosaic"])
-@pytest.mark.parametrize("driver", ["GTiff", "COG"])
-def test_a_full_disk(sample: Path, tmp_path: Path, command: str, driver: str) -> None:
-    """A limit on the size of files stands in for the disk: writing fails halfway through."""
-    images = sorted((sample / "photos").glob("strip1_0[12].jpg"))
-    words = [
-        command, *map(str, images[: 1 if command == "ortho" else 2]), "--sensor", "frame", "--camera", "camera.toml",
-        "--exterior", "exterior.csv", "--crs", "EPSG:32633", "--heights", "egm96", "--dem", "dem.tif", "--res", "1",
-        "-f", driver, "--co", "COMPRESS=NONE", "-o", str(tmp_path / "out.tif"),
-    ]  # fmt: skip
-    done = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, *words], cwd=sample, capture_output=True, text=True, timeout=120
-    )
-    assert done.returncode == 1, done.stderr
-    assert "out" in done.stderr
-    assert "mend" in done.stderr
-    assert "fault of geomosaic" not in done.stderr
-    assert not list(tmp_path.iterdir())
-
-
-# --- Memory -------------------------------------------------------------------------------------------------------
-
-# Not ru_maxrss: on Linux a child starts with the peak of the process that it was forked from.
-PEAK = """
-import sys
-from pathlib import Path
-from geomosaic.cli.main import run
-code = run(sys.argv[1:])
-status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-print(int(status["VmHWM"].split()[0]) / 1024)
-sys.exit(code)
-"""
-
-
-def peak(sample: Path, out: Path, command: str, resolution: float, limit: int, *more: str) -> tuple[float, int]:
-    """Peak resident megabytes of a run of its own, and its output's pixels."""
-    images = sorted((sample / "photos").glob("*.jpg"))
-    words = [
-        command, *map(str, images[: 1 if command == "ortho" else 12]), "--sensor", "frame", "--camera", "camera.toml",
-        "--exterior", "exterior.csv", "--crs", "EPSG:32633", "--heights", "egm96", "--dem", "dem.tif",
-        "--res", str(resolution), "--mem-limit", f"{limit}M", "--overwrite", "-o", str(out), *more,
-    ]  # fmt: skip
-    done = subprocess.run([sys.executable, "-c", PEAK, *words], cwd=sample, capture_output=True, text=True, timeout=500)
-    assert done.returncode == 0, done.stderr
-    with rasterio.open(out) as file:
-        return float(done.stdout.split()[-1]), file.width * file.height
-
-
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from /proc")
-@pytest.mark.parametrize("command", ["ortho", pytest.param("mosaic", marks=pytest.mark.slow)])
-def test_memory_does_not_grow_with_the_output(sample: Path, tmp_path: Path, command: str) -> None:
-    limit, fine = 512, 0.14 if command == "ortho" else 0.4
-    compiled = "--resampling", "cubic"  # the small one too has work enough for the compiled kernels
-    small, few = peak(sample, tmp_path / "out.tif", command, fine * 10**0.5, limit, *compiled)
-    large, many = peak(sample, tmp_path / "out.tif", command, fine, limit, *compiled)
-    assert many > 9.5 * few
-    assert large <= 1.2 * limit, f"{large:.0f} MB ({small:.0f} MB for a tenth of the output)"
-    assert large - small < 150, f"{small:.0f} MB to {large:.0f} MB"  # the ten times larger output has up to 270 MB
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("command", ["ortho", "mosaic"])
-def test_memory_of_a_large_output(sample: Path, tmp_path: Path, command: str) -> None:
-    limit, fine = 512, 0.07 if command == "ortho" else 0.12
-    small, few = peak(sample, tmp_path / "out.tif", command, fine * 10**0.5, limit)
-    large, many = peak(sample, tmp_path / "out.tif", command, fine, limit)
-    assert many > 9.5 * few
-    assert many * 3 > 0.35e9  # three bands of it would not fit beside the program
-    assert large <= 1.2 * limit, f"{large:.0f} MB ({small:.0f} MB for a tenth of the output)"

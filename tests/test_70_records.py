@@ -19,8 +19,8 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.errors import OutputError, OutputExistsError
 from geomosaic.geo.grid import Grid
 from geomosaic.product.ortho import GeometryRecord
-from geomosaic.product.records import write_item, write_vectors
-from geomosaic.product.taken import time_span
+from geomosaic.product.records.files import write_item, write_vectors
+from geomosaic.product.records.taken import time_span
 from geomosaic.radiometry.gain_offset import solve
 from geomosaic.raster.output import partial, remove
 from geomosaic.raster.vector import read_layer

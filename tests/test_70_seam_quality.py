@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ import rasterio
 from affine import Affine
 from scipy.ndimage import gaussian_filter
 
-from geomosaic.cli.main import run
 from geomosaic.product.report.seams import seam_limit, strip
 from geomosaic.raster.vector import read_layer
 
@@ -28,16 +26,6 @@ def tile(path: Path, col: int, shift: tuple[float, float] = (0, 0), offset: floa
     with rasterio.open(path, "w", transform=place, **profile) as dataset:
         dataset.write(np.clip(ground[None, :, col : col + SIDE] + offset, 0, 255).astype("uint8"))
     return path
-
-
-@pytest.fixture
-def tell(capsys) -> Callable[..., tuple[int, str, str]]:
-    def call(*words: object) -> tuple[int, str, str]:
-        capsys.readouterr()
-        code = run([str(word) for word in words])
-        return code, *capsys.readouterr()
-
-    return call
 
 
 @pytest.mark.parametrize("balance", [True, False])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import geopandas
@@ -15,7 +14,6 @@ import rasterio
 import shapely
 from affine import Affine
 
-from geomosaic.cli.main import run
 from geomosaic.raster.vector import read_layer
 
 LEFT, TOP, WIDTH, HEIGHT, STEP = 500_000.0, 5_500_000.0, 600, 420, 300
@@ -37,16 +35,6 @@ def tile(path: Path, col: int, house: int) -> Path:
 @pytest.fixture
 def tiles(tmp_path) -> list[Path]:
     return [tile(tmp_path / "a.tif", 0, 220), tile(tmp_path / "b.tif", STEP, 20)]
-
-
-@pytest.fixture
-def tell(capsys) -> Callable[..., tuple[int, str, str]]:
-    def call(*words: object) -> tuple[int, str, str]:
-        capsys.readouterr()
-        code = run([str(word) for word in words])
-        return code, *capsys.readouterr()
-
-    return call
 
 
 def house(path: Path) -> np.ndarray:

@@ -20,8 +20,9 @@ from geomosaic.geo.transform import Transform
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.visibility import Visibility
+from geomosaic.project.area import Area
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import Area, make_mosaic, make_ortho
+from geomosaic.project.make import make_mosaic, make_ortho
 from geomosaic.raster.vector import read_layer
 from geomosaic.sensor import registry
 from geomosaic.sensor.ground import Ground

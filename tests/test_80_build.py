@@ -77,8 +77,8 @@ def test_a_reconstruction_of_opendronemap_is_in_map_axes(sample: Path, tmp_path:
     by_table = replace(given, exterior=table, angles="opk", options={"camera": lens}, angle_unit="deg")
     one, other = (build_block(each).scenes[0].model for each in (given, by_table))
     rays = np.array([[0.5, 0.5], [600.0, 450.0], [1100.0, 30.0]])
-    assert np.allclose(one.rays(rays)[0], other.rays(rays)[0], atol=1e-6)  # type: ignore[attr-defined]
-    assert np.allclose(one.rays(rays)[1], other.rays(rays)[1], atol=1e-12)  # type: ignore[attr-defined]
+    assert np.allclose(one.rays(rays)[0], other.rays(rays)[0], atol=1e-6)
+    assert np.allclose(one.rays(rays)[1], other.rays(rays)[1], atol=1e-12)
     # As OpenSfM's own it counts from true north: 0.76° off here.
     turned = build_block(replace(given, angles="opensfm")).scenes[0].model
     ground = Transform(by_crs(), one.crs)(np.array([[x - 30.0, y + 240.0, 480.0]]))

@@ -17,10 +17,11 @@ from scipy.ndimage import binary_erosion
 from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
 from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.options import RenderOptions
+from geomosaic.project.area import Area
 from geomosaic.project.build import build_block
 from geomosaic.project.draft.needs import needs
 from geomosaic.project.inputs import BlockInputs, PlanarInputs
-from geomosaic.project.make import Area, make_planar_mosaic
+from geomosaic.project.make import make_planar_mosaic
 from geomosaic.testing.synthetic import coordinates, render
 
 CRS = "EPSG:32633"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -45,16 +44,6 @@ def done(sample, tmp_path_factory) -> Path:
 def own(done, tmp_path) -> Path:
     shutil.copytree(done.parent, tmp_path / "own")
     return tmp_path / "own" / done.name
-
-
-@pytest.fixture
-def tell(capsys) -> Callable[..., tuple[int, str, str]]:
-    def call(*words: object) -> tuple[int, str, str]:
-        capsys.readouterr()
-        code = run([str(word) for word in words])
-        return code, *capsys.readouterr()
-
-    return call
 
 
 def facts(project: Path) -> dict[str, int]:
@@ -212,7 +201,7 @@ def test_a_forced_run_takes_nothing_of_the_earlier_one(own, tell):
 
 
 def test_views_are_kept_where_the_pixels_are(own, tell, monkeypatch):
-    from geomosaic.product import provenance
+    from geomosaic.product.records import provenance
 
     looked: list[object] = []
     between = provenance.between

@@ -7,11 +7,14 @@ import re
 import types
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, field, fields, is_dataclass
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from geomosaic.errors import InputError, did_you_mean
 
-T = TypeVar("T")
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T", bound="DataclassInstance")
 
 COLORS = {
     "black": "#000000", "white": "#ffffff", "red": "#d7191c", "green": "#1a9641", "blue": "#2c6fbb",
@@ -59,7 +62,7 @@ def build(kind: type[T], values: Mapping[str, Any], where: str, table: str = "")
     InputError
         An unknown key (with the one that was probably meant), a value of another kind, out of its limits, or missing.
     """
-    known = {item.name.rstrip("_"): item for item in fields(kind) if item.init}  # type: ignore[arg-type]
+    known = {item.name.rstrip("_"): item for item in fields(kind) if item.init}
     hints = get_type_hints(kind)
     place = f"{where}, [{table}]" if table else where
     for key in values:

@@ -138,7 +138,7 @@ def around_point(x: float, y: float, width: float, height: float, radius: float)
 
 
 def along_line(
-    path: FloatArray, width: float, height: float, *, bend: float = 20.0, offset: float = 0.0, ends: float = 0.0
+    path: FloatArray, width: float, *, bend: float = 20.0, offset: float = 0.0, ends: float = 0.0
 ) -> list[Spot]:
     """Places for a straight text on a line, best first: near the middle, where the line is straight.
 
@@ -146,7 +146,7 @@ def along_line(
     ----------
     path : array (N, 2)
         In mm on the page.
-    width, height : float
+    width : float
         Of the text.
     bend : float
         Largest turn of the line under the text, degrees.

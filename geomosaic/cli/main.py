@@ -45,7 +45,7 @@ COMMANDS: dict[str, str] = {
 
 
 class LazyGroup(click.Group):
-    """A group whose commands are modules `geomosaic.cli.<name>` with an attribute `command`."""
+    """A group whose commands are modules `geomosaic.cli.commands.<name>` with an attribute `command`."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names in the order of the table."""
@@ -55,7 +55,7 @@ class LazyGroup(click.Group):
         """Import one command."""
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = import_module(f"geomosaic.cli.{cmd_name}").command
+        command: click.Command = import_module(f"geomosaic.cli.commands.{cmd_name}").command
         return command
 
     def resolve_command(

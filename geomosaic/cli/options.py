@@ -31,6 +31,11 @@ def stack(*decorators: Callable[[Any], Any]) -> Callable[[Function], Function]:
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 debug_option = click.option("--debug", is_flag=True, expose_value=False, help="Show the traceback of an error.")
 
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+dem_heights_option = click.option(
+    "--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it."
+)
+
 machine_options = stack(
     click.option("--threads", type=click.IntRange(1), help="Worker threads.  [default: all processors]"),
     click.option(
@@ -153,7 +158,7 @@ output_options = stack(
         help="Creation option of the format, as GDAL names it.",
     ),
     click.option("-o", "--output", type=FILE, required=True, help="File to write."),
-    click.option("--overwrite", is_flag=True, help="Replace the output if it exists."),
+    overwrite_option,
 )
 
 usable_options = stack(

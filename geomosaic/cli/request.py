@@ -13,8 +13,8 @@ from geomosaic.cli.talk import Progress
 if TYPE_CHECKING:
     from geomosaic.product.mosaic_options import MosaicOptions
     from geomosaic.product.options import RenderOptions
+    from geomosaic.project.area import Area
     from geomosaic.project.inputs import BlockInputs, PlanarInputs
-    from geomosaic.project.make import Area
     from geomosaic.seam.cost import SeamWeights
 
 
@@ -104,7 +104,7 @@ def value(text: str) -> Any:
 
 def area(flags: Mapping[str, Any]) -> Area:
     """Make the description of the output's place."""
-    from geomosaic.project.make import Area
+    from geomosaic.project.area import Area
 
     return Area(flags["dst_crs"], flags["res"], flags["bounds"], like=flags.get("like"))
 

@@ -8,7 +8,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, TextIO
+from typing import Any
 
 import click
 
@@ -41,14 +41,7 @@ def notes() -> Iterator[None]:
     """Print geomosaic's warnings as notes, each once, and keep everyone else's quiet."""
     told: set[str] = set()
 
-    def show(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        file: TextIO | None = None,
-        line: str | None = None,
-    ) -> None:
+    def show(message: Warning | str, category: type[Warning], *where: Any, **how: Any) -> None:
         if issubclass(category, GeomosaicWarning) and str(message) not in told:
             told.add(str(message))
             say(f"note: {message}")

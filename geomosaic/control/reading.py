@@ -80,7 +80,8 @@ def ground_crs(said: str | CRS | None, given: str | CRS | None, where: str) -> C
     """
     stated = parse_crs(said, where) if said else None
     wanted = parse_crs(given, "the CRS given for the control") if given else None
-    if stated is None and wanted is None:
+    found = stated or wanted
+    if found is None:
         raise InputError(
             "the file does not say which CRS its ground coordinates are in",
             where=where,
@@ -92,7 +93,7 @@ def ground_crs(said: str | CRS | None, given: str | CRS | None, where: str) -> C
             where=where,
             mend="give none, or correct the file; control is transformed to the CRS of the output by itself",
         )
-    return stated or wanted  # type: ignore[return-value]
+    return found
 
 
 def choose_image(names: Sequence[str], image: str | None, path: str) -> set[str]:

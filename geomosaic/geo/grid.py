@@ -44,6 +44,11 @@ class Window:
         col, row = max(self.col, other.col), max(self.row, other.row)
         return Window(col, row, min(self.stop_col, other.stop_col) - col, min(self.stop_row, other.stop_row) - row)
 
+    def slices_in(self, outer: Window) -> tuple[slice, slice]:
+        """Rows and columns of this window in an array of another window that holds it."""
+        row, col = self.row - outer.row, self.col - outer.col
+        return slice(row, row + self.height), slice(col, col + self.width)
+
     def split(self, width: int, height: int) -> list[Window]:
         """Cut into pieces of at most width × height, row by row, from the upper left."""
         return [

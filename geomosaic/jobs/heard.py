@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import Any
 
 from geomosaic.errors import GeomosaicWarning
 
@@ -16,17 +16,10 @@ def heard() -> Iterator[list[str]]:
     texts: list[str] = []
     before = warnings.showwarning
 
-    def show(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        file: TextIO | None = None,
-        line: str | None = None,
-    ) -> None:
+    def show(message: Warning | str, category: type[Warning], *where: Any, **how: Any) -> None:
         if issubclass(category, GeomosaicWarning) and str(message) not in texts:
             texts.append(str(message))
-        before(message, category, filename, lineno, file, line)
+        before(message, category, *where, **how)
 
     warnings.showwarning = show
     try:

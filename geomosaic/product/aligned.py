@@ -64,15 +64,16 @@ def picked(source: Source, offset: Offset, step: int, window: Window, out: AnyAr
     """
     at = offset[0] + step // 2, offset[1] + step // 2  # of the middle pixel of cell 0
     size = source.info.width, source.info.height
-    low = [max(start, -(place // step)) for start, place in zip((window.col, window.row), at, strict=True)]
-    ends = zip((window.stop_col, window.stop_row), at, size, strict=True)
-    high = [min(stop, -((place - length) // step)) for stop, place, length in ends]
-    if low[0] >= high[0] or low[1] >= high[1]:
+    (col, stop_col), (row, stop_row) = (
+        (-(place // step), -((place - length) // step)) for place, length in zip(at, size, strict=True)
+    )
+    part = Window(col, row, stop_col - col, stop_row - row).intersection(window)
+    if part.empty:
         return
-    first = at[0] + low[0] * step, at[1] + low[1] * step
-    values, valid = source.picked(first, (high[0] - low[0], high[1] - low[1]), step)
+    first = at[0] + part.col * step, at[1] + part.row * step
+    values, valid = source.picked(first, (part.width, part.height), step)
     seen = np.ones(values.shape[:2], dtype=np.uint8) if valid is None else valid
-    inside = slice(low[1] - window.row, high[1] - window.row), slice(low[0] - window.col, high[0] - window.col)
+    inside = part.slices_in(window)
     np.copyto(out[inside], values, where=seen[..., None] > 0)
     out_valid[inside] = seen
 
@@ -131,10 +132,7 @@ def copied(
     if part.empty:
         return []
     values, valid = source.read(Window(part.col + offset[0], part.row + offset[1], part.width, part.height))
-    inside = (
-        slice(part.row - window.row, part.stop_row - window.row),
-        slice(part.col - window.col, part.stop_col - window.col),
-    )
+    inside = part.slices_in(window)
     mask = None if need is None or need.all() else _pixels(need)[inside]
     if valid is not None:
         mask = valid > 0 if mask is None else mask & (valid > 0)
@@ -188,10 +186,7 @@ def cell_means(source: Source, offset: Offset, window: Window, size: int, out: A
                 (part.col - cells.col, cells.stop_col - part.stop_col),
             )
             values, valid = np.pad(values, (*edges, (0, 0))), np.pad(valid, edges)
-        here = (
-            slice(strip.row - window.row, strip.stop_row - window.row),
-            slice(strip.col - window.col, strip.stop_col - window.col),
-        )
+        here = strip.slices_in(window)
         count = block_sum(valid, size, np.int32)
         out[here] = block_sum(values, size, np.float64) / np.maximum(count, 1)[..., None]
         out_valid[here] = 2 * count >= size * size

@@ -71,7 +71,7 @@ def developed_footprint(scene: Scene, model: DevelopedModel) -> DevelopedFootpri
     left, low, right, high = bounds
     ring = np.array([[left, low], [right, low], [right, high], [left, high]])
     parts = _polygon(whole, u, v)
-    centre, sampling = _best(model, parts, u, v, image)
+    centre, sampling = _best(parts, u, v, image)
     border = [image[0], image[-1], image[:, 0], image[:, -1]]
     complete = not any(_inside(edge, model.size).any() for edge in border)
     return DevelopedFootprint(scene.name, ring, centre, sampling, complete, parts)
@@ -138,9 +138,7 @@ def _polygon(cells: BoolArray, u: FloatArray, v: FloatArray) -> Any:
     return shapely.union_all(runs).simplify(0.0)
 
 
-def _best(
-    model: DevelopedModel, parts: Any, u: FloatArray, v: FloatArray, image: FloatArray
-) -> tuple[tuple[float, float], float]:
+def _best(parts: Any, u: FloatArray, v: FloatArray, image: FloatArray) -> tuple[tuple[float, float], float]:
     """The place seen best: the mean of the largest part, weighted by pixels per area; and the sampling there."""
     import shapely
 

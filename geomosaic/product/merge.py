@@ -17,8 +17,8 @@ from geomosaic.product.mosaic_options import MosaicOptions
 from geomosaic.product.mosaic_result import Clock, MosaicResult
 from geomosaic.product.ortho import samples
 from geomosaic.product.photos import Photos
-from geomosaic.product.provenance import source_facts
-from geomosaic.product.records import gains, write_item, write_vectors
+from geomosaic.product.records.files import gains, write_item, write_vectors
+from geomosaic.product.records.provenance import source_facts
 from geomosaic.product.seams.order import ordered
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_geotiff, check_output

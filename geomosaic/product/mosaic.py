@@ -27,8 +27,8 @@ from geomosaic.product.mosaic_unit import MosaicUnit, label_type
 from geomosaic.product.ortho import GeometryRecord, samples, tiles
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
-from geomosaic.product.provenance import source_facts, write_views
-from geomosaic.product.records import gains, write_item, write_vectors
+from geomosaic.product.records.files import gains, write_item, write_vectors
+from geomosaic.product.records.provenance import source_facts, write_views
 from geomosaic.product.reruns.earlier import Earlier
 from geomosaic.product.reruns.reuse import KeptUnit, Reuse, reuse_of
 from geomosaic.product.seams.quality import most_places, worst_places
@@ -145,7 +145,7 @@ def mosaic(
             with Clock(seconds, "views"):
                 write_views(views, labels, photos, render, reuse)
         if relief is not None and labels is not None and options.displacement is not None:
-            from geomosaic.product.displacement import write_displacement
+            from geomosaic.product.records.displacement import write_displacement
 
             with Clock(seconds, "displacement"):
                 write_displacement(relief, labels, photos, options.displacement, render)

@@ -18,7 +18,7 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.product.extent import check_size
-from geomosaic.project.make import Area, plan
+from geomosaic.project.area import Area, plan
 from geomosaic.raster.info import inspect
 from geomosaic.surface.model import Surface
 

@@ -20,8 +20,9 @@ import numpy as np
 from geomosaic.errors import SolveError
 from geomosaic.radiometry import drift
 from geomosaic.radiometry.curve import Curve
+from geomosaic.radiometry.overlaps import Overlap
 from geomosaic.radiometry.relation import Relation, relate
-from geomosaic.types import AnyArray, FloatArray, IntArray
+from geomosaic.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from geomosaic.radiometry.choose import Trial
@@ -34,27 +35,6 @@ LEAST_SIGMA = 0.003
 """Of an observation, in the same units: one line per image is no exact model (vignetting, view angle)."""
 MOST_DENSE = 1000
 """Images beyond which the normal equations are kept sparse."""
-
-
-@dataclass(frozen=True)
-class Overlap:
-    """The same ground in two images.
-
-    Attributes
-    ----------
-    first, second : int
-        Numbers of the images.
-    a, b : array (N, bands)
-        Values in the first and in the second.
-    cells : int array (N, 2), optional
-        Column and row of each sample in the coarse grid that all images share.
-    """
-
-    first: int
-    second: int
-    a: AnyArray
-    b: AnyArray
-    cells: AnyArray | None = None
 
 
 @dataclass(frozen=True)
@@ -93,7 +73,15 @@ def solve(images: int, bands: int, overlaps: Sequence[Overlap], *, hold: bool = 
     """Solve gains and offsets of all images, band by band.
 
     An image without overlaps keeps gain 1 and offset 0. Clipped values are to be left out beforehand: they look too
-    much like the ground to be told from it. `hold` bounds the drift along strips, see `drift`.
+    much like the ground to be told from it.
+
+    Parameters
+    ----------
+    images, bands : int
+    overlaps : sequence of Overlap
+        Grey values of pairs of images, numbered from 0.
+    hold : bool
+        Bound the drift along strips, see `drift`.
 
     Raises
     ------

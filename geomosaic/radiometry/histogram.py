@@ -115,8 +115,7 @@ def common(one: Thumbnail, other: Thumbnail) -> tuple[AnyArray, AnyArray] | None
         return None
     views = []
     for piece in (one, other):
-        row, col = window.row - piece.window.row, window.col - piece.window.col
-        here = slice(row, row + window.height), slice(col, col + window.width)
+        here = window.slices_in(piece.window)
         views.append((piece.values[here], piece.valid[here] > 0))
     seen = views[0][1] & views[1][1]
     return (views[0][0][seen], views[1][0][seen]) if seen.any() else None

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.geo.grid import Window
-from geomosaic.radiometry.gain_offset import Overlap
 from geomosaic.types import AnyArray, ByteArray
 
 LEAST_CELLS = 25
@@ -16,6 +15,27 @@ LEAST_CELLS = 25
 MOST_CELLS = 500
 """Cells that are kept of an overlap: sampling then leaves (1 − ρ²)^½ · 4.5 % of a ratio of gains open."""
 _GOLDEN = (5**0.5 - 1) / 2
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """The same ground in two images.
+
+    Attributes
+    ----------
+    first, second : int
+        Numbers of the images.
+    a, b : array (N, bands)
+        Values in the first and in the second.
+    cells : int array (N, 2), optional
+        Column and row of each sample in the coarse grid that all images share.
+    """
+
+    first: int
+    second: int
+    a: AnyArray
+    b: AnyArray
+    cells: AnyArray | None = None
 
 
 @dataclass(frozen=True)
@@ -94,8 +114,7 @@ def compare(
         return None
     views, seen = [], np.ones((common.height, common.width), dtype=bool)
     for piece in (one, other):
-        row, col = common.row - piece.window.row, common.col - piece.window.col
-        here = slice(row, row + common.height), slice(col, col + common.width)
+        here = common.slices_in(piece.window)
         values = piece.values[here]
         seen &= piece.valid[here] > 0
         if clipped is not None:

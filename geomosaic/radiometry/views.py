@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.radiometry.gain_offset import Overlap
-from geomosaic.radiometry.overlaps import LEAST_CELLS
+from geomosaic.radiometry.overlaps import LEAST_CELLS, Overlap
 from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
 
 MOST_SAMPLES = 40_000

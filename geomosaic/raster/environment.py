@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import warnings
+from contextlib import AbstractContextManager
 from typing import Any
 
 import rasterio
@@ -48,7 +49,7 @@ warnings.filterwarnings("ignore", category=NotGeoreferencedWarning)
 logging.getLogger("rasterio").addHandler(logging.NullHandler())  # GDAL's messages come back as exceptions
 
 
-def environment(**settings: Any) -> Any:
+def environment(**settings: Any) -> AbstractContextManager[object]:
     """Return a context manager in which GDAL works with geomosaic's settings.
 
     Options hold for the thread that enters it, so every thread enters its own. Entered again inside of itself it does

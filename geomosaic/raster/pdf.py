@@ -13,10 +13,10 @@ from rasterio._err import CPLE_BaseError
 from rasterio.errors import RasterioError
 from rasterio.io import MemoryFile
 
-from geomosaic.errors import InputError, OutputError
+from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.raster.environment import environment
-from geomosaic.raster.output import check_output, partial, remove, sync
+from geomosaic.raster.output import check_output, under_construction
 from geomosaic.types import ByteArray, PathLike
 
 
@@ -45,40 +45,28 @@ def write_raster_pdf(
     """
     path = Path(path)
     check_output(path, overwrite=overwrite)
-    unfinished: Path | None = None
-    try:
-        with environment(), rasterio.Env() as gdal, warnings.catch_warnings():
-            if "PDF" not in gdal.drivers():
-                raise InputError(
-                    "this GDAL cannot write PDF",
-                    where=str(path),
-                    mend="leave out --driver PDF: the page is written then",
-                )
-            unfinished = partial(path)
-            # rasterio multiplies affines in a way that the affine library wants to end.
-            warnings.simplefilter("ignore", PendingDeprecationWarning)
-            bands = np.moveaxis(pixels, 2, 0)
-            crs = rasterio.crs.CRS.from_wkt(grid.crs.to_wkt())
-            with MemoryFile() as memory:
-                with memory.open(
-                    driver="GTiff", width=grid.width, height=grid.height, count=len(bands), dtype="uint8", crs=crs,
-                    transform=grid.transform, photometric="RGB",
-                ) as made:  # fmt: skip
-                    made.write(bands)
-                    made.update_tags(
-                        TITLE=title, CREATOR="geomosaic", PRODUCER="GDAL"
-                    )  # as options they would become capitals
-                with memory.open() as source:
-                    rasterio.shutil.copy(
-                        source, unfinished, driver="PDF", DPI=dpi, COMPRESS="DEFLATE", PREDICTOR=2,
-                        GEO_ENCODING="ISO32000",
-                    )  # fmt: skip
-        sync(unfinished)
-        unfinished.replace(path)
-        sync(path.parent)
-    except (OSError, RasterioError, CPLE_BaseError) as error:
-        raise OutputError(f"writing failed ({error})", where=str(path), mend="check the space on the disk") from error
-    finally:
-        if unfinished is not None:
-            remove(unfinished)
+    with environment(), rasterio.Env() as gdal, warnings.catch_warnings():
+        if "PDF" not in gdal.drivers():
+            raise InputError(
+                "this GDAL cannot write PDF",
+                where=str(path),
+                mend="leave out --driver PDF: the page is written then",
+            )
+        # rasterio multiplies affines in a way that the affine library wants to end.
+        warnings.simplefilter("ignore", PendingDeprecationWarning)
+        bands = np.moveaxis(pixels, 2, 0)
+        crs = rasterio.crs.CRS.from_wkt(grid.crs.to_wkt())
+        with under_construction(path, failures=(RasterioError, CPLE_BaseError)) as unfinished, MemoryFile() as memory:
+            with memory.open(
+                driver="GTiff", width=grid.width, height=grid.height, count=len(bands), dtype="uint8", crs=crs,
+                transform=grid.transform, photometric="RGB",
+            ) as made:  # fmt: skip
+                made.write(bands)
+                # As options they would become capitals.
+                made.update_tags(TITLE=title, CREATOR="geomosaic", PRODUCER="GDAL")
+            with memory.open() as source:
+                rasterio.shutil.copy(
+                    source, unfinished, driver="PDF", DPI=dpi, COMPRESS="DEFLATE", PREDICTOR=2,
+                    GEO_ENCODING="ISO32000",
+                )  # fmt: skip
     return path

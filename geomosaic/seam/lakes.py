@@ -95,15 +95,12 @@ def find_lakes(
     groups, _ = label(binary_opening(middle, np.ones((3, 3))))
     found: list[tuple[Lake, tuple[slice, slice], BoolArray]] = []
     for number, box in enumerate(find_objects(groups), start=1):
-        around = tuple(
-            slice(max(0, s.start - 2 * SHORE), min(size, s.stop + 2 * SHORE))
-            for s, size in zip(box, known.shape, strict=True)
-        )
+        around = _wider(box[0], known.shape[0]), _wider(box[1], known.shape[1])
         own = groups[around] == number
         if own.sum() >= smallest / 4:
             lake, shape = _judged(own, looks[around], uneven[around], heights[around], known[around], cell, tilt)
             if lake is not None and lake.cells >= smallest:
-                found.append((lake, around, shape))  # type: ignore[arg-type]
+                found.append((lake, around, shape))
     found.sort(key=lambda entry: -entry[0].cells)
     lakes: list[Lake] = []
     for lake, around, shape in found:
@@ -111,6 +108,11 @@ def find_lakes(
         out[around][free] = len(lakes)
         lakes.append(replace(lake, number=len(lakes)))
     return out, lakes
+
+
+def _wider(box: slice, size: int) -> slice:
+    """Rows or columns of a box, and those around it in which water may grow and its shore is looked at."""
+    return slice(max(0, box.start - 2 * SHORE), min(size, box.stop + 2 * SHORE))
 
 
 def _judged(

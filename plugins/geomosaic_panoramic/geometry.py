@@ -104,14 +104,3 @@ class Scan:
         if self.kind != "panoramic":
             return forward / max(track.pace, 1e-12)
         return tau - np.arctan2(self.side * right, down) / (beta * self.size[0])
-
-
-def swath(height: float, field_of_view: float) -> float:
-    """Width of the ground seen in one sweep from a height over flat ground: 2·H·tan(θ/2); the angle in radians."""
-    return float(2.0 * height * np.tan(field_of_view / 2.0))
-
-
-def cell_size(height: float, beta: float, angle: float) -> tuple[float, float]:
-    """Size of a ground cell along and across the track at a scan angle, β·H·sec φ and β·H·sec² φ; angles in radians."""
-    secant = 1.0 / np.cos(angle)
-    return float(beta * height * secant), float(beta * height * secant**2)

@@ -90,6 +90,9 @@ class PlanarModel:
     ) -> Self:
         """Make a model and find the ground it shows.
 
+        Parameters are the attributes of these names; `sigma` is that of every coefficient, and `where` names the image
+        in errors.
+
         Raises
         ------
         InputError

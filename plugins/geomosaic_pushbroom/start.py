@@ -8,6 +8,7 @@ up that direction; the ground a pixel covers across it gives the scale D / f.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -132,13 +133,18 @@ def _additional(given: Any, count: int, where: str) -> tuple[str, ...]:
     return chosen
 
 
-def _principal(options: Any, width: int, where: str) -> float:
+def _principal(options: Mapping[str, Any], width: int, where: str) -> float:
     given = options.get("principal_col")
     return width / 2.0 if given is None else number(given, "principal_col", where)
 
 
 def start_from_points(
-    ground: FloatArray, colrow: FloatArray, size: tuple[int, int], principal: float, options: Any, where: str
+    ground: FloatArray,
+    colrow: FloatArray,
+    size: tuple[int, int],
+    principal: float,
+    options: Mapping[str, Any],
+    where: str,
 ) -> Start:
     """Find first values from control points.
 

@@ -21,29 +21,29 @@ _BLOCK = 8192  # points at a time: the terms then stay in the processor's cache
 def terms(lph: FloatArray) -> FloatArray:
     """Return the 20 terms (20, N) at normalised ground points (N, 3): longitude, latitude, height."""
     out = np.empty((COUNT, len(lph)))
-    l, p, h = lph.T  # noqa: E741
+    L, P, H = lph.T
     out[0] = 1.0
-    out[1], out[2], out[3] = l, p, h
-    out[4], out[5], out[6] = l * p, l * h, p * h
-    out[7], out[8], out[9] = l * l, p * p, h * h
-    out[10] = out[4] * h
-    out[11], out[12], out[13] = out[7] * l, l * out[8], l * out[9]
-    out[14], out[15], out[16] = out[7] * p, out[8] * p, p * out[9]
-    out[17], out[18], out[19] = out[7] * h, out[8] * h, out[9] * h
+    out[1], out[2], out[3] = L, P, H
+    out[4], out[5], out[6] = L * P, L * H, P * H
+    out[7], out[8], out[9] = L * L, P * P, H * H
+    out[10] = out[4] * H
+    out[11], out[12], out[13] = out[7] * L, L * out[8], L * out[9]
+    out[14], out[15], out[16] = out[7] * P, out[8] * P, P * out[9]
+    out[17], out[18], out[19] = out[7] * H, out[8] * H, out[9] * H
     return out
 
 
 def slopes(lph: FloatArray) -> FloatArray:
     """Return the derivatives (3, 20, N) of the terms by L, P and H."""
     out = np.zeros((3, COUNT, len(lph)))
-    l, p, h = lph.T  # noqa: E741
+    L, P, H = lph.T
     by_l, by_p, by_h = out
-    by_l[1], by_l[4], by_l[5], by_l[7], by_l[10] = 1.0, p, h, 2.0 * l, p * h
-    by_l[11], by_l[12], by_l[13], by_l[14], by_l[17] = 3.0 * l * l, p * p, h * h, 2.0 * l * p, 2.0 * l * h
-    by_p[2], by_p[4], by_p[6], by_p[8], by_p[10] = 1.0, l, h, 2.0 * p, l * h
-    by_p[12], by_p[14], by_p[15], by_p[16], by_p[18] = 2.0 * l * p, l * l, 3.0 * p * p, h * h, 2.0 * p * h
-    by_h[3], by_h[5], by_h[6], by_h[9], by_h[10] = 1.0, l, p, 2.0 * h, l * p
-    by_h[13], by_h[16], by_h[17], by_h[18], by_h[19] = 2.0 * l * h, 2.0 * p * h, l * l, p * p, 3.0 * h * h
+    by_l[1], by_l[4], by_l[5], by_l[7], by_l[10] = 1.0, P, H, 2.0 * L, P * H
+    by_l[11], by_l[12], by_l[13], by_l[14], by_l[17] = 3.0 * L * L, P * P, H * H, 2.0 * L * P, 2.0 * L * H
+    by_p[2], by_p[4], by_p[6], by_p[8], by_p[10] = 1.0, L, H, 2.0 * P, L * H
+    by_p[12], by_p[14], by_p[15], by_p[16], by_p[18] = 2.0 * L * P, L * L, 3.0 * P * P, H * H, 2.0 * P * H
+    by_h[3], by_h[5], by_h[6], by_h[9], by_h[10] = 1.0, L, P, 2.0 * H, L * P
+    by_h[13], by_h[16], by_h[17], by_h[18], by_h[19] = 2.0 * L * H, 2.0 * P * H, L * L, P * P, 3.0 * H * H
     return out
 
 

@@ -95,7 +95,7 @@ def _spots(page: Page, name: Name, kind: str, label: Label, radius: float) -> li
         x, y = page.to_page(np.array([(parts[0].x, parts[0].y)]))[0]
         return around_point(float(x), float(y), width, height, radius)
     if kind == "line":
-        return along_line(page.to_page(np.asarray(parts[0].coords)), width, height, ends=1.0)
+        return along_line(page.to_page(np.asarray(parts[0].coords)), width, ends=1.0)
     import shapely
 
     largest = shapely.intersection(max(parts, key=lambda p: p.area), shapely.box(*page.bounds))
@@ -132,7 +132,7 @@ def place_heights(page: Page, contours: Sequence[Contour], part: ContoursPart, p
         path = page.to_page(contour.xy)
         length = float(np.hypot(*np.diff(path, axis=0).T).sum())
         for piece in _pieces(path, max(1, int(length / 120.0))):
-            spots = [uphill(spot, piece) for spot in along_line(piece, width, height, bend=15.0, ends=1.0)]
+            spots = [uphill(spot, piece) for spot in along_line(piece, width, bend=15.0, ends=1.0)]
             spots.sort(key=lambda spot: math.cos(math.radians(spot.angle)) < -0.17)  # stable: best first stays
             placed = placer.place(text, width, height, spots)
             if placed is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,10 +12,10 @@ from geomosaic.carto.draw.canvas import Canvas
 from geomosaic.carto.draw.sheet import Pixels, SheetParts, draw_map, draw_sheet
 from geomosaic.carto.geopdf import add_georeference
 from geomosaic.carto.page import Page
-from geomosaic.errors import InputError, OutputError
+from geomosaic.errors import InputError
 from geomosaic.geo.crs import is_local
 from geomosaic.geo.grid import Grid
-from geomosaic.raster.output import check_output, partial, remove, sync
+from geomosaic.raster.output import check_output, under_construction, write_text
 from geomosaic.raster.pdf import write_raster_pdf
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.webtiles import write_web
@@ -97,37 +96,15 @@ def write_sheet(
         return _geotiff(path, parts, pixels, dpi, files, overwrite=overwrite)
     canvas, told = draw_sheet(parts, pixels)
     if suffix == ".pdf":
-
-        def write(file: Path) -> None:
+        with under_construction(path) as file:
             canvas.save_pdf(file, parts.layout.sheet.title or "Map sheet")
             add_georeference(file, page)
-
-        _whole(path, write)
     else:
-        _whole(path, lambda file: _png(file, canvas, dpi))
+        with under_construction(path) as file:
+            _png(file, canvas, dpi)
         if files.world_file:
             _world_file(path, page_grid(page, dpi))
     return told
-
-
-def _whole(path: Path, write: Callable[[Path], None]) -> None:
-    """Write under another name, then rename."""
-    unfinished: Path | None = None
-    try:
-        unfinished = partial(path)
-        write(unfinished)
-        sync(unfinished)
-        unfinished.replace(path)
-        sync(path.parent)
-    except OSError as error:
-        raise OutputError(
-            f"writing failed ({error.strerror or error})",
-            where=str(path),
-            mend="check the space on the disk and the rights of the folder",
-        ) from error
-    finally:
-        if unfinished is not None:
-            remove(unfinished)
 
 
 def _png(path: Path, canvas: Canvas, dpi: int) -> None:
@@ -162,11 +139,7 @@ def _world_file(path: Path, grid: Grid) -> None:
     suffix = path.suffix[:2] + path.suffix.rstrip("f")[-1] + "w"  # .png: .pgw, .tif and .tiff: .tfw
     suffix = ".tfw" if path.suffix.lower().startswith(".tif") else suffix
     text = "".join(f"{value + 0.0:.12g}\n" for value in values)
-    _whole(path.with_suffix(suffix), lambda file: _text(file, text))
-
-
-def _text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="ascii", newline="\n")
+    write_text(path.with_suffix(suffix), text, overwrite=True, encoding="ascii")
 
 
 def _geotiff(

@@ -8,10 +8,10 @@ from geomosaic.jobs.facts import read_json
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Machine, Progress
 from geomosaic.product.options import RenderOptions
+from geomosaic.project.area import Area
 from geomosaic.project.frames import named
 from geomosaic.project.ground import build_surface
 from geomosaic.project.load import Project
-from geomosaic.project.make import Area
 from geomosaic.project.usable import with_usable
 from geomosaic.sensor.state import from_dict
 

@@ -91,9 +91,8 @@ class BandBlender(Blender):
         if label is None or zone is None or ground is None or ground.unknown:
             super().fill(window, unit)
             return
-        rows = slice(window.row - unit.window.row, window.stop_row - unit.window.row)
-        cols = slice(window.col - unit.window.col, window.stop_col - unit.window.col)
-        values, valid, number = unit.values[rows, cols], unit.valid[rows, cols], unit.label[rows, cols]
+        place = window.slices_in(unit.window)
+        values, valid, number = unit.values[place], unit.valid[place], unit.label[place]
         lattices: list[Lattices] = [{}, {}]
         below = self.below.block(window)
         shades, wide = (None, None) if self.sight is None else (self.sight.block(below), self.sight.block(ground))
@@ -192,19 +191,12 @@ class BandBlender(Blender):
         local = self._own(images, views, label)
         weights = self._weights(wide, images, views, local)
         part = zone.intersection(window)
-        inside = (
-            slice(part.row - wide.row, part.stop_row - wide.row),
-            slice(part.col - wide.col, part.stop_col - wide.col),
-        )
+        inside, block = part.slices_in(wide), part.slices_in(window)
         apart = differences(views, local, self.noise, self.steps)
         if weights is None:
             blend = in_bands(apart, local, self.levels, self.steps)
         else:
             blend = by_weights(apart, weights)
-        block = (
-            slice(part.row - window.row, part.stop_row - window.row),
-            slice(part.col - window.col, part.stop_col - window.col),
-        )
         corrected(
             [View(view.values[inside], view.valid[inside]) for view in views],
             [None if one is None else one[:, *inside] for one in apart],

@@ -92,9 +92,8 @@ class Blender:
         ground = self.below.block(window)
         if ground.unknown:
             return
-        rows = slice(window.row - unit.window.row, window.stop_row - unit.window.row)
-        cols = slice(window.col - unit.window.col, window.stop_col - unit.window.col)
-        values, valid, label = unit.values[rows, cols], unit.valid[rows, cols], unit.label[rows, cols]
+        place = window.slices_in(unit.window)
+        values, valid, label = unit.values[place], unit.valid[place], unit.label[place]
         shares = self._shares(window, near)
         lattices: Lattices = {}
         shades = None if self.sight is None else self.sight.block(ground)

@@ -95,9 +95,8 @@ class Ruler:
             ground = self.below.block(part)
             if ground.unknown:
                 continue
-            rows = slice(part.row - unit.window.row, part.stop_row - unit.window.row)
-            cols = slice(part.col - unit.window.col, part.stop_col - unit.window.col)
-            target = unit.values[rows, cols], unit.valid[rows, cols], unit.label[rows, cols]
+            place = part.slices_in(unit.window)
+            target = unit.values[place], unit.valid[place], unit.label[place]
             lattices = {}
             if self.rule in LABELLED:
                 self._lay(ground, near if self.rule == "first" else near[::-1], target, lattices)

@@ -74,11 +74,12 @@ def against_reference(
         `registration_rms_px`, `registration_robust_rms_px`, `shift_px` (median col, row), `shift_m`, `tiles`,
         `matched`, `colour_rms` per band, `colour_bias` per band, `pixels` compared.
     """
-    margin, found, total = reach + 2, [], _Totals()
+    margin, found = reach + 2, []
     with Source(truth, memory_limit=_HELD) as ours, Source(product, memory_limit=_HELD) as theirs:
         grid, own = _grid(ours), _grid(theirs)
         to_own = Transform(grid.crs, own.crs)
         bands = min(ours.info.bands, theirs.info.bands)
+        total = _Totals(np.zeros(bands), np.zeros(bands))
         # Rows of whole tiles at a time, with the margin that matching looks into: the tiles are those of the whole.
         many = max(1, _STRIP // (grid.width * max(ours.info.bands, theirs.info.bands) * 8 * tile))
         tiles = max(0, grid.height - 2 * margin) // tile
@@ -115,11 +116,11 @@ def against_reference(
 
 @dataclass
 class _Totals:
-    """Sums over pixels, per band."""
+    """Sums over pixels, per band (bands,)."""
 
+    sums: FloatArray
+    squares: FloatArray
     pixels: int = 0
-    sums: Any = 0.0
-    squares: Any = 0.0
 
     def add(self, difference: FloatArray) -> None:
         self.pixels += len(difference)

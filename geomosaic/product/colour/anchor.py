@@ -15,8 +15,7 @@ from geomosaic.product.colour.balance import thumbnail, without
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo
 from geomosaic.product.photos import Photos
-from geomosaic.radiometry.gain_offset import Overlap
-from geomosaic.radiometry.overlaps import Thumbnail, compare
+from geomosaic.radiometry.overlaps import Overlap, Thumbnail, compare
 from geomosaic.resample.warp import value_range
 
 

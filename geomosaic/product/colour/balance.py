@@ -14,8 +14,8 @@ from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo, pull
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
-from geomosaic.radiometry.gain_offset import Balance, Overlap, solve
-from geomosaic.radiometry.overlaps import Overlaps, Thumbnail
+from geomosaic.radiometry.gain_offset import Balance, solve
+from geomosaic.radiometry.overlaps import Overlap, Overlaps, Thumbnail
 from geomosaic.resample.engine import engine_for
 from geomosaic.resample.warp import Colour, value_range
 from geomosaic.sensor.ground import Ground
@@ -131,8 +131,7 @@ def thumbnail(
     # The window itself is cut into blocks, not the grid: only the heights below the photo are read.
     for part in window.split(BLOCK_WIDTH, BLOCK_HEIGHT):
         ground = below.block(part)
-        rows, cols = part.row - window.row, part.col - window.col
-        here = slice(rows, rows + part.height), slice(cols, cols + part.width)
+        here = part.slices_in(window)
         pull(
             engine, photo, grid, ground, resampling, NEAR_ENOUGH, colour, values[here], valid[here],
             most_samples=MOST_SAMPLES,

@@ -12,7 +12,8 @@ from geomosaic.geo.grid import Grid
 from geomosaic.product.colour.balance import comparison_grid, meet
 from geomosaic.product.colour.places import cameras, places_of, shade_of
 from geomosaic.product.photos import Photos
-from geomosaic.radiometry.gain_offset import Balance, Overlap, solve
+from geomosaic.radiometry.gain_offset import Balance, solve
+from geomosaic.radiometry.overlaps import Overlap
 from geomosaic.resample.warp import value_range
 from geomosaic.types import FloatArray
 
@@ -121,7 +122,7 @@ def _with_fields(
     gain, offset = _to_anchor(fields, anchor)
     shades = tuple(shade_of(photos, i, fields).then(gain, offset) for i in range(len(photos)))
     lines = [shade.line() for shade in shades]
-    before, after = _differences(views, fields, gain, offset, len(photos))
+    before, after = _differences(views, fields, gain, len(photos))
     return Balance(
         np.array([line[0] for line in lines]), np.array([line[1] for line in lines]), before, after,
         sum(1 for pair in pairs if pair.second < len(photos)), shades, fields, tuple(trials), tuple(notes),
@@ -180,9 +181,7 @@ def _after(pairs: list[Overlap], gain: FloatArray, offset: FloatArray) -> FloatA
     return np.sqrt(total / count) if count else np.full(len(total), np.nan)
 
 
-def _differences(
-    views: Views, fields: Fields, gain: FloatArray, offset: FloatArray, images: int
-) -> tuple[FloatArray, FloatArray]:
+def _differences(views: Views, fields: Fields, gain: FloatArray, images: int) -> tuple[FloatArray, FloatArray]:
     """Root mean square differences (bands,) between images before and after."""
     known = views.known & (views.second < images)[:, None]
     one, other = (values[known] for values in fields.corrected(views))

@@ -9,10 +9,9 @@ from typing import Any
 
 from pyproj import CRS
 
-from geomosaic.errors import OutputError
 from geomosaic.product.georeference.vectors import write_residuals
 from geomosaic.product.report.control import render_control
-from geomosaic.raster.output import check_output, partial, remove, sync
+from geomosaic.raster.output import write_text
 
 
 def write_files(
@@ -40,28 +39,3 @@ def write_files(
     write_text(files[".json"], text + "\n", overwrite=overwrite)
     write_text(files[".html"], render_control(facts, image), overwrite=overwrite)
     write_residuals(files[".gpkg"], facts["points"], source, crs, overwrite=overwrite)
-
-
-def write_text(path: Path, text: str, *, overwrite: bool) -> None:
-    """Write a text file, whole under its name or not at all.
-
-    Raises
-    ------
-    OutputExistsError, OutputError
-        The name is taken; writing failed.
-    """
-    check_output(path, overwrite=overwrite)
-    try:
-        unfinished = partial(path)
-        try:
-            unfinished.write_text(text, encoding="utf-8")
-            sync(unfinished)
-            unfinished.replace(path)
-        finally:
-            remove(unfinished)
-    except OSError as error:
-        raise OutputError(
-            f"writing failed ({error.strerror})",
-            where=str(path),
-            mend="check the space on the disk and the rights of the folder",
-        ) from error

@@ -28,6 +28,7 @@ from geomosaic.product.georeference.solution import Solution
 from geomosaic.product.georeference.trial import SENSOR
 from geomosaic.product.ortho import OrthoResult
 from geomosaic.sensor.state import to_dict
+from geomosaic.types import FloatArray
 
 
 def report_facts(
@@ -193,7 +194,7 @@ def _search(found: BlunderSearch | None, said: str) -> dict[str, Any]:
     }
 
 
-def _points(solution: Solution, metres: Any) -> list[dict[str, Any]]:
+def _points(solution: Solution, metres: FloatArray) -> list[dict[str, Any]]:
     control, fit = solution.control, solution.fit
     rows = {name: i for i, name in enumerate(fit.ids)}
     found = []

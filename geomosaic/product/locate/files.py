@@ -6,7 +6,7 @@ import csv
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pyproj import CRS
 from pyproj.exceptions import CRSError
@@ -14,8 +14,11 @@ from pyproj.exceptions import CRSError
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.product.vectors import DRIVERS
-from geomosaic.raster.output import check_output, partial, remove, sync
+from geomosaic.raster.output import check_output, under_construction
 from geomosaic.raster.vector import append_layer
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
 
 SUFFIXES = (*DRIVERS, ".csv")
 
@@ -40,16 +43,10 @@ def check_name(path: Path, *, overwrite: bool) -> None:
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]], *, overwrite: bool) -> None:
     """Write a table; numbers in full precision, what is unknown is empty."""
     check_output(path, overwrite=overwrite)
-    unfinished = partial(path, ".csv")
-    try:
-        with unfinished.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(columns)
-            writer.writerows(["" if value is None else value for value in row] for row in rows)
-        sync(unfinished)
-        unfinished.replace(path)
-    finally:
-        remove(unfinished)
+    with under_construction(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(["" if value is None else value for value in row] for row in rows)
 
 
 def _writable(crs: CRS) -> bool:
@@ -64,7 +61,7 @@ def _writable(crs: CRS) -> bool:
     return "BOUNDCRS" not in crs.to_wkt()
 
 
-def write_frame(path: Path, frame: Any, layer: str, *, overwrite: bool) -> None:
+def write_frame(path: Path, frame: GeoDataFrame, layer: str, *, overwrite: bool) -> None:
     """Write a data frame of features as one layer.
 
     Parameters
@@ -82,12 +79,6 @@ def write_frame(path: Path, frame: Any, layer: str, *, overwrite: bool) -> None:
     if frame.crs is not None:
         crs = horizontal(frame.crs) if driver == "GeoJSON" or not _writable(frame.crs) else frame.crs
         frame = frame.set_crs(crs, allow_override=True)
-    unfinished = partial(path, path.suffix)
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="'crs' was not provided", category=UserWarning)
-            append_layer(unfinished, frame, layer, driver)
-        sync(unfinished)
-        unfinished.replace(path)
-    finally:
-        remove(unfinished)
+    with under_construction(path, path.suffix) as unfinished, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="'crs' was not provided", category=UserWarning)
+        append_layer(unfinished, frame, layer, driver)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geomosaic.raster.preview import png_bytes, preview
 from geomosaic.raster.vector import read_layer
@@ -83,7 +84,7 @@ def mosaic_map(mosaic: Path, vectors: Path, bounds: Sequence[float], unit: str) 
     scale = np.array([width / (right - left), -height / (top - bottom)])
     origin = np.array([left, top])
 
-    def pixels(xy: Any) -> FloatArray:
+    def pixels(xy: ArrayLike) -> FloatArray:
         places: FloatArray = (np.asarray(xy, dtype=np.float64)[:, :2] - origin) * scale
         return places
 

@@ -48,10 +48,10 @@ class Recall:
         """What was found under a key, else what `find` gives, which is kept in its place."""
         if self._folder is None:
             return find()
-        known = self.table(kind).get(key)
+        known: Value | None = self.table(kind).get(key)
         if known is not None:
             self.recalled.append(kind)
-            return known  # type: ignore[no-any-return]
+            return known
         found = find()
         self.keep(kind, {key: found})
         return found

@@ -16,7 +16,7 @@ from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
-from geomosaic.product.provenance import between
+from geomosaic.product.records.provenance import between
 from geomosaic.product.seams.layers import SeamLayers
 from geomosaic.raster.burn import burn
 from geomosaic.seam.cost import Features, SeamWeights, disagreement, features, nearness_of_edge, standing_out
@@ -130,7 +130,7 @@ def _compare(
 
 
 def _cropped(found: Features, window: Window, part: Window) -> Features:
-    own = _slices(Window(part.col - window.col, part.row - window.row, part.width, part.height))
+    own = part.slices_in(window)
     return Features(found.values[own], found.valid[own], found.slope[own], found.texture[own], found.contrast)
 
 

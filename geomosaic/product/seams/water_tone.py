@@ -44,9 +44,8 @@ class Pool:
         window = unit.window.intersection(grid.window_of(self.shape.bounds))
         if window.empty:
             return
-        rows = slice(window.row - unit.window.row, window.stop_row - unit.window.row)
-        cols = slice(window.col - unit.window.col, window.stop_col - unit.window.col)
-        here = (burn([(self.shape, 1)], grid.crop(window)) == 1) & (unit.valid[rows, cols] > 0)
+        place = window.slices_in(unit.window)
+        here = (burn([(self.shape, 1)], grid.crop(window)) == 1) & (unit.valid[place] > 0)
         if not here.any():
             return
         r, c = np.nonzero(here)
@@ -55,7 +54,7 @@ class Pool:
         for band in range(self.tone.shape[2]):
             tone = map_coordinates(self.tone[..., band], [at[:, 1], at[:, 0]], order=1, mode="nearest")
             stored = np.clip(np.floor(tone + 0.5), low, high) if whole else tone
-            unit.values[rows, cols, band][here] = stored
+            unit.values[place][..., band][here] = stored
 
 
 def pools(photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours: Sequence[Correction]) -> list[Pool]:

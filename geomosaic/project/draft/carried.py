@@ -16,7 +16,7 @@ from geomosaic.project.inputs import BlockInputs, PlanarInputs
 from geomosaic.raster.info import inspect
 from geomosaic.raster.photo_tags import read_photo_tags
 from geomosaic.raster.rpc import read_rpc_tags
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.plugin import HasFiles, SensorRequest
 from geomosaic.sensor.registry import build, installed, plugin
 
 RASTERS = (".tif", ".tiff", ".jp2", ".ntf", ".img", ".jpg")
@@ -123,7 +123,7 @@ def _own_models(inputs: BlockInputs) -> list[str]:
 
 
 def _carries(name: str, path: Path) -> bool:
-    if name == "rpc" and not read_rpc_tags(path) and not plugin(name).files(path):  # type: ignore[attr-defined]
+    if name == "rpc" and not read_rpc_tags(path) and not _beside(name, path):
         return False
     try:
         with warnings.catch_warnings():
@@ -132,6 +132,12 @@ def _carries(name: str, path: Path) -> bool:
     except GeomosaicError:
         return False
     return True
+
+
+def _beside(name: str, path: Path) -> tuple[Path, ...]:
+    """Files of a sensor's model beside an image."""
+    sensor = plugin(name)
+    return sensor.files(path) if isinstance(sensor, HasFiles) else ()
 
 
 def _photos(inputs: BlockInputs, facts: Sequence[PhotoFacts], size: tuple[int, int], project: Path) -> Carried:

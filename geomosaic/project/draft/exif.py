@@ -52,13 +52,11 @@ class PhotoFacts:
 def photo_facts(tags: PhotoTags, size: tuple[int, int]) -> PhotoFacts:
     """Read the tags of a photo of `size` (width, height) pixels; what is damaged counts as missing."""
     exif = tags.exif
-    gimbal = tuple(_xmp(tags.xmp, name) for name in GIMBAL)
+    yaw, pitch, roll = (_xmp(tags.xmp, name) for name in GIMBAL)
     focal, source = _focal(exif, tags.xmp, size)
     return PhotoFacts(
         _position(exif, tags.xmp),
-        (gimbal[0], gimbal[1], gimbal[2])  # type: ignore[arg-type]
-        if None not in gimbal
-        else None,
+        None if yaw is None or pitch is None or roll is None else (yaw, pitch, roll),
         _xmp(tags.xmp, "RelativeAltitude"),
         focal,
         source,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ from geomosaic.product.locate.files import check_name, write_csv, write_frame
 from geomosaic.project.mono.pixels import axes_of
 from geomosaic.project.mono.plot import MonoplotInputs, oriented, scene_of
 from geomosaic.raster.vector import read_layer
+from geomosaic.types import FloatArray
 
 _AROUND = 0.25
 """Of the photo's footprint, that vectors are taken beyond it."""
@@ -71,7 +73,11 @@ def draw_vectors(inputs: MonoplotInputs) -> Drawn:
 
 
 def _write_drawn_table(
-    inputs: MonoplotInputs, geometries: list[Any], feature: list[int], hidden: list[bool], count: Any
+    inputs: MonoplotInputs,
+    geometries: list[Any],
+    feature: list[int],
+    hidden: list[bool],
+    count: Callable[[FloatArray], FloatArray],
 ) -> None:
     import shapely
 

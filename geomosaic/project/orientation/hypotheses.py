@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from pyproj import CRS
 
@@ -131,7 +132,7 @@ def _by_column(inputs: BlockInputs, photos: tuple[Photo, ...]) -> Iterator[Readi
                 if inputs.angles == "printed"
                 else f"change the signs of {where} in {table}",
                 inputs,
-                changed(lambda angles, signs=signs, by_row=by_row: _signed(angles, signs, by_row)),  # type: ignore[misc]
+                changed(partial(_signed, signs=signs, by_row=by_row)),
             )
         return
     turn, (first, second) = HEADING[inputs.angles], TILTS[inputs.angles]

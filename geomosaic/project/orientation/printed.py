@@ -96,7 +96,7 @@ def read_printed(path: Path, how: Printed, unit: str | None, direction: str | No
             angles = {key: values[key] * TO_DEGREES[unit or "deg"] for key in ANGLES}
             rotation = turned(angles, how.sequence)
             if printed is not None:
-                _hold(rotation, printed, angles, how, here)
+                _hold(rotation, printed, angles, here)
         else:
             rotation = _nearest(printed, here) if printed is not None else np.eye(3)
         elements = dict(zip(MATRIX, (to_image.T @ rotation).ravel().tolist(), strict=True))
@@ -183,7 +183,7 @@ def _words(line: str) -> list[str]:
     return line.split()
 
 
-def _hold(rotation: FloatArray, printed: FloatArray, angles: Mapping[str, float], how: Printed, where: str) -> None:
+def _hold(rotation: FloatArray, printed: FloatArray, angles: Mapping[str, float], where: str) -> None:
     """Hold the angles against the printed matrix; say which other sequence or sense would agree."""
     off = float(np.abs(rotation - printed).max())
     if off <= AGREE:

@@ -8,12 +8,12 @@ import numpy as np
 
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import has_heights
+from geomosaic.project.area import Area, plan
 from geomosaic.project.build import build_block
 from geomosaic.project.control import read_control
 from geomosaic.project.draft.needs import needs
 from geomosaic.project.frames import crs_name, describe
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import Area, plan
 from geomosaic.project.orientation.exterior import undeclared_reconstruction
 from geomosaic.project.photos import Photo, photos_of
 from geomosaic.raster.info import inspect

@@ -121,7 +121,7 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
                 GeomosaicWarning,
                 stacklevel=2,
             )
-        return Placed(grown.transforms, growth_facts(block, grown, model) | wrong_facts(found))
+        return Placed(grown.transforms, growth_facts(grown, model) | wrong_facts(found))
     if wanted.kind == "controlled" and _singly(block, wanted):
         from geomosaic.adjust.planar.single import rectify_singly
 

@@ -17,8 +17,9 @@ from geomosaic.block.block import Block, ControlPoint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
 from geomosaic.geo.crs import parse_map
+from geomosaic.project.area import Area, plan
 from geomosaic.project.control import read_control
-from geomosaic.project.make import Area, plan, refuse_existing
+from geomosaic.project.make import refuse_existing
 from geomosaic.project.names import stem
 from geomosaic.project.planar.control_check import examine
 from geomosaic.project.tables import read_table

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from geomosaic.adjust.network.findings import Findings
     from geomosaic.adjust.planar.compare import Accumulated
     from geomosaic.adjust.planar.grow import Growth
+    from geomosaic.adjust.planar.joins import Join
     from geomosaic.adjust.planar.solution import PlanarSolution
     from geomosaic.adjust.planar.transform import PlanarTransform
     from geomosaic.adjust.planar.uncontrolled import Chain
@@ -69,7 +70,7 @@ def chain_facts(block: PlanarBlock, made: Chain, model: str, error: Accumulated)
     }
 
 
-def growth_facts(block: PlanarBlock, grown: Growth, model: str) -> dict[str, Any]:
+def growth_facts(grown: Growth, model: str) -> dict[str, Any]:
     """Of a mosaic grown photo by photo."""
     return {
         "kind": "grown",
@@ -133,7 +134,7 @@ def wrong_facts(found: Findings) -> dict[str, Any]:
     }
 
 
-def gap_rms(found: Any) -> float:
+def gap_rms(found: Sequence[Join]) -> float:
     """Root mean square gap over all points of all joins, pixels."""
     count = sum(one.points for one in found)
     return float(np.sqrt(sum(one.points * one.rms**2 for one in found) / max(1, count)))

@@ -18,7 +18,7 @@ from geomosaic.project.corrections import write_corrections
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.rpc.grid import GridFit, fit_pair
 from geomosaic.project.rpc.refine import ImageRpc, Wanted, refined
-from geomosaic.raster.output import partial, remove, sync
+from geomosaic.raster.output import write_text
 from geomosaic.raster.rpc import read_rpc_tags, write_rpc_tags
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.rational import HasRational
@@ -115,7 +115,7 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
         if tags is not None:
             write_rpc_tags(tags, tool.rational_tags(whole))
         if text is not None:
-            _write_text(text, tool.rational_text(whole))
+            write_text(text, tool.rational_text(whole), overwrite=inputs.overwrite, encoding="ascii")
         if grid is not None and done.grid is not None:
             write_corrections(grid, done.grid, overwrite=inputs.overwrite)
         written = tuple(path for path in (tags, text, grid) if path is not None)
@@ -205,13 +205,3 @@ def _targets(scene: Scene, inputs: RpcInputs) -> tuple[Path | None, Path | None,
             "the image carries an RPC already", where=str(tags), mend="write --text instead, or give --overwrite"
         )
     return tags, text, grid
-
-
-def _write_text(path: Path, text: str) -> None:
-    unfinished = partial(path, ".txt")
-    try:
-        unfinished.write_text(text, encoding="ascii")
-        sync(unfinished)
-        unfinished.replace(path)
-    finally:
-        remove(unfinished)

@@ -15,9 +15,10 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.engineering import is_free
 from geomosaic.product.developed import DevelopedFootprint, developed_footprint
 from geomosaic.product.extent import check_size, output_grid
+from geomosaic.project.area import Area
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import Area, refuse_existing
+from geomosaic.project.make import refuse_existing
 from geomosaic.project.orientation.exterior import RECONSTRUCTIONS
 from geomosaic.project.things.surface_file import SurfaceFile, read_surface
 from geomosaic.sensor.developed import DevelopedModel

@@ -16,7 +16,7 @@ from geomosaic.product.options import RenderOptions
 from geomosaic.product.photo import Photo
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
-from geomosaic.product.provenance import NODES, UNIT, between
+from geomosaic.product.records.provenance import NODES, UNIT, between
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.types import AnyArray, FloatArray
@@ -73,6 +73,25 @@ def displacement(
 
     At nodes the image is a cubic in height, and between them its coefficients are interpolated. On the ground it is the
     way of the line of sight between both heights, |z − level| · tan(view angle).
+
+    Parameters
+    ----------
+    photo : Photo
+    photos : Photos
+    grid : Grid
+    window : Window
+        Of the grid.
+    z : array (rows, cols)
+        Metres in the surface's datum; NaN where unknown.
+    level : float
+        Height of level ground, metres in the same datum.
+    nodes : int
+        Along each side of the window.
+
+    Returns
+    -------
+    array (rows, cols, 3)
+        Columns and rows in pixels of the image, and metres on level ground; 0 for a model without heights.
     """
     from scipy.ndimage import map_coordinates
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from geomosaic.cli.memory import note_memory
-from geomosaic.cli.mosaic import mosaic_flags
+from geomosaic.cli.mosaic_flags import mosaic_flags
 from geomosaic.cli.options import FILE, machine_options, output_options, stack
 from geomosaic.cli.points import wrong_point_options
 from geomosaic.cli.request import area, mosaic_options

@@ -12,15 +12,15 @@ import numpy as np
 from pyproj import CRS, Geod
 
 from geomosaic.block.footprint import Footprint
-from geomosaic.errors import InputError, OutputError
+from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
+from geomosaic.product.records.taken import time_span
 from geomosaic.product.seams.quality import SeamQuality
-from geomosaic.product.taken import time_span
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.checksum import sha256
-from geomosaic.raster.output import check_output, partial, remove
+from geomosaic.raster.output import check_output, write_text
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.seam.lines import Segment, segments
 
@@ -48,6 +48,32 @@ def write_vectors(
     """Write a GeoPackage with the layers `footprints`, `seams` (areas) and `seamlines` (what divides them).
 
     An image keeps its `label`, a piece of a seam its `id`, as long as the images of the block stay the same.
+
+    Parameters
+    ----------
+    path : Path
+        Ends in .gpkg.
+    grid : Grid
+        Of the mosaic; geometries are in its CRS.
+    outlines : list of Footprint
+    shares : list of Polygon or MultiPolygon
+        What each image shows; empty where it shows nothing.
+    balance : Balance
+        Gains and offsets.
+    pixels : list of int
+        Number that each image shows.
+    parts : sequence of Segment, optional
+        Pieces of seams; whole ones unless given.
+    quality : sequence of SeamQuality
+        Of each piece, where judged.
+    sources : mapping of str to sequence, optional
+        Columns of facts by image, for `footprints`.
+    overwrite : bool
+
+    Raises
+    ------
+    OutputExistsError, OutputError
+        The name is taken; writing failed.
     """
     parts = segments(shares, grid.resolution[0], math.inf) if parts is None else parts
     layers = {
@@ -121,11 +147,26 @@ def write_item(
     *,
     overwrite: bool,
 ) -> None:
-    """Write a STAC item (version 1.1) whose assets are the files beside it; `checksums` are known SHA-256.
+    """Write a STAC item (version 1.1) whose assets are the files beside it.
 
-    Its times are the span in which the images were taken (`geomosaic.product.taken`); `geomosaic:times` says how it is
-    known. Equal runs make equal bytes. `sources` are columns of facts by image, which go into the property
-    `geomosaic:sources`.
+    Its times are the span in which the images were taken (`taken.py`); `geomosaic:times` says how it is known. Equal
+    runs make equal bytes.
+
+    Parameters
+    ----------
+    path : Path
+    mosaic : Path
+    labels, vectors, views : Path or None
+        As far as they were written.
+    grid : Grid
+        Of the mosaic.
+    outlines : list of Footprint
+    images : list of Path
+    checksums : mapping of Path to str
+        SHA-256 of files, as far as known.
+    sources : mapping of str to sequence, optional
+        Columns of facts by image, for the property `geomosaic:sources`.
+    overwrite : bool
 
     Raises
     ------
@@ -176,19 +217,7 @@ def write_item(
             if file is not None
         },
     }
-    try:
-        unfinished = partial(path)
-        try:
-            unfinished.write_text(json.dumps(item, indent=2) + "\n", encoding="utf-8")
-            unfinished.replace(path)
-        finally:
-            remove(unfinished)
-    except OSError as error:
-        raise OutputError(
-            f"writing failed ({error.strerror})",
-            where=str(path),
-            mend="check the space on the disk and the rights of the folder",
-        ) from error
+    write_text(path, json.dumps(item, indent=2) + "\n", overwrite=overwrite)
 
 
 def _asset(file: Path, kind: str, role: str, checksum: str) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, image_options, json_option, stack
+from geomosaic.cli.options import FILE, debug_option, image_options, json_option, overwrite_option, stack
 from geomosaic.cli.request import block_inputs
 from geomosaic.cli.talk import answer, notes
 from geomosaic.cli.values import map_crs, pairs
@@ -51,7 +51,7 @@ locate_options = stack(
     click.option("--dst-crs", callback=map_crs, metavar="CRS", help="CRS of the places.  [default: of the ground]"),
     click.option("--dst-heights", metavar="DATUM", help="Vertical datum of the places.  [default: of the ground]"),
     click.option("-o", "--output", type=FILE, help="GeoPackage, GeoJSON, FlatGeobuf or CSV to write."),
-    click.option("--overwrite", is_flag=True, help="Replace the output if it exists."),
+    overwrite_option,
 )
 
 
@@ -71,7 +71,7 @@ def command(image: Path, source: Path | None, inverse: bool, as_json: bool, **fl
         --dem dem.tif --pixel 812.5 640 --sigma-px 0.5 --sigma-dem 2
       geomosaic locate scene.tif roads.gpkg --inverse --sensor rpc \\
         --dem dem.tif --dem-heights egm96 --rows negative -o roads-in-scene.gpkg
-    """  # noqa: D301
+    """
     if bool(flags["pixels"]) == (source is not None):
         raise click.UsageError("give either --pixel COL ROW or a file SOURCE")
     if inverse and source is None:

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from geomosaic.cli.memory import note_memory
-from geomosaic.cli.mosaic import mosaic_flags
+from geomosaic.cli.mosaic_flags import mosaic_flags
 from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack, usable_options
 from geomosaic.cli.request import area, block_inputs, mosaic_options
 from geomosaic.cli.talk import answer, notes, progress
@@ -46,7 +46,7 @@ def command(
     Example:
       geomosaic develop tower1.jpg tower2.jpg --sensor frame --camera camera.toml \\
         --gcps points.csv --surface tower.toml --res 0.01 -o tower.tif
-    """  # noqa: D301
+    """
     from geomosaic.project.things.develop import make_developed
 
     note_memory(flags["mem_limit"], flags["threads"])

@@ -41,7 +41,7 @@ def command(
       geomosaic reproject roads.gpkg --dst-crs EPSG:32631 -o roads-utm.gpkg
 
     Grids of datum shifts are looked for in the folders that the environment variable PROJ_DATA names, too.
-    """  # noqa: D301
+    """
     from geomosaic.product.vectors import is_vector
 
     if like is None and flags["dst_crs"] is None:
@@ -53,8 +53,9 @@ def command(
         return
     from geomosaic.geo.crs import horizontal, parse_map
     from geomosaic.geo.datum import doubt, operation_between
+    from geomosaic.project.area import Area, grid_of
     from geomosaic.project.inputs import BlockInputs
-    from geomosaic.project.make import Area, grid_of, make_ortho
+    from geomosaic.project.make import make_ortho
     from geomosaic.raster.info import inspect
 
     note_memory(flags["mem_limit"], flags["threads"])
@@ -84,7 +85,7 @@ def _vectors(
 ) -> None:
     from geomosaic.geo.crs import parse_map
     from geomosaic.product.vectors import reproject_vectors
-    from geomosaic.project.make import grid_of
+    from geomosaic.project.area import grid_of
 
     with notes():
         crs = parse_map(flags["dst_crs"], "--dst-crs") if like is None else grid_of(like).crs

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, json_option
+from geomosaic.cli.options import FILE, debug_option, dem_heights_option, json_option, overwrite_option
 from geomosaic.cli.talk import answer, notes
 
 
@@ -36,9 +36,9 @@ from geomosaic.cli.talk import answer, notes
 @click.option(
     "--spacing", type=click.FloatRange(0), metavar="UNITS", help="Least distance of spot heights.  [default: 20 nodes]"
 )
-@click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it.")
+@dem_heights_option
 @click.option("-o", "--output", type=FILE, required=True, help="GeoPackage to write.")
-@click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+@overwrite_option
 @json_option
 @debug_option
 def command(
@@ -61,7 +61,7 @@ def command(
     \b
     Example:
       geomosaic contours dem.tif --interval 5 --index 5 -o contours.gpkg
-    """  # noqa: D301
+    """
     from dataclasses import asdict
 
     from geomosaic.product.maps.contours import make_contours

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.looks import look_options
 from geomosaic.cli.options import FILE, debug_option, json_option, stack
 from geomosaic.cli.scale import Scale
-from geomosaic.cli.sheet import paper_value
+from geomosaic.cli.sheet_flags import content_options, file_options, paper_value
 from geomosaic.cli.talk import answer, notes, progress
 
 if TYPE_CHECKING:
@@ -46,7 +45,7 @@ def command() -> None:
       ign            French 1:50 000 and 1:25 000, on NTF; sheets in Lambert-93
       mgrs           UTM squares: --size 100000, 10000, 1000 or 100
       grid           any size in any CRS: --size W --size H --crs CRS
-    """  # noqa: D301
+    """
 
 
 def _scheme(flags: dict[str, Any]) -> Scheme:
@@ -70,27 +69,11 @@ def _scheme(flags: dict[str, Any]) -> Scheme:
 @click.option(
     "--paper", callback=paper_value, metavar="NAME|WxH", help="A0 to A4, or millimetres.  [default: what fits]"
 )
-@click.option("--title", help="Title of the sheets.")
-@click.option("--vector", "vectors", multiple=True, metavar="FILE[#LAYER][:STYLE]", help="Vector layer to draw.")
-@click.option("--contours", type=FILE, metavar="DEM", help="Draw contours of this DEM.")
-@click.option("--interval", type=click.FloatRange(0, min_open=True), metavar="METRES", help="Interval of the contours.")
-@click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it.")
-@look_options
-@click.option("--report", type=FILE, help="report.json of the project.  [default: that beside the raster]")
-@click.option("--dpi", type=click.IntRange(72, 2400), help="Resolution of the pictures.  [default: 300]")
+@content_options
 @click.option(
     "--format", "suffix", type=click.Choice(["pdf", "png", "tif", "mbtiles", "kmz"]), default="pdf", show_default=True
 )
-@click.option(
-    "-f",
-    "--driver",
-    type=click.Choice(["GTiff", "COG", "PDF"]),
-    default="GTiff",
-    show_default=True,
-    help="Of tif; PDF: make pdf a raster GeoPDF of the map alone.",
-)
-@click.option("--collar", is_flag=True, help="Write the whole page to tif or a raster GeoPDF, not the map alone.")
-@click.option("--world-file", is_flag=True, help="Write world files beside tif and png.")
+@file_options
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that draw.")
 @click.option("-o", "--output", type=FILE, required=True, help="Folder for the sheets and their index.")
 @json_option
@@ -103,7 +86,7 @@ def make_command(raster: Path, output: Path, as_json: bool, **flags: Any) -> Non
     \b
     Example:
       geomosaic sheets make mosaic.tif --scheme puwg1992 --scale 1:10000 -o sheets/
-    """  # noqa: D301
+    """
     from geomosaic.project.sheets.series import series_from_files
 
     scheme = _scheme(flags)

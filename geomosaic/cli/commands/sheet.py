@@ -7,38 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.looks import look_options
-from geomosaic.cli.options import FILE, debug_option, json_option
+from geomosaic.cli.options import FILE, debug_option, json_option, overwrite_option
+from geomosaic.cli.sheet_flags import content_options, file_options, paper_value, scale_value
 from geomosaic.cli.talk import answer, notes
 from geomosaic.cli.values import box
 
 if TYPE_CHECKING:
     from geomosaic.product.maps.sheet import SheetResult
-
-
-def scale_value(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
-    """Check that a scale is one; it stays text."""
-    from geomosaic.carto.layout import parse_scale
-
-    return _checked(parse_scale, value)
-
-
-def paper_value(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
-    """Check that a paper is one; it stays text."""
-    from geomosaic.carto.layout import paper_size
-
-    return _checked(paper_size, value)
-
-
-def _checked(read: Any, value: str | None) -> str | None:
-    from geomosaic.errors import InputError
-
-    if value is not None:
-        try:
-            read(value)
-        except InputError as error:
-            raise click.BadParameter(f"{error.what}; {error.mend}") from None
-    return value
 
 
 @click.command()
@@ -55,20 +30,7 @@ def _checked(read: Any, value: str | None) -> str | None:
     metavar="LEFT BOTTOM RIGHT TOP",
     help="Area in map units.  [default: what fits of the raster]",
 )
-@click.option("--title", help="Title of the sheet.")
-@click.option(
-    "--vector",
-    "vectors",
-    multiple=True,
-    metavar="FILE[#LAYER][:STYLE]",
-    help="Vector layer to draw; later ones lie above.",
-)
-@click.option("--contours", type=FILE, metavar="DEM", help="Draw contours of this DEM.")
-@click.option("--interval", type=click.FloatRange(0, min_open=True), metavar="METRES", help="Interval of the contours.")
-@click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it.")
-@look_options
-@click.option("--report", type=FILE, help="report.json of the project.  [default: that beside the raster]")
-@click.option("--dpi", type=click.IntRange(72, 2400), help="Resolution of the picture.  [default: 300]")
+@content_options
 @click.option(
     "-o",
     "--output",
@@ -76,17 +38,8 @@ def _checked(read: Any, value: str | None) -> str | None:
     required=True,
     help=".pdf or .png; the map alone: .tif, .mbtiles, .kmz.",
 )
-@click.option(
-    "-f",
-    "--driver",
-    type=click.Choice(["GTiff", "COG", "PDF"]),
-    default="GTiff",
-    show_default=True,
-    help="Of .tif; PDF: make .pdf a raster GeoPDF of the map alone.",
-)
-@click.option("--collar", is_flag=True, help="Write the whole page to .tif or a raster GeoPDF, not the map alone.")
-@click.option("--world-file", is_flag=True, help="Write a world file beside .tif and .png.")
-@click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+@file_options
+@overwrite_option
 @json_option
 @debug_option
 def command(raster: Path, output: Path, as_json: bool, **flags: Any) -> None:
@@ -96,7 +49,7 @@ def command(raster: Path, output: Path, as_json: bool, **flags: Any) -> None:
     Example:
       geomosaic sheet mosaic.tif --scale 1:5000 --paper A3 --contours dem.tif \\
         --vector roads.gpkg:road -o sheet.pdf
-    """  # noqa: D301
+    """
     from geomosaic.project.sheets.sheet import sheet_from_files
 
     with notes():

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, json_option
+from geomosaic.cli.options import FILE, debug_option, dem_heights_option, json_option, overwrite_option
 from geomosaic.cli.talk import answer, notes
 
 
 @click.command()
 @click.argument("image", type=FILE)
 @click.option("--dem", type=FILE, required=True, help="Heights of the ground.")
-@click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it.")
+@dem_heights_option
 @click.option(
     "--min-area",
     type=click.FloatRange(0, min_open=True),
@@ -21,7 +21,7 @@ from geomosaic.cli.talk import answer, notes
     help="Smallest water, square metres.  [default: 40 cells]",
 )
 @click.option("-o", "--output", type=FILE, required=True, help="GeoPackage to write.")
-@click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+@overwrite_option
 @json_option
 @debug_option
 def command(
@@ -40,7 +40,7 @@ def command(
     \b
     Example:
       geomosaic water mosaic.tif --dem dem.tif -o water.gpkg
-    """  # noqa: D301
+    """
     from geomosaic.product.maps.water import propose_water
 
     with notes():

@@ -1,0 +1,83 @@
+"""`geomosaic mosaic`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from geomosaic.cli.memory import note_memory
+from geomosaic.cli.merging import merge_flags
+from geomosaic.cli.mosaic_flags import mosaic_flags
+from geomosaic.cli.options import (
+    FILE,
+    image_options,
+    machine_options,
+    output_options,
+    stack,
+    usable_options,
+)
+from geomosaic.cli.points import wrong_point_options
+from geomosaic.cli.request import area, block_inputs, mosaic_options, planar_inputs
+from geomosaic.cli.talk import answer, notes, progress
+from geomosaic.cli.words import mosaic_facts, mosaic_words
+
+planar_flags = stack(
+    click.option(
+        "--kind",
+        type=click.Choice(["uncontrolled", "semicontrolled", "controlled", "grown"]),
+        help="Place photos of flat ground by tie and control points.",
+    ),
+    click.option(
+        "--model",
+        type=click.Choice(["conformal", "affine", "projective"]),
+        help="Their transformation.  [default: as is usual for the kind]",
+    ),
+    click.option("--ties", type=FILE, help="Tie points: id, image, col, row."),
+    click.option("--gcps", type=FILE, help="Control points: id, x, y, image, col, row."),
+    click.option(
+        "--scale",
+        type=click.FloatRange(0, min_open=True),
+        metavar="UNITS",
+        help="Map units per pixel of an uncontrolled mosaic's start photo.  [default: 1]",
+    ),
+    click.option(
+        "--azimuth",
+        type=float,
+        metavar="DEGREES",
+        help="Direction of the top of an uncontrolled mosaic's start photo, from north.  [default: 0]",
+    ),
+    click.option(
+        "--rectify",
+        type=click.Choice(["singly", "together"]),
+        help="Controlled photos.  [default: singly where each has 4 control points]",
+    ),
+    wrong_point_options,
+)
+
+
+@click.command()
+@click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
+@stack(image_options, planar_flags, output_options, merge_flags, mosaic_flags, usable_options, machine_options)
+def command(images: tuple[Path, ...], output: Path, as_json: bool, **flags: Any) -> None:
+    """Make one mosaic from raw or georeferenced images, each pixel resampled once.
+
+    Without --sensor the images must be georeferenced, and lie as their files say; or --kind says how
+    tie and control points place them.
+    """
+    from geomosaic.project.make import make_mosaic, make_planar_mosaic
+
+    planar = planar_inputs(flags)
+    note_memory(flags["mem_limit"], flags["threads"])
+    with notes(), progress(as_json) as report:
+        if planar is not None:
+            inputs = block_inputs(images, flags, flags["gcps"], planar)
+            made, facts, path = make_planar_mosaic(inputs, planar, area(flags), output, mosaic_options(flags, report))
+            known = [(role, facts[f"rms_{role}_px"]) for role in ("control", "check")]
+            told = [f"{role} points: {value:.2f} px RMS" for role, value in known if value is not None]
+            words = "\n".join([*facts["summary"], *told, mosaic_words(made), f"placement: {path}"])
+            answer({**mosaic_facts(made), "placement": facts}, words, as_json)
+            return
+        result = make_mosaic(block_inputs(images, flags), area(flags), output, mosaic_options(flags, report))
+    answer(mosaic_facts(result), mosaic_words(result), as_json)

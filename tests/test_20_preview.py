@@ -1,0 +1,39 @@
+"""Checksums and small pictures of files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from raster_rig import holes, picture, write_raster
+
+from geomosaic.errors import InputError
+from geomosaic.raster.checksum import sha256
+from geomosaic.raster.preview import png_bytes, preview
+
+
+def test_checksum(tmp_path):
+    (tmp_path / "f").write_bytes(b"abc")
+    assert sha256(tmp_path / "f") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    with pytest.raises(InputError, match="cannot be read"):
+        sha256(tmp_path / "none")
+
+
+def test_preview(tmp_path):
+    from io import BytesIO
+
+    from PIL import Image
+
+    values, valid = picture(dtype="uint16"), holes()
+    values[valid == 0] = 60_000
+    path = write_raster(tmp_path / "o.tif", values, valid)
+    rgb, seen = preview(path, 300)
+    assert rgb.shape == (233, 300, 3)
+    assert rgb.dtype == np.uint8
+    assert 0.9 < seen.mean() < 0.97
+    assert rgb[seen != 0].std() > 40  # the stretch knows nothing of the holes
+    with Image.open(BytesIO(png_bytes(rgb, seen))) as image:
+        assert image.mode == "RGBA"
+        np.testing.assert_array_equal(np.asarray(image)[:, :, 3] != 0, seen != 0)
+    grey, _ = preview(write_raster(tmp_path / "g.tif", picture(bands=1)), 5000)
+    assert grey.shape == (700, 900, 3)
+    assert (grey[:, :, 0] == grey[:, :, 2]).all()

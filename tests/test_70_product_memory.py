@@ -1,0 +1,58 @@
+"""Memory of a product, in a process of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import rasterio
+
+# Not ru_maxrss: on Linux a child starts with the peak of the process that it was forked from.
+PEAK = """
+import sys
+from pathlib import Path
+from geomosaic.cli.main import run
+code = run(sys.argv[1:])
+status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+print(int(status["VmHWM"].split()[0]) / 1024)
+sys.exit(code)
+"""
+
+
+def peak(sample: Path, out: Path, command: str, resolution: float, limit: int, *more: str) -> tuple[float, int]:
+    """Peak resident megabytes of a run of its own, and its output's pixels."""
+    images = sorted((sample / "photos").glob("*.jpg"))
+    words = [
+        command, *map(str, images[: 1 if command == "ortho" else 12]), "--sensor", "frame", "--camera", "camera.toml",
+        "--exterior", "exterior.csv", "--crs", "EPSG:32633", "--heights", "egm96", "--dem", "dem.tif",
+        "--res", str(resolution), "--mem-limit", f"{limit}M", "--overwrite", "-o", str(out), *more,
+    ]  # fmt: skip
+    done = subprocess.run([sys.executable, "-c", PEAK, *words], cwd=sample, capture_output=True, text=True, timeout=500)
+    assert done.returncode == 0, done.stderr
+    with rasterio.open(out) as file:
+        return float(done.stdout.split()[-1]), file.width * file.height
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from /proc")
+@pytest.mark.parametrize("command", ["ortho", pytest.param("mosaic", marks=pytest.mark.slow)])
+def test_memory_does_not_grow_with_the_output(sample: Path, tmp_path: Path, command: str) -> None:
+    limit, fine = 512, 0.14 if command == "ortho" else 0.4
+    compiled = "--resampling", "cubic"  # the small one too has work enough for the compiled kernels
+    small, few = peak(sample, tmp_path / "out.tif", command, fine * 10**0.5, limit, *compiled)
+    large, many = peak(sample, tmp_path / "out.tif", command, fine, limit, *compiled)
+    assert many > 9.5 * few
+    assert large <= 1.2 * limit, f"{large:.0f} MB ({small:.0f} MB for a tenth of the output)"
+    assert large - small < 150, f"{small:.0f} MB to {large:.0f} MB"  # the ten times larger output has up to 270 MB
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["ortho", "mosaic"])
+def test_memory_of_a_large_output(sample: Path, tmp_path: Path, command: str) -> None:
+    limit, fine = 512, 0.07 if command == "ortho" else 0.12
+    small, few = peak(sample, tmp_path / "out.tif", command, fine * 10**0.5, limit)
+    large, many = peak(sample, tmp_path / "out.tif", command, fine, limit)
+    assert many > 9.5 * few
+    assert many * 3 > 0.35e9  # three bands of it would not fit beside the program
+    assert large <= 1.2 * limit, f"{large:.0f} MB ({small:.0f} MB for a tenth of the output)"
