@@ -174,7 +174,8 @@ def _placed(request: SensorRequest) -> PanoramicModel:
     seed[2] = ground
     x, y, z = Transform(request.crs, frame.crs)(seed[None])[0].tolist()
     parameters = _parameters(kind, scan, values, above)
-    return adjusted(_seen(PanoramicModel(scan, frame, parameters, (x, y, z), poses), above), request, above)
+    model = _seen(PanoramicModel(scan, frame, parameters, (x, y, z), poses), above)
+    return adjusted(model, request, request.crs, above)
 
 
 def _scan(kind: str, request: SensorRequest) -> Scan:

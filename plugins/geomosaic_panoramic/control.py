@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from pyproj import CRS
 
 from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.transform import Transform
@@ -52,13 +53,15 @@ MEASURED = {"position": 1.0, "speed": 0.0, "angles": 0.5, "rates": 0.0}
 """Of a track: metres, and degrees of a boresight before it is calibrated."""
 
 
-def adjusted(model: PanoramicModel, request: SensorRequest, above: float) -> PanoramicModel:
+def adjusted(model: PanoramicModel, request: SensorRequest, crs: CRS, above: float) -> PanoramicModel:
     """The model corrected by the control points of a request, where it has any.
 
     Parameters
     ----------
     model : PanoramicModel
     request : SensorRequest
+    crs : CRS
+        3-D, of the points.
     above : float
         Height of the position above the ground, metres.
 
@@ -79,7 +82,7 @@ def adjusted(model: PanoramicModel, request: SensorRequest, above: float) -> Pan
         return model
     table = np.array(rows)
     try:
-        ground = Transform(request.crs, model.crs)(table[:, :3])
+        ground = Transform(crs, model.crs)(table[:, :3])
         solved = resect(model, ground, table[:, 3:5], table[:, 5], priors=sigmas)
     except SolveError as error:
         error.where = where
