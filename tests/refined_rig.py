@@ -57,18 +57,9 @@ class Agile(Satellite):
             attitudes = "".join(self._quaternion(self.at_row(t), k) for k, t in enumerate(steps))
             attitudes = f"<Quaternion_List>{attitudes}</Quaternion_List>"
         else:
-            u = np.linspace(-1.0, 1.0, 41)
-            q = np.array([self.quaternion(middle + 5.0 * v) for v in u])
-            q *= np.sign((q * q[20]).sum(axis=1))[:, None]
-            powers = np.linalg.lstsq(np.vander(u, 4, increasing=True), q, rcond=None)[0]
-            second = 36000.0 + middle
-            attitudes = "".join(
-                f"<Q{i}><COEFFICIENTS>{' '.join(map(repr, column))}</COEFFICIENTS></Q{i}>"
-                for i, column in enumerate(powers.T.tolist())
-            )
             attitudes = (
-                f"<Polynomial_Quaternions><OFFSET>{second!r}</OFFSET><SCALE>5.0</SCALE>{attitudes}"
-                "</Polynomial_Quaternions>"
+                f"<Polynomial_Quaternions><OFFSET>{36000.0 + middle!r}</OFFSET><SCALE>5.0</SCALE>"
+                f"{self._polynomials(middle)}</Polynomial_Quaternions>"
             )
         looks = "".join(
             f"<Band_Calibration><BAND_ID>{name}</BAND_ID><Polynomial_Look_Angles><XLOS_0>{X0}</XLOS_0>"
@@ -89,6 +80,40 @@ class Agile(Satellite):
 <LAST_COL>{self.first_col + SIZE[0] - 1}</LAST_COL></Swath_Range><Band_Calibration_List>{looks}
 </Band_Calibration_List><Instrument_Biases><YAW>0.0</YAW></Instrument_Biases></Instrument_Calibration>
 </Geometric_Calibration></Refined_Model></Geometric_Data></Dimap_Document>"""
+
+    def primary(self) -> str:
+        """The earlier profile of Pléiades, with Sensor_Model_Characteristics."""
+        middle = self.at_row(0.0)
+        points = "".join(self._row(self.at_row(t)) for t in np.arange(-135.0, 136.0, 30.0))
+        for old, new in (
+            ("LOCATION_XYZ", "LOCATION_VALUES"),
+            ("VELOCITY_XYZ", "VELOCITY_VALUES"),
+            ("TIME", "UTC_TIME"),
+        ):
+            points = points.replace(old, new)
+        return f"""<?xml version="1.0" encoding="UTF-8"?>
+<PHR_Dimap_Document><Raster_Dimensions><NCOLS>{SIZE[0]}</NCOLS><NROWS>{SIZE[1]}</NROWS></Raster_Dimensions>
+<Sensor_Model_Characteristics><UTC_Sensor_Model_Range><START>{stamp(self.at_row(-self.half))}Z</START>
+<END>{stamp(self.at_row(self.half))}Z</END></UTC_Sensor_Model_Range>
+<Sensor_Ephemeris><Point_List>{points}</Point_List></Sensor_Ephemeris>
+<Sensor_Attitudes><Polynomial_Models>{self._polynomials(middle)}</Polynomial_Models>
+<OFFSET>{36000.0 + middle!r}</OFFSET><SCALE>5.0</SCALE></Sensor_Attitudes>
+<SENSOR_LINE_PERIOD>{self.period * 1e3!r}</SENSOR_LINE_PERIOD><Sensor_Viewing_Model><Position_In_Retina>
+<FIRST_COL>1</FIRST_COL><LAST_COL>{SIZE[0]}</LAST_COL></Position_In_Retina><Viewing_Directions>
+<PsiX_Model><COEFFICIENTS>{X0} {X1}</COEFFICIENTS></PsiX_Model>
+<PsiY_Model><COEFFICIENTS>{Y0} {Y1}</COEFFICIENTS></PsiY_Model></Viewing_Directions></Sensor_Viewing_Model>
+</Sensor_Model_Characteristics></PHR_Dimap_Document>"""
+
+    def _polynomials(self, middle: float) -> str:
+        """Quaternions about the middle of the scene as cubics of time, 5 s being 1."""
+        u = np.linspace(-1.0, 1.0, 41)
+        q = np.array([self.quaternion(middle + 5.0 * v) for v in u])
+        q *= np.sign((q * q[20]).sum(axis=1))[:, None]
+        powers = np.linalg.lstsq(np.vander(u, 4, increasing=True), q, rcond=None)[0]
+        return "".join(
+            f"<Q{i}><COEFFICIENTS>{' '.join(map(repr, column))}</COEFFICIENTS></Q{i}>"
+            for i, column in enumerate(powers.T.tolist())
+        )
 
     def _row(self, t: float) -> str:
         place, speed = (" ".join(f"{v:.9f}" for v in part) for part in self.state(round(t, 6)))

@@ -129,6 +129,31 @@ class Satellite:
 </Look_Angles_List></Instrument_Look_Angles></Instrument_Look_Angles_List></Sensor_Configuration></Data_Strip>
 </Dimap_Document>"""
 
+    def keyword_list(self) -> str:
+        """The scene as OSSIM writes that of a SPOT 5: attitude true, in seconds of its own clock."""
+        clock, times, steps = 5.7e8, np.arange(-210.0, 211.0, 30.0), np.arange(-5.0, 5.01, 0.25)
+        states = [self.state(t) for t in times]
+        attitudes = [self.angles(t)[[1, 0, 2]] for t in steps]
+        psi = np.array([self.psi(k) for k in range(1, SIZE[0] + 1)])
+        rows = {
+            "ephemeris_sample_times": clock + times,
+            "position_ecf_samples": np.ravel([position for position, _ in states]),
+            "velocity_ecf_samples": np.ravel([velocity for _, velocity in states]),
+            "attitude_sample_times": clock + steps,
+            "attitude_samples": np.ravel(attitudes),
+            "pixel_lookat_angle_x": psi[:, 0],
+            "pixel_lookat_angle_y": psi[:, 1],
+            "reference_line_time": [clock],
+            "reference_line_time_line": [self.centre_line],
+            "line_sampling_period": [self.period],
+            "detector_count": [SIZE[0]],
+            "image_size": SIZE,
+            "sub_image_offset": [0, 0],
+            "star_tracker_used_flag": [1],
+        }
+        lines = [f"support_data.{name}:  {' '.join(repr(float(v)) for v in row)}" for name, row in rows.items()]
+        return "\n".join(["type:  ossimSpot5Model", "adjustment_0.adj_param_0.parameter:  0", *lines]) + "\n"
+
     def _point(self, t: float) -> str:
         both = zip(("Location", "Velocity"), self.state(t), strict=True)
         parts = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,13 @@ def test_against_a_second_implementation(folder: Path, file: str) -> None:
         there, towards = TOLD.ray(*place)
         assert np.linalg.norm(origin - there) < 2e-3
         assert np.linalg.norm(direction - towards / np.linalg.norm(towards)) < 1e-10
+
+
+def test_a_keyword_list(tmp_path: Path) -> None:
+    """Of the biased flight, whose attitude it tells."""
+    (tmp_path / "scene.geom").write_text(BIASED.keyword_list())
+    ground, image = BIASED.points(40, 3000.0, 1)
+    np.testing.assert_allclose(build(tmp_path, metadata="scene.geom").ground_to_image(ground), image, atol=1e-4)
 
 
 def test_speeds_are_integrated(folder: Path, tmp_path: Path) -> None:
@@ -178,6 +186,7 @@ def replaced(old: str, new: str) -> str:
         (replaced("<PROCESSING_LEVEL>1A", "<PROCESSING_LEVEL>2A"), "level 2A"),
         (replaced("LINE_PERIOD>", "LINE_PERIODS>"), "LINE_PERIOD"),
         (replaced("<LINE_PERIOD>0.003008", "<LINE_PERIOD>nan"), "finite"),
+        (replaced("<LINE_PERIOD>0.003008", "<LINE_PERIOD>0"), "line period is 0 s"),
         (replaced("<LINE_PERIOD>0.003008", "<LINE_PERIOD>0.03008"), "attitudes leave"),
         (replaced("Points>", "Pointless>"), "0 ephemeris points"),
         (replaced("<Location>", "<Location><X>0.0</X>"), "not those of a satellite"),
@@ -190,6 +199,12 @@ def replaced(old: str, new: str) -> str:
         (TOLD.dimap()[:900], "damaged"),
         ("<a>" * 100, "nested"),
         ("type: ossimQuickbirdRpc", "keyword list is of type"),
+        (BIASED.keyword_list().replace("param_0.parameter:  0", "param_0.parameter:  1e-3"), "adjustment made by"),
+        (BIASED.keyword_list().replace("sub_image_offset:  0.0", "sub_image_offset:  8"), "part of the scene"),
+        (BIASED.keyword_list().replace("sampling_period:  ", "sampling_period:  -"), "line period is -0.003"),
+        (BIASED.keyword_list().replace("sampling_period:  0.0", "sampling_period:  0.1"), "attitudes leave"),
+        (re.sub(r"(attitude_samples: ) \S+", r"\1 5.0", BIASED.keyword_list()), "no radians"),
+        (BIASED.keyword_list().replace("image_size:  3000.0", "image_size:  2000.0"), "3000 detectors for 2000"),
         ("", "no keyword list"),
     ],
 )

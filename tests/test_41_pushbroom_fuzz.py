@@ -72,6 +72,24 @@ def test_a_number_replaced(speeds: bool, which: int, word: str) -> None:
     outcome((text[: place.start()] + word + text[place.end() :]).encode())
 
 
+@cache
+def keywords() -> tuple[tuple[str, ...], ...]:
+    """Words of each line of a keyword list."""
+    lines = Satellite().keyword_list().splitlines()
+    return tuple(tuple(line.split(" ")) for line in lines)
+
+
+@SETTINGS
+@given(
+    st.integers(0, 20), st.integers(0, 50), st.sampled_from(["", "nan", "inf", "-1", "0", "1e300", "-1e9", "x", "1 2"])
+)
+def test_a_word_of_a_keyword_list_replaced(line: int, which: int, word: str) -> None:
+    lines = [list(words) for words in keywords()]
+    chosen = lines[line % len(lines)]
+    chosen[which % len(chosen)] = word
+    outcome("\n".join(" ".join(words) for words in lines).encode())
+
+
 @SETTINGS
 @given(st.text(alphabet="abc:\n .0123456789-_", max_size=300))
 def test_keyword_lists(text: str) -> None:

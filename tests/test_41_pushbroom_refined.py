@@ -25,7 +25,8 @@ from geomosaic_pushbroom.model import PushbroomModel
 
 TRUTH = Agile()
 WAYS = {"polynomials": {"table": False}, "table": {"table": True}, "dense": {"table": True, "dense": True, "unit": 1e6}}
-NUMBER = re.compile(r"(?<=>)-?\d[\d.e+-]*(?=<)")
+NUMBER = re.compile(r"(?<=>)-?\d[\d.e+ -]*(?=<)")
+"""A number, or a row of them."""
 
 
 def scene(text: str, band: str | None = None) -> PushbroomModel:
@@ -33,8 +34,8 @@ def scene(text: str, band: str | None = None) -> PushbroomModel:
 
 
 @cache
-def text_of(table: bool) -> str:
-    return TRUTH.refined(table=table)
+def text_of(way: str) -> str:
+    return TRUTH.primary() if way == "primary" else TRUTH.refined(table=way == "table")
 
 
 @cache
@@ -56,6 +57,11 @@ def test_against_a_second_implementation(way: str) -> None:
         assert np.linalg.norm(direction - towards / np.linalg.norm(towards)) < 5e-9
 
 
+def test_the_earlier_profile_of_pleiades() -> None:
+    ground, image = TRUTH.points(30, 3000.0, 1)
+    np.testing.assert_allclose(scene(TRUTH.primary()).ground_to_image(ground), image, atol=1e-3)
+
+
 def test_a_product_that_is_part_of_the_line() -> None:
     part = Agile(first_col=701)
     ground, image = part.points(30, 800.0, 2)
@@ -71,7 +77,7 @@ def test_beyond_the_image() -> None:
 class TestKit(SensorModelTests):
     @pytest.fixture
     def model(self) -> PushbroomModel:
-        return scene(text_of(True))
+        return scene(text_of("table"))
 
     @pytest.fixture
     def ground(self) -> FloatArray:
@@ -130,6 +136,10 @@ def replaced(old: str, new: str, *, table: bool = False) -> str:
         (replaced("<LOCATION_XYZ>", "<LOCATION_XYZ>1 "), "4 numbers, not 3"),
         (replaced("T10:0", "T10:9"), "not a time"),
         ("<Dimap_Document><Rational_Function_Model/></Dimap_Document>", "DIM_....XML"),
+        (TRUTH.primary().replace("<LOCATION_VALUES>", "<LOCATION_VALUES>1 ", 1), "4 numbers, not 3"),
+        (TRUTH.primary().replace("<SCALE>5.0", "<SCALE>0"), "no attitude"),
+        (TRUTH.primary().replace("<LAST_COL>3000", "<LAST_COL>2999"), "where each column looks"),
+        (TRUTH.primary().replace(f">{0.30} {2.4e-5}<", "><"), "0 and 2 coefficients"),
     ],
 )
 def test_bad_metadata(text: str, words: str) -> None:
@@ -138,13 +148,15 @@ def test_bad_metadata(text: str, words: str) -> None:
     assert words in str(told.value)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
-    st.booleans(), st.integers(0, 10_000), st.sampled_from(["", "nan", "inf", "-1", "0", "1e300", "-1e9", "x", "1 2"])
+    st.sampled_from(["polynomials", "table", "primary"]),
+    st.integers(0, 10_000),
+    st.sampled_from(["", "nan", "inf", "-1", "0", "1e300", "-1e9", "x", "1 2"]),
 )
-def test_a_number_replaced(table: bool, which: int, word: str) -> None:
+def test_a_number_replaced(way: str, which: int, word: str) -> None:
     """A clear error, or a model whose pixels meet the ground or NaN."""
-    text = text_of(table)
+    text = text_of(way)
     places = list(NUMBER.finditer(text))
     place = places[which % len(places)]
     assert told(text[: place.start()] + word + text[place.end() :])

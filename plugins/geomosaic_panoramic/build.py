@@ -19,6 +19,8 @@ from geomosaic.sensor.datum import need_heights
 from geomosaic.sensor.options import known_inputs
 from geomosaic.sensor.parameters import Parameters
 from geomosaic.sensor.plugin import SensorInput, SensorRequest
+from geomosaic_panoramic.control import INPUTS as CONTROL
+from geomosaic_panoramic.control import adjusted
 from geomosaic_panoramic.curve import Poses
 from geomosaic_panoramic.example import EXAMPLE
 from geomosaic_panoramic.flight import cover, declared_orbit, read_table, table_poses
@@ -31,6 +33,8 @@ from geomosaic_panoramic.sweeps import Sweeps
 
 STRAIGHT = ("heading", "course", "rates", "advance", "v_over_h", "climb")
 """Inputs of a straight flight, which a table or an orbit replaces."""
+PLACED = ("position", "heading", "north", "course", "track", "start_time", "ground_height")
+"""Inputs that a strip without a place has not."""
 OF_KIND = {
     "focal_length": ("panoramic",), "pixel_size": ("panoramic",), "image_motion": ("sweeps", "panoramic"),
     "lines_per_sweep": ("sweeps",), "directions": ("sweeps",), "active": ("sweeps",), "line_angle": ("sweeps",),
@@ -73,6 +77,7 @@ class PanoramicPlugin:
         SensorInput("height_above_ground", "with relative: in place of a position", "m"),
         SensorInput("drift", "with relative: angle of the nose to the right of the course", "deg", "0"),
         SensorInput("latitude", "with relative and an orbit: of the middle of the image, geodetic", "deg"),
+        *CONTROL,
     )
     model = PanoramicModel
     example = EXAMPLE
@@ -86,6 +91,8 @@ class PanoramicPlugin:
             An input is missing, unknown or out of range.
         HeightDatumError
             The position has no vertical datum.
+        SolveError
+            The scanner sees none of the control points.
         """
         where = request.image
         known_inputs(request.options, self.inputs, self.name, where)
@@ -105,7 +112,7 @@ class PanoramicPlugin:
 def _without_place(request: SensorRequest) -> dict[str, Any]:
     """Inputs at a nominal place, instead of those without one."""
     where, options = request.image, dict(request.options)
-    for name in ("position", "heading", "north", "course", "track", "start_time", "ground_height"):
+    for name in (*PLACED, *(entry.name for entry in CONTROL)):
         if name in options:
             raise InputError(f"input '{name}' is given together with relative", where=where, mend="leave one out")
     above = number(options, "height_above_ground", where)
@@ -167,7 +174,8 @@ def _placed(request: SensorRequest) -> PanoramicModel:
     seed[2] = ground
     x, y, z = Transform(request.crs, frame.crs)(seed[None])[0].tolist()
     parameters = _parameters(kind, scan, values, above)
-    return _seen(PanoramicModel(scan, frame, parameters, (x, y, z), poses), above)
+    model = _seen(PanoramicModel(scan, frame, parameters, (x, y, z), poses), above)
+    return adjusted(model, request, request.crs, above)
 
 
 def _scan(kind: str, request: SensorRequest) -> Scan:

@@ -43,6 +43,8 @@ class PanoramicModel:
         Ground point in `crs` near the middle of the image.
     poses : Poses, optional
         Of a curved flight; straight without.
+    notes : tuple of str
+        What control points did.
     """
 
     scan: Scan
@@ -50,6 +52,7 @@ class PanoramicModel:
     parameters: Parameters
     seed: tuple[float, float, float]
     poses: Poses | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def crs(self) -> CRS:
@@ -114,6 +117,7 @@ class PanoramicModel:
             "seed": list(self.seed),
             "sweeps": self.scan.sweeps.to_dict(),
             "poses": None if self.poses is None else self.poses.to_dict(),
+            "notes": list(self.notes),
         }
 
     @classmethod
@@ -132,4 +136,4 @@ class PanoramicModel:
         x, y, z = state["seed"]
         scan = Scan(state["kind"], (width, height), state["side"], Sweeps(**state.get("sweeps", {})))
         poses = Poses.from_dict(state["poses"]) if state.get("poses") else None
-        return cls(scan, frame, parameters, (x, y, z), poses)
+        return cls(scan, frame, parameters, (x, y, z), poses, tuple(state.get("notes", ())))

@@ -8,6 +8,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
+from geomosaic_pushbroom.attitude_list import in_order, need_cover
 from geomosaic_pushbroom.bands import choose
 from geomosaic_pushbroom.look import Look
 from geomosaic_pushbroom.orbit import Orbit
@@ -49,12 +50,10 @@ def read_spot(root: Element, where: str, band: str | None = None) -> Reported:
     stamp = find(root, f"{_STRIP}/Sensor_Configuration/Time_Stamp", where)
     centre = moment(text(stamp, "SCENE_CENTER_TIME", where), where)
     period = number(stamp, "LINE_PERIOD", where)
-    if not 0.0 < period < 1.0:
-        raise InputError(f"LINE_PERIOD is {period:g} s", where=where, mend="get the file again")
     orbit = _orbit(root, centre, where)
     stars, times, angles = _attitude(root, centre, where)
     middle = number(stamp, "SCENE_CENTER_LINE", where) - 0.5
-    _need_cover(times, (np.array([0.0, size[1]]) - middle) * period, where)
+    need_cover(times, size[1], middle, period, where)
     look, notes = _look(root, band, where)
     source = find(root, ".//Scene_Source", where)
     words = [text(source, name, where) for name in ("MISSION", "MISSION_INDEX", "INSTRUMENT", "INSTRUMENT_INDEX")]
@@ -103,32 +102,7 @@ def _table(element: Element, path: str, centre: tuple[int, float], where: str) -
     rows = [row for row in each(element, path) if _optional(row, "OUT_OF_RANGE") != "Y"]
     times = since_times([text(row, "TIME", where) for row in rows], where, centre)
     values = np.array([[number(row, name, where) for name in _ANGLES] for row in rows]).reshape(-1, 3)
-    order = np.argsort(times, kind="stable")
-    times, values = times[order], values[order]
-    if not len(times) or not (np.diff(times) > 0.0).all():
-        raise InputError(
-            f"the attitude list {path.removeprefix('.//')} is empty, or has two values of one time",
-            where=where,
-            mend="get the file again",
-        )
-    if np.abs(values).max() > 0.2:
-        raise InputError(
-            f"the attitude list {path.removeprefix('.//')} reaches {np.abs(values).max():g}: these are no radians",
-            where=where,
-            mend="get the file again",
-        )
-    return times, values
-
-
-def _need_cover(times: FloatArray, scene: FloatArray, where: str) -> None:
-    """The attitudes must reach over the scene, up to a tenth of it."""
-    lost = max(times[0] - scene[0], scene[1] - times[-1])
-    if lost > 0.1 * (scene[1] - scene[0]):
-        raise InputError(
-            f"the attitudes leave {lost:.2f} s of the scene out, which takes {scene[1] - scene[0]:.2f} s",
-            where=where,
-            mend="get the whole file: attitudes must cover the scene",
-        )
+    return in_order(times, values, f"the attitude list {path.removeprefix('.//')}", where)
 
 
 def _look(root: Element, band: str | None, where: str) -> tuple[Look, tuple[str, ...]]:

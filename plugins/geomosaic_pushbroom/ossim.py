@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
+from geomosaic_pushbroom.attitude_list import in_order, need_cover
 from geomosaic_pushbroom.look import Look
 from geomosaic_pushbroom.orbit import Orbit
 from geomosaic_pushbroom.paths import AnglePath
@@ -26,6 +28,7 @@ def read_ossim(data: bytes, where: str) -> Reported:
             where=where,
             mend="RPC models in keyword lists are for the sensor 'rpc'",
         )
+    _need_whole(words, where)
     reference = _list(words, "reference_line_time", 1, where)[0]
     line = _list(words, "reference_line_time_line", 1, where)[0]
     period = _list(words, "line_sampling_period", 1, where)[0]
@@ -35,16 +38,41 @@ def read_ossim(data: bytes, where: str) -> Reported:
     )
     at = _list(words, "attitude_sample_times", 0, where) - reference
     attitude = _list(words, "attitude_samples", 3 * len(at), where).reshape(-1, 3)
+    at, attitude = in_order(at, attitude, f"{_PREFIX}attitude_samples", where)
     count = int(_list(words, "detector_count", 1, where)[0])
     psi_x, psi_y = (_list(words, f"pixel_lookat_angle_{axis}", count, where) for axis in "xy")
     cols: FloatArray = np.arange(0.5, count, dtype=np.float64)
     look = Look.of(cols, -psi_y, psi_x, where, angular=True)
     orbit = Orbit.through(times, positions, velocities, where)
     width, height = (int(v) for v in _list(words, "image_size", 2, where))
+    if width != count:
+        raise InputError(f"{count} detectors for {width} columns", where=where, mend="get the whole file")
+    need_cover(at, height, float(line) - 0.5, float(period), where)
     stars = words.get(f"{_PREFIX}star_tracker_used_flag", "0").strip() == "1"
     title = f"SPOT 5 HRG, {words.get(f'{_PREFIX}image_date', 'no date')[:10]}"
     path, quality = AnglePath(orbit, at, attitude), STARS if stars else GYROSCOPES
     return Reported(title, path, look, float(period), float(line) - 0.5, (width, height), quality)
+
+
+def _need_whole(words: dict[str, str], where: str) -> None:
+    """Refuse what would be passed over: adjustments made by OSSIM, and a part of a scene."""
+    for name, value in words.items():
+        changed = re.fullmatch(r"adjustment_\d+\.adj_param_\d+\.(parameter|center)", name)
+        if (changed or name == f"{_PREFIX}sub_image_offset") and not all(_is_zero(word) for word in value.split()):
+            raise InputError(
+                f"{name} is '{value[:40]}', not 0: "
+                + ("an adjustment made by OSSIM is not applied" if changed else "this is a part of the scene"),
+                where=where,
+                mend="set it to 0, and "
+                + ("refine here with control points" if changed else "say where the part lies: offset = [col, row]"),
+            )
+
+
+def _is_zero(word: str) -> bool:
+    try:
+        return float(word) == 0.0
+    except ValueError:
+        return False
 
 
 def _words(content: str, where: str) -> dict[str, str]:

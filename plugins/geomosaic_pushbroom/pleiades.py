@@ -7,9 +7,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic_pushbroom.agile import quaternion_path, triples
 from geomosaic_pushbroom.look import Look
 from geomosaic_pushbroom.orbit import Orbit, horner
-from geomosaic_pushbroom.paths import QuaternionPath
 from geomosaic_pushbroom.reported import AGILE, Reported, moment, since_times
 from geomosaic_pushbroom.xml import each, find, number, numbers, text
 
@@ -35,25 +35,27 @@ def read_pleiades(root: Element, where: str) -> Reported:
     middle = (first[0], first[1] + half)
     points = list(each(model, "Sensor_Ephemeris/Point_List/Point"))
     times = since_times([text(point, "UTC_TIME", where) for point in points], where, middle)
-    xyz = [[numbers(point, name, where) for point in points] for name in ("LOCATION_VALUES", "VELOCITY_VALUES")]
-    orbit = Orbit.through(times, np.array(xyz[0]).reshape(-1, 3), np.array(xyz[1]).reshape(-1, 3), where)
-    part = "Sensor_Attitudes/Polynomial_Models/Q"
-    powers = [numbers(model, f"{part}{i}/COEFFICIENTS", where) for i in range(4)]
-    offset, scale = (number(model, f"Sensor_Attitudes/{name}", where) for name in ("OFFSET", "SCALE"))
-    quaternion = np.zeros((max(map(len, powers)), 4))
-    for i, row in enumerate(powers):
-        quaternion[: len(row), i] = row
-    path = QuaternionPath(orbit, offset - middle[1], scale, quaternion)
-    look = _line(model, where)
+    xyz, speed = (triples(points, name, where) for name in ("LOCATION_VALUES", "VELOCITY_VALUES"))
+    orbit = Orbit.through(times, xyz, speed, where)
+    attitudes = find(model, "Sensor_Attitudes", where)
+    path = quaternion_path(orbit, attitudes, "Polynomial_Models/Q{}", middle, half, where)
+    look = _line(model, size[0], where)
     title = f"Pléiades, {text(model, 'UTC_Sensor_Model_Range/START', where)[:10]}"
     return Reported(title, path, look, period, 0.5 + half / period, size, AGILE)
 
 
-def _line(model: Element, where: str) -> Look:
+def _line(model: Element, width: int, where: str) -> Look:
     view = find(model, "Sensor_Viewing_Model", where)
     first, last = (number(view, f"Position_In_Retina/{name}", where) for name in ("FIRST_COL", "LAST_COL"))
     psi = [numbers(view, f"Viewing_Directions/{name}/COEFFICIENTS", where) for name in ("PsiX_Model", "PsiY_Model")]
-    degree = max(map(len, psi)) - 1
-    nodes = np.linspace(0.0, last - first, 2 if degree <= 1 else 2001)
-    x, y = (horner(c[:, None], nodes[:, None])[:, 0] for c in psi)
+    if last - first + 1.0 != width or not all(map(len, psi)):
+        raise InputError(
+            f"Position_In_Retina is {first:g} to {last:g} for {width} columns, and the viewing directions have "
+            f"{len(psi[0])} and {len(psi[1])} coefficients: where each column looks is not told",
+            where=where,
+            mend="get the file again, or use the sensor 'rpc' with the scene's RPC file",
+        )
+    nodes = np.linspace(0.0, last - first, 2 if max(map(len, psi)) <= 2 else 2001)
+    with np.errstate(all="ignore"):
+        x, y = (horner(c[:, None], nodes[:, None])[:, 0] for c in psi)
     return Look.of(nodes + 0.5, -x, y, where)

@@ -9,14 +9,15 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
+from geomosaic_pushbroom.agile import quaternion_path, triples
 from geomosaic_pushbroom.bands import choose
 from geomosaic_pushbroom.look import Look
 from geomosaic_pushbroom.orbit import NODES, Orbit, horner
-from geomosaic_pushbroom.paths import Path, QuaternionPath
+from geomosaic_pushbroom.paths import Path
 from geomosaic_pushbroom.pose import same_side
 from geomosaic_pushbroom.quaternion_table import QuaternionTable
 from geomosaic_pushbroom.reported import AGILE, Reported, moment, since_times
-from geomosaic_pushbroom.xml import children, each, find, number, numbers, text
+from geomosaic_pushbroom.xml import children, each, find, number, text
 
 PART = ".//Refined_Model"
 MISSIONS = {"PHR_SENSOR": "Pléiades", "PNEO_SENSOR": "Pléiades Neo", "S6_SENSOR": "SPOT 6", "S7_SENSOR": "SPOT 7"}
@@ -96,10 +97,7 @@ def _orbit(model: Element, middle: tuple[int, float], half: float, where: str) -
     """
     points = list(each(model, "Ephemeris/Point_List/Point"))
     times = since_times([text(point, "TIME", where) for point in points], where, middle)
-    xyz, speed = (
-        np.array([_three(point, name, where) for point in points]).reshape(-1, 3)
-        for name in ("LOCATION_XYZ", "VELOCITY_XYZ")
-    )
+    xyz, speed = (triples(points, name, where) for name in ("LOCATION_XYZ", "VELOCITY_XYZ"))
     reach = (1.0 + 2.0 * _MARGIN) * half
     inside = np.flatnonzero(np.abs(times) <= reach)
     if len(inside) <= NODES:
@@ -116,31 +114,10 @@ def _orbit(model: Element, middle: tuple[int, float], half: float, where: str) -
     return replace(orbit, range=(-reach, reach))
 
 
-def _three(point: Element, name: str, where: str) -> FloatArray:
-    values = numbers(point, name, where)
-    if len(values) != 3:
-        raise InputError(f"<{name}> has {len(values)} numbers, not 3", where=where, mend="get the file again")
-    return values
-
-
 def _attitude(model: Element, orbit: Orbit, middle: tuple[int, float], half: float, where: str) -> Path:
     polynomials = model.find("Attitudes/Polynomial_Quaternions")
     if polynomials is not None:
-        powers = [numbers(polynomials, f"Q{i}/COEFFICIENTS", where) for i in range(4)]
-        offset, scale = (number(polynomials, name, where) for name in ("OFFSET", "SCALE"))
-        quaternion = np.zeros((max(map(len, powers)), 4))
-        for i, row in enumerate(powers):
-            quaternion[: len(row), i] = row
-        scene = np.linspace(-half, half, 11)[:, None] + (middle[1] - offset)
-        with np.errstate(all="ignore"):
-            lengths = np.linalg.norm(horner(quaternion, scene / scale), axis=1) if scale > 0.0 else np.zeros(1)
-        if not (np.abs(lengths - 1.0) < 0.1).all():
-            raise InputError(
-                "the quaternion polynomials are no attitude over the scene: their length is not one",
-                where=where,
-                mend="get the file again",
-            )
-        return QuaternionPath(orbit, offset - middle[1], scale, quaternion)
+        return quaternion_path(orbit, polynomials, "Q{}", middle, half, where)
     rows = list(each(model, "Attitudes/Quaternion_List/Quaternion"))
     if len(rows) < 2:
         find(model, "Attitudes/Quaternion_List/Quaternion", where)
