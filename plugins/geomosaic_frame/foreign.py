@@ -87,12 +87,29 @@ def _metashape(path: Path, image: str, where: str) -> Tables:
     return None, dict(entry(read_metashape_text(_text(path, where), str(path)), image, path, where))
 
 
+def _ori(path: Path, image: str, where: str) -> Tables:
+    """One file for each image, named after it; a file of any name counts for the image that it names."""
+    from geomosaic_frame.ori import ENDING, read_ori
+
+    own = path.with_name(Path(image).stem + ENDING)
+    file = own if own.is_file() else path
+    name, camera, row = read_ori(_bytes(file, where), str(file))
+    if file != own and Path(name).stem != Path(image).stem:
+        raise InputError(
+            f"{path} is the orientation of '{name}', and there is no {own.name} beside it",
+            where=where,
+            mend=f"name the files of orientations as their images: {own.name}",
+        )
+    return dict(camera), dict(row)
+
+
 READERS: Mapping[str, Callable[[Path, str, str], Tables]] = {
     "opensfm": _opensfm,
     "odm": _odm,
     "colmap": _colmap,
     "pix4d": _pix4d,
     "metashape": _metashape,
+    "ori": _ori,
 }
 
 
