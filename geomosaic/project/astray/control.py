@@ -5,6 +5,7 @@ Control points of a sensor that does not adjust itself only judge: that they lie
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from geomosaic.block.scene import Scene
 from geomosaic.errors import GeomosaicError
 from geomosaic.project.astray.readings import point_readings
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.orientation.doubts import BETTER, FAR, distance
+from geomosaic.project.orientation.doubts import BETTER, FAR, PLAUSIBLE, distance
 from geomosaic.sensor.registry import plugin
 
 FEW = 3
@@ -81,7 +82,8 @@ def _cause(inputs: BlockInputs, block: Block, points: Sequence[ControlPoint], cr
     sizes = {scene.name: scene.model.size for scene in scenes}
     tried = [(distance(scenes, reading.points, crs), reading) for reading in point_readings(points, crs, sizes)]
     least, best = min(tried, key=lambda pair: pair[0])
-    if BETTER * least < given:
+    plausible = PLAUSIBLE * min(math.hypot(*size) for size in sizes.values())
+    if BETTER * least < given and least < plausible:
         return f"with {best.what} it would be {least:.3g} px", best.mend
     return "", ""
 
