@@ -42,7 +42,7 @@ PAIRS = 3
 SURE = 0.65
 """Correlation of a single pair that makes others needless."""
 PLAUSIBLE = 0.1
-"""Part of an image's diagonal that points may lie off by a reading that is proposed: farther off nothing is explained."""
+"""Part of the diagonal that points may lie off by a reading that is proposed: farther off, it explains nothing."""
 MEASUREMENTS = 4
 TRUST = "if the orientation is right as it is, say so: --trust-orientation (trusted = true under [exterior])"
 
