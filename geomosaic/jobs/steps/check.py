@@ -71,10 +71,9 @@ def failure(project: Project) -> QualityError | None:
         f"limit {v['limit']:g} {v['unit']}"
         for v in failed
     ]
+    why = "".join(f"; {verdict['text']}" for verdict in [v for v in failed if "text" in v][:1])
     return QualityError(
         "; ".join(words),
         where=f"{project.path.name}, [quality]",
-        mend="; ".join(
-            [f"all outputs are written; look at {Layout(project).report}", *(v["text"] for v in failed if "text" in v)]
-        ),
+        mend=f"all outputs are written; look at {Layout(project).report}{why}",
     )

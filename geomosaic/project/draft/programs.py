@@ -25,6 +25,6 @@ def program_of(path: Path) -> str | None:
         return "metashape"
     if "camera model m = k [r|-rt] x" in start or path.name.endswith(PIX4D):
         return "pix4d"
-    if path.name == "images.txt" and path.with_name("cameras.txt").is_file() and "qw, qx, qy, qz" in start:
+    if path.name == "images.bin" or (path.name == "images.txt" and "qw, qx, qy, qz" in start):
         return "colmap"
     return None
