@@ -272,4 +272,9 @@ def _control(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS | None) -> t
         raise InputError(
             "the control points have no CRS", where=str(inputs.control), mend="name it: crs under [exterior]"
         )
-    return read_control(inputs.control, [photo.name for photo in photos])
+    points = read_control(inputs.control, [photo.name for photo in photos])
+    if points and not inputs.trusted:
+        from geomosaic.project.astray.place import refuse_misplaced
+
+        refuse_misplaced(points, crs, inputs.control)
+    return points

@@ -69,7 +69,7 @@ def needs(inputs: BlockInputs) -> list[str]:
         found.append(f"the vertical datum of the positions: [exterior] heights: {HEIGHTS}")
     if inputs.dem is None and inputs.height is None:
         found.append("the ground: [dem] file, or [dem] height in metres")
-    own = framed and inputs.sensor != "frame"
+    own = framed and (inputs.sensor != "frame" or (inputs.exterior is not None and inputs.angles in SELF_PLACED))
     if own and inputs.height is not None and not (inputs.dem_heights or inputs.heights or inputs.crs):
         found.append(f"what the height of the ground counts from: [dem] heights: {HEIGHTS}")
     if inputs.dem_heights is None and undeclared_heights(inputs.dem):

@@ -11,7 +11,7 @@ PIX4D = ("_calibrated_camera_parameters.txt", "_pmatrix.txt")
 
 
 def program_of(path: Path) -> str | None:
-    """Angle system of a file of Pix4D, Metashape or COLMAP; None where it is none of them."""
+    """Angle system of a file of Pix4D, Metashape, COLMAP or IGN; None where it is none of them."""
     try:
         with path.open("rb") as file:
             start = file.read(FIRST).decode("utf-8", "replace").lower()
@@ -19,10 +19,12 @@ def program_of(path: Path) -> str | None:
         return None
     if path.suffix.lower() == ".xml" and "<document" in start and "<chunk" in start:
         return "metashape"
+    if path.suffix.lower() == ".xml" and "<orientation" in start and "<extrinseque" in start:
+        return "ori"
     if "# photoid, x, y, z, omega, phi, kappa" in start:
         return "metashape"
     if "camera model m = k [r|-rt] x" in start or path.name.endswith(PIX4D):
         return "pix4d"
-    if path.name == "images.txt" and path.with_name("cameras.txt").is_file() and "qw, qx, qy, qz" in start:
+    if path.name == "images.bin" or (path.name == "images.txt" and "qw, qx, qy, qz" in start):
         return "colmap"
     return None
