@@ -103,7 +103,14 @@ def _limits(
 
 
 def _differences(fields: Fields, views: Views) -> FloatArray:
-    """Differences (N, bands) of corrected values, in parts of their mean level."""
-    one, other = fields.corrected(views)
-    level = np.abs((one + other)[views.known]).mean(axis=0) / 2
-    return np.asarray((one - other)[views.known] / np.maximum(level, 1e-12))
+    """Differences (N, bands) of corrected values, in parts of the mean value.
+
+    They are told in values as they came: a correction that makes everything smaller makes noise smaller too, and is no
+    better for it.
+    """
+    known, step = views.known, 1e-3 * fields.setting.reach
+    one, other = (side[known] for side in fields.corrected(views))
+    more = fields.corrected(replace(views, a=views.a + step, b=views.b + step))
+    steep = np.sqrt((((more[0][known] - one) / step) ** 2 + ((more[1][known] - other) / step) ** 2) / 2)
+    level = np.abs(views.a + views.b)[known].mean(axis=0) / 2
+    return np.asarray((one - other) / np.maximum(steep, 1e-9) / np.maximum(level, 1e-12))
