@@ -50,8 +50,8 @@ def main() -> None:
     width = Width(64, "px")
     kinds = {
         "none": Blending("none"),
-        "feather, 64 px": Blending("feather", width),
-        "feather, limited": Blending("feather", width, limit=True),
+        "feather, 64 px, without limit": Blending("feather", width, limit=False),
+        "feather": Blending("feather", width),
         "multiband": Blending("multiband", Width(32, "px")),
     }
     panels = []

@@ -136,20 +136,21 @@ def test_sixteen_bits_come_out_as_eight_do(shots, tmp_path):
         assert file.dtypes[0] == "uint16"
 
 
-@pytest.mark.parametrize("bent", [False, True])
+@pytest.mark.parametrize(("bent", "hazy"), [(False, False), (True, False), (True, True), (False, True)])
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
-def test_both_engines_shade_alike(bent, dtype):
+def test_both_engines_shade_alike(bent, hazy, dtype):
     rng = np.random.default_rng(1)
     values = rng.uniform(0, 300, (70, 90, 3)).astype(np.float32)
     seen = (rng.random((70, 90)) < 0.8).astype(np.uint8)
     net, dark, offset = rng.uniform(0.5, 2, (5, 7, 3)), rng.normal(0, 3, 3), rng.normal(0, 3, 3)
     curve = 255.0 * (np.arange(4097) / 4096)[None] ** np.array([[0.7], [1.0], [1.6]]) if bent else np.zeros((3, 0))
     ends = {"uint8": (0.0, 255.0, True), "uint16": (0.0, 65535.0, True), "float32": (-np.inf, np.inf, False)}[dtype]
+    path, haze = (rng.uniform(0, 1, (5, 7)), np.array([3.0, 8.0, 20.0])) if hazy else (np.zeros((0, 0)), np.zeros(0))
     made = []
     for engine in (numpy_engine(), numba_engine()):
         out, valid = np.zeros((70, 90, 3), dtype=dtype), np.zeros((70, 90), dtype=np.uint8)
         place = (-0.4, 0.7, 0.08, 0.05)  # beyond the net on all sides but one
-        engine.shade(values, seen, net, place, dark, curve, 255.0, offset, *ends, out, valid)
+        engine.shade(values, seen, net, path, haze, place, dark, curve, 255.0, offset, *ends, out, valid)
         made.append((out, valid))
     assert np.array_equal(made[0][0], made[1][0])
     assert np.array_equal(made[0][1], seen)

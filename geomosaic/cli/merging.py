@@ -59,7 +59,7 @@ blend_flags = stack(
     click.option(
         "--limit/--no-limit",
         default=None,
-        help="Do not blend what images show differently, such as cars.  [default: limit, with multiband]",
+        help="Do not blend what images show differently, such as cars.  [default: limit]",
     ),
 )
 

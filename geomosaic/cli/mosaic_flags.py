@@ -52,8 +52,8 @@ mosaic_flags = stack(
         metavar="TERMS",
         default="auto",
         show_default=True,
-        help="What the balance solves: gain (and offset), and vignetting, trend, hotspot, gamma, dodging, with commas "
-        "between; or auto for what is warranted.",
+        help="What the balance solves: gain (and offset), and vignetting, trend, hotspot, haze, gamma, dodging, with "
+        "commas between; or auto for what is warranted.",
     ),
     click.option("--mask", type=FILE, help="Areas that say nothing of colours, as polygons: clouds, water."),
     click.option(

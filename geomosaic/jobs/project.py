@@ -76,7 +76,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             {**orientation, **place, **blend},
             (*images, *ground, *master, *drawn, *usable, *layout.models),
             (*rasters, layout.facts("mosaic"), layout.places),
-            version=4,
+            version=5,
         ),
     ]
     if every_ortho:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from geomosaic.product.reruns.reuse import Memory
 
 HISTOGRAMS = ("overlap", "whole", "sequence")
-COLOUR = ("gain", "vignetting", "trend", "hotspot", "gamma", "dodging")
+COLOUR = ("gain", "vignetting", "trend", "hotspot", "haze", "gamma", "dodging")
 WATER = ("calmest", "tone")
 SEAMS = ("nearest", "halve", "alike", "order")
 
@@ -164,7 +164,8 @@ class MosaicOptions:
             "--cutlines": self.cutlines is not None,
             "--water": self.water is not None,
             "--exclude": bool(self.exclude),
-            "--blend": not self.blending.plain,
+            "--blend": not self.blending.plain or self.blending.ramp != "linear",
+            "--limit": bool(self.blending.limit),
             "--stretch": self.stretch is not None,
             "--true-ortho": self.render.true_ortho,
             "--views": self.views,

@@ -119,8 +119,8 @@ def pull(
             window = ground.window
             place = (*colour.at(window.col + 0.5, window.row + 0.5), 1 / colour.spacing[0], 1 / colour.spacing[1])
             engine.shade(
-                plain, seen, colour.net, place, colour.dark, colour.curve, colour.reach, colour.offset,
-                *value_range(str(out.dtype)), out, out_valid,
+                plain, seen, colour.net, colour.path, colour.haze, place, colour.dark, colour.curve, colour.reach,
+                colour.offset, *value_range(str(out.dtype)), out, out_valid,
             )  # fmt: skip
             return used
         here = seen > 0

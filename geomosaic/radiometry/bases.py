@@ -22,8 +22,8 @@ SPANS = 6
 """Intervals of the cubic splines of a hotspot across −1 … 1."""
 NODES = SPANS + 3
 SHARED = ("vignetting", "trend", "hotspot")
-"""Terms that images share; 'gamma' and 'dodging' are each image's own."""
-TERMS = (*SHARED, "gamma", "dodging")
+"""Terms that images share; 'haze', 'gamma' and 'dodging' are each image's own."""
+TERMS = (*SHARED, "haze", "gamma", "dodging")
 
 
 def width(terms: Collection[str], cameras: int) -> int:
@@ -59,6 +59,14 @@ def shared(terms: Collection[str], cameras: int, camera: IntArray, image: FloatA
         across, down = _splines(view[:, 0]), _splines(view[:, 1])
         parts.append((down[:, :, None] * across[:, None, :]).reshape(len(camera), -1))
     return np.where(camera[:, None] >= 0, np.concatenate(parts, axis=1), 0.0)
+
+
+def path(view: FloatArray) -> FloatArray:
+    """How much more air than at the nadir lies before places (..., 2) on the ground; 1 in the corners.
+
+    The way through the air grows as 1 / cos θ ≈ 1 + tan²θ / 2, and tan θ with the distance from the nadir.
+    """
+    return np.asarray((view**2).sum(axis=-1))
 
 
 def prior(terms: Collection[str], cameras: int) -> FloatArray:

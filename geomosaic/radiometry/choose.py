@@ -21,7 +21,9 @@ WARRANTED = 0.03
 """Share by which held-back differences must fall."""
 LEAST_SAMPLES = 2000
 """Of all overlaps: fewer are no ground for a choice."""
-ORDER = ("vignetting", "trend", "hotspot", "gamma", "dodging")
+ORDER = ("vignetting", "trend", "hotspot", "haze", "gamma", "dodging")
+NEEDS = {"hotspot": "trend", "haze": "vignetting"}
+"""Terms that show as another first."""
 ROUNDS = 4
 """Steps of a trial, which need not be exact."""
 BEYOND = 3.0
@@ -62,7 +64,8 @@ def choose(
 ) -> tuple[frozenset[str], list[Trial]]:
     """Terms that are warranted, and all that were tried.
 
-    A hotspot is only looked for where a trend is. Images of too little overlap keep gain and offset.
+    A hotspot is only looked for where a trend is, and haze where light changes towards the corners. Images of too
+    little overlap keep gain and offset.
     """
     kept: frozenset[str] = frozenset()
     if np.count_nonzero(views.known) < LEAST_SAMPLES:
@@ -82,7 +85,7 @@ def choose(
     best = score(kept)
     trials = [Trial((), best, True)]
     for term in ORDER:
-        if term == "hotspot" and "trend" not in kept:
+        if NEEDS.get(term, term) not in kept | {term}:
             continue
         left = score(kept | {term})
         good = left < (1 - WARRANTED) * best
@@ -100,7 +103,14 @@ def _limits(
 
 
 def _differences(fields: Fields, views: Views) -> FloatArray:
-    """Differences (N, bands) of corrected values, in parts of their mean level."""
-    one, other = fields.corrected(views)
-    level = np.abs((one + other)[views.known]).mean(axis=0) / 2
-    return np.asarray((one - other)[views.known] / np.maximum(level, 1e-12))
+    """Differences (N, bands) of corrected values, in parts of the mean value.
+
+    They are told in values as they came: a correction that makes everything smaller makes noise smaller too, and is no
+    better for it.
+    """
+    known, step = views.known, 1e-3 * fields.setting.reach
+    one, other = (side[known] for side in fields.corrected(views))
+    more = fields.corrected(replace(views, a=views.a + step, b=views.b + step))
+    steep = np.sqrt((((more[0][known] - one) / step) ** 2 + ((more[1][known] - other) / step) ** 2) / 2)
+    level = np.abs(views.a + views.b)[known].mean(axis=0) / 2
+    return np.asarray((one - other) / np.maximum(steep, 1e-9) / np.maximum(level, 1e-12))

@@ -1,10 +1,11 @@
 """One solution for the block: gain, dark offset and gamma of each image, and the fields of light that images share.
 
-    corrected = field(place) · gain · R · ((value + dark) / R)^gamma
+    corrected = field(place) · gain · R · ((value + dark − haze · path(place)) / R)^gamma
 
-R is the range of values, `field` the exponential of the sum that `bases` describes. The parameters make corrected
-values of the same ground alike. They are found by Gauss-Newton steps with Tukey's biweight, so that clouds, cars and
-water that only one image shows count for nothing. How the steps treat noise in both views: see `steps`.
+R is the range of values, `field` the exponential of the sum that `bases` describes, `path` how much more air there is
+than at the nadir: the light of haze is added to that of the ground, where a field multiplies it. The parameters make
+corrected values of the same ground alike. They are found by Gauss-Newton steps with Tukey's biweight, so that clouds,
+cars and water that only one image shows count for nothing. How the steps treat noise in both views: see `steps`.
 
 What overlaps cannot tell is settled by priors: a common gain, offset and gamma of all images; and a trend across all
 footprints against a ramp of gains over the block, which make the same differences. The trend, one number, is the
@@ -43,6 +44,8 @@ class Fields:
         Coefficients of `bases.shared`.
     level : array (bands,)
         Taken off the logarithm of the field, so that its mean over all samples is 0.
+    haze : array (images, bands), optional
+        Grey values in the corners.
     dodging : array (images, nodes², bands), optional
         Logarithms at the nodes of a net over each image.
     """
@@ -53,6 +56,7 @@ class Fields:
     gamma: FloatArray
     shared: FloatArray
     level: FloatArray
+    haze: FloatArray | None = None
     dodging: FloatArray | None = None
 
     def log_field(self, index: int, image: FloatArray, view: FloatArray) -> FloatArray:
@@ -73,7 +77,8 @@ class Fields:
 
     def correct(self, index: int, values: FloatArray, image: FloatArray, view: FloatArray) -> FloatArray:
         """Corrected values (N, bands)."""
-        return self.tone(index, values) * np.exp(self.log_field(index, image, view))
+        clear = values if self.haze is None else values - self.haze[index] * bases.path(view)[:, None]
+        return self.tone(index, clear) * np.exp(self.log_field(index, image, view))
 
     def corrected(self, views: Views) -> tuple[FloatArray, FloatArray]:
         """Both views (P, K, bands), corrected."""
@@ -125,23 +130,24 @@ def solve_fields(
     solved = [
         _solve_band(
             Band(
-                views, setting, sides[0], sides[1], views.a[..., m], views.b[..., m], firm, near, level[:, m]
+                views, setting, sides[0], sides[1], views.a[..., m], views.b[..., m], firm, near, level[:, m],
+                bases.path(views.view_a), bases.path(views.view_b),
             ),
             np.log(np.maximum(gain[:, m], 1e-6)), offset[:, m] / np.maximum(gain[:, m], 1e-6),
         )
         for m in range(bands)
     ]  # fmt: skip
-    log_gain, dark, gamma, shared = (np.stack(part, axis=-1) for part in zip(*solved, strict=True))
+    log_gain, dark, gamma, haze, shared = (np.stack(part, axis=-1) for part in zip(*solved, strict=True))
     fields = np.concatenate([side[views.known] for side in sides]) @ shared
     level = fields.mean(axis=0) if len(fields) else np.zeros(bands)
-    return Fields(setting, log_gain, dark, gamma, shared, level)
+    return Fields(setting, log_gain, dark, gamma, shared, level, haze if "haze" in setting.terms else None)
 
 
 def _solve_band(
     band: Band, gain: FloatArray, dark: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     images, size = band.setting.images, band.shared_a.shape[2]
-    state = [gain, dark, np.ones(images), np.zeros(size)]
+    state = [gain, dark, np.ones(images), np.zeros(images), np.zeros(size)]
     own_prior = Prior.of(band)
     for _ in range(band.setting.rounds):
         difference, mean, by_a, by_b = band.look(state)
@@ -150,9 +156,9 @@ def _solve_band(
         for k, change in enumerate(step):
             state[k] = state[k] + change
         state[2] = np.clip(state[2], 0.2, 5.0)
-        if max(np.abs(step[0]).max(initial=0.0), np.abs(step[3]).max(initial=0.0)) < CLOSE_ENOUGH:
+        if max(np.abs(step[0]).max(initial=0.0), np.abs(step[4]).max(initial=0.0)) < CLOSE_ENOUGH:
             break
-    return state[0], state[1], state[2], state[3]
+    return state[0], state[1], state[2], state[3], state[4]
 
 
 def _weights(difference: FloatArray, mean: FloatArray, known: BoolArray) -> FloatArray:

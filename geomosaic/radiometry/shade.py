@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ STEPS = 4096
 
 @dataclass(frozen=True, eq=False)
 class Shade:
-    """corrected = net(place) · curve(value + dark) + offset, per band.
+    """corrected = net(place) · curve(value + dark − haze · path(place)) + offset, per band.
 
     Attributes
     ----------
@@ -28,6 +28,9 @@ class Shade:
     curve : array (bands, STEPS + 1)
         Values for dark-corrected ones of 0, reach / STEPS, ... reach; (bands, 0) where they stay as they are.
     reach : float
+    path : array (rows, cols)
+        At the nodes of the net; (0, 0) where there is no haze.
+    haze : array (bands,)
     """
 
     net: FloatArray
@@ -37,6 +40,8 @@ class Shade:
     offset: FloatArray
     curve: FloatArray
     reach: float
+    path: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    haze: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def of(
@@ -69,7 +74,11 @@ class Shade:
         j, v = between((rows - self.origin[1]) / self.spacing[1], self.net.shape[0])
         lines = self.net[j] + (self.net[j + 1] - self.net[j]) * v[:, None, None]
         gain = lines[:, i] + (lines[:, i + 1] - lines[:, i]) * u[None, :, None]
-        return np.asarray(gain * self.tone(np.asarray(values, dtype=np.float64)) + self.offset)
+        clear = np.asarray(values, dtype=np.float64)
+        if self.path.size:
+            ways = self.path[j] + (self.path[j + 1] - self.path[j]) * v[:, None]
+            clear = clear - self.haze * (ways[:, i] + (ways[:, i + 1] - ways[:, i]) * u)[..., None]
+        return np.asarray(gain * self.tone(clear) + self.offset)
 
     def tone(self, values: FloatArray) -> FloatArray:
         """Values (..., bands) of the curve."""
@@ -86,14 +95,17 @@ class Shade:
         """Gain and offset (bands,) that the correction comes to in the middle of values and places."""
         mean = self.net.mean(axis=(0, 1))
         ends = np.stack([np.full(len(self.dark), self.reach / 4), np.full(len(self.dark), self.reach / 2)])
-        low, high = mean * self.tone(ends) + self.offset
+        veil = self.haze * self.path.mean() if self.path.size else 0.0
+        low, high = mean * self.tone(ends - veil) + self.offset
         gain = (high - low) / (ends[1] - ends[0])
         return gain, low - gain * ends[0]
 
     def digest(self) -> bytes:
         """All that decides about values."""
         numbers = np.array([*self.origin, *self.spacing, self.reach])
-        return b"".join(part.tobytes() for part in (self.net, numbers, self.dark, self.offset, self.curve))
+        return b"".join(
+            part.tobytes() for part in (self.net, numbers, self.dark, self.offset, self.curve, self.path, self.haze)
+        )
 
 
 def between(at: FloatArray, count: int) -> tuple[AnyArray, FloatArray]:

@@ -21,8 +21,8 @@ LEAST_SIGMA = 0.003
 """With which one overlap is believed at best, as in `gain_offset`."""
 SIGMA_LEVEL = 0.15
 """Of the logarithm of the level of the ground that a photo shows, about that of its neighbours."""
-SIGMA_GAIN, SIGMA_DARK, SIGMA_GAMMA = 1.0, 0.1, 0.3
-"""Priors; of the dark offset in mean grey values."""
+SIGMA_GAIN, SIGMA_DARK, SIGMA_GAMMA, SIGMA_HAZE = 1.0, 0.1, 0.3, 0.1
+"""Priors; of the dark offset and of haze in mean grey values."""
 MOST_DENSE = 1500
 """Parameters of a band beyond which the normal equations are kept sparse."""
 LEAST_LIGHT = 1e-3
@@ -81,24 +81,34 @@ class Band:
     near: list[IntArray]
     level: FloatArray
     """The images' own levels (images,); NaN where they say nothing."""
+    path_a: FloatArray
+    path_b: FloatArray
+
+    @property
+    def kinds(self) -> list[int]:
+        """Parameters of each image's own that are solved, as numbers in the state: gain, dark, gamma, haze."""
+        return [0, 1, *([] if self.firm.all() else [2]), *([3] if "haze" in self.setting.terms else [])]
 
     def look(self, state: list[FloatArray]) -> tuple[FloatArray, FloatArray, list[FloatArray], list[FloatArray]]:
         """Difference and mean of both views (P, K), and derivatives of each by its image's own parameters."""
-        gain, dark, gamma, shared = state
+        gain, dark, gamma, haze, shared = state
         reach, shown, light, slope = self.setting.reach, [], [], []
-        for number, values, base in (
-            (self.views.first, self.a, self.shared_a),
-            (self.views.second, self.b, self.shared_b),
+        for number, values, base, path in (
+            (self.views.first, self.a, self.shared_a, self.path_a),
+            (self.views.second, self.b, self.shared_b, self.path_b),
         ):
             factor = np.exp(gain[number][:, None] + base @ shared)
-            plain = np.maximum((values + dark[number][:, None]) / reach, LEAST_LIGHT)
+            clear = values + dark[number][:, None] - haze[number][:, None] * path
+            plain = np.maximum(clear / reach, LEAST_LIGHT)
             power = gamma[number][:, None]
             shown.append(factor * reach * plain**power)
             slope.append(factor * power * plain ** (power - 1))
             light.append(plain)
         mean = (shown[0] + shown[1]) / 2
         curve = mean * np.log((light[0] + light[1]) / 2)
-        return shown[0] - shown[1], mean, [mean, slope[0], curve], [-mean, -slope[1], -curve]
+        by_a = [mean, slope[0], curve, -slope[0] * self.path_a]
+        by_b = [-mean, -slope[1], -curve, slope[1] * self.path_b]
+        return shown[0] - shown[1], mean, by_a, by_b
 
 
 @dataclass(frozen=True)
@@ -117,9 +127,10 @@ class Prior:
         setting, images = band.setting, band.setting.images
         known = band.views.known
         grey = float(np.abs(band.a[known]).mean() + np.abs(band.b[known]).mean()) / 2 if known.any() else 1.0
-        own = np.empty((3, images))
+        own = np.empty((4, images))
         own[0], own[1] = SIGMA_GAIN**-2, (SIGMA_DARK * max(grey, 1e-12)) ** -2
         own[2] = np.where(band.firm, 1e16, SIGMA_GAMMA**-2)
+        own[3] = (SIGMA_HAZE * max(grey, 1e-12)) ** -2
         # Overlaps cannot tell a ramp of gains from a trend: held gains leave long ramps to the trend.
         strength = (drift.FIRM * 0.1) ** -2
         return cls(
@@ -137,14 +148,14 @@ def change_of(
     by_a: list[FloatArray],
     by_b: list[FloatArray],
 ) -> list[FloatArray]:
-    """Changes of gain, dark, gamma and shared coefficients; parameters are ordered image by image, shared ones last."""
-    views, images = band.views, band.setting.images
-    kinds = 3 if not band.firm.all() else 2
-    size = state[3].size
+    """Changes of the state; parameters are ordered image by image, shared ones last."""
+    views, images, shared = band.views, band.setting.images, state[4]
+    chosen = band.kinds
+    kinds, size = len(chosen), shared.size
     first = views.first[:, None] * kinds + np.arange(kinds)
     second = views.second[:, None] * kinds + np.arange(kinds)
     number = np.concatenate([first, second], axis=1)  # (P, 2·kinds)
-    jacobian = np.stack([*by_a[:kinds], *by_b[:kinds]], axis=1)  # (P, 2·kinds, K)
+    jacobian = np.stack([by[kind] for by in (by_a, by_b) for kind in chosen], axis=1)  # (P, 2·kinds, K)
     weighted = jacobian * weight[:, None, :]
     own = weighted @ jacobian.transpose(0, 2, 1)
     total = images * kinds + size
@@ -156,12 +167,12 @@ def change_of(
     push = (weighted @ difference[..., None])[..., 0].ravel()
     pull = -np.asarray(np.bincount(number.ravel(), push, total), dtype=np.float64)
     at = np.arange(images * kinds).reshape(images, kinds)
-    beforehand = np.stack([state[0], state[1], state[2] - 1.0][:kinds], axis=1)
-    pull[at] -= prior.own[:kinds].T * beforehand
+    beforehand, known = [state[0], state[1], state[2] - 1.0, state[3]], prior.own[chosen].T
+    pull[at] -= known * np.stack([beforehand[kind] for kind in chosen], axis=1)
     held = np.zeros(images)
     np.add.at(held, prior.rows, prior.held * state[0][prior.cols])
     pull[at[:, 0]] -= held
-    parts = [(rows, cols, values), (at.ravel(), at.ravel(), prior.own[:kinds].T.ravel())]
+    parts = [(rows, cols, values), (at.ravel(), at.ravel(), known.ravel())]
     parts.append((prior.rows * kinds, prior.cols * kinds, prior.held))
     told, off, by_dark = _levels(band.level, state)
     if len(told):
@@ -175,7 +186,7 @@ def change_of(
         across = mean[..., None] * (band.shared_a - band.shared_b)
         flat = (weight[..., None] * across).reshape(-1, size)
         both = flat.T @ across.reshape(-1, size) + prior.shared
-        pull[images * kinds :] = -(flat.T @ difference.ravel()) - prior.shared @ state[3]
+        pull[images * kinds :] = -(flat.T @ difference.ravel()) - prior.shared @ shared
         mixed = weighted @ across  # (P, 2·kinds, size)
         here = np.arange(images * kinds, total)
         r, c = np.broadcast_to(number[:, :, None], mixed.shape).ravel(), np.broadcast_to(here, mixed.shape).ravel()
@@ -183,8 +194,8 @@ def change_of(
         parts.append((np.repeat(here, size), np.tile(here, size), both.ravel()))
     change = _solution(total, parts, pull)
     mine = change[: images * kinds].reshape(images, kinds)
-    bend = mine[:, 2] if kinds == 3 else np.zeros(images)
-    return [mine[:, 0], mine[:, 1], bend, change[images * kinds :]]
+    own_change = [mine[:, chosen.index(kind)] if kind in chosen else np.zeros(images) for kind in range(4)]
+    return [*own_change, change[images * kinds :]]
 
 
 def _levels(level: FloatArray, state: list[FloatArray]) -> tuple[IntArray, FloatArray, FloatArray]:

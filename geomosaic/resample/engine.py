@@ -20,6 +20,8 @@ class Engine:
     finish: Callable[..., None]
     quick: Mapping[str, Callable[..., int]]
     shade: Callable[..., None]
+    compare: Callable[..., None]
+    withdraw: Callable[..., None]
     hands: int = 1
 
     def threads(self, most: int) -> int:
@@ -40,11 +42,12 @@ class Engine:
 
 def numpy_engine(hands: int = 1) -> Engine:
     """Kernels in NumPy: nothing to start, slow on large jobs."""
-    from geomosaic.resample import reference
+    from geomosaic.resample import agreement, reference
 
     return Engine(
-        reference.coordinates, reference.sample, reference.accumulate, reference.finish, {}, reference.shade, hands
-    )
+        reference.coordinates, reference.sample, reference.accumulate, reference.finish, {}, reference.shade,
+        agreement.compare, agreement.withdraw, hands,
+    )  # fmt: skip
 
 
 def numba_engine() -> Engine:
@@ -52,7 +55,7 @@ def numba_engine() -> Engine:
     from geomosaic.resample.start import load_numba
 
     load_numba()
-    from geomosaic.resample.kernels import blend, inner, place, sample, shade
+    from geomosaic.resample.kernels import agree, blend, inner, place, sample, shade
 
     return Engine(
         place.coordinates,
@@ -61,6 +64,8 @@ def numba_engine() -> Engine:
         blend.finish,
         {"bilinear": place.bilinear_rgb, "cubic": place.cubic_rgb, "bilinear, inner": inner.bilinear_rgb_inner},
         shade.shade,
+        agree.compare,
+        agree.withdraw,
     )
 
 

@@ -212,6 +212,8 @@ def shade(
     values: AnyArray,
     seen: AnyArray,
     net: FloatArray,
+    path: FloatArray,
+    haze: FloatArray,
     place: tuple[float, float, float, float],
     dark: FloatArray,
     curve: FloatArray,
@@ -231,6 +233,9 @@ def shade(
     lines = net[j] + (net[j + 1] - net[j]) * (v - j)[:, None, None]
     gain = lines[:, i] + (lines[:, i + 1] - lines[:, i]) * (u - i)[None, :, None]
     plain = values.astype(np.float64) + dark
+    if path.size:
+        ways = path[j] + (path[j + 1] - path[j]) * (v - j)[:, None]
+        plain = plain - haze * (ways[:, i] + (ways[:, i + 1] - ways[:, i]) * (u - i)[None, :])[..., None]
     steps = curve.shape[1] - 1
     if steps > 0:
         at = np.maximum(plain * (steps / reach), 0.0)

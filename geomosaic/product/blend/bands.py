@@ -1,4 +1,4 @@
-"""Blocks of a mosaic blended by differences: multiband, over the overlap, with a smooth ramp, without ghosts."""
+"""Blocks of a mosaic blended by differences: multiband, and over all that images share."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from geomosaic.geo.grid import Window
 from geomosaic.product.blend.block import Blender, Lattices
 from geomosaic.product.blend.options import Blending
-from geomosaic.product.blend.ramps import between, ramp
+from geomosaic.product.blend.ramps import between
 from geomosaic.product.mosaic_unit import MosaicUnit
 from geomosaic.product.visibility import Shades
 from geomosaic.raster.burn import burn
@@ -60,10 +60,8 @@ class BandBlender(Blender):
         """Pixels beyond a seam that its blending changes, and beyond those that they depend on; in whole cells."""
         if self.blending.kind == "multiband":
             pixels = 4.0 * (1 << self.levels)  # of the taps down and up, all levels together
-        elif self.blending.kind == "overlap":
-            pixels = float(CELL)
         else:
-            pixels = max(self.width, float(CELL))
+            pixels = float(CELL)
         return self.cell * math.ceil(pixels / self.cell)
 
     @property
@@ -245,13 +243,10 @@ class BandBlender(Blender):
         """Weights that sum to one, by image; None for multiband, which has them by level."""
         if self.blending.kind == "multiband":
             return None
-        if self.blending.kind == "overlap":
-            raw = [self._from_edge(wide, i) * view.valid for i, view in zip(images, views, strict=True)]
-            best = np.argmax(raw, axis=0)
-            some = np.max(raw, axis=0) > 0
-            local[some] = best[some]
-        else:
-            raw = [ramp(local == position, self.width) for position in range(len(images))]
+        raw = [self._from_edge(wide, i) * view.valid for i, view in zip(images, views, strict=True)]
+        best = np.argmax(raw, axis=0)
+        some = np.max(raw, axis=0) > 0
+        local[some] = best[some]
         if self.blending.ramp == "smooth":
             raw = [weight**2 * (3 - 2 * weight) for weight in raw]
         total = np.sum(raw, axis=0, dtype=np.float64)

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.product.blend.limit import Shown, limit
+from geomosaic.product.blend.share import Share
 from geomosaic.product.mosaic_unit import MosaicUnit
 from geomosaic.product.photo import pull
 from geomosaic.product.photos import Photos
@@ -40,11 +42,14 @@ class Seams:
         Footprints.
     feather : float
         Width of the transition in output pixels.
+    smooth : bool
+        3t² − 2t³ in place of t: ramps without a kink at their ends.
     """
 
     regions: list[Any]
     outlines: list[Any]
     feather: float
+    smooth: bool = False
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,8 @@ class Blender:
     dtype: str
     """Of the output."""
     sight: Visibility | None
+    limited: bool
+    """Whether what images show differently is not blended."""
 
     @property
     def info(self) -> SourceInfo:
@@ -77,7 +84,7 @@ class Blender:
     @property
     def said(self) -> str:
         """What else pixels depend on, the same for all blocks, as text."""
-        return ""
+        return "".join(word for word, asked in (("limited", self.limited), (" smooth", self.seams.smooth)) if asked)
 
     @property
     def wide(self) -> bool:
@@ -136,7 +143,7 @@ class Blender:
                 self.colours[index], out, valid, need, lattices=lattices.get(index), shades=shades,
             )  # fmt: skip
 
-    def _shares(self, window: Window, near: list[int]) -> list[_Share]:
+    def _shares(self, window: Window, near: list[int]) -> list[Share]:
         """Weights of the images that have any in the block."""
         import shapely
 
@@ -147,7 +154,7 @@ class Blender:
         frame = shapely.box(*reduced.bounds)
         close = [i for i in near if self.seams.regions[i].intersects(frame)]
         if len(close) == 1 and self.seams.regions[close[0]].covers(frame):
-            return [_Share(close[0], None, factor, margin)]
+            return [Share(close[0], None, factor, margin)]
         label = burn([(self.seams.regions[i], i) for i in close], reduced)
         distance: dict[int, AnyArray] = {}
         if feather > 0 and len(close) == 2 and label.min() >= 0:  # what is beyond the one's seam is within the other's
@@ -159,8 +166,10 @@ class Blender:
             if feather > 0 and not self.seams.outlines[i].covers(frame):
                 footprint = burn([(self.seams.outlines[i], 1)], reduced) == 1
             weight = weights(label, i, footprint, feather, factor, distance.get(i))
+            if self.seams.smooth:
+                weight = weight * weight * (3 - 2 * weight)
             if weight.any():
-                shares.append(_Share(i, weight, factor, margin))
+                shares.append(Share(i, weight, factor, margin))
         return shares
 
     def _reduced(self, window: Window, factor: int, margin: int) -> Grid:
@@ -177,7 +186,7 @@ class Blender:
     def _blend(
         self,
         ground: BlockGround,
-        shares: list[_Share],
+        shares: list[Share],
         values: AnyArray,
         valid: ByteArray,
         label: AnyArray,
@@ -201,15 +210,22 @@ class Blender:
         kind = np.float32 if values.dtype.itemsize < 4 or values.dtype == np.float32 else np.float64
         total, own = np.zeros((*shape, bands), dtype=kind), np.zeros((*shape, bands), dtype=kind)
         sums, best = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
+        kept: list[Shown] = []
         for share, need in zip(shares, needs, strict=True):
             shared = need & mixed
             if not shared.any():
                 continue
-            seen.fill(0)  # and what the last image left in `own` counts no more
+            if self.limited and kept:
+                own, seen = np.zeros_like(own), np.zeros_like(seen)
+            else:
+                seen.fill(0)  # and what the last image left in `own` counts no more
             self._pull(share.index, ground, own, seen, shared, lattices, shades)
             self.engine.accumulate(
                 own, seen, share.weight, share.factor, share.margin, share.index + 1, shared, total, sums, best, label
             )
+            if self.limited:
+                kept.append(Shown(share, own, seen, shared))
+        limit(kept, self.engine, str(values.dtype), label, total)
         low, high, whole = value_range(str(values.dtype))
         self.engine.finish(total, sums, mixed, low, high, whole, values, valid)
 
@@ -251,30 +267,6 @@ class Blender:
             np.copyto(label, i + 1, where=new)
             filled = True
         return filled
-
-
-@dataclass(frozen=True)
-class _Share:
-    """Weight of one image on a reduced lattice; None is 1 everywhere."""
-
-    index: int
-    weight: AnyArray | None
-    factor: int
-    margin: int
-
-    def need(self, shape: tuple[int, int]) -> ByteArray:
-        """Cells of the block in which the image has weight."""
-        assert self.weight is not None
-        per = CELL // self.factor
-        rows, cols = -(-shape[0] // CELL), -(-shape[1] // CELL)
-        # Counts over windows from running sums: a window is a cell and what its pixels interpolate between.
-        sums = np.pad(np.cumsum(np.cumsum(self.weight > 0, axis=0), axis=1), ((1, 0), (1, 0)))
-        top, left = self.margin - 1 + per * np.arange(rows), self.margin - 1 + per * np.arange(cols)
-        stop = np.minimum(top + per + 2, self.weight.shape[0])
-        end = np.minimum(left + per + 2, self.weight.shape[1])
-        count = sums[stop][:, end] - sums[top][:, end] - sums[stop][:, left] + sums[top][:, left]
-        need: ByteArray = (count > 0).astype(np.uint8)
-        return need
 
 
 def cells_of(mask: AnyArray) -> AnyArray:

@@ -31,7 +31,11 @@ def blender_for(
     sight: Visibility | None,
 ) -> Blender:
     """Renderer of blocks; `seams.feather` is the width of the transition in output pixels, `dtype` of the output."""
-    plain = Blender(photos, grid, ground, seams, colours, engine, render.resampling, render.tolerance, dtype, sight)
+    limited = blending.limits and seams.feather > 0
+    seams = replace(seams, smooth=blending.ramp == "smooth")
+    plain = Blender(
+        photos, grid, ground, seams, colours, engine, render.resampling, render.tolerance, dtype, sight, limited
+    )
     if blending.plain:
         return plain
     from geomosaic.product.blend.bands import BandBlender
@@ -41,5 +45,5 @@ def blender_for(
     noise = usual_difference(plain) if blending.limits else None
     return BandBlender(
         photos, grid, ground, replace(seams, feather=0.0), colours, engine, render.resampling, render.tolerance, dtype,
-        sight, blending, seams.feather, steps(compiled=bool(engine.quick)), noise,
+        sight, limited, blending, seams.feather, steps(compiled=bool(engine.quick)), noise,
     )  # fmt: skip

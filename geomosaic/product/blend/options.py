@@ -79,7 +79,7 @@ class Blending:
     ramp : str
         'linear', or 'smooth' with no kink at its ends.
     limit : bool, optional
-        Do not blend what the images show differently. Done for 'multiband' unless said otherwise.
+        Do not blend what the images show differently. Done unless said otherwise.
     """
 
     kind: str = "feather"
@@ -96,12 +96,12 @@ class Blending:
     @property
     def limits(self) -> bool:
         """Whether what images show differently is not blended."""
-        return self.kind == "multiband" if self.limit is None else self.limit
+        return self.kind != "none" and self.limit is not False
 
     @property
     def plain(self) -> bool:
-        """Whether a weighted mean over a linear ramp is all that is wanted."""
-        return self.kind == "none" or (self.kind == "feather" and self.ramp == "linear" and not self.limits)
+        """Whether weights across the seam are all that is wanted."""
+        return self.kind in ("none", "feather")
 
     def pixels(self, grid: Grid, given: float | None) -> float:
         """Width in pixels of the output; `given` is one in map units, that counts where there is no other."""

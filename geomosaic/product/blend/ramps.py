@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomosaic.seam.feather import signed_distance
-from geomosaic.types import AnyArray, BoolArray
+from geomosaic.types import AnyArray
 
 
 def between(nodes: AnyArray, at: AnyArray, axis: int) -> AnyArray:
@@ -17,11 +16,3 @@ def between(nodes: AnyArray, at: AnyArray, axis: int) -> AnyArray:
     one, two = nodes.take(first, axis=axis), nodes.take(first + 1, axis=axis)
     between: AnyArray = one + (two - one) * share
     return between
-
-
-def ramp(own: BoolArray, width: float) -> AnyArray:
-    """0 to 1 across the edge of a mask."""
-    if width <= 0:
-        return own.astype(np.float64)
-    weight: AnyArray = np.clip(0.5 + signed_distance(own, width / 2) / width, 0.0, 1.0)
-    return weight

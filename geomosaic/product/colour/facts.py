@@ -15,6 +15,7 @@ NAMES = {
     "vignetting": "fall of light to the corners",
     "trend": "view-angle trend",
     "hotspot": "hotspot",
+    "haze": "haze towards the corners",
     "gamma": "gamma",
     "dodging": "local differences",
 }
@@ -47,6 +48,8 @@ def colour_facts(balance: Balance, names: Sequence[str] | None) -> dict[str, Any
         at = bases.RADIAL * fields.setting.cameras * ("vignetting" in terms)
         facts["trend"] = fields.shared[at : at + bases.TREND].T.tolist()
     facts["dark"] = fields.dark[:images].tolist()
+    if fields.haze is not None:
+        facts["haze"] = fields.haze[:images].tolist()
     facts["gamma"] = fields.gamma[:images].tolist()
     shades = [shade for shade in balance.curves or () if isinstance(shade, Shade)]
     facts["field"] = [

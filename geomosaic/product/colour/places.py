@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from geomosaic.geo.grid import Grid
 from geomosaic.product.photos import Photos
+from geomosaic.radiometry import bases
 from geomosaic.radiometry.fields import Fields
 from geomosaic.radiometry.shade import Shade
 from geomosaic.radiometry.views import Places
@@ -82,7 +85,10 @@ def shade_of(photos: Photos, index: int, fields: Fields) -> Shade:
         log[:] = 0.0
     # Rounded, so that the last bits of sums in another order do not show.
     net = np.round(np.exp(log + fields.gain[index]), 9).reshape(len(rows), len(cols), -1)
-    return Shade.of(
+    shade = Shade.of(
         net, (float(cols[0]), float(rows[0])), (spacing, spacing), fields.dark[index], fields.gamma[index],
         fields.setting.reach,
     )  # fmt: skip
+    if fields.haze is None:
+        return shade
+    return replace(shade, path=bases.path(view).reshape(len(rows), len(cols)), haze=fields.haze[index])

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from geomosaic.product.colour.stretch import Stretch
     from geomosaic.product.mosaic_options import MosaicOptions
 
-VERSION = 1
+VERSION = 2
 """Raised when the code finds something else."""
 
 

@@ -32,7 +32,7 @@ from geomosaic.types import IntArray
 if TYPE_CHECKING:
     from geomosaic.product.mosaic_options import MosaicOptions
 
-VERSION = 4
+VERSION = 5
 """Raised when the code gives other pixels."""
 LOSSLESS = ("NONE", "DEFLATE", "ZSTD", "LZW", "PACKBITS", "LZMA")
 

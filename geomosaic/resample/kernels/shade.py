@@ -9,19 +9,24 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shade(values, seen, net, place, dark, curve, reach, offset, low, high, whole, out, out_valid):
+def shade(
+    values, seen, net, path, haze, place, dark, curve, reach, offset, low, high, whole, out, out_valid
+):  # fmt: skip
     """Correct the pixels that are seen; `place` is the node of pixel (0, 0) and nodes per pixel, across and down."""
     height, width, bands = values.shape
     node_rows, node_cols, _ = net.shape
     u0, v0, du, dv = place
     steps = curve.shape[1] - 1
     scale = steps / reach
-    line = np.empty((node_cols, bands))
+    line, ways = np.empty((node_cols, bands)), np.zeros(node_cols)
+    hazy = path.size > 0
     for k in range(height):
         v = min(max(v0 + k * dv, 0.0), node_rows - 1.0)
         j = min(int(v), node_rows - 2)
         fv = v - j
         for i in range(node_cols):
+            if hazy:
+                ways[i] = path[j, i] + (path[j + 1, i] - path[j, i]) * fv
             for m in range(bands):
                 line[i, m] = net[j, i, m] + (net[j + 1, i, m] - net[j, i, m]) * fv
         for c in range(width):
@@ -30,9 +35,12 @@ def shade(values, seen, net, place, dark, curve, reach, offset, low, high, whole
             u = min(max(u0 + c * du, 0.0), node_cols - 1.0)
             i = min(int(u), node_cols - 2)
             fu = u - i
+            way = ways[i] + (ways[i + 1] - ways[i]) * fu
             for m in range(bands):
                 gain = line[i, m] + (line[i + 1, m] - line[i, m]) * fu
                 plain = np.float64(values[k, c, m]) + dark[m]
+                if hazy:
+                    plain -= haze[m] * way
                 if steps > 0:
                     at = max(plain * scale, 0.0)
                     s = min(int(at), steps - 1)

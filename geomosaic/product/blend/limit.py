@@ -1,0 +1,64 @@
+"""Blending limited where images disagree: no ghosts of what moved, or leans another way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.product.blend.share import Share
+from geomosaic.resample.agreement import box_of, doubt_of
+from geomosaic.resample.engine import Engine
+from geomosaic.resample.pyramid import steps
+from geomosaic.types import AnyArray, ByteArray, FloatArray
+
+_SPARSE = 8
+"""Every so many pixels serve for a mean level."""
+_PART = 1e-4
+"""Of the values of floating point: differences of rounding."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What an image shows of a block: values (rows, cols, bands) and where they are seen, of some cells."""
+
+    share: Share
+    values: AnyArray
+    seen: ByteArray
+    cells: ByteArray
+
+
+def limit(shown: Sequence[Shown], engine: Engine, dtype: str, label: AnyArray, total: AnyArray) -> None:
+    """Take back, from a block's weighted sums, what other images show differently than that of a pixel.
+
+    Images are judged by pairs, from nothing but the block itself. What they show alike stays as it is, to the bit.
+    """
+    by = None
+    whole = np.issubdtype(np.dtype(dtype), np.integer)
+    for at, one in enumerate(shown):
+        for other in shown[at + 1 :]:
+            cells = one.cells & other.cells
+            if not cells.any():
+                continue
+            by = by or steps(compiled=bool(engine.quick))
+            corner, (rows, cols) = box_of(cells)
+            level = _level(one)
+            moments = np.zeros((5, total.shape[2], rows, cols), dtype=np.float32)
+            known = np.zeros((rows, cols), dtype=np.float32)
+            engine.compare(one.values, other.values, one.seen, other.seen, level, cells, corner, moments, known)
+            least = 0.5 if whole else _PART * max(float(np.abs(level).mean()), 1e-300)
+            doubt = doubt_of(moments, known, level, least, by)
+            if doubt is None:
+                continue
+            a, b = one.share, other.share
+            engine.withdraw(
+                one.values, other.values, one.seen, other.seen, a.weight, b.weight, a.factor, a.margin,
+                (a.index + 1, b.index + 1), cells, corner, doubt, label, total,
+            )  # fmt: skip
+
+
+def _level(one: Shown) -> FloatArray:
+    some = one.seen[::_SPARSE, ::_SPARSE] > 0
+    values = one.values[::_SPARSE, ::_SPARSE][some]
+    return values.mean(axis=0, dtype=np.float64) if len(values) else np.zeros(one.values.shape[2])

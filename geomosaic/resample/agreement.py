@@ -1,0 +1,232 @@
+"""Where two images of the same ground show different things: cars that moved, houses that lean the other way.
+
+The difference D = a − b of two images that meet at a seam is, where both show the same, a matter of light: slow, and in
+proportion to brightness at most, D ≈ m + g·(A − level), with A the mean of both, m a mean over about 32 pixels around
+and g one number per band. What is farther from that than images of this ground are as a rule stands out. There the
+image that a pixel belongs to is shown alone, with what D would be by light; so that colours still pass into each other,
+and nothing of the other image shines through.
+
+Looked at are samples of 4 × 4 pixels, by the mean square over their quarters of 2 × 2. The rule is the median of the
+mean squares at this seam.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from geomosaic.resample.pyramid import Steps, ascend, descend, filled
+from geomosaic.types import AnyArray, ByteArray, Float32Array, FloatArray
+
+CELL, SAMPLE = 64, 4
+PER = CELL // SAMPLE
+LEVELS, MORE = 3, 2
+"""Levels over which the mean is taken, 32 pixels; and beyond which it is looked for where all around stands out."""
+ALIGNED = 1 << (LEVELS + MORE)
+"""Samples of which rows and columns must be multiples."""
+ROUNDS = 3
+TOLERATED = 3.0
+"""Times the usual difference; what differs by 0.8 times as much is blended fully, by 1.6 times not at all."""
+_BLENDED, _NOT = 0.7, 2.5
+_STEEPEST = 0.5
+
+
+class Doubt(NamedTuple):
+    """What two images show differently.
+
+    Attributes
+    ----------
+    share : array (rows, cols)
+        Of samples: 0 where they show the same, 1 where they do not.
+    mean : array (bands, rows, cols)
+        m of the module's text.
+    slope, level : array (bands,)
+        g, and the level that brightness is counted from.
+    """
+
+    share: FloatArray
+    mean: FloatArray
+    slope: FloatArray
+    level: FloatArray
+
+
+def doubt_of(moments: Float32Array, known: Float32Array, level: FloatArray, least: float, by: Steps) -> Doubt | None:
+    """Judge samples; None where all that is known shows the same.
+
+    Parameters
+    ----------
+    moments : float32 array (5, bands, rows, cols)
+        Of `compare`; rows and columns multiples of `ALIGNED`.
+    known : float32 array (rows, cols)
+        1 where there are moments, else 0.
+    level : array (bands,)
+    least : float
+        Difference that always counts as usual: rounding.
+    by : Steps
+    """
+    some = known > 0
+    if not some.any():
+        return None
+    weight, (d, s, dd, ds, ss) = known[None], moments
+    bands = len(d)
+    both, trusted, slope = np.concatenate([d, s]), weight, np.zeros(bands)
+    around = np.maximum(by.expand(by.reduce(weight)), np.float32(1e-6))
+    for number in range(ROUNDS):
+        mean = _means(both, trusted, by)
+        mean_d, mean_s = mean[:bands], mean[bands:]
+        if number:
+            x = s - mean_s
+            spread = (trusted * x * x).sum(axis=(1, 2), dtype=np.float64) + known.sum(dtype=np.float64) * least**2
+            slope = (trusted * x * (d - mean_d)).sum(axis=(1, 2), dtype=np.float64) / spread
+            slope = np.clip(slope, -_STEEPEST, _STEEPEST)
+        g = slope.astype(np.float32)[:, None, None]
+        centre = mean_d - g * mean_s
+        off = dd - 2 * g * ds + g * g * ss - 2 * centre * (d - g * s) + centre * centre
+        square = np.maximum(off.mean(axis=0, keepdims=True), 0) * weight
+        usual = max(float(np.median(square[0][some])), least**2)
+        ratio = by.expand(by.reduce(square)) / around / np.float32(TOLERATED**2 * usual)
+        t = np.clip((ratio - np.float32(_BLENDED)) / np.float32(_NOT - _BLENDED), 0, 1)
+        share = t * t * (3 - 2 * t)
+        if not share[0][some].any():
+            return None
+        trusted = weight * (1 - share)
+    return Doubt(share[0].astype(np.float64), centre.astype(np.float64), g[:, 0, 0].astype(np.float64), level)
+
+
+def _means(values: Float32Array, weight: Float32Array, by: Steps) -> Float32Array:
+    total, sums = descend(by, values * weight, LEVELS)[-1], descend(by, weight, LEVELS)[-1]
+    local = total / np.maximum(sums, np.float32(1e-6))
+    found: Float32Array = ascend(by, filled(by, local, np.minimum(4 * sums, np.float32(1)), MORE), LEVELS)
+    return found
+
+
+def box_of(cells: ByteArray) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First sample, and number of samples down and across, of the part of a block that some cells lie in."""
+    first, size = [], []
+    for axis in (1, 0):
+        at = np.flatnonzero(cells.any(axis=axis))
+        start = int(at[0]) * PER // ALIGNED * ALIGNED
+        first.append(start)
+        size.append(-(-((int(at[-1]) + 1) * PER - start) // ALIGNED) * ALIGNED)
+    return (first[0], first[1]), (size[0], size[1])
+
+
+def compare(
+    a: AnyArray,
+    b: AnyArray,
+    seen_a: ByteArray,
+    seen_b: ByteArray,
+    level: FloatArray,
+    cells: ByteArray,
+    corner: tuple[int, int],
+    out: Float32Array,
+    known: Float32Array,
+) -> None:
+    """Moments of samples of 4 × 4 pixels that both images show whole.
+
+    Parameters
+    ----------
+    a, b : array (rows, cols, bands)
+        Values of a block.
+    seen_a, seen_b : uint8 array (rows, cols)
+    level : array (bands,)
+        Taken off brightness.
+    cells : uint8 array
+        Cells of 64 × 64 pixels that are looked at.
+    corner : (int, int)
+        Row and column, in samples, of the first of `out`.
+    out : float32 array (5, bands, R, C)
+        Means over four quarters of D, A, D², D·A, A².
+    known : float32 array (R, C)
+        Set to 1.
+    """
+    rows, cols = a.shape[0] // SAMPLE, a.shape[1] // SAMPLE
+    wanted = np.kron(cells > 0, np.ones((PER, PER), dtype=bool))[:rows, :cols]
+    both = ((seen_a != 0) & (seen_b != 0))[: rows * SAMPLE, : cols * SAMPLE]
+    wanted &= both.reshape(rows, SAMPLE, cols, SAMPLE).all(axis=(1, 3))
+    r, c = np.nonzero(wanted)
+    if not len(r):
+        return
+    sums = np.zeros((5, len(r), a.shape[2]))
+    for down in (0, 2):
+        for right in (0, 2):
+            one, other = (
+                ((v[k, i].astype(np.float64) + v[k, i + 1]) + v[k + 1, i]) + v[k + 1, i + 1]
+                for v, k, i in ((v, r * SAMPLE + down, c * SAMPLE + right) for v in (a, b))
+            )
+            apart, mean = (one - other) * 0.25, (one + other) * 0.125 - level
+            for total, part in zip(sums, (apart, mean, apart * apart, apart * mean, mean * mean), strict=True):
+                total += part
+    out[:, :, r - corner[0], c - corner[1]] = (sums * 0.25).transpose(0, 2, 1)
+    known[r - corner[0], c - corner[1]] = 1
+
+
+def withdraw(
+    a: AnyArray,
+    b: AnyArray,
+    seen_a: ByteArray,
+    seen_b: ByteArray,
+    weight_a: Float32Array,
+    weight_b: Float32Array,
+    factor: int,
+    margin: int,
+    indices: tuple[int, int],
+    cells: ByteArray,
+    corner: tuple[int, int],
+    doubt: Doubt,
+    label: AnyArray,
+    total: AnyArray,
+) -> None:
+    """Take the other image's weight back from a sum where both show different things.
+
+    With w the weight of the other image, V its value, O that of the pixel's own and E what V − O would be by light,
+    w·share·(V − O − E) is taken off `total` (rows, cols, bands). `indices` are what `label` calls the images; the
+    weights are those of `accumulate`.
+    """
+    height, width, _ = a.shape
+    first = label == indices[0]
+    here = (first | (label == indices[1])) & (seen_a != 0) & (seen_b != 0)
+    here &= np.kron(cells > 0, np.ones((CELL, CELL), dtype=bool))[:height, :width]
+    k, c = np.nonzero(here)
+    place, fv, fu = _samples(k, c, corner, doubt.share.shape)
+    s = _between(doubt.share, place, fv, fu)
+    w = np.where(first[k, c], _weights(weight_b, k, c, factor, margin), _weights(weight_a, k, c, factor, margin))
+    some = (s > 0) & (w > 0)
+    k, c, s, w, fv, fu = k[some], c[some], s[some], w[some], fv[some], fu[some]
+    place = place[0][some], place[1][some]
+    one = first[k, c]
+    for m in range(a.shape[2]):
+        x, y = a[k, c, m].astype(np.float64), b[k, c, m].astype(np.float64)
+        half = np.where(one, doubt.slope[m] * 0.5, -doubt.slope[m] * 0.5)
+        own = np.where(one, x, y)
+        mean = _between(doubt.mean[m], place, fv, fu)
+        off = (x - y) - (mean + doubt.slope[m] * (own - doubt.level[m])) / (1.0 + half)
+        total[k, c, m] = total[k, c, m] + (w * s) * np.where(one, off, -off)
+
+
+def _samples(
+    k: AnyArray, c: AnyArray, corner: tuple[int, int], shape: tuple[int, ...]
+) -> tuple[tuple[AnyArray, AnyArray], FloatArray, FloatArray]:
+    v = np.minimum(np.maximum((k + 0.5) / SAMPLE - 0.5 - corner[0], 0.0), shape[0] - 1.0)
+    u = np.minimum(np.maximum((c + 0.5) / SAMPLE - 0.5 - corner[1], 0.0), shape[1] - 1.0)
+    j, i = np.minimum(v.astype(np.int64), shape[0] - 2), np.minimum(u.astype(np.int64), shape[1] - 2)
+    return (j, i), v - j, u - i
+
+
+def _between(values: FloatArray, place: tuple[AnyArray, AnyArray], fv: FloatArray, fu: FloatArray) -> FloatArray:
+    j, i = place
+    upper = values[j, i] + (values[j, i + 1] - values[j, i]) * fu
+    lower = values[j + 1, i] + (values[j + 1, i + 1] - values[j + 1, i]) * fu
+    found: FloatArray = upper + (lower - upper) * fv
+    return found
+
+
+def _weights(weight: Float32Array, k: AnyArray, c: AnyArray, factor: int, margin: int) -> FloatArray:
+    v, u = (k + 0.5) / factor - 0.5 + margin, (c + 0.5) / factor - 0.5 + margin
+    j, i = v.astype(np.int64), u.astype(np.int64)
+    fv, fu = (v - j).astype(np.float32), (u - i).astype(np.float32)
+    top = weight[j, i] + (weight[j, i + 1] - weight[j, i]) * fu
+    low = weight[j + 1, i] + (weight[j + 1, i + 1] - weight[j + 1, i]) * fu
+    found: FloatArray = (top + (low - top) * fv).astype(np.float64)
+    return found
