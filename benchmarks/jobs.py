@@ -123,8 +123,12 @@ def merge(s: Setting) -> Result:
         "-o", str(out),
     )  # fmt: skip
     beside = tuple(s.work / f"ours{end}" for end in (".tif", ".gpkg", ".stac.json"))
-    kinds = {"feather": 1.0, "multiband": 2.0}
-    tools = [Tool(f"geomosaic {kind}", ((*command, "--blend", kind),), beside) for kind in kinds]
+    kinds = {"feather": 1.0, "multiband": 2.0, "feather, pixels only": 1.0, "multiband, pixels only": 2.0}
+    tools = []
+    for kind in kinds:  # the peer makes the raster, and nothing that says how it was made
+        blend, _, alone = kind.partition(", ")
+        words = (*command, "--blend", blend, *(("--no-records",) if alone else ()))
+        tools.append(Tool(f"geomosaic {kind}", (words,), (out,) if alone else beside))
     plain: Command = (s.python, str(ROOT / "benchmarks" / "merged.py"), str(other), *inputs)
     tools = warm([*tools, Tool("rasterio.merge", (plain,), (other,))], s.work)
     times = take(tools, s.rounds, s.work, tell)

@@ -11,14 +11,14 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmarks import blend, growth, jobs
+from benchmarks import blend, edit, growth, jobs
 from benchmarks.jobs import Setting
 from benchmarks.machine import description
 from benchmarks.process import Programs, helper
 from benchmarks.report import page
 from benchmarks.rounds import tell
 
-JOBS = {**jobs.JOBS, "blend": blend.blend, "growth": growth.growth}
+JOBS = {**jobs.JOBS, "blend": blend.blend, "growth": growth.growth, "edit": edit.edit}
 HERE = Path(__file__).resolve().parent
 RAM_DISK = Path("/dev/shm")
 
@@ -53,7 +53,7 @@ def main(arguments: list[str] | None = None) -> None:
         if getattr(programs, name) is None:
             tell(f"`{name}` was not found: its rows are left out (see benchmarks/README.md)")
     tell(f"data in {data}")
-    if set(words.jobs or JOBS) & set(jobs.JOBS):
+    if set(words.jobs or JOBS) & {*jobs.JOBS, "edit"}:
         helper("data", str(data), *(["--small"] if words.small else []))
     setting = Setting(data, work, words.small, words.rounds, programs, sys.executable)
     out = words.out or (data if words.small else HERE)

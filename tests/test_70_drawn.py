@@ -13,6 +13,7 @@ import shapely
 
 from geomosaic.cli.words import mosaic_words
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.product.blend.options import Blending
 
 L, T = rig.LEFT, rig.TOP
 CROSSING = [(L, T), (L + 200, T - 100), (L + 200, T), (L, T - 100)]
@@ -84,3 +85,22 @@ def test_images_that_share_nothing_are_told(files: list[Path], tmp_path: Path) -
     assert "have its colour compared with theirs: apart.tif" in mosaic_words(made)
     made = rig.run(files, tmp_path / "out.tif", balance=True)
     assert "compared" not in mosaic_words(made)
+
+
+@pytest.mark.parametrize("way", ["both", "one over the other", "one away from the other"])
+def test_a_border_moved_on_one_side_only_is_told(files: list[Path], tmp_path: Path, way: str) -> None:
+    """Layers of shares: a to column 90 and b beyond; b moved over a without a, or away from it."""
+    ends = {"both": (110, 110), "one over the other": (90, 85), "one away from the other": (90, 110)}[way]
+    a, b = shapely.box(L, T - 100, L + ends[0], T), shapely.box(L + ends[1], T - 100, L + 200, T)
+    frame = geopandas.GeoDataFrame({"image": ["a.tif", "b.tif"]}, geometry=[a, b], crs="EPSG:32633")
+    frame.to_file(tmp_path / "drawn.gpkg", layer="seams")
+    given = {"cutlines": tmp_path / "drawn.gpkg", "blending": Blending("none")}
+    if way == "both":
+        rig.run(files, tmp_path / "out.tif", **given)
+        label = rig.read(tmp_path / "out-labels.tif")[0][..., 0]
+        assert (label[:, :110] == 1).all()
+        assert (label[:, 110:] == 2).all()
+        return
+    said = "overlap by 500 square map units, which 'a.tif' shows" if "over" in way else "leave 2000 square map units"
+    with pytest.warns(GeomosaicWarning, match=said):
+        rig.run(files, tmp_path / "out.tif", **given)

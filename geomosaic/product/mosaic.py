@@ -105,7 +105,10 @@ def mosaic(
     about: dict[str, list[Any]] = {}
     try:
         # What costs time to import gets it where a processor would idle.
-        compiled = beside_it.submit(engine_for, 2 * samples(grid, outlines), render.resampling)
+        units, work = tiles(grid, render.tile), 2 * samples(grid, outlines)
+        again = options.memory is not None and options.memory.file.is_file()
+        # What an earlier run has left to do is not known yet, and may not be worth the start of the compiled kernels.
+        compiled = beside_it.submit(engine_for, 0 if again else work, render.resampling, render.threads)
         with Clock(seconds, "balance"):
             solved = earlier.balance(lambda: steady(_balanced(photos, options)))
         names, own = [outline.name for outline in outlines], corrections(solved)
@@ -134,6 +137,9 @@ def mosaic(
         files = {"mosaic": output, "labels": labels, "views": views}
         at_hand = {name: path for name, path in files.items() if path is not None}
         reuse = reuse_of(options, blender, at_hand, _said_of_water(water))
+        if again:
+            left = len(units) if reuse is None else reuse.left(units)
+            blender = blender.by(engine_for(work * left // len(units), render.resampling, render.threads))
         with Clock(seconds, "mosaic"):
             pixels, hidden, record = _render(blender, output, labels, options, reuse, water)
         digest = sha256 if options.memory is None else options.memory.digest
@@ -179,7 +185,7 @@ def mosaic(
     feather = width * grid.resolution[0] if np.isfinite(width) else 0.0
     return MosaicResult(
         output, labels, vectors, item, grid, sum(pixels), pixels, solved, feather, record.error, render.tolerance,
-        record.scale, seconds, 0 if reuse is None else len(reuse.taken), len(tiles(grid, render.tile)), stretch, parts,
+        record.scale, seconds, 0 if reuse is None else len(reuse.taken), len(units), stretch, parts,
         quality, places, hidden if render.true_ortho else None,
         tuple(earlier.recall.recalled), height_notes(ground, outlines),
     )  # fmt: skip
@@ -263,6 +269,10 @@ def _render(
                 sink.keep(window)
                 if label_sink is not None:
                     label_sink.keep(window)
+            elif not made.counts[1:].any():  # as most of a mosaic of photos far apart
+                sink.leave(window)
+                if label_sink is not None:
+                    label_sink.leave(window)
             else:
                 sink.write(window, made.values, made.valid, blank=render.nodata is None)
                 if label_sink is not None:

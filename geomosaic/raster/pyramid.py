@@ -107,17 +107,26 @@ class Kept:
     index: int
 
 
+@dataclass(frozen=True)
+class Blank:
+    """A tile without a valid pixel."""
+
+    level: int
+    index: int
+
+
 Half = tuple[AnyArray, ByteArray | None]
 
 
 @dataclass
 class _Open:
-    """A tile under construction: the number of parts to come, those there are, and those that were kept unread.
+    """A tile under construction: the number of parts to come, those that show something, those that were kept unread.
 
     Parts stay apart until the last one is there: whole tiles would take the place of parts that are still to come, for
     every tile of a row.
     """
 
+    count: int
     left: int
     parts: dict[int, Half]
     kept: list[int]
@@ -141,14 +150,14 @@ class Parents:
         self._sizes, self._bands, self._dtype, self._again = sizes, bands, dtype, again
         self._open: dict[tuple[int, int], _Open] = {}
 
-    def add(self, level: int, index: int, values: AnyArray, valid: ByteArray | None) -> Tile | None:
-        """Put the half of a tile in its place; returns the parent when that was its last part."""
-        self._parent(level, index).parts[index] = values, valid
-        whole = self._arrived(level, index)
-        assert not isinstance(whole, Kept)
-        return whole
+    def add(self, level: int, index: int, half: Half | None) -> Tile | Kept | Blank | None:
+        """Put the half of a tile in its place, None where nothing is valid; returns the parent with its last part."""
+        parent = self._parent(level, index)
+        if half is not None:
+            parent.parts[index] = half
+        return self._arrived(level, index)
 
-    def keep(self, level: int, index: int) -> Tile | Kept | None:
+    def keep(self, level: int, index: int) -> Tile | Kept | Blank | None:
         """Note that a tile is as it was; so is the parent, where all its parts are."""
         self._parent(level, index).kept.append(index)
         return self._arrived(level, index)
@@ -162,18 +171,20 @@ class Parents:
         if key not in self._open:
             row, col = divmod(index, size.across)
             children = min(2, size.down - row // 2 * 2) * min(2, size.across - col // 2 * 2)
-            self._open[key] = _Open(children, {}, [])
+            self._open[key] = _Open(children, children, {}, [])
         return self._open[key]
 
-    def _arrived(self, level: int, index: int) -> Tile | Kept | None:
+    def _arrived(self, level: int, index: int) -> Tile | Kept | Blank | None:
         key = self._key(level, index)
         parent = self._open[key]
         parent.left -= 1
         if parent.left:
             return None
         del self._open[key]
-        if not parent.parts:
+        if len(parent.kept) == parent.count:
             return Kept(*key)
+        if not parent.parts and not parent.kept:
+            return Blank(*key)
         return self._joined(key, level, parent.parts | {child: self._again(level, child) for child in parent.kept})
 
     def _joined(self, key: tuple[int, int], level: int, parts: dict[int, Half]) -> Tile:

@@ -147,13 +147,7 @@ class RasterSink:
         OutputError
             The disk is full.
         """
-        if window.col % BLOCK or window.row % BLOCK or window.intersection(self._grid.window) != window:
-            raise ValueError(f"{window} does not start on a block of {BLOCK} or leaves the raster")
-        if any(
-            stop % BLOCK and stop != end
-            for stop, end in ((window.stop_col, self._grid.width), (window.stop_row, self._grid.height))
-        ):
-            raise ValueError(f"{window} ends within a block of {BLOCK}")
+        self._check(window)
         if values.shape != (window.height, window.width, self._bands) or values.dtype != self._dtype:
             raise ValueError(f"{values.dtype} values of shape {values.shape} do not fill {window} of {self.path}")
         try:
@@ -161,6 +155,30 @@ class RasterSink:
         except (OSError, RasterioError) as error:
             self._tiles.close()
             raise self._failed(error) from error
+
+    def leave(self, window: Window) -> None:
+        """Write a window without a valid pixel; windows as in `write`.
+
+        Raises
+        ------
+        OutputError
+            The disk is full.
+        """
+        self._check(window)
+        try:
+            self._tiles.leave(window)
+        except (OSError, RasterioError) as error:
+            self._tiles.close()
+            raise self._failed(error) from error
+
+    def _check(self, window: Window) -> None:
+        if window.col % BLOCK or window.row % BLOCK or window.intersection(self._grid.window) != window:
+            raise ValueError(f"{window} does not start on a block of {BLOCK} or leaves the raster")
+        if any(
+            stop % BLOCK and stop != end
+            for stop, end in ((window.stop_col, self._grid.width), (window.stop_row, self._grid.height))
+        ):
+            raise ValueError(f"{window} ends within a block of {BLOCK}")
 
     def copies(self, earlier: Path) -> bool:
         """Take what is kept from an earlier file from now on, which may be the one that this one replaces.

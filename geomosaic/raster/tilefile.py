@@ -18,21 +18,17 @@ import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster import codec, tiff
-from geomosaic.raster.blank import filled
 from geomosaic.raster.codec import BLOCK
 from geomosaic.raster.earlier import EarlierTiles, inside_of
 from geomosaic.raster.environment import enter_for_good
-from geomosaic.raster.pyramid import Half, Kept, Level, Parents, Tile, halve, levels
+from geomosaic.raster.pieces import Pieces, TileMaker
+from geomosaic.raster.pyramid import Blank, Half, Kept, Level, Parents, Tile, halve, levels
 from geomosaic.raster.tiff import Directory, Field
 from geomosaic.raster.tilestore import TileStore, write_all
 from geomosaic.types import AnyArray, ByteArray
 
 _START = 16
 _OVERVIEW_TAGS = (33550, 33922, 34264, 34735, 34736, 34737, 42112)  # geo-reference and metadata stay with level 0
-_COG_MARK = (
-    b"LAYOUT=IFDS_BEFORE_DATA\nBLOCK_ORDER=ROW_MAJOR\nBLOCK_LEADER=SIZE_AS_UINT4\n"
-    b"BLOCK_TRAILER=LAST_4_BYTES_REPEATED\nKNOWN_INCOMPATIBLE_EDITION=NO\n "
-)
 
 
 class TileFile:
@@ -80,7 +76,7 @@ class TileFile:
     ) -> None:
         self._path, self._grid, self._bands, self._dtype = path, grid, bands, np.dtype(dtype)
         self._nodata, self._keep_mask, self._masked = nodata, mask and nodata is None, False
-        self._overviews, self._classes, self._cog = overviews, classes, cog
+        self._halves, self._cog = overviews or "average", cog
         self._profile: dict[str, Any] = codec.tile_profile(bands, dtype, options)
         raw_bytes = grid.width * grid.height * bands * self._dtype.itemsize
         self._big = tiff.needs_big(self._profile.pop("bigtiff", "IF_SAFER"), raw_bytes * (4 / 3 if overviews else 1))
@@ -89,9 +85,12 @@ class TileFile:
         )
         self._raw = self._directory[tiff.COMPRESSION].integers[0] == 1
         self._levels = levels(grid.width, grid.height) if overviews else [Level(grid.width, grid.height)]
+        self._maker = TileMaker(
+            self._profile, self._raw, nodata, classes, self._halves, self._keep_mask, len(self._levels) - 1
+        )
         self._parents = Parents(self._levels, bands, self._dtype, self._half_again)
         self._earlier: EarlierTiles | None = None
-        self._jobs: deque[Future[tuple[Tile, bytes, Half | None]]] = deque()
+        self._jobs: deque[Future[Pieces] | Pieces] = deque()
         self._most_jobs = 4 * threads
         laborious = not self._raw or len(self._levels) > 1
         self._pool = ThreadPoolExecutor(threads, "tiles", enter_for_good) if threads > 1 and laborious else None
@@ -146,8 +145,21 @@ class TileFile:
             rows = slice(part.row - window.row, part.stop_row - window.row)
             cols = slice(part.col - window.col, part.stop_col - window.col)
             index = (part.row // BLOCK) * across + part.col // BLOCK
-            tile = self._tile(index, values[rows, cols], None if valid is None else valid[rows, cols])
-            self._add(tile, blank=blank)
+            seen = None if valid is None else valid[rows, cols]
+            if seen is not None and not seen.view(np.bool_).any():
+                self._leave(index)
+            else:
+                self._add(self._tile(index, values[rows, cols], seen), blank=blank)
+
+    def leave(self, window: Window) -> None:
+        """Add a window that covers whole blocks and has no valid pixel."""
+        for part in window.split(BLOCK, BLOCK):
+            self._leave((part.row // BLOCK) * self._levels[0].across + part.col // BLOCK)
+
+    def _leave(self, index: int) -> None:
+        self._masked = True
+        self._jobs.append(self._maker.nothing(0, index))  # in its turn, behind those that are being made
+        self._place_done(0 if self._pool is None else self._most_jobs)
 
     def copies(self, path: Path) -> bool:
         """Take tiles that are kept from an earlier file from now on; false where it is none of this form."""
@@ -156,8 +168,7 @@ class TileFile:
 
     def keep(self, window: Window) -> None:
         """Take a window that covers whole blocks from the earlier file as it stands there."""
-        while self._jobs:  # what comes behind them would wait in memory
-            self._place(*self._jobs.popleft().result())
+        self._place_done()  # what comes behind them would wait in memory
         for part in window.split(BLOCK, BLOCK):
             self._keep(Kept(0, (part.row // BLOCK) * self._levels[0].across + part.col // BLOCK))
 
@@ -177,11 +188,13 @@ class TileFile:
         """Half of a tile of the earlier file, whose neighbours have changed."""
         assert self._earlier is not None
         values, valid = self._earlier.decoded(level, index, self._levels[level], self._nodata)
-        return halve(values, valid, self._overviews or "average")
+        return halve(values, valid, self._halves)
 
-    def _go_on(self, parent: Tile | Kept | None) -> None:
+    def _go_on(self, parent: Tile | Kept | Blank | None) -> None:
         if isinstance(parent, Kept):
             self._keep(parent)
+        elif isinstance(parent, Blank):
+            self._place(self._maker.nothing(parent.level, parent.index))
         elif parent is not None:
             self._add(parent)
 
@@ -202,34 +215,24 @@ class TileFile:
     def _add(self, tile: Tile, *, blank: bool = False) -> None:
         """Make a tile's pieces, here or in another thread, and put what is ready in its place."""
         if self._pool is None:
-            self._place(*self._pieces(tile, blank))
+            self._place(self._maker.pieces(tile, blank))
             return
-        self._jobs.append(self._pool.submit(self._pieces, tile, blank))
-        while len(self._jobs) > self._most_jobs:
-            self._place(*self._jobs.popleft().result())
+        self._jobs.append(self._pool.submit(self._maker.pieces, tile, blank))
+        self._place_done(self._most_jobs)
 
-    def _pieces(self, tile: Tile, blank: bool) -> tuple[Tile, bytes, Half | None]:
-        """Fill, compress and halve a tile; changes nothing of this object, so any thread may do it."""
-        values, valid = np.ascontiguousarray(tile.values), tile.valid
-        tile = Tile(tile.level, tile.index, values if blank else filled(values, valid, self._nodata), valid)
-        data = b"" if self._raw else codec.encode_tile(tile.values, self._profile, classes=self._classes)
-        half = None
-        if tile.level + 1 < len(self._levels):
-            half = halve(tile.values, tile.valid, self._overviews or "average")
-        return tile, data, half
+    def _place_done(self, most: int = 0) -> None:
+        """Put in their places all but so many of the tiles that are being made."""
+        while len(self._jobs) > most:
+            job = self._jobs.popleft()
+            self._place(job.result() if isinstance(job, Future) else job)
 
-    def _place(self, tile: Tile, data: bytes, half: Half | None) -> None:
-        store = self._stores[tile.level]
+    def _place(self, made: Pieces) -> None:
+        store = self._stores[made.level]
         if self._keep_mask:
-            store.masks[tile.index] = codec.encode_mask(tile.valid)
-        if self._raw:
-            middle = tile.values[BLOCK // 2, BLOCK // 2]
-            zero = not (middle.any() or tile.values.any())  # the middle spares the rest, nearly everywhere
-            store.add(tile.index, tile.values.data.cast("B"), zero=zero)
-        else:
-            store.add(tile.index, data)
-        if half is not None:
-            self._go_on(self._parents.add(tile.level, tile.index, *half))
+            store.masks[made.index] = made.mask
+        store.add(made.index, made.data, zero=made.zero)
+        if made.level + 1 < len(self._levels):
+            self._go_on(self._parents.add(made.level, made.index, made.half))
 
     def finish(self) -> None:
         """Complete the file.
@@ -241,8 +244,7 @@ class TileFile:
         ValueError
             Windows are missing.
         """
-        while self._jobs:
-            self._place(*self._jobs.popleft().result())
+        self._place_done()
         if not all(store.complete for store in self._stores):
             raise ValueError("not every window of the raster was written")
         if self._cog:
@@ -279,9 +281,8 @@ class TileFile:
 
     def _assemble(self) -> None:
         """Finish a COG: directories, then the levels from the smallest on, each with its mask."""
-        mark = b"GDAL_STRUCTURAL_METADATA_SIZE=%06d bytes\n" % len(_COG_MARK) + _COG_MARK
         head = len(tiff.header(0, big=self._big))
-        start = head + len(mark)
+        start = head + len(tiff.COG_MARK)
         nowhere = [(0, 0)] * len(self._levels)
         at = start + len(tiff.lay_out(self._directories(nowhere), start, big=self._big))
         bases = list(nowhere)
@@ -290,7 +291,7 @@ class TileFile:
             bases[i] = (at, at + self._stores[i].end)
             at += self._stores[i].end + len(masks[i])
         with self._path.open("wb") as final:
-            final.write(tiff.header(start, big=self._big) + mark)
+            final.write(tiff.header(start, big=self._big) + tiff.COG_MARK)
             final.write(tiff.lay_out(self._directories(bases), start, big=self._big))
             for i in reversed(range(len(self._levels))):
                 self._files[i].truncate(self._stores[i].end)  # a last tile of zeros is a hole not yet there

@@ -8,6 +8,9 @@ from typing import BinaryIO
 from geomosaic.raster import tiff
 from geomosaic.raster.tiff import Field
 
+_SMALL = 1 << 16
+"""Bytes of a tile that are rather copied than written in three pieces."""
+
 
 class TileStore:
     """Appends tiles to a file in the order of their numbers.
@@ -51,22 +54,21 @@ class TileStore:
 
     def _append(self, index: int, data: bytes | memoryview | None) -> None:
         size = self.counts[index]
+        edge = 4 if self.framed else 0
+        self.offsets[index] = self.end + edge
         if self._at != self.end:
             self.file.seek(self.end)
-        if self.framed:
-            write_all(self.file, struct.pack("<I", size))
-            self.end += 4
-            self._at = self.end
-        self.offsets[index] = self.end
-        self.end += size
-        if data is not None:
-            write_all(self.file, data)
-            self._at = self.end
-        if self.framed:
+        if self.framed and data is not None and size <= _SMALL:
+            write_all(self.file, b"".join((struct.pack("<I", size), data, data[-4:])))
+        else:
+            if self.framed:
+                write_all(self.file, struct.pack("<I", size))
             if data is not None:
-                write_all(self.file, data[-4:])
-                self._at += 4
-            self.end += 4
+                write_all(self.file, data)
+                if self.framed:
+                    write_all(self.file, data[-4:])
+        self.end += size + 2 * edge
+        self._at = self.end if data is not None else -1
         self._next += 1
 
     def fields(self, base: int, *, big: bool) -> dict[int, Field]:

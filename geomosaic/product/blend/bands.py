@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -15,8 +16,9 @@ from geomosaic.product.blend.ramps import between
 from geomosaic.product.mosaic_unit import MosaicUnit
 from geomosaic.product.visibility import Shades
 from geomosaic.raster.burn import burn
+from geomosaic.resample.engine import Engine
 from geomosaic.resample.multiband import View, by_weights, corrected, differences, in_bands
-from geomosaic.resample.pyramid import Steps
+from geomosaic.resample.pyramid import Steps, steps
 from geomosaic.resample.warp import CELL
 from geomosaic.sensor.ground import BlockGround
 from geomosaic.types import AnyArray, Float32Array, IntArray
@@ -78,6 +80,10 @@ class BandBlender(Blender):
     def wide(self) -> bool:
         """Whether images beside a block can change it."""
         return True
+
+    def by(self, engine: Engine) -> Self:
+        """The same with another engine, which gives the same bytes."""
+        return replace(self, engine=engine, steps=steps(compiled=bool(engine.quick)))
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Render one block into its place in a unit."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -90,6 +90,10 @@ class Blender:
     def wide(self) -> bool:
         """Whether images beside a block can change it."""
         return False
+
+    def by(self, engine: Engine) -> Self:
+        """The same with another engine, which gives the same bytes."""
+        return replace(self, engine=engine)
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Render one block into its place in a unit."""

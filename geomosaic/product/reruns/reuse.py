@@ -113,6 +113,7 @@ class Reuse:
         self.views = False
         """Whether the earlier views are at hand."""
         self._known = self._load()
+        self._keys: dict[Window, str] = {}
         self._kept: dict[str, Any] = {}
         self.taken: set[Window] = set()
 
@@ -135,8 +136,17 @@ class Reuse:
         """Take nothing over."""
         self._known = {}
 
+    def left(self, windows: Sequence[Window]) -> int:
+        """How many of these units are not known."""
+        return sum(self.key(window) not in self._known for window in windows)
+
     def key(self, window: Window) -> str:
         """Digest of all that a unit depends on."""
+        if window not in self._keys:
+            self._keys[window] = self._key(window)
+        return self._keys[window]
+
+    def _key(self, window: Window) -> str:
         import shapely
 
         blender = self._blender

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.product.areas import AREAS, check_kind
@@ -18,6 +19,7 @@ from geomosaic.seam.cutlines import matters
 from geomosaic.seam.voronoi import polygonal
 
 LAYER, IMAGE = "seams", "image"
+_MEND = "Move a border in both areas at once: in QGIS with topological editing"
 
 
 def read_cutlines(path: Path, names: Sequence[str], outlines: Sequence[Any], crs: CRS) -> dict[int, Any]:
@@ -80,7 +82,42 @@ def read_cutlines(path: Path, names: Sequence[str], outlines: Sequence[Any], crs
             )
         beyond = matters(moved.difference(own), own)
         found.setdefault(number, []).append(polygonal(moved.intersection(own)) if beyond else moved)
-    return {
+    drawn = {
         number: parts[0] if len(parts) == 1 else shapely.union_all(np.array(parts, dtype=object))
         for number, parts in found.items()
     }
+    _note_overlaps(drawn, names, where)
+    return drawn
+
+
+def note_gap(path: Path, drawn: Mapping[int, Any], outlines: Sequence[Any]) -> None:
+    """Say so where every image has an area, and these leave ground between them: a border was moved in one only."""
+    import shapely
+
+    area = shapely.union_all(list(outlines)).difference(shapely.union_all(list(drawn.values()))).area
+    warnings.warn(
+        f"{path}: the areas of all images leave {area:.4g} square map units of what they show to no one; the program's "
+        f"own seams divide that. {_MEND}",
+        GeomosaicWarning,
+        stacklevel=4,
+    )
+
+
+def _note_overlaps(drawn: Mapping[int, Any], names: Sequence[str], where: str) -> None:
+    """Say so where two want the same ground: a border was moved in one area and not in the one beside it."""
+    import shapely
+
+    numbers = sorted(drawn)
+    shapes = np.array([drawn[number] for number in numbers], dtype=object)
+    told = []
+    for i, j in sorted(zip(*shapely.STRtree(shapes).query(shapes, predicate="intersects").tolist(), strict=True)):
+        part = shapely.intersection(shapes[i], shapes[j]) if i < j else None
+        if part is not None and (matters(part, shapes[i]) or matters(part, shapes[j])):
+            a, b = names[numbers[i]], names[numbers[j]]
+            told.append(f"'{a}' and '{b}' overlap by {part.area:.4g} square map units, which '{a}' shows")
+    if told:
+        warnings.warn(
+            f"{where}: the areas of {'; '.join(told[:5])}{' ...' if len(told) > 5 else ''}. {_MEND}",
+            GeomosaicWarning,
+            stacklevel=3,
+        )

@@ -34,13 +34,15 @@ def _shares(
 
     if options.cutlines is None:
         return laid()
-    from geomosaic.product.seams.cutlines import read_cutlines
+    from geomosaic.product.seams.cutlines import note_gap, read_cutlines
     from geomosaic.seam.cutlines import covers, with_cutlines
 
     names = [outline.name for outline in photos.outlines]
     drawn = read_cutlines(options.cutlines, names, shapes, photos.grid.crs)
     if covers(drawn, shapes):  # an edited layer has all shares: no others need to be laid
         return with_cutlines(regions(shapes, photos.centres), drawn)
+    if len(drawn) == sum(not shape.is_empty for shape in shapes):
+        note_gap(options.cutlines, drawn, shapes)
     return with_cutlines(laid(), drawn)
 
 
