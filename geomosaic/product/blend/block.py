@@ -22,7 +22,7 @@ from geomosaic.resample.warp import CELL, Colour, value_range
 from geomosaic.seam.feather import halo, reduction, signed_distance, weights
 from geomosaic.sensor.ground import BlockGround, Ground
 from geomosaic.sensor.lattice import Lattice
-from geomosaic.types import AnyArray, ByteArray
+from geomosaic.types import AnyArray, BoolArray, ByteArray
 
 Lattices = dict[int, list[Lattice]]
 """Of one block, by image."""
@@ -130,11 +130,13 @@ class Blender:
         need: ByteArray | None,
         lattices: Lattices,
         shades: Shades | None = None,
+        only: BoolArray | None = None,
     ) -> None:
         with self.photos.using(index) as photo:
             lattices[index] = pull(
                 self.engine, photo, self.grid, ground, self.resampling, self.tolerance,
                 self.colours[index], out, valid, need, lattices=lattices.get(index), shades=shades,
+                only=only,
             )  # fmt: skip
 
     def _shares(self, window: Window, near: list[int]) -> list[_Share]:
@@ -243,7 +245,7 @@ class Blender:
             if not need.any():
                 continue
             own, seen = np.zeros_like(values), np.zeros_like(valid)
-            self._pull(i, ground, own, seen, need, lattices, shades)
+            self._pull(i, ground, own, seen, need, lattices, shades, missing)
             new = (seen > 0) & (valid == 0)
             if not new.any():
                 continue

@@ -65,7 +65,10 @@ def follow(field, relief, row, first_col, last_col, wanted, room, out):
         if length > 1e-12:
             rise = 1.0 / length
             wall = min(SHARE * rise, WALL * width)
-            out[row, col] = blocked(at[0], at[1], z, sx * rise, sy * rise, rise, wall, top, cells, ranges, tiles)
+            low = foot(heights, at[0], at[1], wall)
+            out[row, col] = blocked(
+                at[0], at[1], z, low, sx * rise, sy * rise, rise, wall, top, heights, cells, ranges, tiles
+            )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -170,9 +173,11 @@ def corner(nodes, ni, nj, v, u, k):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def blocked(x, y, z, ux, uy, rise, wall, top, cells, ranges, tiles):
-    """1 where the surface is in the way of one line of sight, else 0."""
+def blocked(x, y, z, low, ux, uy, rise, wall, top, heights, cells, ranges, tiles):
+    """1 where the surface is in the way of one line of sight, else 0; `low` is its place's foot of a wall, or NaN."""
     high, wide = cells.shape
+    beside = low == low
+    z = low if beside else z
     col, row = math.floor(x), math.floor(y)
     step_x, step_y = (1 if ux > 0.0 else -1), (1 if uy > 0.0 else -1)
     across, down = abs(1.0 / ux), abs(1.0 / uy)
@@ -188,8 +193,13 @@ def blocked(x, y, z, ux, uy, rise, wall, top, cells, ranges, tiles):
             tile_col, tile_row = col // TILE, row // TILE
             empty = tiles[tile_row, tile_col] <= level
         leave = min(next_x, next_y)
-        if not empty and leave > t + TOUCH and cells[row, col] > level and (t >= NEAR or ranges[row, col] > wall):
-            return 1
+        if leave > t + TOUCH:
+            if beside:
+                beside = False
+                if shut(heights, row, col, next_x <= next_y, ux, uy, low + wall):
+                    return 1
+            elif not empty and cells[row, col] > level and (t >= NEAR or ranges[row, col] > wall):
+                return 1
         if next_x <= next_y:
             col += step_x
             next_x += across
@@ -197,6 +207,35 @@ def blocked(x, y, z, ux, uy, rise, wall, top, cells, ranges, tiles):
             row += step_y
             next_y += down
         t = leave
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def foot(heights, x, y, wall):
+    """Lowest of the nodes around a place where a wall stands between them; NaN where none does."""
+    i, j = int(y), int(x)
+    low, high = np.inf, -np.inf
+    for a in range(2):
+        for b in range(2):
+            if (y - i if a else 1.0 - (y - i)) > TOUCH and (x - j if b else 1.0 - (x - j)) > TOUCH:
+                node = np.float64(heights[i + a, j + b])
+                low, high = min(low, node), max(high, node)
+    return low if high - low > wall else np.nan
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shut(heights, row, col, by_x, ux, uy, least):
+    """Whether what rises above `least` may keep a line of sight from leaving the cell that it starts in."""
+    a, b = heights[row, col] > least, heights[row, col + 1] > least
+    c, d = heights[row + 1, col] > least, heights[row + 1, col + 1] > least
+    if by_x:
+        way = (b or d) if ux > 0.0 else (a or c)
+    else:
+        way = (c or d) if uy > 0.0 else (a or b)
+    if way:
+        return True
+    if int(a) + int(b) + int(c) + int(d) != 1:
+        return False
+    return (ux != 0.0 and (b or d) == (ux > 0.0)) or (uy != 0.0 and (c or d) == (uy > 0.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
