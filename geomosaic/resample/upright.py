@@ -52,6 +52,7 @@ def upright(heights: Float32Array, way: Way, wall: float, out: Float32Array) -> 
         z = z + np.where(counts, weight * node, 0.0)
         low, high = np.where(counts, np.fmin(low, node), low), np.where(counts, np.fmax(high, node), high)
         inside = inside & ~(counts & np.isnan(node))
+    low, high = np.where(inside, low, 0.0), np.where(inside, high, 0.0)
     middle = (low + high) / 2.0
     above = z > middle
     total, weights = np.zeros(x.shape), np.zeros(x.shape)
