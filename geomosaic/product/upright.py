@@ -23,7 +23,7 @@ COARSE = 0.75
 class UprightGround(Ground):
     """A surface whose heights of a block are those of its pixels, not of the surface's nodes.
 
-    Where the output has another map than the surface, they are those of the nodes as ever.
+    Where the output has another map than the surface, or is turned against it, they are those of the nodes as ever.
 
     Attributes
     ----------
@@ -50,7 +50,9 @@ class UprightGround(Ground):
         # A pixel around the block, for what lies between its outer pixels' centres and its edge.
         wider = self.grid.crop(Window(window.col - 1, window.row - 1, window.width + 2, window.height + 2))
         t = found.patch.transform @ wider.transform @ Affine.translation(0.5, 0.5)
-        way: Way = (t.a, t.b, t.c - 0.5, t.d, t.e, t.f - 0.5)
+        if t.b != 0.0 or t.d != 0.0:
+            return found
+        way: Way = (t.a, t.c - 0.5, t.e, t.f - 0.5)
         heights = np.empty(wider.shape, dtype=np.float32)
         wall = WALL * node * rough_metres(self.surface.crs)
         if self.compiled:

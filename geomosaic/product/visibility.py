@@ -201,7 +201,8 @@ class Shades:
         found = self.hidden(mapper, missing.view(np.uint8))
         if found is None:
             return missing
-        worth: AnyArray = missing & ((found == 0) | (self.mask == 0))
+        known = found & self.mask
+        worth: AnyArray = np.less(known, missing.view(np.uint8), out=known.view(np.bool_))
         if worth.any():
             self._asked[id(mapper)] = found
         return worth

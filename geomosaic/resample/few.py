@@ -30,11 +30,16 @@ def few_of(engine: Engine, only: BoolArray | None, need: ByteArray, n: int) -> t
     n : int
         Samples along a pixel's side: one alone is taken for itself.
     """
-    if only is None or n > 1 or not engine.quick or np.count_nonzero(only) > SHARE * CELL**2 * np.count_nonzero(need):
+    if only is None or n > 1 or not engine.quick:
         return None
-    down, along = np.nonzero(only)
-    here = need[down // CELL, along // CELL] > 0
-    return (down, along) if here.all() else (down[here], along[here])
+    number = int(np.count_nonzero(only))
+    if number > SHARE * CELL**2 * np.count_nonzero(need):
+        return None
+    from geomosaic.resample.kernels.few import listed
+
+    down, along = np.empty((2, number), dtype=np.int64)
+    number = listed(only, need, down, along)
+    return down[:number], along[:number]
 
 
 def fill_few(

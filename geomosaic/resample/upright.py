@@ -13,8 +13,8 @@ import numpy as np
 from geomosaic.resample.sight import TOUCH
 from geomosaic.types import Float32Array
 
-Way = tuple[float, float, float, float, float, float]
-"""Of an affine: x = a · col + b · row + c, y = d · col + e · row + f."""
+Way = tuple[float, float, float, float]
+"""From pixels to nodes: x = a · col + b, y = c · row + d."""
 
 
 def upright(heights: Float32Array, way: Way, wall: float, out: Float32Array) -> None:
@@ -30,9 +30,9 @@ def upright(heights: Float32Array, way: Way, wall: float, out: Float32Array) -> 
         Metres between nodes beyond which a wall stands there.
     out : float32 array (rows, cols)
     """
-    a, b, c, d, e, f = way
+    a, b, c, d = way
     col, row = np.meshgrid(np.arange(out.shape[1]), np.arange(out.shape[0]))
-    x, y = a * col + b * row + c, d * col + e * row + f
+    x, y = a * col + b, c * row + d
     rows, cols = heights.shape
     inside = (x >= -0.5) & (y >= -0.5) & (x <= cols - 0.5) & (y <= rows - 0.5)
     x, y = np.where(inside, np.maximum(x, 0.0), 0.0), np.where(inside, np.maximum(y, 0.0), 0.0)

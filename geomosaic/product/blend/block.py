@@ -283,6 +283,9 @@ class _Share:
 def cells_of(mask: AnyArray) -> AnyArray:
     """Cells of 64 × 64 pixels with any pixel of a mask."""
     rows, cols = -(-mask.shape[0] // CELL), -(-mask.shape[1] // CELL)
-    padded = np.zeros((rows * CELL, cols * CELL), dtype=bool)
-    padded[: mask.shape[0], : mask.shape[1]] = mask
-    return np.asarray(padded.reshape(rows, CELL, cols, CELL).any(axis=(1, 3)))
+    padded = mask
+    if mask.shape != (rows * CELL, cols * CELL) or not mask.flags.c_contiguous:
+        padded = np.zeros((rows * CELL, cols * CELL), dtype=bool)
+        padded[: mask.shape[0], : mask.shape[1]] = mask
+    words = np.bitwise_or.reduce(padded.view(np.uint64).reshape(rows, CELL, -1), axis=1)  # eight pixels at once
+    return np.asarray(words.reshape(rows, cols, CELL // 8).any(axis=2))

@@ -43,6 +43,21 @@ def coordinates_of(geometry, down, along, size, cols, rows):
     return span[0], span[1], span[2], span[3]
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def listed(only, need, down, along):
+    """Note rows and columns of the wanted pixels of wanted cells of 64 x 64 pixels; returns their number."""
+    number = 0
+    for row in range(only.shape[0]):
+        cells = need[row // 64]
+        for cell in range(cells.shape[0]):
+            if cells[cell]:
+                for col in range(64 * cell, min(64 * cell + 64, only.shape[1])):
+                    if only[row, col]:
+                        down[number], along[number] = row, col
+                        number += 1
+    return number
+
+
 @njit(nogil=True, error_model="numpy")
 def between(heights, x, y):
     """Bilinear height; a tap of no weight may be unknown."""

@@ -11,25 +11,35 @@ from geomosaic.resample.sight import TOUCH
 @njit(cache=True, nogil=True, error_model="numpy")
 def upright(heights, way, wall, out):
     """Fill `out` (rows, cols) with heights at whole cols and rows."""
-    a, b, c, d, e, f = way
+    a, b, c, d = way
     rows, cols = heights.shape
+    first, last, u = _along(out.shape[1], a, b, cols)
+    above, below, v = _along(out.shape[0], c, d, rows)
     for row in range(out.shape[0]):
         for col in range(out.shape[1]):
-            x, y = a * col + b * row + c, d * col + e * row + f
-            if not (x >= -0.5 and y >= -0.5 and x <= cols - 0.5 and y <= rows - 0.5):
+            if first[col] < 0 or above[row] < 0:
                 out[row, col] = np.nan
                 continue
-            x, y = max(x, 0.0), max(y, 0.0)
-            x0, y0 = min(int(x), cols - 1), min(int(y), rows - 1)
-            x1, y1 = min(x0 + 1, cols - 1), min(y0 + 1, rows - 1)
-            u, v = x - x0, y - y0
-            u, v = (u if u > TOUCH else 0.0), (v if v > TOUCH else 0.0)
-            p, q = np.float64(heights[y0, x0]), np.float64(heights[y0, x1])
-            r, s = np.float64(heights[y1, x0]), np.float64(heights[y1, x1])
-            if p == q == r == s:
+            p, q = heights[above[row], first[col]], heights[above[row], last[col]]
+            r, s = heights[below[row], first[col]], heights[below[row], last[col]]
+            if p == q and p == r and p == s:
                 out[row, col] = p
             else:
-                out[row, col] = height(p, q, r, s, u, v, wall)
+                out[row, col] = height(np.float64(p), np.float64(q), np.float64(r), np.float64(s), u[col], v[row], wall)
+
+
+@njit(nogil=True, error_model="numpy")
+def _along(number, step, start, nodes):
+    """Nodes before and after each pixel and the way between them; −1 beyond all."""
+    first, last, way = np.empty(number, dtype=np.int64), np.empty(number, dtype=np.int64), np.empty(number)
+    for k in range(number):
+        x = step * k + start
+        inside = x >= -0.5 and x <= nodes - 0.5
+        x = max(x, 0.0) if inside else 0.0
+        i = min(int(x), nodes - 1)
+        first[k], last[k] = (i if inside else -1), min(i + 1, nodes - 1)
+        way[k] = x - i if x - i > TOUCH else 0.0
+    return first, last, way
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
