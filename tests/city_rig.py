@@ -61,13 +61,13 @@ class City:
             out[near] |= (np.minimum(leave, 1.0) - np.maximum(enter, 0.0)) > 1e-9
         return out
 
-    def write_dsm(self, path: Path, pixel: float = PIXEL, margin: float = 40.0) -> None:
-        """Heights at the centres of pixels."""
+    def write_dsm(self, path: Path, pixel: float = PIXEL, margin: float = 40.0, shift: float = 0.0) -> None:
+        """Heights at the centres of pixels, which lie `shift` metres off whole ones to the right and upwards."""
         count = int((SIDE + 2 * margin) / pixel)
-        c = (np.arange(count) + 0.5) * pixel - margin
+        c = (np.arange(count) + 0.5) * pixel - margin + shift
         x, y = np.meshgrid(c, c[::-1])
         heights = self.roof(x, y)[0].astype(np.float32)
-        corner = CORNER[0] - margin, CORNER[1] + SIDE + margin
+        corner = CORNER[0] - margin + shift, CORNER[1] + SIDE + margin + shift
         profile = {"driver": "GTiff", "width": count, "height": count, "count": 1, "dtype": "float32"}
         with rasterio.open(
             path, "w", **profile, crs="EPSG:32633", transform=Affine(pixel, 0.0, corner[0], 0.0, -pixel, corner[1])

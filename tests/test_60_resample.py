@@ -21,7 +21,8 @@ def grid_of(resolution: float) -> Grid:
     return Grid.from_bounds(MAP, (499600.0, 5499650.0, 500400.0, 5500350.0), resolution)
 
 
-def warped(engine, values, resampling, resolution=1.0, valid=None, dtype=None, window=None, surface=None, model=MODEL):
+def warped(engine, values, resampling, resolution=1.0, valid=None, dtype=None, window=None, surface=None, **more):
+    model = more.pop("model", MODEL)
     grid = grid_of(resolution)
     window = window or grid.window
     surface = surface or Hills()
@@ -31,9 +32,8 @@ def warped(engine, values, resampling, resolution=1.0, valid=None, dtype=None, w
     out = np.zeros((window.height, window.width, values.shape[2]), dtype=dtype or values.dtype)
     out_valid = np.zeros(out.shape[:2], dtype=np.uint8)
     reader = ArrayReader(values, valid)
-    warp(
-        engine, reader, model.size, lattice, ground.patch, resampling, Colour.identity(values.shape[2]), out, out_valid
-    )
+    colour = Colour.identity(values.shape[2])
+    warp(engine, reader, model.size, lattice, ground.patch, resampling, colour, out, out_valid, **more)
     return grid, lattice, out, out_valid
 
 
@@ -62,6 +62,24 @@ def test_twins_give_the_same_bytes(resampling: str, dtype: str, masked: bool) ->
         else:
             assert np.array_equal(results[0][0], results[1][0])
         assert results[0][1].mean() > 0.5
+
+
+@pytest.mark.parametrize("resampling", RESAMPLING)
+@pytest.mark.parametrize(("dtype", "bands"), [("uint8", 3), ("uint8", 1), ("float32", 2)])
+@pytest.mark.parametrize("flat", [False, True])
+def test_few_pixels_have_the_bytes_of_the_whole(resampling: str, dtype: str, bands: int, flat: bool) -> None:
+    """Placed one by one; the others stay as they were."""
+    values, surface = image(dtype, bands), Hills(amplitude=0.0) if flat else Hills()
+    valid = None if bands == 3 else (np.random.default_rng(5).random(values.shape[:2]) > 0.02).astype(np.uint8)
+    size = grid_of(4.0)
+    only = np.random.default_rng(6).random(size.shape) < 0.1
+    whole, few = (
+        warped(numba_engine(), values, resampling, 4.0, valid, model=SMALL, surface=surface, only=mask)[2:]
+        for mask in (None, only)
+    )
+    assert np.array_equal(few[1], whole[1] * only)
+    assert np.array_equal(few[0], whole[0] * only[..., None])
+    assert 0.05 < few[1].mean() < 0.1
 
 
 @pytest.mark.parametrize("resampling", ["bilinear", "cubic", "lanczos"])

@@ -12,12 +12,15 @@ from geomosaic.types import ByteArray, Float32Array
 SHAPE = (90, 110)
 
 
-def field(s: tuple[float, float], spread: float = 0.0, width: float = 1.0) -> Field:
-    """Lines of sight s (nodes per metre) over a block whose pixels are the nodes 40 columns and rows into the patch."""
+def field(s: tuple[float, float], spread: float = 0.0, width: float = 1.0, between: float = 0.0) -> Field:
+    """Lines of sight s (nodes per metre) over a block whose pixels are the nodes 40 columns and rows into the patch.
+
+    Or so far between these nodes and the next.
+    """
     rows, cols = -(-SHAPE[0] // STEP) + 1, -(-SHAPE[1] // STEP) + 1
     nodes = np.zeros((rows, cols, 8))
     c, r = np.meshgrid(STEP * np.arange(cols), STEP * np.arange(rows))
-    nodes[..., 0], nodes[..., 1] = c - 0.5 + 40, r - 0.5 + 40
+    nodes[..., 0], nodes[..., 1] = c - 0.5 + 40 + between, r - 0.5 + 40 + between
     nodes[..., 2] = s[0] + spread * (c - 50) / 100
     nodes[..., 5] = s[1] + spread * (r - 40) / 100
     nodes[..., 3], nodes[..., 7] = 0.02 * s[0], -0.01 * s[1]
@@ -40,8 +43,9 @@ def plain() -> Float32Array:
     return np.zeros((SHAPE[0] + 80, SHAPE[1] + 80), dtype=np.float32)
 
 
+@pytest.mark.parametrize("between", [0.0, 0.3, 1.0 - 1e-9])
 @pytest.mark.parametrize("seed", range(6))
-def test_both_engines_give_the_same(seed: int) -> None:
+def test_both_engines_give_the_same(seed: int, between: float) -> None:
     rng = np.random.default_rng(seed)
     heights = rng.normal(0.0, 0.3, plain().shape).astype(np.float32)
     for _ in range(25):
@@ -50,7 +54,10 @@ def test_both_engines_give_the_same(seed: int) -> None:
     heights[rng.integers(0, 170, 30), rng.integers(0, 190, 30)] = np.nan
     direction = ((0.6, -0.4), (0.0, 0.5), (-0.7, 0.0), (-0.3, -0.3), (1e-9, 1.2), (0.25, 0.9))[seed]
     wanted = (rng.random(SHAPE) < 0.8).astype(np.uint8)
-    one, other = look(field(direction, 0.3, 0.5), Relief.of(heights, 1.6, 0.5), wanted)
+    relief, same = Relief.of(heights, 1.6, 0.5), Relief.of(heights, 1.6, 0.5, compiled=True)
+    for name, value in vars(relief).items():
+        np.testing.assert_array_equal(value, getattr(same, name))
+    one, other = look(field(direction, 0.3, 0.5, between), relief, wanted)
     np.testing.assert_array_equal(one, other)
     assert 0.05 < one.mean() < 0.8
     assert not one[wanted == 0].any()
@@ -75,6 +82,23 @@ def test_the_shadow_of_a_wall_has_the_length_of_the_closed_form(direction: tuple
     among = behind[(beside >= first) & (beside <= last)]
     assert sorted(set(among.tolist())) in (list(range(1, 11)), list(range(1, 12)))
     assert not one[heights[40 : 40 + SHAPE[0], 40 : 40 + SHAPE[1]] > 0].any()
+
+
+def test_who_stands_between_nodes_of_a_wall_is_seen_from_before_it_alone() -> None:
+    """Wherever between its nodes the wall stands: from the low side, never from behind or past a corner."""
+    heights = plain()
+    heights[80:90, 90:100] = 20.0
+    lines = field((0.5, 0.1), between=0.5)  # the sensor is to the right, and a little below
+    lines.nodes[..., 3], lines.nodes[..., 7] = 0.0, 0.0
+    one, other = look(lines, Relief.of(heights, 0.6, 1.0), np.ones(SHAPE, dtype=np.uint8))
+    np.testing.assert_array_equal(one, other)
+    seen = one == 0
+    top, bottom, left, right = 39, 49, 49, 59  # pixels between nodes of both
+    assert seen[top + 1 : bottom, right].all()
+    assert seen[bottom, right]  # the corner towards the sensor
+    assert not seen[top : bottom + 1, left].any()
+    assert not seen[top, left : right + 1].any()
+    assert seen[top + 1 : bottom, left + 1 : right].all()  # the roof
 
 
 def test_slopes_hide_nothing_until_they_are_as_steep_as_the_line_of_sight() -> None:

@@ -74,7 +74,7 @@ def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, opt
         with Clock(seconds, "mosaic"):
             pixels, _, record = _render(ruler, output, labels, options, None)
         photos.again()
-        about = source_facts(photos, options.about)
+        about = source_facts(photos, options.about) if vectors is not None or item is not None else {}
     finally:
         photos.close()
     with Clock(seconds, "records"):

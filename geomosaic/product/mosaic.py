@@ -34,7 +34,7 @@ from geomosaic.product.reruns.reuse import KeptUnit, Reuse, reuse_of
 from geomosaic.product.seams.quality import most_places, worst_places
 from geomosaic.product.seams.shares import shares_of
 from geomosaic.product.seams.visible import outlines_of
-from geomosaic.product.visibility import DETAIL, visibility
+from geomosaic.product.visibility import ground_of, visibility
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_geotiff, check_output
@@ -127,7 +127,7 @@ def mosaic(
             shapes = [Polygon() if i in out else shape for i, shape in enumerate(shown)]
             shares = shares_of(photos, shapes, own, options, earlier)
         seams = Seams(shares, shapes, width)
-        ground = Ground.under(grid, block.surface, DETAIL if render.true_ortho else 1.0)
+        ground = ground_of(grid, block.surface) if render.true_ortho else Ground.under(grid, block.surface)
         engine = compiled.result()
         sight = visibility(grid, ground) if render.true_ortho else None
         blender = blender_for(options.blending, photos, grid, ground, seams, applied, engine, render, dtype, sight)

@@ -138,9 +138,9 @@ def ortho(
     units = tiles(grid, options.tile)
     sight, below = None, Ground.under(grid, surface)
     if options.true_ortho:
-        from geomosaic.product.visibility import DETAIL, visibility
+        from geomosaic.product.visibility import ground_of, visibility
 
-        below = Ground.under(grid, surface, DETAIL)
+        below = ground_of(grid, surface)
         sight = visibility(grid, below)
 
     def render(unit: Window) -> tuple[AnyArray, ByteArray, list[tuple[float, float]], int]:

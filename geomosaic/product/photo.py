@@ -21,7 +21,7 @@ from geomosaic.sensor.ground import BlockGround
 from geomosaic.sensor.lattice import Lattice, build
 from geomosaic.sensor.mapper import MapToImage
 from geomosaic.surface.model import Surface
-from geomosaic.types import AnyArray, ByteArray
+from geomosaic.types import AnyArray, BoolArray, ByteArray
 
 if TYPE_CHECKING:
     from geomosaic.product.visibility import Shades
@@ -96,10 +96,12 @@ def pull(
     most_samples: int | None = None,
     lattices: list[Lattice] | None = None,
     shades: Shades | None = None,
+    only: BoolArray | None = None,
 ) -> list[Lattice]:
     """Fill one block from one photo; returns the lattices used, none where the photo does not see it.
 
-    `lattices` are those that were used for the same block and photo before; `shades` take what the surface hides.
+    `lattices` are those that were used for the same block and photo before; `shades` take what the surface hides;
+    `only` tells which pixels are wanted, where they are few.
     """
     if ground.unknown:
         return []
@@ -113,7 +115,8 @@ def pull(
         plain, seen = np.zeros(out.shape, dtype=_unrounded(out)), np.zeros_like(out_valid)
         same = Colour.identity(out.shape[2])
         used = pull(
-            engine, photo, grid, ground, resampling, tolerance, same, plain, seen, need, most_samples, lattices, shades
+            engine, photo, grid, ground, resampling, tolerance, same, plain, seen, need, most_samples, lattices, shades,
+            only,
         )  # fmt: skip
         if isinstance(colour, Shade):
             window = ground.window
@@ -145,7 +148,7 @@ def pull(
                 continue
         warp(
             engine, photo.source, size, lattice, patch, resampling, colour, out[inside], out_valid[inside],
-            wanted, most_samples,
+            wanted, most_samples, None if only is None else only[inside],
         )  # fmt: skip
     if shades is not None:
         shades.hide(photo.mapper, out, out_valid)

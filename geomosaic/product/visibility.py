@@ -6,14 +6,15 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
+from geomosaic.product.upright import UprightGround, rough_metres
 from geomosaic.resample.sight import STEP, Field, Relief
 from geomosaic.resample.sight import hidden as hidden_by_numpy
 from geomosaic.sensor.ground import BlockGround, Ground
 from geomosaic.sensor.mapper import MapToImage
+from geomosaic.surface.model import Surface
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
 LEVELS = np.cos((2 * np.arange(3) + 1) * np.pi / 6)
@@ -24,8 +25,13 @@ AHEAD = 0.5
 
 DETAIL = 4.0
 """Parts of an output pixel over which heights may be means: a mean of roof and ground is the height of neither."""
-_FEW = 200_000
+FEW = 200_000
 """Output pixels that NumPy has looked from while the compiled kernel starts."""
+
+
+def ground_of(grid: Grid, surface: Surface | None) -> UprightGround:
+    """Ground of a true ortho."""
+    return UprightGround.of(grid, surface, DETAIL, compiled=grid.width * grid.height > FEW)
 
 
 Sight = tuple[Field, Relief] | None
@@ -84,8 +90,8 @@ class Visibility:
         nodes[..., 2:5] = t.a * slopes[:, :, 0] + t.b * slopes[:, :, 1]
         nodes[..., 5:8] = t.d * slopes[:, :, 0] + t.e * slopes[:, :, 1]
         longest = np.nanmax(np.hypot(np.abs(nodes[..., 2:5]).sum(axis=-1), np.abs(nodes[..., 5:8]).sum(axis=-1)))
-        width = _metres(surface.crs) / math.sqrt(abs(t.determinant))
-        relief = Relief.of(patch.heights, float(longest), width)
+        width = rough_metres(surface.crs) / math.sqrt(abs(t.determinant))
+        relief = Relief.of(patch.heights, float(longest), width, compiled=self.compiled)
         if not relief.may_hide(float(longest), width):
             return None
         half = (high - low) / 2
@@ -104,7 +110,7 @@ class Visibility:
         r = window.row + STEP * np.arange(-(-window.height // STEP) + 1)
         xy = mapper.surface_xy(self.grid.xy(np.stack(np.meshgrid(c, r), axis=-1).reshape(-1, 2).astype(np.float64)))
         across = AHEAD * self.below.spacing
-        metres = AHEAD * self.grid.resolution[0] * _metres(self.grid.crs)
+        metres = AHEAD * self.grid.resolution[0] * rough_metres(self.grid.crs)
         levels = middle + half * LEVELS
         places = [xy, xy + np.array([across, 0.0]), xy + np.array([0.0, across]), xy]
         heights = [np.repeat(level + (metres if i == 3 else 0.0), len(xy)) for level in levels for i in range(4)]
@@ -138,7 +144,7 @@ def visibility(grid: Grid, below: Ground) -> Visibility:
             "a true ortho needs a surface model with the heights of what hides the ground",
             mend="give --dem (in a project: [dem]), or leave out --true-ortho",
         )
-    return Visibility(grid, below, grid.width * grid.height > _FEW)
+    return Visibility(grid, below, grid.width * grid.height > FEW)
 
 
 def _continued(slopes: FloatArray) -> FloatArray:
@@ -153,11 +159,6 @@ def _continued(slopes: FloatArray) -> FloatArray:
 
     row, col = distance_transform_edt(unknown, return_distances=False, return_indices=True)
     return np.asarray(slopes[row, col])
-
-
-def _metres(crs: CRS) -> float:
-    """Metres in a unit of a map, roughly."""
-    return float(crs.axis_info[0].unit_conversion_factor * (6.4e6 if crs.is_geographic else 1.0))
 
 
 @dataclass(frozen=True)
@@ -200,7 +201,8 @@ class Shades:
         found = self.hidden(mapper, missing.view(np.uint8))
         if found is None:
             return missing
-        worth: AnyArray = missing & ((found == 0) | (self.mask == 0))
+        known = found & self.mask
+        worth: AnyArray = np.less(known, missing.view(np.uint8), out=known.view(np.bool_))
         if worth.any():
             self._asked[id(mapper)] = found
         return worth

@@ -8,7 +8,11 @@ highest corner of a cell is above the line of sight as it enters.
 Walls between nodes may stand anywhere between them: that way they are taken as near as they can be, so that what is
 called visible is visible, and a shadow is called up to one node too wide. Lest steep ground hides itself, a cell nearer
 than NEAR nodes counts only where it is a wall: where it rises by more than SHARE of the line of sight's rise, or by
-more than WALL times its width. The kernel and the NumPy twin here give the same answer.
+more than WALL times its width.
+
+A place between nodes of a wall may stand on it or at its foot. It is taken as seen where its foot is, wherever between
+these nodes the wall stands: where the line of sight leaves the cell by an edge that is low, and away from the wall. The
+kernel and the NumPy twin here give the same answer.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.types import ByteArray, Float32Array, FloatArray, IntArray
+from geomosaic.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 STEP = 64
 """Output pixels between nodes of a field: lines of sight turn evenly over the ground."""
@@ -82,7 +86,7 @@ class Relief:
     steepest: float
 
     @classmethod
-    def of(cls, heights: Float32Array, longest: float, width: float) -> Relief:
+    def of(cls, heights: Float32Array, longest: float, width: float, *, compiled: bool = False) -> Relief:
         """Prepare a patch of two rows and columns or more.
 
         Parameters
@@ -92,17 +96,28 @@ class Relief:
             Nodes per metre by which lines of sight go sideways at most.
         width : float
             Of a cell, metres.
+        compiled : bool
+            Whether the compiled kernel is worth its start; the answer is the same.
         """
-        pairs, lower = np.fmax(heights[1:], heights[:-1]), np.fmin(heights[1:], heights[:-1])
-        cells = np.fmax(pairs[:, 1:], pairs[:, :-1])
-        ranges = cells - np.fmin(lower[:, 1:], lower[:, :-1])
-        unknown = np.isnan(cells)
-        if unknown.any():
-            cells[unknown], ranges[unknown] = -np.inf, 0.0
-        walls = np.where(ranges > _least_wall(longest, width), cells, np.float32(-np.inf))
-        rises = [float(np.fmax.reduce(np.abs(np.diff(heights, axis=axis)), axis=None, initial=0.0)) for axis in (0, 1)]
-        steepest = float(np.hypot(rises[0], rises[1]))
-        return cls(heights, cells, ranges, _highest(cells), _highest(walls), float(cells.max()), steepest)
+        least = np.float64(_least_wall(longest, width))
+        if compiled:
+            from geomosaic.resample.kernels.relief import prepare
+
+            shape = heights.shape[0] - 1, heights.shape[1] - 1
+            coarse = -(-shape[0] // TILE), -(-shape[1] // TILE)
+            cells, ranges, tiles, walls = (np.empty(size, dtype=np.float32) for size in (shape, shape, coarse, coarse))
+            rises = prepare(heights, least, cells, ranges, tiles, walls)
+        else:
+            pairs, lower = np.fmax(heights[1:], heights[:-1]), np.fmin(heights[1:], heights[:-1])
+            cells = np.fmax(pairs[:, 1:], pairs[:, :-1])
+            ranges = cells - np.fmin(lower[:, 1:], lower[:, :-1])
+            unknown = np.isnan(cells)
+            if unknown.any():
+                cells[unknown], ranges[unknown] = -np.inf, 0.0
+            tiles, walls = _highest(cells), _highest(np.where(ranges > least, cells, np.float32(-np.inf)))
+            rises = tuple(np.fmax.reduce(np.abs(np.diff(heights, axis=k)), axis=None, initial=0.0) for k in (1, 0))
+        steepest = float(np.hypot(float(rises[0]), float(rises[1])))
+        return cls(heights, cells, ranges, tiles, walls, float(tiles.max()), steepest)
 
     def may_hide(self, longest: float, width: float) -> bool:
         """Whether anything can be in the way of lines of sight that go sideways by up to `longest` nodes per metre."""
@@ -142,26 +157,34 @@ def hidden(field: Field, relief: Relief, wanted: ByteArray, out: ByteArray) -> N
         next_x = np.where(ux == 0.0, np.inf, (col + (ux > 0.0) - x[on]) / ux)
         next_y = np.where(uy == 0.0, np.inf, (row + (uy > 0.0) - y[on]) / uy)
     wall = np.minimum(SHARE * rise, WALL * field.width)
+    low = _foot(relief.heights, x[on], y[on], wall)
+    beside = np.isfinite(low)
     step_x, step_y = np.where(ux > 0.0, 1.0, -1.0), np.where(uy > 0.0, 1.0, -1.0)
     # One row each, so that those still on their way are kept in one go.
-    state = np.stack([z[on], rise, wall, step_x, step_y, across, down, col, row, next_x, next_y, np.zeros(len(on))])
+    state = np.stack(
+        [
+            np.where(beside, low, z[on]), rise, wall, step_x, step_y, across, down, ux, uy,
+            col, row, next_x, next_y, np.zeros(len(on)), beside,
+        ]
+    )  # fmt: skip
     high, wide = relief.cells.shape
     while len(on):
-        z, rise, wall, step_x, step_y, across, down, col, row, next_x, next_y, t = state
+        z, rise, wall, step_x, step_y, across, down, ux, uy, col, row, next_x, next_y, t, beside = state
         level = z + rise * t
         inside = (col >= 0) & (row >= 0) & (col < wide) & (row < high) & (level < relief.top)
         i, j = np.where(inside, row, 0).astype(np.int64), np.where(inside, col, 0).astype(np.int64)
         leave = np.minimum(next_x, next_y)
-        counts = (leave > t + TOUCH) & ((t >= NEAR) | (relief.ranges[i, j] > wall))
-        blocked = inside & counts & (relief.cells[i, j] > level)
+        passed, first, by_x = leave > t + TOUCH, beside > 0.0, next_x <= next_y
+        above = ((t >= NEAR) | (relief.ranges[i, j] > wall)) & (relief.cells[i, j] > level)
+        blocked = inside & passed & np.where(first, _shut(relief.heights, i, j, by_x, ux, uy, z + wall), above)
         out[rows[on[blocked]], cols[on[blocked]]] = 1
-        by_x = next_x <= next_y
-        state[7:] = (
+        state[9:] = (
             np.where(by_x, col + step_x, col),
             np.where(by_x, row, row + step_y),
             np.where(by_x, next_x + across, next_x),
             np.where(by_x, next_y, next_y + down),
             leave,
+            first & ~passed,
         )
         keep = inside & ~blocked
         on, state = on[keep], state[:, keep]
@@ -181,6 +204,39 @@ def _lines(field: Field, heights: Float32Array, rows: IntArray, cols: IntArray) 
     sx = at[:, 2] + t * (at[:, 3] + t * at[:, 4])
     sy = at[:, 5] + t * (at[:, 6] + t * at[:, 7])
     return at[:, 0], at[:, 1], sx, sy, z
+
+
+def _foot(heights: Float32Array, x: FloatArray, y: FloatArray, wall: FloatArray) -> FloatArray:
+    """Lowest of the nodes around places where a wall stands between them; NaN where none does."""
+    i, j = y.astype(np.int64), x.astype(np.int64)
+    low, high = np.full(x.shape, np.inf), np.full(x.shape, -np.inf)
+    for a in (0, 1):
+        for b in (0, 1):
+            weighs = ((y - i if a else 1.0 - (y - i)) > TOUCH) & ((x - j if b else 1.0 - (x - j)) > TOUCH)
+            node = heights[i + a, j + b].astype(np.float64)
+            low, high = np.where(weighs, np.minimum(low, node), low), np.where(weighs, np.maximum(high, node), high)
+    return np.where(high - low > wall, low, np.nan)
+
+
+def _shut(
+    heights: Float32Array,
+    row: IntArray,
+    col: IntArray,
+    by_x: BoolArray,
+    ux: FloatArray,
+    uy: FloatArray,
+    least: FloatArray,
+) -> BoolArray:
+    """Whether what rises above `least` may keep lines of sight from leaving the cells that they start in.
+
+    It may at the edge by which they leave; and if it is a corner alone, wherever they do not go away from it.
+    """
+    (a, b), (c, d) = ((heights[row + k, col] > least, heights[row + k, col + 1] > least) for k in (0, 1))
+    right, lower = b | d, c | d
+    way = np.where(by_x, np.where(ux > 0.0, right, a | c), np.where(uy > 0.0, lower, a | b))
+    corner = a.astype(np.int64) + b + c + d == 1
+    ahead = ((ux != 0.0) & (right == (ux > 0.0))) | ((uy != 0.0) & (lower == (uy > 0.0)))
+    return np.asarray(way | (corner & ahead))
 
 
 def _bilinear(heights: Float32Array, x: FloatArray, y: FloatArray) -> FloatArray:

@@ -12,10 +12,11 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.resample.engine import Engine
+from geomosaic.resample.few import few_of, fill_few
 from geomosaic.resample.quick import fill_rgb
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
 from geomosaic.surface.model import HeightPatch
-from geomosaic.types import AnyArray, ByteArray, FloatArray
+from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 
 RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average")
 RADIUS = {"nearest": 1, "bilinear": 1, "cubic": 2, "lanczos": 3, "average": 1}
@@ -89,6 +90,7 @@ def warp(
     out_valid: ByteArray,
     need: ByteArray | None = None,
     most_samples: int | None = None,
+    only: BoolArray | None = None,
 ) -> None:
     """Fill one block.
 
@@ -115,6 +117,8 @@ def warp(
         Cells of 64 x 64 pixels that are wanted; all unless given.
     most_samples : int, optional
         Image pixels per output pixel beyond which the image is reduced on reading.
+    only : bool array (rows, cols), optional
+        Pixels that are wanted; others of the cells may be filled too.
     """
     if resampling not in RESAMPLING:
         raise InputError(f"no resampling named '{resampling}'", mend=f"use one of {', '.join(RESAMPLING)}")
@@ -146,7 +150,8 @@ def warp(
             lattice.step,
         )
         here = np.ascontiguousarray(wanted[rows, cols])
-        _fill(engine, reader, shape, geometry, here, window, colour, out[inside], out_valid[inside])
+        few = few_of(engine, None if only is None else only[inside], here, n)
+        _fill(engine, reader, shape, geometry, here, window, colour, out[inside], out_valid[inside], few)
 
 
 @dataclass(frozen=True)
@@ -174,11 +179,25 @@ def _fill(
     colour: Colour,
     out: AnyArray,
     out_valid: ByteArray,
+    few: tuple[IntArray, IntArray] | None = None,
 ) -> None:
     """Fill a part of a block whose image window is small enough to be read at once."""
     low, high, whole = value_range(str(out.dtype))
     ending = colour.gain, colour.offset, low, high, whole
     source, valid = reader.read(window, shape.shrink)
+
+    def pixels_for(span: tuple[float, ...]) -> tuple[tuple[float, ...], AnyArray, ByteArray | None] | None:
+        needed = _window(span, shape)
+        if needed is None:
+            return None
+        here, (pixels, known) = window, (source, valid)
+        if needed.intersection(window) != needed:  # bounds from the lattice's nodes may fall short
+            here, (pixels, known) = needed, reader.read(needed, shape.shrink)
+        return (float(here.col), float(here.row), float(shape.shrink), *shape.size), pixels, known
+
+    if few is not None:
+        fill_few(engine, shape.kernel, geometry, shape.size, few, pixels_for, ending, out, out_valid)
+        return
     start, (height, width), n = 0, out_valid.shape, shape.n
     if valid is None and n == 1 and shape.kernel in engine.quick and _is_rgb(source):
         start = fill_rgb(
@@ -189,14 +208,10 @@ def _fill(
     def strip(start: int) -> None:
         stop = min(start + rows_at_once, height)
         cols, rows = np.empty((2, (stop - start) * n, width * n))
-        span = engine.coordinates(geometry, start, n, shape.size, need, cols, rows)
-        needed = _window(span, shape)
-        if needed is None:
+        found = pixels_for(engine.coordinates(geometry, start, n, shape.size, need, cols, rows))
+        if found is None:
             return
-        here, (pixels, known) = window, (source, valid)
-        if needed.intersection(window) != needed:  # bounds from the lattice's nodes may fall short
-            here, (pixels, known) = needed, reader.read(needed, shape.shrink)
-        place = (float(here.col), float(here.row), float(shape.shrink), *shape.size)
+        place, pixels, known = found
         engine.sample(
             shape.kernel, pixels, _ALL_VALID if known is None else known, known is not None, cols, rows, n, place,
             *ending, out[start:stop], out_valid[start:stop],
@@ -263,7 +278,7 @@ def _parts(
         yield from _parts(boxes, wanted, rows, slice(middle, cols.stop), shape)
 
 
-def _window(span: tuple[float, float, float, float], shape: _Shape) -> Window | None:
+def _window(span: tuple[float, ...], shape: _Shape) -> Window | None:
     """Image window for points that span left, top, right, bottom, on multiples of the reduction; None if all miss."""
     (left, top, right, bottom), (width, height) = span, shape.size
     reach, shrink = shape.reach, shape.shrink

@@ -24,7 +24,7 @@ from geomosaic.resample.warp import CELL, Colour, value_range
 from geomosaic.seam.feather import halo, reduction, signed_distance, weights
 from geomosaic.sensor.ground import BlockGround, Ground
 from geomosaic.sensor.lattice import Lattice
-from geomosaic.types import AnyArray, ByteArray
+from geomosaic.types import AnyArray, BoolArray, ByteArray
 
 Lattices = dict[int, list[Lattice]]
 """Of one block, by image."""
@@ -140,11 +140,13 @@ class Blender:
         need: ByteArray | None,
         lattices: Lattices,
         shades: Shades | None = None,
+        only: BoolArray | None = None,
     ) -> None:
         with self.photos.using(index) as photo:
             lattices[index] = pull(
                 self.engine, photo, self.grid, ground, self.resampling, self.tolerance,
                 self.colours[index], out, valid, need, lattices=lattices.get(index), shades=shades,
+                only=only,
             )  # fmt: skip
 
     def _shares(self, window: Window, near: list[int]) -> list[Share]:
@@ -262,7 +264,7 @@ class Blender:
             if not need.any():
                 continue
             own, seen = np.zeros_like(values), np.zeros_like(valid)
-            self._pull(i, ground, own, seen, need, lattices, shades)
+            self._pull(i, ground, own, seen, need, lattices, shades, missing)
             new = (seen > 0) & (valid == 0)
             if not new.any():
                 continue
@@ -276,6 +278,9 @@ class Blender:
 def cells_of(mask: AnyArray) -> AnyArray:
     """Cells of 64 × 64 pixels with any pixel of a mask."""
     rows, cols = -(-mask.shape[0] // CELL), -(-mask.shape[1] // CELL)
-    padded = np.zeros((rows * CELL, cols * CELL), dtype=bool)
-    padded[: mask.shape[0], : mask.shape[1]] = mask
-    return np.asarray(padded.reshape(rows, CELL, cols, CELL).any(axis=(1, 3)))
+    padded = mask
+    if mask.shape != (rows * CELL, cols * CELL) or not mask.flags.c_contiguous:
+        padded = np.zeros((rows * CELL, cols * CELL), dtype=bool)
+        padded[: mask.shape[0], : mask.shape[1]] = mask
+    words = np.bitwise_or.reduce(padded.view(np.uint64).reshape(rows, CELL, -1), axis=1)  # eight pixels at once
+    return np.asarray(words.reshape(rows, cols, CELL // 8).any(axis=2))

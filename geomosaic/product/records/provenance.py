@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from geomosaic.product.photo import Photo
 from geomosaic.product.photos import Photos
 from geomosaic.product.pool import in_order
 from geomosaic.raster.acquired import acquired
+from geomosaic.raster.checksum import sha256
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.sensor.view import Views, views
@@ -28,10 +30,12 @@ UNIT = 512
 """Pixels along a unit of work: a tile of the raster."""
 NODES = 33
 """Along each side of a unit: every 16 pixels."""
+HANDS = 4
+"""Files whose checksums are found at once."""
 
 
 def source_facts(photos: Photos, given: Mapping[str, Mapping[str, Any]]) -> dict[str, list[Any]]:
-    """Columns of what is known of each source: when and how it was taken, and what the caller knows besides.
+    """Columns of what is known of each source: when and how it was taken, its checksum, what the caller knows besides.
 
     View angle, azimuth and ground sampling distance are those at the place that an image sees best.
 
@@ -42,6 +46,7 @@ def source_facts(photos: Photos, given: Mapping[str, Mapping[str, Any]]) -> dict
         Further facts by name of the image.
     """
     rows: list[dict[str, Any]] = []
+    files = [Path(scene.path) for scene in photos.block.scenes]
     for index, scene in enumerate(photos.block.scenes):
         outline = photos.outlines[index]
         with photos.using(index) as photo:
@@ -53,6 +58,11 @@ def source_facts(photos: Photos, given: Mapping[str, Mapping[str, Any]]) -> dict
             "gsd_metres": float(seen.sampling[0]),
         }
         rows.append({**row, **given.get(scene.name, {})})
+    unknown = [(row, path) for row, path in zip(rows, files, strict=True) if "sha256" not in row and path.is_file()]
+    with ThreadPoolExecutor(HANDS) as executor:
+        sums = executor.map(sha256, [path for _, path in unknown])
+        for (row, _), checksum in zip(unknown, sums, strict=True):
+            row["sha256"] = checksum
     names = dict.fromkeys(name for row in rows for name in row)
     return {name: [_filled(row.get(name), [other.get(name) for other in rows]) for row in rows] for name in names}
 

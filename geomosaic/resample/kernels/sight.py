@@ -33,16 +33,17 @@ def hidden(field, relief, wanted, out):
             last_col = min(first_col + GROUP, wanted.shape[1])
             if not any_of(wanted, first_row, last_row, first_col, last_col):
                 continue
-            if may_be_hidden(field, relief, first_row, first_col):
+            end = last_level(field, relief, first_row, first_col)
+            if end > -np.inf:
                 for row in range(first_row, last_row):
-                    follow(field, relief, row, first_col, last_col, wanted, (left, right, at), out)
+                    follow(field, relief, end, row, first_col, last_col, wanted, (left, right, at), out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def follow(field, relief, row, first_col, last_col, wanted, room, out):
-    """Follow the lines of sight of a row of pixels of one group."""
+def follow(field, relief, end, row, first_col, last_col, wanted, room, out):
+    """Follow the lines of sight of a row of pixels of one group, up to a level beyond which nothing is in the way."""
     nodes, z_middle, z_inverse, width = field
-    heights, cells, ranges, tiles, _, top = relief
+    heights, cells, ranges, tiles, _, _ = relief
     left, right, at = room
     i, j = row // STEP, first_col // STEP
     v = (row + 0.5) / STEP - i
@@ -56,7 +57,7 @@ def follow(field, relief, row, first_col, last_col, wanted, room, out):
         for k in range(8):
             at[k] = left[k] + (right[k] - left[k]) * u
         z = bilinear(heights, at[0], at[1])
-        if not z < top:  # nor where it is not known
+        if not z < relief[5]:  # nor where it is not known
             continue
         t = (z - z_middle) * z_inverse
         sx = at[2] + t * (at[3] + t * at[4])
@@ -65,7 +66,10 @@ def follow(field, relief, row, first_col, last_col, wanted, room, out):
         if length > 1e-12:
             rise = 1.0 / length
             wall = min(SHARE * rise, WALL * width)
-            out[row, col] = blocked(at[0], at[1], z, sx * rise, sy * rise, rise, wall, top, cells, ranges, tiles)
+            low = foot(heights, at[0], at[1], wall)
+            out[row, col] = blocked(
+                at[0], at[1], z, low, sx * rise, sy * rise, rise, wall, end, heights, cells, ranges, tiles
+            )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -79,8 +83,8 @@ def any_of(wanted, first_row, last_row, first_col, last_col):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def may_be_hidden(field, relief, first_row, first_col):
-    """Whether anything is as high as a line of sight from a group of places may be there.
+def last_level(field, relief, first_row, first_col):
+    """Level beyond which nothing is in the way of lines of sight from a group of places; −inf where nothing is at all.
 
     What all lines pass between two heights lies in a box. Up to `NEAR` nodes away only walls count.
     """
@@ -96,12 +100,10 @@ def may_be_hidden(field, relief, first_row, first_col):
             x, y = corner(nodes, ni, nj, q, p, 0), corner(nodes, ni, nj, q, p, 1)
             x_low, x_high, y_low, y_high = min(x_low, x), max(x_high, x), min(y_low, y), max(y_high, y)
     if not (math.isfinite(x_low + x_high) and math.isfinite(y_low + y_high)):
-        return True
+        return top
     lowest, highest = between(relief[0], x_low, x_high, y_low, y_high)
     if not lowest < top:
-        return False
-    if over(walls, x_low - NEAR, x_high + NEAR, y_low - NEAR, y_high + NEAR, lowest):
-        return True
+        return -np.inf
     sx_low, sx_high, sy_low, sy_high = np.inf, -np.inf, np.inf, -np.inf
     first, last = (lowest - z_middle) * z_inverse, (highest - z_middle) * z_inverse
     bulge = (last - first) ** 2 / 4.0
@@ -113,15 +115,16 @@ def may_be_hidden(field, relief, first_row, first_col):
             for t in (first, last):
                 sx, sy = x0 + t * (x1 + t * x2), y0 + t * (y1 + t * y2)
                 if not (math.isfinite(sx) and math.isfinite(sy)):
-                    return True
+                    return top
                 sx_low, sx_high = min(sx_low, sx - bulge * abs(x2)), max(sx_high, sx + bulge * abs(x2))
                 sy_low, sy_high = min(sy_low, sy - bulge * abs(y2)), max(sy_high, sy + bulge * abs(y2))
     longest = math.hypot(max(abs(sx_low), abs(sx_high)), max(abs(sy_low), abs(sy_high)))
-    level = lowest + (NEAR / longest if longest > 1e-12 else np.inf)
-    part = (top - level) / PARTS
-    for _ in range(PARTS):
+    start = lowest + (NEAR / longest if longest > 1e-12 else np.inf)
+    part = (top - start) / PARTS
+    for k in range(PARTS - 1, -1, -1):
+        level = start + k * part
         if not level < top:
-            return False
+            continue
         least, most = max(0.0, level - highest), level + part - lowest
         if over(
             tiles,
@@ -131,9 +134,10 @@ def may_be_hidden(field, relief, first_row, first_col):
             y_high + max(sy_high * least, sy_high * most),
             level,
         ):
-            return True
-        level += part
-    return False
+            return min(top, level + part + 1e-3)
+    if over(walls, x_low - NEAR, x_high + NEAR, y_low - NEAR, y_high + NEAR, lowest):
+        return min(top, start + 1e-3)
+    return -np.inf
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -170,9 +174,11 @@ def corner(nodes, ni, nj, v, u, k):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def blocked(x, y, z, ux, uy, rise, wall, top, cells, ranges, tiles):
-    """1 where the surface is in the way of one line of sight, else 0."""
+def blocked(x, y, z, low, ux, uy, rise, wall, end, heights, cells, ranges, tiles):
+    """1 where the surface is in the way of one line of sight, else 0; `low` is its place's foot of a wall, or NaN."""
     high, wide = cells.shape
+    beside = low == low
+    z = low if beside else z
     col, row = math.floor(x), math.floor(y)
     step_x, step_y = (1 if ux > 0.0 else -1), (1 if uy > 0.0 else -1)
     across, down = abs(1.0 / ux), abs(1.0 / uy)
@@ -182,14 +188,19 @@ def blocked(x, y, z, ux, uy, rise, wall, top, cells, ranges, tiles):
     t = 0.0
     while True:
         level = z + rise * t
-        if not (col >= 0 and row >= 0 and col < wide and row < high and level < top):
+        if not (col >= 0 and row >= 0 and col < wide and row < high and level < end):
             return 0
         if col // TILE != tile_col or row // TILE != tile_row:
             tile_col, tile_row = col // TILE, row // TILE
             empty = tiles[tile_row, tile_col] <= level
         leave = min(next_x, next_y)
-        if not empty and leave > t + TOUCH and cells[row, col] > level and (t >= NEAR or ranges[row, col] > wall):
-            return 1
+        if leave > t + TOUCH:
+            if beside:
+                beside = False
+                if shut(heights, row, col, next_x <= next_y, ux, uy, low + wall):
+                    return 1
+            elif not empty and cells[row, col] > level and (t >= NEAR or ranges[row, col] > wall):
+                return 1
         if next_x <= next_y:
             col += step_x
             next_x += across
@@ -197,6 +208,35 @@ def blocked(x, y, z, ux, uy, rise, wall, top, cells, ranges, tiles):
             row += step_y
             next_y += down
         t = leave
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def foot(heights, x, y, wall):
+    """Lowest of the nodes around a place where a wall stands between them; NaN where none does."""
+    i, j = int(y), int(x)
+    low, high = np.inf, -np.inf
+    for a in range(2):
+        for b in range(2):
+            if (y - i if a else 1.0 - (y - i)) > TOUCH and (x - j if b else 1.0 - (x - j)) > TOUCH:
+                node = np.float64(heights[i + a, j + b])
+                low, high = min(low, node), max(high, node)
+    return low if high - low > wall else np.nan
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shut(heights, row, col, by_x, ux, uy, least):
+    """Whether what rises above `least` may keep a line of sight from leaving the cell that it starts in."""
+    a, b = heights[row, col] > least, heights[row, col + 1] > least
+    c, d = heights[row + 1, col] > least, heights[row + 1, col + 1] > least
+    if by_x:
+        way = (b or d) if ux > 0.0 else (a or c)
+    else:
+        way = (c or d) if uy > 0.0 else (a or b)
+    if way:
+        return True
+    if int(a) + int(b) + int(c) + int(d) != 1:
+        return False
+    return (ux != 0.0 and (b or d) == (ux > 0.0)) or (uy != 0.0 and (c or d) == (uy > 0.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
