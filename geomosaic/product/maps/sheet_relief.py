@@ -101,7 +101,7 @@ def sheet_relief(
             raise InputError("the DEM has no heights on the sheet", where=str(dem), mend="give one that covers it")
         if interval is None:
             interval = nice_interval(float(known.min()), float(known.max()))
-        _tell_of_gaps(nodes, there(_lattice(bounds)), dem)
+        _tell_of_gaps(surface, there(_lattice(bounds)), dem)
         cell = float(np.hypot(nodes.transform.a, nodes.transform.d))
         found = trace(nodes, interval, index=index, tolerance=tolerance, shortest=12.0 * cell)
         lines = tuple(replace(c, xy=back(c.xy)) for c in found)
@@ -116,13 +116,14 @@ def sheet_relief(
 
 def _lattice(bounds: Bounds) -> FloatArray:
     """Places (N, 2) all over bounds."""
-    x, y = np.meshgrid(np.linspace(bounds[0], bounds[2], 25), np.linspace(bounds[1], bounds[3], 25))
+    t = (np.arange(24) + 0.5) / 24
+    x, y = np.meshgrid(bounds[0] + t * (bounds[2] - bounds[0]), bounds[1] + t * (bounds[3] - bounds[1]))
     return np.column_stack([x.ravel(), y.ravel()])
 
 
-def _tell_of_gaps(nodes: Heights, places: FloatArray, dem: Path) -> None:
+def _tell_of_gaps(surface: Dem, places: FloatArray, dem: Path) -> None:
     """Say where contours end because the DEM does."""
-    known = float(np.isfinite(nodes.at(places)).mean()) if min(nodes.values.shape) > 1 else 0.0
+    known = float(np.isfinite(surface.height(places)).mean())
     if known < 0.98:
         warnings.warn(f"{dem} has heights on {100 * known:.0f} % of the sheet", GeomosaicWarning, stacklevel=3)
 
