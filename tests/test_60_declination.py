@@ -9,6 +9,7 @@ import pytest
 from geomosaic.carto.declination import declination
 from geomosaic.carto.draw.north import magnetic_words, north_words
 from geomosaic.carto.layout import NorthPart
+from geomosaic.carto.lines import map_grid
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.local import map_place
@@ -53,3 +54,14 @@ def test_no_arrow_at_the_magnetic_pole() -> None:
         assert declination(NorthPart(magnetic_date="2026"), PLACE) is not None
     with pytest.warns(GeomosaicWarning, match="compass"):
         assert declination(NorthPart(magnetic_date="2026"), place) is None
+
+
+def test_a_graticule_near_the_pole_may_be_turned() -> None:
+    """Meridians that run across the sheet have their labels at its sides, where they meet the neatline."""
+    polar, degrees = parse_crs("EPSG:3413"), parse_crs("EPSG:4326")
+    below = map_grid(degrees, polar, (-20e3, -927e3, 16e3, -900e3), 10e3)
+    aside = map_grid(degrees, polar, (900e3, 373e3, 936e3, 400e3), 10e3)
+    assert (below.turned, aside.turned) == (False, True)
+    meridians = [side for line in aside.lines if line.axis == 0 for side, _, _ in line.ends]
+    assert sum(side in ("left", "right") for side in meridians) > len(meridians) / 2
+    assert not map_grid(polar, polar, (900e3, 373e3, 936e3, 400e3), 10e3).turned

@@ -63,8 +63,8 @@ class Overlay:
 
     @property
     def count(self) -> int:
-        """Number of objects drawn."""
-        return sum(len(group.geometries) for group in self.groups)
+        """Number of objects drawn; of names, where the style has nothing else."""
+        return sum(len(group.geometries) for group in self.groups) if self.groups else len(self.names)
 
 
 def to_map(geometries: AnyArray, crs: CRS, map_crs: CRS, bounds: Bounds, straight: float) -> AnyArray:

@@ -81,7 +81,7 @@ def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None
         for row, (grid, part) in enumerate(grids):
             if grid is None:
                 continue
-            marks = [(line, x, y) for line, s, x, y in _marks(grid) if s == side and line.axis == axis]
+            marks = [(line, x, y) for line, s, x, y in _marks(grid) if s == side and (line.axis == axis) != grid.turned]
             if not marks:
                 continue
             along = [float(v) for v in page.to_page(np.array([place for _, *place in marks]))[:, axis]]
@@ -142,10 +142,11 @@ def _marks(grid: MapGrid) -> list[tuple[GridLine, str, float, float]]:
 
 
 def _ends(grid: MapGrid) -> list[tuple[str, float, float]]:
-    """Ends on the sides that their lines cross: x at bottom and top, y at left and right."""
+    """Ends on the sides that their lines cross: x at bottom and top, y at left and right, unless the grid is turned."""
+    turned = grid.turned
     return [
-        (side, x, y) for line, side, x, y in _marks(grid) if (side in ("bottom", "top")) == (line.axis == 0)
-    ]  # fmt: skip
+        (side, x, y) for line, side, x, y in _marks(grid) if (side in ("bottom", "top")) == ((line.axis == 0) != turned)
+    ]
 
 
 def _tick(page: Page, side: str, x: float, y: float, reach: float) -> list[tuple[float, float]]:
