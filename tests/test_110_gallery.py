@@ -20,7 +20,7 @@ EXPECTED: dict[str, dict[str, Any]] = {
     "photomap": {
         "paper": A3, "scale": 5_000, "bar": 100.0, "crs": 32633, "bounds": (399_180, 5_499_460, 400_680, 5_500_580),
         "text": ["Sample Valley", "Sheet 33-117-4", "Long Hill", "Date of photography: 2024-06-21", "12 images",
-                 "Sample Brook", "400 000", "1 : 5 000", "13°37′00″ E", "4°12′ east"],
+                 "Sample Brook", "400 000", "1 : 5 000", "13°37′00″ E", "4.9° ± 0.4° east (WMM2025, 2026-06)"],
     },
     "spot": {
         "paper": A3, "scale": 25_000, "bar": 80.0, "crs": 32633,

@@ -5,10 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from shapely import Point
 
 from geomosaic.carto.foreign.read import foreign_style
+from geomosaic.carto.overlay import overlay
 from geomosaic.carto.style import Fill, Label, Line, Marker, Symbol
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.geo.crs import parse_crs
 from geomosaic.project.sheets.sheet import read_style, vector_input
 
 SINGLE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
@@ -126,7 +129,8 @@ def test_sld(version: str, css: str) -> None:
     assert style.label is not None
     assert (style.label.column, style.label.bold, style.label.halo) == ("label", True, "#ffffff")
     assert style.label.size == pytest.approx(12 * 0.28 / (25.4 / 72))
-    assert len(told) == 2
+    assert len(told) == 3
+    assert any("without filter" in text for text in told)
     assert any("MaxScaleDenominator" in text for text in told)
     assert any("odd" in text for text in told)
 
@@ -168,3 +172,74 @@ def test_files_are_read_by_their_names(tmp_path: Path) -> None:
 def test_what_cannot_be_read(text: str, part: str) -> None:
     with pytest.raises(InputError, match=part):
         foreign_style(text, "x")
+
+
+MARKED = """<qgis version="3.34" labelsEnabled="{labels}" hasScaleBasedVisibilityFlag="1">
+<renderer-v2 type="categorizedSymbol" attr="kind"><categories>
+<category symbol="0" type="List" label="Woods">
+<val type="QString" value="wood"/><val type="QString" value="7"/></category>
+</categories><symbols><symbol type="marker" name="0" alpha="0.5">
+<layer class="SimpleMarker" enabled="1"><Option type="Map">
+<Option name="color" value="10,20,30,128"/><Option name="offset" value="0,1.5"/><Option name="angle" value="30"/>
+<Option name="outline_style" value="no"/></Option></layer></symbol></symbols></renderer-v2>
+<layerOpacity>0.7</layerOpacity><blendMode>6</blendMode>
+<labeling type="simple"><settings><text-style fieldName="&quot;name&quot;" isExpression="1" fontWeight="100"/>
+</settings></labeling></qgis>"""
+
+
+def test_qml_merged_values_and_what_is_not_drawn() -> None:
+    style, told = foreign_style(MARKED.format(labels=1), "x.qml")
+    assert [(rule.value, rule.title) for rule in style.rules] == [("wood", "Woods"), ("7", "Woods")]
+    assert style.symbol == Symbol()
+    marker = style.rules[0].marker
+    assert marker is not None
+    assert marker.opacity == pytest.approx(0.5 * 128 / 255)
+    assert style.label is not None
+    assert (style.label.column, style.label.bold) == ("name", True)
+    for words in ("offset of", "angle of", "opacity 0.7", "blendMode", "scales"):
+        assert any(words in remark for remark in told), words
+    # Labels that are switched off stay in the file.
+    assert foreign_style(MARKED.format(labels=0), "x.qml")[0].label is None
+
+
+ROADS = """<StyledLayerDescriptor version="1.0.0" xmlns="http://www.opengis.net/sld" xmlns:ogc="http://www.opengis.net/ogc">
+<NamedLayer><UserStyle>
+<FeatureTypeStyle><Rule><LineSymbolizer><Stroke><CssParameter name="stroke">#333333</CssParameter>
+ <CssParameter name="stroke-width">5</CssParameter></Stroke></LineSymbolizer></Rule></FeatureTypeStyle>
+<FeatureTypeStyle><Rule><LineSymbolizer><Stroke><CssParameter name="stroke">#6699FF</CssParameter>
+ <CssParameter name="stroke-width">3</CssParameter></Stroke>
+ <PerpendicularOffset>2</PerpendicularOffset></LineSymbolizer></Rule></FeatureTypeStyle>
+</UserStyle></NamedLayer></StyledLayerDescriptor>"""
+
+
+def test_sld_casing_in_a_layer_of_its_own() -> None:
+    """The usual way of drawing roads in SLD: all wide strokes below, then all narrow ones."""
+    style, told = foreign_style(ROADS, "x.sld")
+    line = style.symbol.line
+    assert line is not None
+    assert (line.color, line.casing) == ("#6699ff", "#333333")
+    assert line.casing_width == pytest.approx(5 * 0.28)
+    assert told == ["PerpendicularOffset of a LineSymbolizer"]
+
+
+EITHER = """<StyledLayerDescriptor version="1.0.0" xmlns="http://www.opengis.net/sld" xmlns:ogc="http://www.opengis.net/ogc">
+<NamedLayer><UserStyle><FeatureTypeStyle>
+<Rule><Title>Main</Title><ogc:Filter><ogc:Or>
+<ogc:PropertyIsEqualTo><ogc:PropertyName>c</ogc:PropertyName><ogc:Literal>1.0</ogc:Literal></ogc:PropertyIsEqualTo>
+<ogc:PropertyIsEqualTo><ogc:PropertyName>c</ogc:PropertyName><ogc:Literal>B</ogc:Literal></ogc:PropertyIsEqualTo>
+</ogc:Or></ogc:Filter><PolygonSymbolizer><Fill/></PolygonSymbolizer></Rule>
+<Rule><TextSymbolizer><Label><ogc:PropertyName>a</ogc:PropertyName> m<ogc:PropertyName>b</ogc:PropertyName></Label>
+</TextSymbolizer></Rule>
+</FeatureTypeStyle></UserStyle></NamedLayer></StyledLayerDescriptor>"""
+
+
+def test_sld_either_or() -> None:
+    style, told = foreign_style(EITHER, "x.sld")
+    assert [(rule.value, rule.title) for rule in style.rules] == [("1.0", "Main"), ("B", "Main")]
+    assert told == ["labels that are not one property"]
+    shapes = [Point(x, 5.0).buffer(1.0) for x in (2.0, 5.0, 8.0)]
+    cells: list[object] = [1, "B", "C"]
+    map_crs = parse_crs("EPSG:32633")
+    made = overlay(shapes, {"c": cells}, map_crs, style, "x", map_crs, (0, 0, 10, 10), straight=1.0, where="x")
+    assert [(group.title, len(group.geometries)) for group in made.groups] == [("Main", 2)]
+    assert "1 of 3 objects" in made.notes[0]

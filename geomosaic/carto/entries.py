@@ -125,9 +125,9 @@ def _limits(value: Any, item: Field[Any], place: str) -> None:
         if above is not None and not value > above:
             raise InputError(f"{value:g} is too small", where=place, mend=f"give a number above {above:g}")
         if (least is not None and value < least) or (most is not None and value > most):
-            raise InputError(
-                f"{value:g} is out of range", where=place, mend=f"give a number from {least:g} to {most:g}"
-            )
+            low = max(v for v in (least, above, -math.inf) if v is not None)
+            limits = f"from {low:g} to {most:g}" if most is not None and math.isfinite(most) else f"of {low:g} or more"
+            raise InputError(f"{value:g} is out of range", where=place, mend=f"give a number {limits}")
 
 
 def checked_color(value: str, place: str) -> str:

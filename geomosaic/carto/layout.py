@@ -24,6 +24,7 @@ class SheetPart:
     number: str = ""
     name: str = ""
     logo: str = ""  # PNG or JPEG left of the title
+    fonts: tuple[str, ...] = ()  # TrueType files for characters that DejaVu Sans lacks
     paper: str = ""
     orientation: str = a_choice("auto", "auto", "portrait", "landscape")
     margin: float = a_number(10.0, least=0.0, most=200.0)
@@ -71,7 +72,7 @@ class GridPart:
     color: str = a_color("#000000")
     width: float = a_number(0.1, above=0.0, most=5.0)
     labels: bool = True
-    size: float = a_number(6.0, above=0.0, most=72.0)
+    size: float = a_number(6.0, above=0.0, most=10.0)  # two rows have room between neatline and border
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ class ScaleBarPart:
 
 @dataclass(frozen=True)
 class NorthPart:
-    """`[north]`: the arrows; magnetic north only where it is declared."""
+    """`[north]`: the arrows; magnetic north where it is declared, or a date is given at which the model has it."""
 
     show: bool = True
     magnetic: float | None = a_number(None, least=-180.0, most=180.0)  # declination in degrees, east positive

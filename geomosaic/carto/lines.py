@@ -54,6 +54,16 @@ class MapGrid:
         """Whether it counts in degrees."""
         return bool(self.crs.is_geographic)
 
+    @property
+    def turned(self) -> bool:
+        """Whether lines of constant x run across the sheet rather than up, as near the poles."""
+        ways = {0: 0.0, 1: 0.0}
+        for line in self.lines:
+            for piece in line.pieces:
+                dx, dy = np.abs(piece[-1] - piece[0])
+                ways[line.axis] += float(dx - dy)
+        return ways[0] > ways[1]
+
     def label(self, line: GridLine) -> str:
         """What stands beside a line."""
         if self.degrees:

@@ -63,8 +63,8 @@ class Overlay:
 
     @property
     def count(self) -> int:
-        """Number of objects drawn."""
-        return sum(len(group.geometries) for group in self.groups)
+        """Number of objects drawn; of names, where the style has nothing else."""
+        return sum(len(group.geometries) for group in self.groups) if self.groups else len(self.names)
 
 
 def to_map(geometries: AnyArray, crs: CRS, map_crs: CRS, bounds: Bounds, straight: float) -> AnyArray:
@@ -177,9 +177,11 @@ def overlay(
     groups = []
     if members.get(-1) and style.symbol != Symbol():
         groups.append(Features("other" if rules else name, style.symbol, tuple(members[-1])))
+    same: dict[tuple[str, Symbol], list[Any]] = {}  # rules of one name and one look are one entry of the legend
     for n, rule in enumerate(rules):
         if members.get(n) and not rule.hide:
-            groups.append(Features(rule.name, Symbol(rule.line, rule.fill, rule.marker), tuple(members[n])))
+            same.setdefault((rule.name, Symbol(rule.line, rule.fill, rule.marker)), []).extend(members[n])
+    groups += [Features(title, symbol, tuple(found)) for (title, symbol), found in same.items()]
     names: list[Name] = []
     if style.label is not None:
         cells = _column(columns, style.label.column, where)
@@ -242,12 +244,22 @@ def blend(start: str, end: str, share: float) -> str:
 def holds(rule: Rule, cell: Any) -> bool:
     """Whether a cell is what a rule names."""
     if rule.value is not None:
-        return not missing(cell) and value_text(cell) == rule.value
+        return not missing(cell) and (value_text(cell) == rule.value or _equal(cell, rule.value))
     try:
         value = float(cell)
     except (TypeError, ValueError):
         return False
     return (rule.least is None or value >= rule.least) and (rule.below is None or value < rule.below)
+
+
+def _equal(cell: Any, value: str) -> bool:
+    """Whether a number is what a text says, such as 1 and '1.0'."""
+    if isinstance(cell, str | bool):
+        return False
+    try:
+        return float(cell) == float(value)
+    except (TypeError, ValueError):
+        return False
 
 
 def missing(cell: Any) -> bool:

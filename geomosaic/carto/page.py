@@ -157,6 +157,13 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
             where=where,
             mend='give a larger --paper, a smaller [sheet] margin, or panel = "none"',
         )
+    if not _meet(best.bounds, extent):
+        raise InputError(
+            f"the map about {list(layout.map.centre or ())} lies beside the picture, which covers "
+            f"{[round(v, 3) for v in extent]}",
+            where=where,
+            mend="give [map] centre in the CRS of the raster",
+        )
     if layout.map.bounds is not None and not _covers(best, wanted):
         width, height = ((wanted[i + 2] - wanted[i]) * unit / best.scale for i in (0, 1))
         room = (best.neatline[2] - best.neatline[0], best.neatline[3] - best.neatline[1])
@@ -176,13 +183,18 @@ def _area(layout: Layout, extent: Bounds, where: str | None) -> Bounds:
         return extent
     if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
         raise InputError(f"[map] bounds {list(bounds)} enclose no area", where=where, mend="left, bottom, right, top")
-    if bounds[0] >= extent[2] or bounds[2] <= extent[0] or bounds[1] >= extent[3] or bounds[3] <= extent[1]:
+    if not _meet(bounds, extent):
         raise InputError(
             f"the area {list(bounds)} lies beside the picture, which covers {[round(v, 3) for v in extent]}",
             where=where,
             mend="give [map] bounds in the CRS of the raster",
         )
     return bounds
+
+
+def _meet(bounds: Bounds, extent: Bounds) -> bool:
+    """Whether two rectangles have area in common."""
+    return bounds[0] < extent[2] and bounds[2] > extent[0] and bounds[1] < extent[3] and bounds[3] > extent[1]
 
 
 def _ways(layout: Layout, paper: str, wanted: Bounds) -> tuple[bool, ...]:

@@ -74,7 +74,7 @@ class Placer:
     gap: float = 0.6
     outline: FloatArray | None = None
     _taken: list[FloatArray] = field(default_factory=list)
-    _limits: list[FloatArray] = field(default_factory=list)
+    _limits: FloatArray = field(default_factory=lambda: np.empty((256, 4)))  # of those taken, then room for more
 
     def block(self, x: float, y: float, size: float) -> None:
         """Keep a square around a symbol free."""
@@ -96,7 +96,7 @@ class Placer:
             return False
         if not self._taken:
             return True
-        limits = np.array(self._limits)
+        limits = self._limits[: len(self._taken)]
         near = (limits[:, :2] < high).all(axis=1) & (limits[:, 2:] > low).all(axis=1)
         return not any(overlap(box, self._taken[i]) for i in np.flatnonzero(near))
 
@@ -109,8 +109,11 @@ class Placer:
         return None
 
     def _take(self, box: FloatArray) -> None:
+        count = len(self._taken)
+        if count == len(self._limits):
+            self._limits = np.concatenate([self._limits, np.empty_like(self._limits)])
+        self._limits[count] = *box.min(axis=0), *box.max(axis=0)
         self._taken.append(box)
-        self._limits.append(np.concatenate([box.min(axis=0), box.max(axis=0)]))
 
 
 def _inside(ring: FloatArray, x: float, y: float) -> bool:

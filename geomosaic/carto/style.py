@@ -46,6 +46,7 @@ class Marker:
     color: str = a_color("#d7191c")
     outline: str = a_color("#ffffff")
     outline_width: float = a_number(0.15, least=0.0, most=5.0)
+    opacity: float = a_number(1.0, least=0.0, most=1.0)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geomosaic.carto.draw.fonts import CAP, FAMILY, families, lend, properties
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
 if TYPE_CHECKING:
@@ -18,14 +19,14 @@ if TYPE_CHECKING:
 
 POINT = 25.4 / 72.0
 """Millimetres in a point."""
-CAP = 0.729
-"""Height of capitals and figures of DejaVu Sans in parts of the text size."""
-FAMILY = "DejaVu Sans"
 
 
 @contextmanager
-def drawing() -> Iterator[None]:
-    """Matplotlib's own defaults, whatever the user's settings say, and fonts embedded as TrueType (text stays text)."""
+def drawing(fonts: Sequence[str] = ()) -> Iterator[None]:
+    """Matplotlib's own defaults, whatever the user's settings say, and fonts embedded as TrueType (text stays text).
+
+    `fonts` are files that lend characters which the font of the sheet lacks.
+    """
     import matplotlib
 
     with matplotlib.rc_context():
@@ -34,12 +35,24 @@ def drawing() -> Iterator[None]:
             {"pdf.fonttype": 42, "font.family": FAMILY, "pdf.compression": 6, "svg.hashsalt": "geomosaic",
              "path.simplify": False, "text.hinting": "none"}
         )  # fmt: skip
-        yield
+        lend(fonts)
+        try:
+            yield
+        finally:
+            lend(())
+
+
+_BREAKS = dict.fromkeys((*range(32), 0x7F, 0x85, 0x2028, 0x2029), " ")
+"""Characters that would break a line, or have no form: one line of text has blanks in their place."""
+
+
+def text_size(text: str, size: float, bold: bool = False, italic: bool = False) -> tuple[float, float]:
+    """Width and height in mm of one line of text at a size in points; the height is that of capitals."""
+    return _text_size(text, size, bold, italic, families())
 
 
 @lru_cache(maxsize=4096)
-def text_size(text: str, size: float, bold: bool = False, italic: bool = False) -> tuple[float, float]:
-    """Width and height in mm of one line of text at a size in points; the height is that of capitals."""
+def _text_size(text: str, size: float, bold: bool, italic: bool, fonts: tuple[str, ...]) -> tuple[float, float]:
     if not text.strip():
         return 0.0, size * CAP * POINT
     # Control points of the outline's curves reach a little beyond it, which is on the safe side.
@@ -49,22 +62,7 @@ def text_size(text: str, size: float, bold: bool = False, italic: bool = False) 
 def _outline(text: str, size: float, bold: bool, italic: bool) -> Any:
     from matplotlib.textpath import TextPath
 
-    return TextPath((0, 0), text.replace("$", r"\$"), size=size, prop=_font(bold, italic))
-
-
-def _font(bold: bool, italic: bool) -> Any:
-    from matplotlib.font_manager import FontProperties
-
-    return FontProperties(family=FAMILY, weight="bold" if bold else "normal", style="oblique" if italic else "normal")
-
-
-def missing_glyphs(texts: Iterable[str]) -> str:
-    """Characters that the font has no glyph for, each once, in the order in which they come."""
-    from matplotlib.font_manager import findfont, get_font
-
-    known = get_font(findfont(_font(False, False))).get_charmap()
-    found = dict.fromkeys(c for text in texts for c in text if ord(c) not in known and not c.isspace())
-    return "".join(found)
+    return TextPath((0, 0), text.translate(_BREAKS).replace("$", r"\$"), size=size, prop=properties(bold, italic))
 
 
 class Canvas:
@@ -161,7 +159,9 @@ class Canvas:
         ring = np.array([(box[0], box[1]), (box[2], box[1]), (box[2], box[3]), (box[0], box[3]), (box[0], box[1])])
         self.area([ring], fill, edge=edge, width=width)
 
-    def markers(self, xy: FloatArray, shape: str, size: float, fill: str, edge: str, edge_width: float) -> None:
+    def markers(
+        self, xy: FloatArray, shape: str, size: float, fill: str, edge: str, edge_width: float, opacity: float = 1.0
+    ) -> None:
         """Symbols at points (N, 2); size in mm."""
         if not len(xy):
             return
@@ -173,6 +173,7 @@ class Canvas:
             xy[:, 0], xy[:, 1], linestyle="none", marker=form, markersize=size / POINT, markerfacecolor=fill,
             markeredgecolor=fill if thin else edge,
             markeredgewidth=max(edge_width, 0.2 * size if thin else 0.0) / POINT, scalex=False, scaley=False,
+            alpha=opacity,
         )  # fmt: skip
         self._add(drawn)
 
@@ -218,8 +219,8 @@ class Canvas:
             self.axes.add_patch(outline)
             self._add(outline)
         drawn = self.axes.text(
-            x, y, text, fontproperties=_font(bold, italic), fontsize=size, color=color, rotation=angle,
-            rotation_mode="anchor", ha="left", va="baseline", parse_math=False,
+            x, y, text.translate(_BREAKS), fontproperties=properties(bold, italic), fontsize=size, color=color,
+            rotation=angle, rotation_mode="anchor", ha="left", va="baseline", parse_math=False,
         )  # fmt: skip
         self._add(drawn)
 

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from geomosaic.carto.contrast import halo_of, on_paper
-from geomosaic.carto.draw.canvas import Canvas, text_size
+from geomosaic.carto.draw.canvas import POINT, Canvas, text_size
+from geomosaic.carto.draw.fonts import CAP
 from geomosaic.carto.layout import GridPart
 from geomosaic.carto.lines import GridLine, MapGrid
-from geomosaic.carto.page import BAND, Page
+from geomosaic.carto.page import Page
 from geomosaic.carto.place import spread
 from geomosaic.types import FloatArray
 
@@ -18,6 +19,8 @@ CROSS = 3.0
 """Arm to arm of a grid cross, mm."""
 TICK = 2.0
 """Length of a tick outside the neatline, mm; inside it is longer where there are no lines."""
+OUTER = 7.45
+"""Distance in mm from the neatline within which both rows of labels stand."""
 LONGEST_GAP = 12.0
 """Length in mm beyond which a line outside the neatline is no end of one that crosses it."""
 NEATLINE, BORDER = 0.3, 0.6
@@ -78,13 +81,13 @@ def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None
         for row, (grid, part) in enumerate(grids):
             if grid is None:
                 continue
-            marks = [(line, x, y) for line, s, x, y in _marks(grid) if s == side and line.axis == axis]
+            marks = [(line, x, y) for line, s, x, y in _marks(grid) if s == side and (line.axis == axis) != grid.turned]
             if not marks:
                 continue
             along = [float(v) for v in page.to_page(np.array([place for _, *place in marks]))[:, axis]]
             kept = _draw_row(canvas, page, side, [grid.label(line) for line, _, _ in marks], along, part, row)
             blocked = [any(low - 0.5 < at < high + 0.5 for low, high in taken) for at in along]
-            long = BAND / 2 + TICK - 0.6 if row else TICK
+            long = _aside(part.size, row) - part.size * CAP * POINT / 2 - 0.3 if row and part.labels else TICK
             ticks = [
                 _tick(page, side, x, y, TICK if stop else long) for (_, x, y), stop in zip(marks, blocked, strict=True)
             ]
@@ -115,7 +118,7 @@ def _draw_row(
     widths = [text_size(text, part.size)[0] for text in texts]
     # At the corners the labels above and below have the room.
     low, high = (page.border[0] + 1.0, page.border[2] - 1.0) if axis == 0 else (page.neatline[1], page.neatline[3])
-    aside = TICK + 0.9 + (BAND / 2 - 0.4 if row else 0.0)
+    aside = _aside(part.size, row)
     kept = []
     for i in spread(along, widths, 2.0):
         first, last = along[i] - widths[i] / 2, along[i] + widths[i] / 2
@@ -126,15 +129,24 @@ def _draw_row(
     return kept
 
 
+def _aside(size: float, row: int) -> float:
+    """Distance in mm of the middle of labels from the neatline: the inner row begins at the ticks, the outer one ends
+    where the names of neighbouring sheets begin.
+    """
+    half = size * CAP * POINT / 2
+    return OUTER - half if row else TICK + 0.15 + half
+
+
 def _marks(grid: MapGrid) -> list[tuple[GridLine, str, float, float]]:
     return [(line, *end) for line in grid.lines for end in line.ends]
 
 
 def _ends(grid: MapGrid) -> list[tuple[str, float, float]]:
-    """Ends on the sides that their lines cross: x at bottom and top, y at left and right."""
+    """Ends on the sides that their lines cross: x at bottom and top, y at left and right, unless the grid is turned."""
+    turned = grid.turned
     return [
-        (side, x, y) for line, side, x, y in _marks(grid) if (side in ("bottom", "top")) == (line.axis == 0)
-    ]  # fmt: skip
+        (side, x, y) for line, side, x, y in _marks(grid) if (side in ("bottom", "top")) == ((line.axis == 0) != turned)
+    ]
 
 
 def _tick(page: Page, side: str, x: float, y: float, reach: float) -> list[tuple[float, float]]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from geomosaic.carto.draw.canvas import CAP, POINT, Canvas, text_size
+from geomosaic.carto.declination import Declination
+from geomosaic.carto.draw.canvas import POINT, Canvas, text_size
+from geomosaic.carto.draw.fonts import CAP
 from geomosaic.carto.draw.neighbours import INDEX, draw_index
 from geomosaic.carto.draw.north import BLOCK, draw_north, north_words
 from geomosaic.carto.draw.scale import draw_scale
@@ -21,6 +23,8 @@ SWATCH = 9.0
 LEADING = 1.42
 """Distance of lines in parts of the text size."""
 SMALLEST_TEXT = 4.5
+SMALLEST_HEAD = 6.0
+"""Size in points below which titles are cut rather than made smaller."""
 LOGO = 11.0
 """Height of the logo, mm."""
 TIGHTEST = 0.7
@@ -58,22 +62,48 @@ def shortened(text: str, size: float, room: float, bold: bool = False) -> float:
     return size if width <= room else size * room / width
 
 
-def draw_head(canvas: Canvas, page: Page, layout: Layout) -> None:
-    """Title and subtitle at the left, series, number and name of the sheet at the right."""
+def cut_to(text: str, size: float, room: float, bold: bool = False) -> str:
+    """Text that fits into `room` mm at a size: the one given, or its beginning and an ellipsis."""
+    if text_size(text, size, bold)[0] <= room + 1e-6:
+        return text
+    low, high = 0, len(text)  # so many letters fit; so many do not
+    while high - low > 1:
+        middle = (low + high) // 2
+        fits = text_size(f"{text[:middle]}…", size, bold)[0] <= room
+        low, high = (middle, high) if fits else (low, middle)
+    return f"{text[:low].rstrip()}…"
+
+
+def draw_head(canvas: Canvas, page: Page, layout: Layout) -> list[str]:
+    """Title and subtitle at the left, series, number and name of the sheet at the right.
+
+    Each is made smaller where it has no room, down to a size that can be read, and then cut; what was is returned in
+    words.
+    """
     sheet, (left, bottom, right, top) = layout.sheet, page.head
     if top <= bottom:
-        return
+        return []
     if sheet.logo:
         left = _logo(canvas, sheet.logo, left, bottom + 2.0, (right - left) / 3)
     number = f"Sheet {sheet.number}" if sheet.number else ""
     name = " · ".join(filter(None, (sheet.series, sheet.name)))
-    aside = max(text_size(number, 12.0, True)[0], text_size(name, 8.5)[0])
+    most = right - left if not sheet.title + sheet.subtitle else 0.45 * (right - left)
+    aside = max(min(text_size(number, 12.0, True)[0], most), min(text_size(name, 8.5)[0], most))
     room = right - left - (aside + 6.0 if aside else 0.0)
     upper, lower = bottom + 8.0, bottom + 3.2
-    canvas.text(left, upper, sheet.title, shortened(sheet.title, 18.0, room, True), bold=True)
-    canvas.text(left, lower, sheet.subtitle, shortened(sheet.subtitle, 9.0, room), color="#333333")
-    canvas.text(right, upper, number, 12.0, align="right", bold=True)
-    canvas.text(right, lower, name, 8.5, align="right", color="#333333")
+    told = []
+    for x, y, text, size, width, align, bold in (
+        (left, upper, sheet.title, 18.0, room, "left", True),
+        (left, lower, sheet.subtitle, 9.0, room, "left", False),
+        (right, upper, number, 12.0, aside, "right", True),
+        (right, lower, name, 8.5, aside, "right", False),
+    ):
+        small = max(shortened(text, size, width, bold), SMALLEST_HEAD)
+        shown = cut_to(text, small, width, bold)
+        if shown != text:
+            told.append(f"there is no room above the map for all of '{text}'")
+        canvas.text(x, y, shown, small, align=align, bold=bold, color="#000000" if bold else "#333333")
+    return told
 
 
 def _logo(canvas: Canvas, path: str, left: float, bottom: float, widest: float) -> float:
@@ -105,7 +135,8 @@ def draw_legend(canvas: Canvas, entries: Sequence[Entry], title: str, box: Box) 
     left, bottom, right, top = box
     if not entries:
         return top, 0
-    canvas.text(left, top - 8.5 * CAP * POINT, title, 8.5, bold=True)
+    head = max(SMALLEST_HEAD, shortened(title, 8.5, right - left, True))
+    canvas.text(left, top - 8.5 * CAP * POINT, cut_to(title, head, right - left, True), head, bold=True)
     size, line_height = 6.8, 6.8 * POINT * 1.3
     rows = []
     for entry in entries:
@@ -160,6 +191,7 @@ def draw_panel(
     entries: Sequence[Entry],
     blocks: Sequence[tuple[str, list[str]]],
     convergence: float | None,
+    magnetic: Declination | None = None,
     series: SheetPlace | None = None,
 ) -> list[str]:
     """Everything in the panel and the foot; returns what had no room, in words."""
@@ -168,6 +200,8 @@ def draw_panel(
         left, bottom, right, top = page.foot
         draw_scale(canvas, page, layout, (left + right) / 2, top - 3.5, right - left)
     if page.panel is None:
+        if layout.sheet.panel == "auto" and (entries or blocks):
+            told.append("the paper is too small for legend, north arrow and notes: they are left out")
         return told
     left, bottom, right, top = page.panel
     north = convergence is not None and layout.north.show
@@ -183,7 +217,7 @@ def draw_panel(
         end, lost = draw_legend(canvas, entries, layout.legend.title, (left + pad, floor, right - pad, top - pad))
         y = _rule(canvas, left, right, end - 1.0) if entries else top
         if convergence is not None and layout.north.show:
-            y = _rule(canvas, left, right, _north(canvas, left + pad, right - pad, y - 3.0, convergence, layout))
+            y = _rule(canvas, left, right, _north(canvas, left + pad, right - pad, y - 3.0, convergence, magnetic))
         fits = draw_blocks(canvas, blocks, (left + pad, bottom + pad, right - pad, y - pad))
     else:
         wide = 0.38 * (right - left)
@@ -194,7 +228,7 @@ def draw_panel(
         )
         y = draw_scale(canvas, page, layout, (cuts[1] + cuts[2]) / 2, top - pad, wide - 2.0)
         if convergence is not None and layout.north.show:
-            _north(canvas, cuts[1] + pad, cuts[2] - pad, y - 4.0, convergence, layout)
+            _north(canvas, cuts[1] + pad, cuts[2] - pad, y - 4.0, convergence, magnetic)
         if series is not None:
             draw_index(canvas, series, (cuts[2] + pad, bottom + pad, right - pad, bottom + pad + INDEX))
             bottom += INDEX + pad
@@ -217,10 +251,12 @@ def _rule(canvas: Canvas, left: float, right: float, y: float) -> float:
     return y
 
 
-def _north(canvas: Canvas, left: float, right: float, top: float, convergence: float, layout: Layout) -> float:
+def _north(
+    canvas: Canvas, left: float, right: float, top: float, convergence: float, magnetic: Declination | None
+) -> float:
     """Arrows at the left, what they mean at the right; returns the lower end."""
-    end = draw_north(canvas, left + 12.0, top, convergence, layout.north)
-    said = north_words(convergence, layout.north)
+    end = draw_north(canvas, left + 12.0, top, convergence, magnetic)
+    said = north_words(convergence, magnetic)
     words = [line for text in said for line in wrapped(text, 6.2, right - left - 26.0)]
     y = top - 6.0
     for line in words:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from geomosaic.carto.draw.canvas import CAP, POINT, Canvas, text_size
+from geomosaic.carto.draw.canvas import POINT, Canvas, text_size
+from geomosaic.carto.draw.fonts import CAP
 from geomosaic.carto.page import Box, Page
 from geomosaic.carto.series.neatline import SheetPlace
 from geomosaic.carto.series.scheme import DIRECTIONS

@@ -1,4 +1,4 @@
-"""The arrows: grid north, true north by the meridian convergence, magnetic north where it is declared."""
+"""The arrows: grid north, true north by the meridian convergence, magnetic north where it is known."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from geomosaic.carto.declination import Declination
 from geomosaic.carto.draw.canvas import Canvas
-from geomosaic.carto.layout import NorthPart
 from geomosaic.carto.nice import angle_text
+from geomosaic.geo.magnetic import NAME
 from geomosaic.types import FloatArray
 
 LENGTH = 17.0
+ASIDE = 12.0
+"""Room in mm at each side of the foot."""
 LEAST = 13.0
 """Degrees: smaller angles between arrows are drawn as this, and said not to be to scale."""
 BLOCK = 31.0
@@ -44,32 +47,41 @@ def shown(angles: Sequence[float]) -> list[float]:
     return drawn
 
 
-def north_words(convergence: float, part: NorthPart) -> list[str]:
-    """Lines below the arrows."""
+def north_words(convergence: float, magnetic: Declination | None = None) -> list[str]:
+    """Lines beside the arrows."""
     if abs(convergence) < 0.5 / 3600:
         lines = ["At the centre of the sheet grid north is true north (meridian convergence 0)."]
     else:
         amount, side = angle_text(abs(convergence)), "east" if convergence > 0 else "west"
         lines = [f"At the centre of the sheet grid north is {amount} {side} of true north (meridian convergence)."]
-    if part.magnetic is not None:
-        side = "east" if part.magnetic >= 0 else "west"
-        text = f"Magnetic declination {angle_text(abs(part.magnetic), 1 / 60)} {side}"
-        text += f" ({part.magnetic_date})" if part.magnetic_date else ""
-        if part.annual_change is not None:
-            side = "east" if part.annual_change >= 0 else "west"
-            text += f", annual change {abs(part.annual_change) * 60:.1f}′ {side}"
-        lines.append(f"{text}.")
-    return lines
+    return lines if magnetic is None else [*lines, magnetic_words(magnetic)]
 
 
-def draw_north(canvas: Canvas, x: float, top: float, convergence: float, part: NorthPart) -> float:
+def magnetic_words(magnetic: Declination) -> str:
+    """Line on the declination: to the minute where it was declared, with its standard deviation where computed."""
+    side = "east" if magnetic.degrees >= 0 else "west"
+    if magnetic.sigma is None:
+        text = f"Magnetic declination {angle_text(abs(magnetic.degrees), 1 / 60)} {side}"
+        text += f" ({magnetic.date})" if magnetic.date else ""
+    else:
+        amount = f"{abs(magnetic.degrees):.1f}°\u00a0±\u00a0{magnetic.sigma:.1f}°"
+        text = f"Magnetic declination {amount} {side} ({NAME}, {magnetic.date})"
+    if magnetic.annual_change is not None:
+        side = "east" if magnetic.annual_change >= 0 else "west"
+        text += f", annual change {abs(magnetic.annual_change) * 60:.1f}′ {side}"
+    return f"{text}."
+
+
+def draw_north(canvas: Canvas, x: float, top: float, convergence: float, magnetic: Declination | None) -> float:
     """Draw the arrows about x, below `top`; returns the lower end. Lengths in mm."""
     foot = np.array([x, top - 4.0 - LENGTH])
-    angles = _angles(convergence, part)
+    angles = _angles(convergence, magnetic)
     drawn = shown(angles)
     arms = [("GN", 0.0, LENGTH)]
     arms += [
-        (name, angle, LENGTH - 1.5) for name, angle in zip(("TN", "MN"), drawn, strict=False) if angle or name == "MN"
+        (name, angle, _within(angle, LENGTH - 1.5))
+        for name, angle in zip(("TN", "MN"), drawn, strict=False)
+        if angle or name == "MN"
     ]
     for name, angle, length in arms:
         up = direction(angle)
@@ -84,15 +96,22 @@ def draw_north(canvas: Canvas, x: float, top: float, convergence: float, part: N
         at = tip + up * 2.6
         label = "N" if name == "GN" and len(arms) == 1 else name
         canvas.centred(float(at[0]), float(at[1]), label, 6.5, bold=name == "GN")
-    y = float(foot[1])
+    # Near the poles grid north may point south: what reaches below the foot has its room there.
+    y = float(foot[1]) + min(0.0, *((length + 4.2) * math.cos(math.radians(angle)) for _, angle, length in arms))
     if any(abs(a - b) > 1e-9 for a, b in zip(angles, drawn, strict=True) if b):
         y -= 2.4
         canvas.centred(x, y, "(angles not to scale)", 5.0, italic=True)
     return y - 1.5
 
 
-def _angles(convergence: float, part: NorthPart) -> list[float]:
-    more = [] if part.magnetic is None else [magnetic_north(part.magnetic, convergence)]
+def _within(angle: float, length: float) -> float:
+    """Length of an arm of which tip and name reach no further aside than `ASIDE`."""
+    across = abs(math.sin(math.radians(angle)))
+    return min(length, (ASIDE - 1.6) / across - 2.6) if across > 1e-9 else length
+
+
+def _angles(convergence: float, magnetic: Declination | None) -> list[float]:
+    more = [] if magnetic is None else [magnetic_north(magnetic.degrees, convergence)]
     return [true_north(convergence), *more]
 
 

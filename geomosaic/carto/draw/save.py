@@ -24,7 +24,7 @@ from geomosaic.types import ByteArray, FloatArray
 WEB = (".mbtiles", ".kmz")
 FORMATS = (".pdf", ".png", ".tif", ".tiff", *WEB)
 MOST_PIXELS = 1 << 29
-"""Pixels of a PNG or GeoTIFF that is drawn at once: an A0 sheet at 450 dpi."""
+"""Pixels of a picture that is drawn at once: an A0 sheet at 580 dpi."""
 
 
 @dataclass(frozen=True)
@@ -84,11 +84,14 @@ def write_sheet(
             where=str(path),
             mend="leave out --driver PDF" if flat else "write .pdf, .png or .tif",
         )
-    if (flat or suffix != ".pdf") and page.width * page.height * (dpi / 25.4) ** 2 > MOST_PIXELS:
+    vectors = suffix == ".pdf" and not flat
+    left, bottom, right, top = page.neatline if vectors else page.paper
+    if (right - left) * (top - bottom) * (dpi / 25.4) ** 2 > MOST_PIXELS:
         raise InputError(
-            f"a sheet of {page.width:g} x {page.height:g} mm at {dpi} dpi has too many pixels",
+            f"{'the map' if vectors else 'a sheet'} of {right - left:.0f} x {top - bottom:.0f} mm at {dpi} dpi has too "
+            "many pixels",
             where=str(path),
-            mend="lower --dpi, or write a PDF of vectors",
+            mend="lower --dpi" if vectors else "lower --dpi, or write a PDF of vectors",
         )
     if flat or suffix in WEB:
         return _by_gdal(path, parts, pixels, dpi, files, overwrite=overwrite)

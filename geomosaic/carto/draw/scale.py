@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from geomosaic.carto.draw.canvas import CAP, POINT, Canvas, text_size
+from geomosaic.carto.draw.canvas import POINT, Canvas, text_size
+from geomosaic.carto.draw.fonts import CAP
 from geomosaic.carto.layout import Layout
 from geomosaic.carto.nice import grouped
 from geomosaic.carto.page import Page

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from geomosaic.carto.contours import Contour
 from geomosaic.carto.contrast import halo_of, legend_line
+from geomosaic.carto.declination import Declination
 from geomosaic.carto.draw.canvas import Canvas
 from geomosaic.carto.draw.frame import draw_crop_marks, draw_edge, draw_grid, draw_labels
 from geomosaic.carto.draw.margin import Entry, draw_head, draw_panel
@@ -52,6 +53,8 @@ class SheetParts:
         Degrees, at the centre; None in a local frame, which has no north.
     series : SheetPlace, optional
         The sheet's place in its series.
+    magnetic : Declination, optional
+        At the centre.
     """
 
     page: Page
@@ -64,6 +67,7 @@ class SheetParts:
     blocks: tuple[tuple[str, list[str]], ...]
     convergence: float | None
     series: SheetPlace | None = None
+    magnetic: Declination | None = None
 
 
 def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> list[str]:
@@ -105,9 +109,9 @@ def draw_sheet(parts: SheetParts, pixels: Pixels) -> tuple[Canvas, list[str]]:
     draw_crop_marks(canvas, page)
     if parts.series is not None:
         draw_around(canvas, page, parts.series)
-    draw_head(canvas, page, layout)
+    told += draw_head(canvas, page, layout)
     entries = legend(parts) if layout.legend.show else []
-    told += draw_panel(canvas, page, layout, entries, parts.blocks, parts.convergence, parts.series)
+    told += draw_panel(canvas, page, layout, entries, parts.blocks, parts.convergence, parts.magnetic, parts.series)
     return canvas, told
 
 

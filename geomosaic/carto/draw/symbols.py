@@ -85,7 +85,7 @@ def _line(canvas: Canvas, paths: Sequence[FloatArray], line: Line, *, casing: bo
 
 
 def _marker(canvas: Canvas, xy: FloatArray, marker: Marker) -> None:
-    canvas.markers(xy, marker.shape, marker.size, marker.color, marker.outline, marker.outline_width)
+    canvas.markers(xy, marker.shape, marker.size, marker.color, marker.outline, marker.outline_width, marker.opacity)
 
 
 def _rings(page: Page, polygon: Any) -> list[FloatArray]:

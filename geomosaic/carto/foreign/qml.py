@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from xml.etree.ElementTree import Element
@@ -24,7 +25,8 @@ _SAID = {"SimpleLine", "SimpleFill", "SimpleMarker"}
 def read_qml(root: Element, told: Told) -> Style:
     """Make a style of a QML document; what is not understood goes to `told`."""
     renderer = root.find("renderer-v2")
-    label = _label(root.find("labeling"), told)
+    label = None if root.get("labelsEnabled") == "0" else _label(root.find("labeling"), told)
+    _whole_layer(root, told)
     if renderer is None:
         told.say("the file has no renderer")
         return Style(label=label)
@@ -41,24 +43,37 @@ def read_qml(root: Element, told: Told) -> Style:
         for node in renderer.findall("categories/category"):
             symbol = symbols.get(node.get("symbol", ""), Symbol())
             hide = node.get("render", "true") == "false"
-            if not node.get("value"):
+            # Several values that were merged to one category stand below it.
+            values = [part.get("value", "") for part in node.findall("val")] or [node.get("value", "")]
+            if values == [""]:
                 rest = Symbol() if hide else symbol
-            else:
-                value = node.get("value", "")
-                rules.append(_rule(symbol, node.get("label") or value, value=value, hide=hide))
+                continue
+            rules += [_rule(symbol, node.get("label") or value, value=value, hide=hide) for value in values]
         return Style(symbol=rest, column=column, rules=tuple(rules), label=label)
     if kind == "graduatedSymbol":
         rules = []
-        ranges = [node for node in renderer.findall("ranges/range") if node.get("render", "true") != "false"]
-        for node in ranges:
+        for node in renderer.findall("ranges/range"):
             low, high = float(node.get("lower", "nan")), float(node.get("upper", "nan"))
             # The upper limit of a class belongs to it, and the first class that holds is taken; ours end before it.
             high = math.nextafter(high, math.inf)
             symbol = symbols.get(node.get("symbol", ""), Symbol())
-            rules.append(_rule(symbol, node.get("label", ""), least=low, below=high))
+            hide = node.get("render", "true") == "false"
+            rules.append(_rule(symbol, node.get("label", ""), least=low, below=high, hide=hide))
         return Style(column=column, rules=tuple(rules), label=label)
     told.say(f"renderer '{kind}'; its first symbol is used for all")
     return Style(symbol=next(iter(symbols.values()), Symbol()), label=label)
+
+
+def _whole_layer(root: Element, told: Told) -> None:
+    """What the file says of the layer as a whole, and is not drawn."""
+    opacity = root.findtext("layerOpacity") or "1"
+    if float(opacity) != 1.0:
+        told.say(f"opacity {opacity} of the layer")
+    for name in ("blendMode", "featureBlendMode"):
+        if (root.findtext(name) or "0") != "0":
+            told.say(f"{name} of the layer")
+    if root.get("hasScaleBasedVisibilityFlag") == "1":
+        told.say("scales at which the layer is hidden")
 
 
 def _rule(symbol: Symbol, name: str, **limits: object) -> Rule:
@@ -86,6 +101,8 @@ def _symbol(node: Element, told: Told) -> Symbol:
         data = layer.find("data_defined_properties/Option/Option[@name='properties']")
         if data is not None and len(data):
             told.say(f"values of {kind} that come from the data")
+        if kind in _SAID:
+            _moved(kind, said, told)
         if kind not in _SAID:
             told.say(f"symbol layer '{kind}'")
         elif kind == "SimpleLine":
@@ -112,8 +129,16 @@ def _symbol(node: Element, told: Told) -> Symbol:
             edge = _color(said.get("outline_color", "0,0,0,255"), told)[0]
             none = said.get("outline_style") == "no"
             wide = 0.0 if none else _length(said, "outline_width", 0.0, told) or 0.1
-            marker = Marker(shape, size, _color(said.get("color", ""), told)[0], edge, wide)
+            color, alpha = _color(said.get("color", ""), told)
+            marker = Marker(shape, size, color, edge, wide, alpha * opacity)
     return Symbol(line, fill, marker)
+
+
+def _moved(kind: str, said: Mapping[str, str], told: Told) -> None:
+    """Tell of offsets and turns, which are not drawn."""
+    for name in ("offset", "angle"):
+        if any(float(part or 0) for part in said.get(name, "0").split(",")) and (name, kind) != ("angle", "SimpleFill"):
+            told.say(f"{name} of {kind}")
 
 
 def _line(said: Mapping[str, str], color: str, width: str, style: str, opacity: float, told: Told) -> Line | None:
@@ -165,9 +190,13 @@ def _label(node: Element | None, told: Told) -> Label | None:
     if node.get("type") != "simple" or style is None:
         told.say(f"labels of type '{node.get('type')}'")
         return None
+    column = style.get("fieldName", "")
     if style.get("isExpression") == "1":
-        told.say(f"labels by the expression {style.get('fieldName')}")
-        return None
+        plain = re.fullmatch(r'\s*"([^"]+)"\s*', column)
+        if plain is None:
+            told.say(f"labels by the expression {column}")
+            return None
+        column = plain[1]
     size = float(style.get("fontSize", "10"))
     unit = style.get("fontSizeUnit", "Point")
     if unit not in UNITS:
@@ -179,6 +208,6 @@ def _label(node: Element | None, told: Told) -> Label | None:
         halo = _color(buffer.get("bufferColor", "255,255,255,255"), told)[0]
         wide = float(buffer.get("bufferSize", "1")) * UNITS.get(buffer.get("bufferSizeUnits", "MM"), 1.0)
     color = mixed(*_color(style.get("textColor", "0,0,0,255"), told))
-    bold = style.get("fontWeight", "50") >= "75" or "bold" in style.get("namedStyle", "").lower()
+    bold = float(style.get("fontWeight", "50")) >= 75 or "bold" in style.get("namedStyle", "").lower()
     italic = style.get("fontItalic") == "1"
-    return Label(style.get("fieldName", ""), size, color, halo, wide, bold, italic)
+    return Label(column, size, color, halo, wide, bold, italic)

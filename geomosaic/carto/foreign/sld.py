@@ -12,7 +12,11 @@ PIXEL = 0.28
 """Millimetres of a pixel, as the standard has it."""
 SHAPES = {"circle": "circle", "square": "square", "triangle": "triangle", "star": "star", "cross": "plus", "x": "cross"}
 _PLAIN = {"Name", "Title", "Abstract", "Description", "Filter", "ElseFilter", "LegendGraphic"}
-_SYMBOLIZERS = {"LineSymbolizer", "PolygonSymbolizer", "PointSymbolizer", "TextSymbolizer"}
+_READ = {
+    "LineSymbolizer": {"Stroke"}, "PolygonSymbolizer": {"Fill", "Stroke"}, "PointSymbolizer": {"Graphic"},
+    "TextSymbolizer": {"Label", "Font", "Halo", "Fill"},
+}  # fmt: skip
+_SYMBOLIZERS = set(_READ)
 
 
 def read_sld(root: Element, told: Told) -> Style:
@@ -21,7 +25,9 @@ def read_sld(root: Element, told: Told) -> Style:
     if len(layers) > 1:
         told.say("styles after the first one")
     kinds = _all(layers[0], "FeatureTypeStyle") if layers else []
-    column, rules, rest, label = "", [], Symbol(), None
+    column, label, rest = "", None, Symbol()
+    found: dict[_Limits, Rule] = {}
+    plain = False  # whether there is a rule for all objects
     for number, node in enumerate((rule for kind in kinds for rule in _all(kind, "Rule")), 1):
         symbol, name = _symbol(node, told)
         label = name or label
@@ -29,19 +35,48 @@ def read_sld(root: Element, told: Told) -> Style:
             if _tag(child) not in _PLAIN | _SYMBOLIZERS:
                 told.say(_tag(child))
         title = _text(node, "Title") or _text(node, "Name")
-        found = _find(node, "Filter")
-        if found is None:
-            rest = symbol if symbol != Symbol() else rest
+        wanted = _find(node, "Filter")
+        if wanted is None:
+            plain |= _find(node, "ElseFilter") is None and symbol != Symbol()
+            rest = _above(rest, symbol, told)
             continue
-        limits = _filter(found, told)
-        if limits is None or (column and limits[0] != column):
-            parts = ", ".join(_tag(part) for part in found) or "empty"
+        cases = _filter(wanted)
+        if cases is None or any(case[0] != (column or cases[0][0]) for case in cases):
+            parts = ", ".join(_tag(part) for part in wanted) or "empty"
             called = f"'{title}'" if title else str(number)
             told.say(f"the rule {called} by its filter ({parts}); its objects are drawn as others")
             continue
-        column = limits[0]
-        rules.append(Rule(limits[1], limits[2], limits[3], title, False, symbol.line, symbol.fill, symbol.marker))
-    return Style(symbol=rest, column=column, rules=tuple(rules), label=label)
+        column = cases[0][0]
+        for _, value, least, below in cases:
+            key = (value, least, below)
+            old = found.get(key)
+            drawn = symbol if old is None else _above(Symbol(old.line, old.fill, old.marker), symbol, told)
+            named = title if old is None else old.title or title
+            found[key] = Rule(*key, named, False, drawn.line, drawn.fill, drawn.marker)
+    if found and plain:
+        told.say("a rule without filter, drawn for those objects alone that no filter names")
+    return Style(symbol=rest, column=column, rules=tuple(found.values()), label=label)
+
+
+_Limits = tuple[str | None, float | None, float | None]
+"""Value, least and below of a rule."""
+
+
+def _above(lower: Symbol, upper: Symbol, told: Told) -> Symbol:
+    """What two rules for the same objects draw: of two strokes the wider one is the casing."""
+    if lower.fill is not None and upper.fill is not None:
+        told.say("two fills of the same objects, the upper one drawn")
+    if lower.marker is not None and upper.marker is not None:
+        told.say("two marks of the same objects, the upper one drawn")
+    line = upper.line or lower.line
+    if lower.line is not None and upper.line is not None:
+        line = _cased(lower.line, upper.line)
+    return Symbol(line, upper.fill or lower.fill, upper.marker or lower.marker)
+
+
+def _cased(first: Line, second: Line) -> Line:
+    lower, upper = (first, second) if first.width >= second.width else (second, first)
+    return Line(upper.color, upper.width, upper.dash, lower.color, lower.width, upper.opacity)
 
 
 def _tag(node: Element) -> str:
@@ -61,11 +96,24 @@ def _text(node: Element, tag: str) -> str:
     return (found.text or "").strip() if found is not None else ""
 
 
-def _filter(node: Element, told: Told) -> tuple[str, str | None, float | None, float | None] | None:
-    """Column, value, least and below of a filter; None where it says something else."""
+_Case = tuple[str, str | None, float | None, float | None]
+"""Column, value, least and below."""
+
+
+def _filter(node: Element) -> list[_Case] | None:
+    """Cases of a filter, one of which holds: column, value, least and below; None where it says something else."""
     parts = list(node)
+    if len(parts) == 1 and _tag(parts[0]) == "Or":
+        cases = [_all_of([part] if _tag(part) != "And" else list(part)) for part in parts[0]]
+        return None if None in cases or not cases else [case for case in cases if case is not None]
     if len(parts) == 1 and _tag(parts[0]) == "And":
         parts = list(parts[0])
+    case = _all_of(parts)
+    return None if case is None else [case]
+
+
+def _all_of(parts: list[Element]) -> _Case | None:
+    """One case of comparisons that all hold."""
     column, value, least, below = "", None, None, None
     for part in parts:
         kind, name = _tag(part), _text(part, "PropertyName") or _text(part, "ValueReference")
@@ -105,13 +153,13 @@ def _symbol(rule: Element, told: Told) -> tuple[Symbol, Label | None]:
         uom = node.get("uom", "")
         if uom and not uom.endswith(("pixel", "millimeter", "mm")):
             told.say(f"lengths in '{uom.rpartition('/')[2]}', taken as pixels of {PIXEL} mm")
+        for child in node:
+            if _tag(child) not in _READ[kind] | {"Name", "Description", "Geometry"}:
+                told.say(f"{_tag(child)} of a {kind}")
         unit = 1.0 if uom.endswith(("millimeter", "mm")) else PIXEL
         if kind == "LineSymbolizer":
             drawn = _stroke(_find(node, "Stroke"), unit, told)
-            if line is not None and drawn is not None:
-                lower, upper = (line, drawn) if line.width >= drawn.width else (drawn, line)
-                drawn = Line(upper.color, upper.width, upper.dash, lower.color, lower.width, upper.opacity)
-            line = drawn or line
+            line = _cased(line, drawn) if line is not None and drawn is not None else drawn or line
         elif kind == "PolygonSymbolizer":
             inside = _find(node, "Fill")
             if inside is not None:
@@ -123,6 +171,12 @@ def _symbol(rule: Element, told: Told) -> tuple[Symbol, Label | None]:
         else:
             label = _label(node, unit, told)
     return Symbol(line, fill, marker), label
+
+
+def _own(node: Element, tag: str) -> str:
+    """Text of a child."""
+    child = _find(node, tag)
+    return "" if child is None else (child.text or "").strip()
 
 
 def _said(node: Element, told: Told) -> dict[str, str]:
@@ -157,18 +211,26 @@ def _mark(node: Element, unit: float, told: Told) -> Marker | None:
     name = _text(mark, "WellKnownName") or "square"
     if name not in SHAPES:
         told.say(f"mark '{name}', drawn as a circle")
+    for child in graphic:
+        if _tag(child) not in ("Mark", "Size", "Opacity"):
+            told.say(f"{_tag(child)} of a graphic")
     inside, stroke = _find(mark, "Fill"), _stroke(_find(mark, "Stroke"), unit, told)
-    color = "#808080" if inside is None else _hex(_said(inside, told).get("fill", "#808080"), told)
+    said = {} if inside is None else _said(inside, told)
+    color = _hex(said.get("fill", "#808080"), told)
+    opacity = float(said.get("fill-opacity", "1")) * float(_own(graphic, "Opacity") or 1.0)
     size = float(_text(graphic, "Size") or 6.0) * unit
     edge, wide = ("#000000", 0.0) if stroke is None else (stroke.color, stroke.width)
-    return Marker(SHAPES.get(name, "circle"), size, color, edge, wide)
+    return Marker(SHAPES.get(name, "circle"), size, color, edge, wide, opacity)
 
 
 def _label(node: Element, unit: float, told: Told) -> Label | None:
-    column = _text(node, "PropertyName")
-    if not column:
-        told.say("labels that are no property")
+    named = _find(node, "Label")
+    columns = [] if named is None else [(child.text or "").strip() for child in _all(named, "PropertyName")]
+    loose = "" if named is None else "".join([named.text or "", *(child.tail or "" for child in named)]).strip()
+    if len(columns) != 1 or loose or not columns[0]:
+        told.say("labels that are not one property")
         return None
+    column = columns[0]
     font, halo, fill = _find(node, "Font"), _find(node, "Halo"), _find(node, "Fill")
     said = {} if font is None else _said(font, told)
     size = float(said.get("font-size", "10")) * unit / (25.4 / 72)

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.carto.draw.canvas import drawing, missing_glyphs
+from geomosaic.carto.declination import declination
+from geomosaic.carto.draw.canvas import drawing
+from geomosaic.carto.draw.fonts import missing_glyphs
 from geomosaic.carto.draw.save import FileOptions, check_format, write_sheet
 from geomosaic.carto.draw.sheet import SheetParts
 from geomosaic.carto.layout import GraticulePart, GridPart, Layout
@@ -127,7 +129,6 @@ def make_sheet(
             page = replace(page, outline=tuple((float(x), float(y)) for x, y in series.ring))
         dpi = layout.sheet.dpi
         parts = replace(_parts(layout, page, vectors, dem, dem_heights, report), series=series)
-        _warn_of_glyphs(parts)
 
         look = layout.enhance
         bands = shown_bands(look, source.info.bands, str(raster))
@@ -143,7 +144,8 @@ def make_sheet(
             area = (float(left), float(bottom), float(right), float(top))
             return finish(picture(source, grid, area, (size[0], size[1]), bands, curves), area)
 
-        with drawing():
+        with drawing(layout.sheet.fonts):
+            _warn_of_glyphs(parts)
             told = write_sheet(output, parts, pixels, dpi, files or FileOptions(), overwrite=overwrite)
     for text in told:
         warnings.warn(text, GeomosaicWarning, stacklevel=2)
@@ -201,6 +203,7 @@ def _parts(
         shown.spots,
         texts,
         place.convergence if place else None,
+        magnetic=declination(layout.north, place),
     )
 
 
@@ -231,7 +234,8 @@ def _warn_of_glyphs(parts: SheetParts) -> None:
     ]  # fmt: skip
     lost = missing_glyphs(texts)
     if lost:
-        warnings.warn(f"the font has no glyph for: {' '.join(lost[:40])}", GeomosaicWarning, stacklevel=2)
+        text = f"the font has no glyph for: {' '.join(lost[:40])} (give one that has: [sheet] fonts)"
+        warnings.warn(text, GeomosaicWarning, stacklevel=2)
         # It has been said; matplotlib would say it again for every text.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
 

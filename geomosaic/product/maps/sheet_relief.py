@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,11 +12,12 @@ from pyproj import CRS
 
 from geomosaic.carto.contours import Contour, Heights, nice_interval, trace
 from geomosaic.carto.spots import SpotHeight, find_spots
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import height_name, horizontal
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.transform import Transform
 from geomosaic.surface.dem import Dem
+from geomosaic.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,7 @@ def sheet_relief(
             raise InputError("the DEM has no heights on the sheet", where=str(dem), mend="give one that covers it")
         if interval is None:
             interval = nice_interval(float(known.min()), float(known.max()))
+        _tell_of_gaps(surface, there(_lattice(bounds)), dem)
         cell = float(np.hypot(nodes.transform.a, nodes.transform.d))
         found = trace(nodes, interval, index=index, tolerance=tolerance, shortest=12.0 * cell)
         lines = tuple(replace(c, xy=back(c.xy)) for c in found)
@@ -109,6 +112,20 @@ def sheet_relief(
         return SheetRelief(lines, interval, height_name(surface.crs), _moved(points, back))
     finally:
         surface.close()
+
+
+def _lattice(bounds: Bounds) -> FloatArray:
+    """Places (N, 2) all over bounds."""
+    t = (np.arange(24) + 0.5) / 24
+    x, y = np.meshgrid(bounds[0] + t * (bounds[2] - bounds[0]), bounds[1] + t * (bounds[3] - bounds[1]))
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+def _tell_of_gaps(surface: Dem, places: FloatArray, dem: Path) -> None:
+    """Say where contours end because the DEM does."""
+    known = float(np.isfinite(surface.height(places)).mean())
+    if known < 0.98:
+        warnings.warn(f"{dem} has heights on {100 * known:.0f} % of the sheet", GeomosaicWarning, stacklevel=3)
 
 
 def _sharpened(surface: Dem, spot: SpotHeight, reach: float) -> SpotHeight:

@@ -118,6 +118,7 @@ def sheet_inputs(
     base = layout.parent if layout is not None else Path()
     if plan.sheet.logo:
         plan = replace(plan, sheet=replace(plan.sheet, logo=str(base / plan.sheet.logo)))
+    plan = replace(plan, sheet=replace(plan.sheet, fonts=tuple(str(base / name) for name in plan.sheet.fonts)))
     sheet = {"paper": paper, "orientation": orientation, "dpi": dpi, "title": title}
     area = {"scale": parse_scale(scale, "--scale") if scale else None, "bounds": bounds}
     looks: dict[str, Any] = {

@@ -1,0 +1,201 @@
+"""Sheets of odd wishes: long titles, other scripts, lent fonts, large figures, wrong places; read back by PDFium."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import geopandas
+import numpy as np
+import pytest
+import rasterio
+import shapely
+from affine import Affine
+from sheet_reading import SheetPdf, crossing, overlaps
+
+from geomosaic.cli.main import run
+
+LEFT, TOP = 399_000.0, 5_500_600.0
+
+
+def write(path: Path, values: np.ndarray, crs: str, pixel: float, place: tuple[float, float] = (LEFT, TOP)) -> Path:
+    bands = values if values.ndim == 3 else values[None]
+    with rasterio.open(
+        path, "w", driver="GTiff", width=bands.shape[2], height=bands.shape[1], count=len(bands), dtype=bands.dtype,
+        crs=crs, transform=Affine(pixel, 0, place[0], 0, -pixel, place[1]),
+    ) as out:  # fmt: skip
+        out.write(bands)
+    return path
+
+
+@pytest.fixture(scope="module")
+def raster(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(
+        tmp_path_factory.mktemp("raster") / "grey.tif", np.full((3, 90, 120), 140, np.uint8), "EPSG:32633", 10.0
+    )
+
+
+def made(
+    raster: Path, folder: Path, layout: str, capsys: pytest.CaptureFixture[str], *more: Any
+) -> tuple[SheetPdf, str]:
+    """Sheet of a layout, and what was said."""
+    (folder / "layout.toml").write_text(layout, encoding="utf-8")
+    out = folder / "sheet.pdf"
+    words = [str(word) for word in more]
+    code = run(["sheet", str(raster), "--layout", str(folder / "layout.toml"), "--dpi", "72", *words, "-o", str(out)])
+    said = capsys.readouterr().err
+    assert code == 0, said
+    return SheetPdf(out), said
+
+
+def check(sheet: SheetPdf) -> None:
+    """No two texts overlap, none leaves the paper or crosses the neatline or the frame of the panel."""
+    letters, boxes = sheet.characters()
+    assert overlaps(letters, boxes) == []
+    size = sheet.trim[2:] - sheet.trim[:2]
+    assert (boxes[:, :2] >= 1.0).all()
+    assert (boxes[:, 2:] <= size - 1.0).all()
+    frames = sheet.paths(range(4, 7))
+    frames = frames[((frames[:, 2:] - frames[:, :2]) > 25.0).all(axis=1)]
+    for frame in (*frames, sheet.map_box()):
+        assert not crossing(boxes, frame).size, "".join(letters[k] for k in crossing(boxes, frame))
+
+
+LONG = (
+    "An exceedingly long title of a sheet that somebody has written without a thought of the paper it has to stand on, "
+)
+
+
+@pytest.mark.parametrize("paper", ["A3", "A4", "150x210"])
+def test_long_titles_are_made_smaller_then_cut_and_told(
+    raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], paper: str
+) -> None:
+    layout = (
+        f'[sheet]\npaper = "{paper}"\ntitle = """{LONG}\\n{LONG}"""\nsubtitle = "{LONG}"\nseries = "{LONG}"\n'
+        f'number = "33-117-4-c-2-Southern-Annex"\nname = "{LONG}"\n[legend]\ntitle = "{LONG}"\n'
+    )
+    sheet, said = made(raster, tmp_path, layout, capsys)
+    check(sheet)
+    assert said.count("no room above the map for all of") >= 2
+    assert "An exceedingly long" in sheet.text
+    assert "…" in sheet.text
+
+
+def test_what_fits_is_not_cut(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    layout = '[sheet]\ntitle = "Sample Valley"\nsubtitle = "North"\nseries = "Series 1"\nnumber = "12"\nname = "Mill"\n'
+    sheet, said = made(raster, tmp_path, layout, capsys)
+    assert "no room" not in said
+    assert "…" not in sheet.text
+    assert "Series 1 · Mill" in sheet.text
+
+
+@pytest.mark.parametrize("size", [4.0, 10.0])
+def test_both_rows_of_coordinates_have_room(
+    raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], size: float
+) -> None:
+    sheet, _ = made(raster, tmp_path, f"[grid]\nsize = {size}\n[graticule]\nsize = {size}\n", capsys)
+    check(sheet)
+    assert "399 600" in sheet.text
+    assert "13°36′" in sheet.text
+
+
+def test_a_font_lends_what_the_sheet_lacks(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A font of one glyph, made here, is embedded and its character read back; without it a note names it."""
+    plain, said = made(raster, tmp_path, '[sheet]\ntitle = "\u5317 Hill"\n', capsys)
+    assert "no glyph for: \u5317" in said
+    one_glyph(tmp_path / "lent.ttf", "\u5317")
+    (tmp_path / "sheet.pdf").unlink()
+    sheet, said = made(raster, tmp_path, '[sheet]\ntitle = "\u5317 Hill"\nfonts = ["lent.ttf"]\n', capsys)
+    assert "glyph" not in said
+    assert "\u5317 Hill" in sheet.text
+    assert sheet.fonts_embedded()
+    assert len(sheet.data) > len(plain.data) - 20_000
+    check(sheet)
+    (tmp_path / "layout.toml").write_text('[sheet]\nfonts = ["none.ttf"]\n')
+    assert run(["sheet", str(raster), "--layout", str(tmp_path / "layout.toml"), "-o", str(tmp_path / "b.pdf")]) == 1
+    assert "the font cannot be read" in capsys.readouterr().err
+
+
+def one_glyph(path: Path, character: str) -> None:
+    """Write a font of one character, a box."""
+    from fontTools.fontBuilder import FontBuilder
+    from fontTools.pens.ttGlyphPen import TTGlyphPen
+
+    pen = TTGlyphPen(None)
+    for k, corner in enumerate(((100, 0), (100, 800), (900, 800), (900, 0))):
+        (pen.moveTo if k == 0 else pen.lineTo)(corner)
+    pen.closePath()
+    glyph = pen.glyph()
+    font = FontBuilder(1000, isTTF=True)
+    font.setupGlyphOrder([".notdef", "box"])
+    font.setupCharacterMap({ord(character): "box"})
+    font.setupGlyf({".notdef": glyph, "box": glyph})
+    font.setupHorizontalMetrics({".notdef": (1000, 100), "box": (1000, 100)})
+    font.setupHorizontalHeader(ascent=900, descent=-100)
+    font.setupNameTable({"familyName": "Lent Sans", "styleName": "Regular"})
+    font.setupOS2()
+    font.setupPost()
+    font.save(path)
+
+
+def test_names_are_one_line_each(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    places = [shapely.Point(LEFT + 300, TOP - 300), shapely.Point(LEFT + 800, TOP - 600)]
+    frame = geopandas.GeoDataFrame({"name": ["two\nlines", "\u0646\u0647\u0631"]}, geometry=places, crs=32633)
+    frame.to_file(tmp_path / "places.gpkg")
+    (tmp_path / "names.toml").write_text('[marker]\n[label]\ncolumn = "name"\n')
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        layout = '[[layer]]\nfile = "places.gpkg"\nstyle = "names.toml"\n'
+        sheet, said = made(raster, tmp_path, layout, capsys)
+    assert "two lines" in sheet.text
+    assert "glyph" not in said
+    check(sheet)
+
+
+@pytest.mark.parametrize("place", [(-20_000.0, -900_000.0), (900_000.0, 400_000.0), (-100_000.0, 1_500_000.0)])
+def test_arrows_of_the_far_north_stay_in_their_panel(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], place: tuple[float, float]
+) -> None:
+    """Grid north of a polar map points anywhere: up to 180 degrees from true north."""
+    raster = write(tmp_path / "polar.tif", np.full((3, 90, 120), 140, np.uint8), "EPSG:3413", 300.0, place)
+    sheet, said = made(raster, tmp_path, '[north]\nmagnetic_date = "2026"\n', capsys)
+    assert "no room" not in said
+    check(sheet)
+    assert "meridian convergence" in sheet.text.replace("\n", " ").replace("\r", "")
+
+
+def test_a_map_beside_the_picture_is_refused(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    layout, out = tmp_path / "layout.toml", tmp_path / "sheet.pdf"
+    layout.write_text("[map]\nscale = 5000\ncentre = [500000.0, 5500000.0]\n")
+    assert run(["sheet", str(raster), "--layout", str(layout), "-o", str(out)]) == 1
+    assert "lies beside the picture" in capsys.readouterr().err
+    layout.write_text('[sheet]\npaper = "5000x5000"\ndpi = 2400\n')
+    assert run(["sheet", str(raster), "--layout", str(layout), "-o", str(out)]) == 1
+    assert "too many pixels" in capsys.readouterr().err
+    layout.write_text("[grid]\nsize = 40.0\n")
+    assert run(["sheet", str(raster), "--layout", str(layout), "-o", str(out)]) == 1
+    assert "give a number from 0 to 10" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_what_small_paper_leaves_out_is_told(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sheet, said = made(raster, tmp_path, '[sheet]\npaper = "100x120"\n', capsys)
+    assert "too small for legend, north arrow and notes" in said
+    check(sheet)
+    _, said = made(raster, tmp_path, '[sheet]\npaper = "100x120"\npanel = "none"\n', capsys, "--overwrite")
+    assert "too small" not in said
+
+
+def test_a_dem_with_gaps_is_told(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    x, y = np.meshgrid(np.arange(60) * 10.0, np.arange(90) * 10.0)
+    dem = write(tmp_path / "half.tif", (300 + 0.1 * x + 0.05 * y).astype(np.float32), "EPSG:32633+5773", 10.0)
+    _, said = made(raster, tmp_path, "", capsys, "--contours", dem)
+    assert "heights on 50 % of the sheet" in said
+
+
+def test_facts_name_the_paper(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "s.png"
+    assert run(["sheet", str(raster), "--paper", "80x200", "--dpi", "72", "-o", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["paper_mm"] == [80.0, 200.0]
