@@ -126,8 +126,13 @@ def _date() -> str:
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
 
 
-def append_layer(path: Path, frame: GeoDataFrame, name: str, driver: str) -> None:
-    """Write a layer to a file, behind the layers it has.
+def append_layer(path: Path, frame: Any, name: str, driver: str) -> list[str]:
+    """Write a layer, or a table without places, to a file, behind the layers it has.
+
+    Returns
+    -------
+    list of str
+        What the format could not keep, in GDAL's words.
 
     Raises
     ------
@@ -135,17 +140,21 @@ def append_layer(path: Path, frame: GeoDataFrame, name: str, driver: str) -> Non
         Writing failed.
     """
     import pyogrio
-    from pyogrio.errors import DataSourceError, FeatureError, GeometryError
+    from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError
 
     # GeoJSON of today is in longitude and latitude only; the older form names another CRS.
-    options = {"RFC7946": "NO"} if driver == "GeoJSON" else {}
+    options = {"GeoJSON": {"RFC7946": "NO"}, "ESRI Shapefile": {"DBF_DATE_LAST_UPDATE": _date()[:10]}}
     before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
     try:
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": _date()})
-        pyogrio.write_dataframe(
-            frame, path, layer=name, driver=driver, append=path.exists(), layer_options=options, use_arrow=False
-        )
-    except (DataSourceError, FeatureError, GeometryError, OSError) as error:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            pyogrio.write_dataframe(
+                frame, path, layer=name, driver=driver, append=path.exists(), layer_options=options.get(driver, {}),
+                use_arrow=False,
+            )  # fmt: skip
+        return list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, RuntimeWarning)))
+    except (DataSourceError, DataLayerError, FeatureError, FieldError, GeometryError, OSError) as error:
         raise OutputError(
             f"writing failed ({error})",
             where=str(path),
@@ -174,6 +183,20 @@ def layer_names(path: PathLike) -> list[str]:
         raise InputError(
             f"this is not a vector file that can be read ({error})", where=str(path), mend="convert it to GeoPackage"
         ) from error
+
+
+def plain_tables(path: PathLike) -> list[str]:
+    """Names of the tables of a vector file that have no places, such as the styles that QGIS keeps in a GeoPackage."""
+    import pyogrio
+
+    return [str(name) for name, kind in pyogrio.list_layers(path) if kind is None]
+
+
+def read_table(path: PathLike, name: str) -> Any:
+    """Read a table that has no places, as a data frame."""
+    import pyogrio
+
+    return pyogrio.read_dataframe(path, layer=name)
 
 
 def layer_counts(path: PathLike) -> dict[str, int]:
