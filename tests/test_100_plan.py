@@ -35,16 +35,41 @@ def test_topics(capsys: pytest.CaptureFixture[str]) -> None:
     }
     area = told(capsys, "area", "--area", "10000", "8000", "--photo-scale", "1:10000", "--ortho-pixel", "0.5")
     assert area["raster"] == [16000, 20000]
+    back = told(capsys, "area", "--area", "10km", "8km", "--photo-scale", "1:10000", "--strips", str(area["strips"]))
+    assert back["sidelap"] >= area["sidelap"]
+    assert back["photos"] == area["photos"]
     block = told(capsys, "control", "--model", "conformal", "--photos", "12", "--ties", "63", "--points", "5")
     assert block["block"]["unknowns"] == 48
     assert len(block["layout"]) == 5
+    assert set(block["determined"]) == {"conformal", "affine", "projective", "frame", "poly1"}
+    assert block["redundant"] == ["conformal"]
     tables = told(capsys, "tables")["tables"]
     assert tables[2]["dem_error"]["300"]["35"] == pytest.approx(24.0)
+    assert [one["photo_scale"] for one in tables] == [[5000, 8000], [12000, 18000], [20000, 30000]]
+    assert tables[0]["scan_pixel"] == {"grey": [12, 25], "colour": [20, 30]}
     names = [
         item["name"]
         for item in told(capsys, "product", "--ortho-scale", "1:5000", "--camera-constant", "150")["requirements"]
     ]
     assert "scan_dpi" in names
+
+
+def test_numbers_in_other_units(capsys: pytest.CaptureFixture[str]) -> None:
+    """Jensen's flight in feet and inches; a field in gon; a radius in cm, as K-2.8 has it."""
+    feet = told(capsys, "photo", "--height", "20000ft", "--camera-constant", "12in")
+    assert feet["derived"]["photo_scale"] == pytest.approx(20000)
+    assert told(capsys, "swath", "--field", "100gon", "--height", "6km")["derived"]["swath"] == pytest.approx(12000)
+    limit = told(
+        capsys, "relief", "--radius", "3.5cm", "--camera-constant", "15cm", "--ortho-scale", "1:2000"
+    )  # fmt: skip
+    assert limit["derived"]["dem_limit"] == pytest.approx(2.4)
+    for words, part in (
+        (["photo", "--height", "3kg", "--camera-constant", "150"], "'3kg' has a unit that does not fit"),
+        (["photo", "--height", "3,5", "--camera-constant", "150"], "'3,5' is no number"),
+        (["area", "--area", "1km", "1km", "--photo-scale", "5000", "--strips", "3", "--sidelap", "20"], "leave out"),
+    ):
+        assert run(["plan", *words]) == 2
+        assert part in capsys.readouterr().err
 
 
 def test_help_has_formula_and_source() -> None:
@@ -61,6 +86,7 @@ def test_words(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["plan", "tables", "--ortho-scale", "1:10000"]) == 0
     text = capsys.readouterr().out
     assert "80 cm grey (317 dpi), 100 cm colour (254 dpi)" in text
+    assert "scanning pixel 12-25 µm grey, 20-30 µm colour, photos 1:20000 to 1:30000" in text
     assert "24.0 m at r = 3.5 cm" in text
     for words in (["control"], ["area", "--area", "1", "1", "--photo-scale", "1:1"], ["photo", "--scan-dpi", "254"]):
         assert run(["plan", *words]) == 0
@@ -132,6 +158,11 @@ def test_a_plan_is_the_target_of_the_finished_map(tmp_path: Path, capsys: pytest
         own.write_text(text)
         assert run([*words, "--target", str(own)]) == 1
         assert part in capsys.readouterr().err
+    for limit in ('"much"', "-1", "NaN", "true"):
+        one = f'{{"name": "position_error", "least": null, "most": {limit}, "unit": "m", "source": ""}}'
+        Path(plan).write_text(f'{{"requirements": [{one}]}}')
+        assert run([*words, "--target", plan]) == 1
+        assert "limit is no number" in capsys.readouterr().err
     Path(plan).write_text("[]")
     assert run([*words, "--target", plan]) == 1
     assert "no plan of a product" in capsys.readouterr().err

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
+import pyogrio
 import pyproj
 import pytest
 import rasterio
@@ -169,6 +171,118 @@ def test_what_has_no_place_is_told(tell, tmp_path):
     code, _, err = tell("reproject", bare, "--dst-crs", UTM, "-o", tmp_path / "q.gpkg")
     assert code == 1
     assert "--src-crs" in err
+
+
+def test_a_shapefile_is_written_whole(tell, tmp_path):
+    """Places, attributes and CRS are those of the GeoPackage; what it cannot keep is told; an older one goes whole."""
+    before = gpd.GeoDataFrame(
+        {"name": ["a", "é"], "population_of_town": [3, 4]},
+        geometry=[shapely.Point(LEFT, TOP), shapely.Point(LEFT + 5, TOP)], crs=LAMBERT,
+    )  # fmt: skip
+    path, out = tmp_path / "in.gpkg", tmp_path / "towns.shp"
+    before.to_file(path)
+    (tmp_path / "towns.qix").write_bytes(b"an index of other towns")
+    code, _, err = tell("reproject", path, "--dst-crs", UTM, "-o", out)
+    assert code == 0
+    assert "populatio" in err
+    assert not (tmp_path / "towns.qix").exists()
+    after = gpd.read_file(out)
+    assert after.crs == UTM
+    assert list(after["name"]) == ["a", "é"]
+    assert list(after["population"]) == [3, 4]
+    assert all(a.equals_exact(b, 1e-6) for a, b in zip(after.geometry, before.to_crs(UTM).geometry, strict=True))
+    parts = {part.name: part.read_bytes() for part in tmp_path.glob("towns.*")}
+    assert sorted(parts) == ["towns.cpg", "towns.dbf", "towns.prj", "towns.shp", "towns.shx"]
+    assert tell("reproject", path, "--dst-crs", UTM, "-o", out)[0] == 1
+    assert tell("reproject", path, "--dst-crs", UTM, "-o", out, "--overwrite")[0] == 0
+    assert {part.name: part.read_bytes() for part in tmp_path.glob("towns.*")} == parts
+    back = tmp_path / "back.shp"
+    assert tell("reproject", out, "--dst-crs", LAMBERT, "-o", back)[0] == 0
+    assert tell("reproject", back, "--dst-crs", UTM, "-o", back, "--overwrite")[0] == 1
+    mixed = tmp_path / "mixed.gpkg"
+    lines = [shapely.Point(LEFT, TOP), shapely.LineString([(LEFT, TOP), (LEFT, TOP + 5)])]
+    gpd.GeoDataFrame({"n": [1, 2]}, geometry=lines, crs=LAMBERT).to_file(mixed)
+    code, _, err = tell("reproject", mixed, "--dst-crs", UTM, "-o", tmp_path / "m.shp")
+    assert code == 1
+    assert "LineString and Point" in err
+    assert not [part for part in tmp_path.iterdir() if "partial" in part.name or part.stem == "m"]
+
+
+def test_tables_without_places_and_empty_layers(tell, tmp_path):
+    """A GeoPackage as QGIS leaves it: styles in a table, a layer with nothing in it yet."""
+    path, out = tmp_path / "in.gpkg", tmp_path / "out.gpkg"
+    towns = gpd.GeoDataFrame({"name": ["a"]}, geometry=[shapely.Point(LEFT, TOP)], crs=LAMBERT)
+    towns.to_file(path, layer="towns")
+    towns.iloc[:0].to_file(path, layer="plans")
+    styles = pd.DataFrame({"f_table_name": ["towns"], "styleQML": ["<qgis/>"]})
+    pyogrio.write_dataframe(styles, path, layer="layer_styles", append=True)
+    code, said, err = tell("reproject", path, "--dst-crs", UTM, "-o", out, "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(said)["layers"] == {"towns": 1, "plans": 0}
+    assert list(pyogrio.list_layers(out)[:, 0]) == ["towns", "plans", "layer_styles"]
+    assert pyogrio.read_dataframe(out, layer="layer_styles").equals(styles)
+    assert gpd.read_file(out, layer="plans").crs == UTM
+    one = tmp_path / "one.gpkg"
+    towns.to_file(one, layer="towns")
+    pyogrio.write_dataframe(styles, one, layer="layer_styles", append=True)
+    code, _, err = tell("reproject", one, "--dst-crs", UTM, "-o", tmp_path / "one.geojson")
+    assert code == 0
+    assert "left out: layer_styles" in err
+    bare = tmp_path / "bare.gpkg"
+    pyogrio.write_dataframe(styles, bare, layer="layer_styles")
+    assert tell("reproject", bare, "--dst-crs", UTM, "-o", tmp_path / "b.gpkg")[0] == 1
+
+
+def test_options_of_pixels_do_nothing_for_vectors(tell, tmp_path):
+    path = tmp_path / "p.geojson"
+    gpd.GeoDataFrame({"n": [1]}, geometry=[shapely.Point(3.0, 45.0)], crs=4326).to_file(path)
+    for words in (("--res", 5), ("--bounds", 0, 0, 1, 1), ("--resampling", "cubic"), ("--nodata", 0)):
+        code, _, err = tell("reproject", path, "--dst-crs", UTM, *words, "-o", tmp_path / "o.gpkg")
+        assert code == 2
+        assert f"leave out {words[0]}" in err
+    assert tell("reproject", path, "--dst-crs", UTM, "-o", path, "--overwrite")[0] == 1
+    assert tell("reproject", path, "--like", path, "--target-aligned-pixels", "-o", tmp_path / "o.gpkg")[0] == 2
+
+
+def on_the_globe(lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
+    """Unit vectors: pictures of the globe without a seam in their values."""
+    lam, phi = np.radians(lon), np.radians(lat)
+    return np.stack([np.cos(phi) * np.cos(lam), np.cos(phi) * np.sin(lam), np.sin(phi)])
+
+
+@pytest.mark.parametrize(
+    ("bounds", "crs", "target", "words", "share"),
+    [
+        # The whole globe, in both countings of longitude, around a pole and across the date line.
+        ((-180, -90, 180, 90), "EPSG:4326", "EPSG:3995", (*("--bounds", -4e6, -4e6, 4e6, 4e6), "--res", 5e4), 1.0),
+        ((0, -90, 360, 90), "EPSG:4326", "EPSG:3995", (*("--bounds", -4e6, -4e6, 4e6, 4e6), "--res", 5e4), 1.0),
+        ((-180, -90, 180, 90), "EPSG:4326", "EPSG:4326", (*("--bounds", 150, -60, 210, 60), "--res", 2), 1.0),
+        # Parts of it beside the date line and around a pole, to their own extent.
+        ((170, -20, 190, 0), "EPSG:4326", "EPSG:32701", (), 0.95),
+        ((600_000, 7_800_000, 1_000_000, 8_200_000), "EPSG:32760", "EPSG:4326", (), 0.95),
+        ((-3e6, -3e6, 3e6, 3e6), "EPSG:3995", "EPSG:4326", ("--res", 2), 0.75),
+    ],
+)
+def test_date_line_and_poles(tell, tmp_path, bounds, crs, target, words, share):
+    path, out, (wide, tall) = tmp_path / "globe.tif", tmp_path / "o.tif", (180, 120)
+    left, bottom, right, top = bounds
+    transform = Affine((right - left) / wide, 0, left, 0, (bottom - top) / tall, top)
+    x, y = transform @ tuple(np.meshgrid(np.arange(wide) + 0.5, np.arange(tall) + 0.5))
+    values = on_the_globe(*pyproj.Transformer.from_crs(crs, 4326, always_xy=True).transform(x, y)).astype("f4")
+    profile = {"driver": "GTiff", "width": wide, "height": tall, "count": 3, "dtype": "float32", "crs": crs}
+    with rasterio.open(path, "w", transform=transform, **profile) as dataset:
+        dataset.write(values)
+    code, said, _ = tell("reproject", path, "--dst-crs", target, *words, "-o", out, "--json")
+    assert code == 0
+    assert json.loads(said)["lattice_error_px"] <= 0.02
+    with rasterio.open(out) as dataset:
+        shown, valid = dataset.read(), dataset.dataset_mask() > 0
+        c, r = np.meshgrid(np.arange(dataset.width) + 0.5, np.arange(dataset.height) + 0.5)
+        place = pyproj.Transformer.from_crs(target, 4326, always_xy=True).transform(*(dataset.transform @ (c, r)))
+    miss = np.sqrt(((shown - on_the_globe(*place)) ** 2).sum(axis=0))
+    assert valid.mean() >= share
+    assert miss[valid].max() < 0.02  # half a pixel of 2 degrees at the rims, bilinear values elsewhere
+    assert dataset.width * dataset.height < 60_000
 
 
 def test_every_pixel_exactly(tell, tmp_path):

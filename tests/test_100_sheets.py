@@ -22,6 +22,7 @@ from PIL import Image
 from pyproj import Transformer
 
 from geomosaic.cli.main import run
+from geomosaic.product.maps import series
 
 POLISH = ("--scheme", "puwg1992", "--scale", "1:10000")
 SHEET = "M-34-64-D-c-3"
@@ -129,6 +130,67 @@ def test_goes_on_where_it_was_stopped(
     assert run(["sheets", *map(str, words)]) == 1
     assert foreign.read_bytes() == b"mine"
     foreign.unlink()
+
+
+def test_goes_on_after_ctrl_c(
+    folder: Path, raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stopped after a sheet has its name and before that is noted: it is kept, the others follow, to the same bytes."""
+    drawn = []
+
+    def draw(task: Any) -> list[str]:
+        drawn.append(task.path.name)
+        told_of = plain(task)
+        if len(drawn) == 2:
+            raise KeyboardInterrupt
+        return told_of
+
+    plain = series._draw
+    words = ("make", raster, *POLISH, "--format", "tif", "--dpi", "72", "-o", tmp_path / "out")
+    with monkeypatch.context() as patch:
+        patch.setattr(series, "_draw", draw)
+        assert run(["sheets", *map(str, words)]) == 130
+        assert "what is done stays done" in capsys.readouterr().err
+    found = told(capsys, *words)
+    assert sorted(Path(path).name for path in found["kept"]) == sorted(drawn)
+    known = list(folder.glob("M-*.tif"))
+    assert known
+    assert all((tmp_path / "out" / path.name).read_bytes() == path.read_bytes() for path in known)
+    # Stopped while older sheets are made anew: those that were not reached are still older ones.
+    drawn.clear()
+    with monkeypatch.context() as patch:
+        patch.setattr(series, "_draw", draw)
+        assert run(["sheets", *map(str, words), "--gamma", "2"]) == 130
+    again = told(capsys, *words, "--gamma", "2")
+    assert (len(again["kept"]), len(again["made"])) == (2, 2)
+
+
+def test_the_index_knows_earlier_sheets_and_is_never_taken_from_others(
+    raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    words = ("make", raster, *POLISH, "--format", "tif", "--dpi", "72", "-o", out)
+    for k in (1, 3):
+        told(capsys, *words, "--only", f"M-34-64-D-c-{k}")
+    assert list(geopandas.read_file(out / "index.gpkg")["name"]) == ["M-34-64-D-c-3", "M-34-64-D-c-1"]
+    (out / "index.gpkg").write_bytes(b"mine")
+    assert run(["sheets", *map(str, words)]) == 1
+    assert "in the way of the index" in capsys.readouterr().err
+    assert (out / "index.gpkg").read_bytes() == b"mine"
+    assert len(list(out.glob("M-*.tif"))) == 2
+
+
+def test_two_sheets_never_make_one_file(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with rasterio.open(raster) as file:
+        left, bottom, right, top = file.bounds
+    parts = [shapely.box(left, bottom, left + 500, top), shapely.box(left + 500, bottom, right, top)]
+    for names, part in ((["west/1", "West_1"], "'west/1'"), (["a", "Index"], "index of the series")):
+        frame = geopandas.GeoDataFrame({"name": names}, geometry=parts, crs="EPSG:2180")
+        frame.to_file(tmp_path / "plan.gpkg", layer="plan")
+        words = ("make", raster, "--polygons", tmp_path / "plan.gpkg", "--scale", "5000", "-o", tmp_path / "out")
+        assert run(["sheets", *map(str, words)]) == 1
+        assert part in capsys.readouterr().err
+        assert not (tmp_path / "out").exists()
 
 
 def test_processes_make_the_same_bytes(folder: Path, raster: Path, tmp_path: Path) -> None:

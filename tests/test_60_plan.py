@@ -10,12 +10,19 @@ import pytest
 
 from geomosaic.errors import InputError
 from geomosaic.plan import k28
-from geomosaic.plan.control import COEFFICIENTS, block_balance, control_layout, control_number
+from geomosaic.plan.control import (
+    COEFFICIENTS,
+    block_balance,
+    control_layout,
+    control_number,
+    models_of,
+)
 from geomosaic.plan.coverage import coverage, raster_size
 from geomosaic.plan.product import requirements
 from geomosaic.plan.quantities import QUANTITIES, shown
 from geomosaic.plan.relations import TOPICS, Relation
 from geomosaic.plan.solve import derive
+from geomosaic.plan.units import in_unit
 
 MAPS, CONSTANTS = (2000, 5000, 10000), (150, 300)
 COLUMNS = [(scale, c) for scale in MAPS for c in CONSTANTS]
@@ -40,6 +47,11 @@ HEIGHTS = {
 )
 def test_height_errors_of_the_guidelines(radius: float, scale: float, c: float, limit: float) -> None:
     assert k28.height_error(scale, c, radius) == pytest.approx(limit, rel=1e-12)
+    # The table read the other way: to what radius, on what map, with what camera such a DEM is good enough.
+    whole = {"dem_limit": limit, "radius": radius, "ortho_scale": scale, "camera_constant": c}
+    for unknown in whole:
+        given = {name: float(value) for name, value in whole.items() if name != unknown}
+        assert follows("relief", **given)[unknown] == pytest.approx(whole[unknown], rel=1e-12)
     # The law m_O = m_DTM r / c itself: with the limit the map keeps within its 0.3 mm, and uses at least 93 % of it.
     shift = follows("relief", dem_error=limit, radius=radius, camera_constant=c)["shift"]
     assert 0.93 * k28.position_error(scale) < shift <= k28.position_error(scale)
@@ -279,3 +291,63 @@ def test_numbers_are_shown_with_units() -> None:
     assert shown("height", 3000.0) == "3000 m"
     assert shown("field", 90.0) == "90°"
     assert shown("ratio", 3.5) == "3.5"
+
+
+@pytest.mark.parametrize(("length", "width"), [(10000, 8000), (2400, 2300), (5520, 7130)])
+@pytest.mark.parametrize("stereo", [True, False])
+def test_so_many_photos_have_what_overlap(length: float, width: float, stereo: bool) -> None:
+    """The numbers that overlaps need give overlaps at least as large, which just reach; too few leave gaps."""
+    ahead = coverage(length, width, 10000, stereo=stereo)
+    back = coverage(length, width, 10000, stereo=stereo, strips=ahead.strips, photos_in_strip=ahead.photos_in_strip)
+    assert (back.strips, back.photos_in_strip) == (ahead.strips, ahead.photos_in_strip)
+    assert back.overlap >= ahead.overlap - 1e-9
+    assert back.sidelap >= ahead.sidelap - 1e-9
+    if back.strips > 1:
+        assert (back.strips - 1) * back.spacing + back.footprint[1] == pytest.approx(width)
+    reach = (back.photos_in_strip - 1) * back.base + (0 if stereo else back.footprint[0])
+    assert reach == pytest.approx(length)
+    again = coverage(length, width, 10000, stereo=stereo, overlap=back.overlap, sidelap=back.sidelap)
+    assert again.photos == ahead.photos
+    with pytest.raises(InputError, match="gaps"):
+        coverage(10000, 8000, 10000, strips=3, stereo=stereo)
+
+
+def test_every_place_on_two_photos_takes_half_of_each() -> None:
+    assert coverage(10000, 8000, 10000, overlap=50).overlap == pytest.approx(50)
+    for given in ({"overlap": 49.0}, {"photos_in_strip": 9}):
+        with pytest.raises(InputError, match="only one photo"):
+            coverage(10000, 8000, 10000, **given)  # type: ignore[arg-type]
+    assert coverage(10000, 8000, 10000, overlap=49, stereo=False).overlap == pytest.approx(49)
+
+
+def test_models_that_points_determine() -> None:
+    """Both ways: a model's least number determines it, one fewer does not; twice as many equations check each other."""
+    for name in COEFFICIENTS:
+        number = control_number(name)
+        assert name in models_of(number.least)[0]
+        assert name not in models_of(number.least - 1)[0]
+        assert name in models_of(number.redundant)[1]
+        assert name not in models_of(number.redundant - 1)[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        ("20000 ft", "m", 6096.0), ("12in", "mm", 304.8), ("6km", "m", 6000.0), ("3.5 cm", "mm", 35.0), ("50", "m", 50),
+        ("100gon", "°", 90.0), ("1.5e-3rad", "mrad", 1.5), ("40px/mm", "dpi", 1016.0), ("25.4\u03bcm", "mm", 0.0254),
+        ("20 000", "m", 20000.0), ("60%", "%", 60.0), (".5mi", "m", 804.672), ("-3m", "m", -3.0), ("3.5", "", 3.5),
+        ("0.1mm", "µm", 100.0),
+    ],
+)  # fmt: skip
+def test_units(text: str, unit: str, value: float) -> None:
+    assert in_unit(text, unit) == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"), [("3kg", "m"), ("90°", "m"), ("1,5", "m"), ("nan", "m"), ("inf", "m"), ("m", "m"),
+                       ("", "m"), ("3 m m", "m"), ("2x", "")],
+)  # fmt: skip
+def test_what_is_no_number_with_a_unit(text: str, unit: str) -> None:
+    with pytest.raises(InputError) as caught:
+        in_unit(text, unit)
+    assert caught.value.mend

@@ -44,6 +44,13 @@ PUBLISHED: list[tuple[str, int, str, tuple[float, float], tuple[float, float], t
     ("international", 1_000_000, "M-36", (30, 48), (36, 52), (30.52, 50.45)),  # Kiev
     ("international", 1_000_000, "M-53", (132, 48), (138, 52), (135.08, 48.48)),  # Khabarovsk
     ("international", 1_000_000, "P-36", (30, 60), (36, 64), (34.35, 61.78)),  # Petrozavodsk
+    # South of the equator: Rio de Janeiro, Brisbane, Sydney, Melbourne, Perth, Darwin.
+    ("international", 1_000_000, "SF-23", (-48, -24), (-42, -20), (-43.2, -22.9)),
+    ("international", 1_000_000, "SG-56", (150, -28), (156, -24), (153.03, -27.47)),
+    ("international", 1_000_000, "SI-56", (150, -36), (156, -32), (151.21, -33.87)),
+    ("international", 1_000_000, "SJ-55", (144, -40), (150, -36), (144.96, -37.81)),
+    ("international", 1_000_000, "SH-50", (114, -32), (120, -28), (115.86, -31.95)),
+    ("international", 1_000_000, "SD-52", (126, -16), (132, -12), (130.84, -12.46)),
     ("international", 500_000, "M-34-A", (18, 50), (21, 52), (19.94, 50.06)),
     ("international", 250_000, "M-34-A-c", (18, 50), (dms(19, 30), 51), (19.0, 50.3)),
     ("international", 200_000, "N-34-XV", (20, 54), (21, dms(54, 40)), (20.5, 54.35)),
@@ -210,6 +217,12 @@ def test_spellings() -> None:
     assert scheme("international", 200_000).proper("N-34-15") == "N-34-XV"
     assert scheme("tk", 50_000).proper("L7934") == "L 7934"
     assert Mgrs(1000).proper("31u dq 48 11") == "31UDQ4811"
+    world = scheme("international", 1_000_000)
+    assert [world.proper(name) for name in ("NK-19", "sf 23", "SF23", "N-34")] == ["K-19", "SF-23", "SF-23", "N-34"]
+    assert scheme("international", 25_000).proper("NM-34-64-D-c") == "M-34-64-D-c"
+    assert world.map_crs("SF-23") == "EPSG:32723"
+    assert world.neighbours("SA-23")["N"] == "A-23"
+    assert world.neighbours("A-23")["SW"] == "SA-22"
     assert [from_roman(roman(n)) for n in range(1, 100)] == list(range(1, 100))
     assert (roman(49), roman(94), roman(36)) == ("XLIX", "XCIV", "XXXVI")
 
@@ -220,6 +233,8 @@ def test_spellings() -> None:
         (scheme("puwg1992", 10_000), "M-34-64-D-c-5"), (scheme("puwg1992", 10_000), "M-34-145-D-c-1"),
         (scheme("puwg1992", 10_000), "M-61-64-D-c-1"), (scheme("puwg1992", 10_000), "M-34-64-D-c"),
         (scheme("puwg1992", 100_000), "M-34-64-D"), (scheme("tk", 50_000), "L 7835"), (scheme("tk", 50_000), "7934"),
+        (scheme("international", 500_000), "SF-23-A"), (scheme("international", 1_000_000), "SF-61"),
+        (scheme("puwg1992", 1_000_000), "SF-23"), (scheme("international", 1_000_000), "SX-23"),
         (scheme("ign", 25_000), "2314"), (scheme("ign", 50_000), "2314 O"), (Mgrs(1000), "31UDQ48"), (Mgrs(), "31ODQ"),
         (Mgrs(), "31UZQ"), (Mgrs(), "32XMA"), (Mgrs(), "31UDK"), (regular("EPSG:32633", (1000, 1000)), "A1"),
     ],

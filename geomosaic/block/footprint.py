@@ -13,6 +13,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic, horizontal
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
+from geomosaic.geo.turn import near, whole_turn
 from geomosaic.sensor.model import HasRays
 from geomosaic.sensor.solve import image_to_ground
 from geomosaic.surface.model import Surface
@@ -92,16 +93,35 @@ def footprint(scene: Scene, surface: Surface | None, crs: CRS) -> Footprint:
         if found is None:
             raise _no_ground(scene, surface, crs)
         centre, ground[:3] = found
+    ground = near(ground, float(ground[0, 0]), whole_turn(crs))
     middle, ring = ground[0], ground[3:]
     sampling = float(np.sqrt(abs(np.linalg.det(ground[1:3] - middle))))
     missing = np.isnan(ring).any(axis=1)
     if missing.any():
         ring = ring.copy()
-        ring[missing] = _inwards(scene, border[missing], centre[0], surface, crs, middle)
+        found_inwards = _inwards(scene, border[missing], centre[0], surface, crs, middle)
+        ring[missing] = near(found_inwards, float(middle[0]), whole_turn(crs))
+    ring = _about_pole(scene, surface, crs, ring)
     best = _nadir(scene, crs)
     if best is None or not _shows(scene, best, surface, crs):
         best = (float(middle[0]), float(middle[1]))
     return Footprint(scene.name, ring, best, sampling, not bool(missing.any()))
+
+
+def _about_pole(scene: Scene, surface: Surface | None, crs: CRS, ring: FloatArray) -> FloatArray:
+    """In longitude and latitude, what an image with a pole in it shows: all longitudes, up to that pole."""
+    turn, model = whole_turn(crs), scene.model
+    if turn is None or surface is not None:
+        return ring
+    places = Transform(horizontal(crs), horizontal(model.crs))(np.array([[0.0, turn / 4], [0.0, -turn / 4]]))
+    colrow = model.ground_to_image(np.column_stack([places, np.zeros(2)]))
+    with np.errstate(invalid="ignore"):
+        north, south = (bool(seen) for seen in np.all((colrow > 0) & (colrow < np.array(model.size)), axis=1))
+    if not (north or south):
+        return ring
+    low = -turn / 4 if south else float(ring[:, 1].min())
+    high = turn / 4 if north else float(ring[:, 1].max())
+    return np.array([[-turn / 2, high], [turn / 2, high], [turn / 2, low], [-turn / 2, low]])
 
 
 def _looks_down(scene: Scene, colrow: FloatArray, surface: Surface) -> bool:

@@ -72,19 +72,17 @@ def picture(
     bands : sequence of int
         Three or one to show, from 1; by default the first three, or the first one as grey.
     curves : sequence of callable
-        Of the shown bands, instead of the stretch.
+        Of the shown bands; without them values are levels from 0 to 255.
 
     Returns
     -------
     uint8 array (height, width, 4)
-        Red, green, blue and 255 where there is a picture, 0 elsewhere; samples other than uint8 are stretched from
-        their 2nd to their 98th percentile.
+        Red, green, blue and 255 where there is a picture, 0 elsewhere.
     """
     width, height = size
     (left, top), (right, bottom) = grid.colrow(np.array([[bounds[0], bounds[3]], [bounds[2], bounds[1]]]))
     shrink = max(1, int(min((right - left) / width, (bottom - top) / height) + 1e-6))
     bands = bands or ((1, 2, 3) if source.info.bands >= 3 else (1,))
-    limits = None if source.dtype == np.uint8 or curves else _limits(source, grid, (left, top, right, bottom), bands)
     out = np.zeros((height, width, 4), dtype=np.uint8)
     step = (bottom - top) / height
     for row in range(0, height, _STRIP):
@@ -95,8 +93,6 @@ def picture(
         values, valid = read_bands(source, grid, window, shrink, bands)
         if not valid.any():
             continue
-        if limits is not None:
-            values = (values - limits[0]) * (255.0 / max(limits[1] - limits[0], 1e-12))
         box = (
             (left - window.col) / shrink, (first - window.row) / shrink,
             (right - window.col) / shrink, (last - window.row) / shrink,
@@ -126,19 +122,6 @@ def read_bands(
     valid[place] = 1.0 if known is None else known
     values[place] = np.where(valid[place][..., None] > 0, part[..., [band - 1 for band in bands]], 0)
     return values, valid
-
-
-def _limits(
-    source: Source, grid: Grid, box: tuple[float, float, float, float], bands: Sequence[int]
-) -> tuple[float, float]:
-    """2nd and 98th percentile over the area, from a reduced reading of it."""
-    factor = max(1, int(max(box[2] - box[0], box[3] - box[1]) / 1000))
-    values, valid = read_bands(source, grid, _aligned(*box, factor), factor, bands)
-    known = values[valid > 0]
-    if not known.size:
-        return 0.0, 1.0
-    low, high = np.percentile(known, (2.0, 98.0))
-    return float(low), float(high)
 
 
 def _resized(values: AnyArray, valid: AnyArray, box: Any, size: tuple[int, int], curves: Curves = ()) -> ByteArray:

@@ -30,7 +30,7 @@ def stopped(by: BaseException, as_json: bool, *, resumes: bool = False) -> int:
     """Tell what stopped the command; the exit code is that of the signal, as shells have it: 130 for Ctrl-C."""
     number = by.number if isinstance(by, Stopped) else signal.SIGINT
     name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
-    mend = {"mend": "the same command resumes: steps that are done stay done"} if resumes else {}
+    mend = {"mend": "the same command resumes: what is done stays done"} if resumes else {}
     _tell({"what": f"stopped by {name}", **mend}, as_json)
     return 128 + number
 

@@ -115,7 +115,7 @@ def run(words: list[str]) -> int:
     except (click.Abort, KeyboardInterrupt) as stop:
         from geomosaic.cli.failure import stopped
 
-        return stopped(stop.__cause__ or stop, as_json, resumes=words[:1] == ["run"])
+        return stopped(stop.__cause__ or stop, as_json, resumes=words[:1] == ["run"] or words[:2] == ["sheets", "make"])
     except Exception as error:
         from geomosaic.cli.failure import failed
 

@@ -61,6 +61,15 @@ def control_number(model: str) -> ControlNumber:
     return ControlNumber(unknowns, least, twice, (max(ROUGHLY[0], twice), max(ROUGHLY[1], twice)))
 
 
+def models_of(count: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Models that so many points determine, and those for which they make twice as many equations as unknowns."""
+    need = {name: control_number(name) for name in COEFFICIENTS}
+    return (
+        tuple(name for name, number in need.items() if number.least <= count),
+        tuple(name for name, number in need.items() if number.redundant <= count),
+    )
+
+
 def control_layout(count: int) -> FloatArray:
     """Where control should lie: one in each corner, then each in the middle of the largest gap (Wolf, section 9-3).
 

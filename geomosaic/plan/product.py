@@ -68,6 +68,9 @@ def requirements(
             where="--ortho-scale",
             mend=f"give --ratio; the table has {', '.join(f'1:{s}: {v:g}' for s, v in k28.RATIOS.items())}",
         )
+    for error in other_errors:
+        if not 0 <= error < math.inf:
+            raise InputError(f"{error:g} m is no error", where="--other-error", mend="give metres, 0 or more")
     left = target**2 - sum(error**2 for error in other_errors)
     if not left > 0:
         total = math.sqrt(sum(error**2 for error in other_errors))

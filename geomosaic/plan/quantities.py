@@ -43,6 +43,7 @@ QUANTITIES: dict[str, Quantity] = {
     "ortho_dpi": Quantity("dpi", "resolution of the photo map at its scale"),
     "radius": Quantity("mm", "distance r from the principal point in the photo"),
     "dem_error": Quantity("m", "error of heights m_DTM", 0.0, closed=True),
+    "dem_limit": Quantity("m", "largest error of heights that the guidelines K-2.8 allow"),
     "shift": Quantity("m", "radial shift on the ground that an error of height causes, m_O", 0.0, closed=True),
     "shift_mm": Quantity("mm", "the same on the map", 0.0, closed=True),
     "position_error": Quantity("m", "error of position of the photo map, on the ground", 0.0, closed=True),

@@ -131,6 +131,10 @@ RELIEF = Power(
     "m_O = m_DTM · r / c", "K-2.8: requirements of accuracy",
     {"shift": 1, "camera_constant": 1, "dem_error": -1, "radius": -1}, 1.0,
 )  # fmt: skip
+DEM_LIMIT = Power(
+    "m_DTM <= 0.3 mm · M_ortho · (140 mm / r) · (c / 150 mm)", "K-2.8: table of height errors",
+    {"dem_limit": 1, "radius": 1, "ortho_scale": -1, "camera_constant": -1}, 0.3e-3 * 140 / 150,
+)  # fmt: skip
 SHIFT = Power(
     "m_O on the map = m_O / M_ortho", "K-2.8: radial shifts in mm", {"shift_mm": 1, "ortho_scale": 1, "shift": -1}, 1e3
 )
@@ -174,7 +178,7 @@ SPACING = _lap("spacing", "sidelap", "format_across")
 
 TOPICS: dict[str, tuple[Relation, ...]] = {
     "photo": (SCALE, RATIO, SCAN, SCAN_PIXEL, GROUND_PIXEL, ORTHO_PIXEL),
-    "relief": (SCALE, RELIEF, SHIFT, DISPLACEMENT),
+    "relief": (SCALE, RELIEF, SHIFT, DEM_LIMIT, DISPLACEMENT),
     "accuracy": (POSITION,),
     "swath": (SWATH, CELL, CELL_ALONG, CELL_ACROSS),
     "overlap": (SCALE, BASE, SPACING),

@@ -77,7 +77,8 @@ class GeometryRecord:
         """Warn where the tolerance could not be kept: at the walls of a surface model, on a coarse grid."""
         if self.error > tolerance > 0:
             warnings.warn(
-                f"the geometry is interpolated within {self.error:.3f} px, not {tolerance} px, at the steepest relief",
+                f"the geometry is interpolated within {self.error:.3f} px, not {tolerance} px, where the relief is "
+                "steepest or a map ends",
                 GeomosaicWarning,
                 stacklevel=3,
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.product.vector_cut import moved
-from geomosaic.raster.output import check_output, under_construction
-from geomosaic.raster.vector import append_layer, layer_names, read_layer
+from geomosaic.raster.output import check_output, partial, remove, sync
+from geomosaic.raster.vector import append_layer, layer_names, plain_tables, read_layer, read_table
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -22,9 +23,14 @@ DRIVERS = {
     ".geojson": "GeoJSON",
     ".json": "GeoJSON",
     ".fgb": "FlatGeobuf",
+    ".shp": "ESRI Shapefile",
 }
-"""Formats that can be written, by suffix; a shapefile is several files, which cannot appear all at once."""
-READ = (*DRIVERS, ".shp", ".osm", ".pbf", ".kml", ".gml", ".gpx", ".tab", ".mif", ".dxf")
+"""Formats that can be written, by suffix."""
+PARTS = (".shx", ".dbf", ".prj", ".cpg", ".shp")
+"""Files of a shapefile that is written, in the order in which they get their names: with the last one it is there."""
+INDEXES = (".qix", ".sbn", ".sbx")
+"""Spatial indexes of an older shapefile, which know nothing of a new one."""
+READ = (*DRIVERS, ".osm", ".pbf", ".kml", ".gml", ".gpx", ".tab", ".mif", ".dxf")
 _SEVERAL = ("GPKG",)
 
 
@@ -58,8 +64,8 @@ def reproject_vectors(
     Parameters
     ----------
     path : Path
-        GeoPackage, GeoJSON, FlatGeobuf, shapefile, OpenStreetMap, KML ...; layers without features are left out of what
-        is written.
+        GeoPackage, GeoJSON, FlatGeobuf, shapefile, OpenStreetMap, KML ... Layers without features stay so;
+        tables without places are copied to a GeoPackage, and left out of other formats, with a note.
     crs : CRS
         Of the output.
     output : Path
@@ -72,7 +78,8 @@ def reproject_vectors(
     Raises
     ------
     InputError
-        The input cannot be read or has no CRS; the output's suffix is not known or cannot take several layers.
+        The input cannot be read or has no CRS; the output is the input, its suffix is not known, or it cannot take
+        several layers, or several kinds of geometry.
     OutputError
         Writing failed.
     """
@@ -83,25 +90,71 @@ def reproject_vectors(
             where=str(output),
             mend=f"end the name in {', '.join(DRIVERS)}",
         )
-    check_output(output, overwrite=overwrite)
-    names = layer_names(path)
+    for part in _files(output, driver):
+        check_output(part, overwrite=overwrite, inputs=(path,))
+    tables = plain_tables(path) if (names := layer_names(path)) else []
+    names = [name for name in names if name not in tables]
+    if not names:
+        raise InputError("the file has no layer with places", where=str(path), mend="name another file")
     if len(names) > 1 and driver not in _SEVERAL:
         raise InputError(
             f"the file has {len(names)} layers, of which {driver} takes one", where=str(path), mend="write a .gpkg"
         )
     layers: dict[str, int] = {}
     sources: list[CRS] = []
+    told: list[str] = []
     lost, cut = 0, 0
-    with under_construction(output, output.suffix) as unfinished:
+    unfinished = partial(output)
+    whole = unfinished.with_name(unfinished.name + output.suffix.lower())
+    try:
         for name in names:
             frame = read_layer(path, name)
             own = source or _own(frame, f"{path}, layer {name}")
             found, gone, pieces = _moved(frame, own, crs)
             if own not in sources:
                 sources.append(own)
-            append_layer(unfinished, found, name, driver)
+            if driver == "ESRI Shapefile":
+                _check_one_kind(found, f"{path}, layer {name}")
+            told += append_layer(whole, found, output.stem if driver == "ESRI Shapefile" else name, driver)
             layers[name], lost, cut = len(found), lost + gone, cut + pieces
+        for name in tables if driver in _SEVERAL else ():
+            told += append_layer(whole, read_table(path, name), name, driver)
+        _publish(whole, output, driver)
+    finally:
+        remove(unfinished)
+    if tables and driver not in _SEVERAL:
+        told.append(f"tables without places are left out: {', '.join(tables)}")
+    for text in dict.fromkeys(told):
+        warnings.warn(f"{output}: {text}", GeomosaicWarning, stacklevel=2)
     return VectorResult(output, layers, lost, tuple(sources), cut)
+
+
+def _files(output: Path, driver: str) -> list[Path]:
+    """All files that will be there under the name of the output, that one last."""
+    return [output.with_suffix(end) for end in PARTS[:-1]] + [output] if driver == "ESRI Shapefile" else [output]
+
+
+def _publish(whole: Path, output: Path, driver: str) -> None:
+    """Give finished files their names; an older shapefile goes first, so that parts of two are never taken for one."""
+    parts = _files(output, driver)
+    if len(parts) > 1:
+        for old in (output, *(output.with_suffix(end) for end in INDEXES)):
+            old.unlink(missing_ok=True)
+    for part in parts:
+        made = whole.with_suffix(part.suffix.lower())
+        if made.exists():
+            sync(made)
+            made.replace(part)
+
+
+def _check_one_kind(frame: GeoDataFrame, where: str) -> None:
+    kinds = {str(kind).removeprefix("Multi") if "Point" not in str(kind) else str(kind) for kind in frame.geom_type}
+    kinds -= {"None", "nan"}
+    if len(kinds) > 1:
+        raise InputError(
+            f"the layer holds {' and '.join(sorted(kinds))}, of which a shapefile takes one", where=where,
+            mend="write a .gpkg",
+        )  # fmt: skip
 
 
 def _own(frame: GeoDataFrame, where: str) -> CRS:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geomosaic.block.scene import Scene
-from geomosaic.errors import InputError
 from geomosaic.project.area import Area, plan
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs, PlanarInputs
@@ -25,9 +24,7 @@ if TYPE_CHECKING:
 def refuse_existing(path: Path, overwrite: bool, inputs: BlockInputs | None = None) -> None:
     """Stop before any work where the output exists; an input is never written over, asked for or not."""
     read = () if inputs is None else (*inputs.images, *inputs.tables, *inputs.ground)
-    if path.exists() and any(file.exists() and path.samefile(file) for file in read):
-        raise InputError("the output is one of the inputs", where=str(path), mend="give another name for the output")
-    check_output(path, overwrite=overwrite)
+    check_output(path, overwrite=overwrite, inputs=read)
 
 
 def make_ortho(inputs: BlockInputs, area: Area, output: Path, options: RenderOptions) -> OrthoResult:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,16 +18,18 @@ OTHER_FORMATS = (
 """Endings of what a raster is not written as."""
 
 
-def check_output(path: Path, *, overwrite: bool) -> None:
-    """Refuse a final name that is taken, or whose folder does not exist.
+def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
+    """Refuse a final name that is taken, or whose folder does not exist, or that is one of the inputs.
 
     Raises
     ------
     OutputExistsError
         The file exists and `overwrite` is false.
     InputError
-        The name is a folder's or a device's, or its folder does not exist.
+        The name is a folder's, a device's or an input's, or its folder does not exist.
     """
+    if path.exists() and any(file.exists() and path.samefile(file) for file in inputs):
+        raise InputError("the output is one of the inputs", where=str(path), mend="give another name for the output")
     if path.exists() and not (path.is_dir() or path.is_file()):
         raise InputError("the output is no ordinary file", where=str(path), mend="give another name")
     if path.is_dir():

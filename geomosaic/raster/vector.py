@@ -106,7 +106,7 @@ def _many(geometry: Any) -> Any:
 
 
 @contextmanager
-def _dated() -> Iterator[None]:
+def _dated() -> Iterator[str]:
     """The time that files carry: SOURCE_DATE_EPOCH, or 1970-01-01 where that is not set."""
     import pyogrio
 
@@ -115,13 +115,18 @@ def _dated() -> Iterator[None]:
     before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
     pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": date})
     try:
-        yield
+        yield date
     finally:
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": before})
 
 
-def append_layer(path: Path, frame: GeoDataFrame, name: str, driver: str) -> None:
-    """Write a layer to a file, behind the layers it has.
+def append_layer(path: Path, frame: Any, name: str, driver: str) -> list[str]:
+    """Write a layer, or a table without places, to a file, behind the layers it has.
+
+    Returns
+    -------
+    list of str
+        What the format could not keep, in GDAL's words.
 
     Raises
     ------
@@ -129,16 +134,21 @@ def append_layer(path: Path, frame: GeoDataFrame, name: str, driver: str) -> Non
         Writing failed.
     """
     import pyogrio
-    from pyogrio.errors import DataSourceError, FeatureError, GeometryError
+    from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError
 
     # GeoJSON of today is in longitude and latitude only; the older form names another CRS.
-    options = {"RFC7946": "NO"} if driver == "GeoJSON" else {}
+    layer_options = {"RFC7946": "NO"} if driver == "GeoJSON" else {}
     try:
-        with _dated():
+        with _dated() as date, warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            if driver == "ESRI Shapefile":
+                layer_options = {"DBF_DATE_LAST_UPDATE": date[:10]}
             pyogrio.write_dataframe(
-                frame, path, layer=name, driver=driver, append=path.exists(), layer_options=options, use_arrow=False
-            )
-    except (DataSourceError, FeatureError, GeometryError, OSError) as error:
+                frame, path, layer=name, driver=driver, append=path.exists(), layer_options=layer_options,
+                use_arrow=False,
+            )  # fmt: skip
+        return list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, RuntimeWarning)))
+    except (DataSourceError, DataLayerError, FeatureError, FieldError, GeometryError, OSError) as error:
         raise OutputError(
             f"writing failed ({error})",
             where=str(path),
@@ -165,6 +175,20 @@ def layer_names(path: PathLike) -> list[str]:
         raise InputError(
             f"this is not a vector file that can be read ({error})", where=str(path), mend="convert it to GeoPackage"
         ) from error
+
+
+def plain_tables(path: PathLike) -> list[str]:
+    """Names of the tables of a vector file that have no places, such as the styles that QGIS keeps in a GeoPackage."""
+    import pyogrio
+
+    return [str(name) for name, kind in pyogrio.list_layers(path) if kind is None]
+
+
+def read_table(path: PathLike, name: str) -> Any:
+    """Read a table that has no places, as a data frame."""
+    import pyogrio
+
+    return pyogrio.read_dataframe(path, layer=name)
 
 
 def layer_counts(path: PathLike) -> dict[str, int]:

@@ -9,7 +9,7 @@ whatever the tiles and threads.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,10 @@ from geomosaic.types import BoolArray, FloatArray
 BLOCK_WIDTH, BLOCK_HEIGHT = 1024, 512
 FIRST_STEP, CLOSE_STEP = 64, 4
 SMALLEST = 16
+ROUNDING = 1e-3
+"""Pixels that nodes at every pixel may err without anything being wrong."""
+MOST_TORN = 8192
+"""Pixels of a block that are put one by one."""
 
 _CHEBYSHEV = np.cos((2 * np.arange(4) + 1) * np.pi / 8)
 _TO_CUBIC = np.linalg.inv(np.vander(_CHEBYSHEV, 4, increasing=True))
@@ -126,7 +130,62 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
             if cubic or close or miss.error > before / 2:
                 return _parts(mapper, grid, ground, window, tolerance)
         step, before = step // 2, miss.error
-    return [Lattice(window, step, nodes, places[::2, ::2], middle, half, miss.error, bounds, scale, miss.seen, levels)]
+    made = Lattice(window, step, nodes, places[::2, ::2], middle, half, miss.error, bounds, scale, miss.seen, levels)
+    torn = miss.worst > max(tolerance / 2, ROUNDING)
+    return _mended(made, places, exact[0], miss.worst, torn, mapper.model.size) if step == 1 and not half else [made]
+
+
+def _mended(
+    made: Lattice, places: FloatArray, exact: FloatArray, worst: FloatArray, torn: BoolArray, size: tuple[int, int]
+) -> list[Lattice]:
+    """Take pixels out where closer nodes do not help, and put each by itself where the model says that it lies.
+
+    So it is at the seam of longitude and latitude: from one pixel to the next it jumps by all the width of the image.
+
+    Parameters
+    ----------
+    made : Lattice
+        Of step 1, flat.
+    places, exact : array (2 · rows + 1, 2 · cols + 1, 2)
+        Surface map of nodes and of what lies half-way between, and what the model says there.
+    worst : array (rows, cols)
+    torn : bool array (rows, cols)
+        Pixels that err too much.
+    """
+    if not torn.any():
+        return [made]
+    corners, around = np.zeros(made.nodes.shape[:2], dtype=bool), np.zeros_like(torn)
+    for down in (0, 1):
+        for right in (0, 1):
+            corners[down : down + torn.shape[0], right : right + torn.shape[1]] |= torn
+    for down in (0, 1):
+        for right in (0, 1):
+            around |= corners[down : down + torn.shape[0], right : right + torn.shape[1]]
+    if around.sum() > MOST_TORN:
+        return [made]
+    nodes, levels = made.nodes.copy(), made.levels.copy()
+    nodes[corners], levels[:, corners] = np.nan, np.nan
+    rest = replace(made, nodes=nodes, levels=levels, error=float(worst[~torn].max(initial=0.0)))
+    centres = exact[1::2, 1::2]
+    with np.errstate(invalid="ignore"):
+        shown = around & ((centres >= 0.0) & (centres < np.array(size))).all(axis=-1)
+    return [rest, *(_pixel(made, places, centres[row, col], int(row), int(col)) for row, col in np.argwhere(shown))]
+
+
+def _pixel(made: Lattice, places: FloatArray, image: FloatArray, row: int, col: int) -> Lattice:
+    """Lattice of one pixel, which lies at `image` (2,) as a whole."""
+    nodes = np.zeros((2, 2, 8))
+    nodes[..., ::4] = image
+    return replace(
+        made,
+        window=Window(made.window.col + col, made.window.row + row, 1, 1),
+        nodes=nodes,
+        surface=np.tile(places[2 * row + 1, 2 * col + 1], (2, 2, 1)),
+        error=0.0,
+        bounds=(float(image[0]), float(image[1]), float(image[0]), float(image[1])),
+        seen=np.ones((1, 1), dtype=bool),
+        levels=np.tile(image, (1, 2, 2, 1)),
+    )
 
 
 def _parts(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, tolerance: float) -> list[Lattice]:

@@ -38,12 +38,15 @@ class Miss:
         Whether some of those cells are only partly seen by the model.
     seen : bool array (rows, cols)
         Cells that may show the image.
+    worst : array (rows, cols)
+        Largest error of each of those cells, 0 in others.
     """
 
     error: float
     cubic: float
     ragged: bool
     seen: BoolArray
+    worst: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,14 +101,15 @@ class Cells:
                 worst[doubtful] = self._in_the_image(doubtful) / self._unit
         known = np.isfinite(corners).all(axis=-1).sum(axis=1)
         ragged = bool((counts & (known < 4).any(axis=0)).any())
-        error = float(worst[counts].max(initial=0.0))
+        worst[~counts] = 0.0
+        error = float(worst.max(initial=0.0))
         # The surface's own map is interpolated as well: a shift of its place, in output pixels, counts the same.
         if self.half and not self.mapper.to_surface.identical:
             shift = _halved(self.places[None, ::2, ::2])[0] - self.places
             with np.errstate(invalid="ignore"):
                 error = float(np.fmax(error, np.fmax.reduce(np.hypot(*shift.reshape(-1, 2).T)) / self._pixel))
         cubic = float(np.fmax.reduce(miss[::2, ::2][shown[::2, ::2]], initial=0.0))
-        return Miss(error, cubic, ragged, counts.reshape(self._shape))
+        return Miss(error, cubic, ragged, counts.reshape(self._shape), worst.reshape(self._shape))
 
     @property
     def _shape(self) -> tuple[int, int]:

@@ -57,7 +57,7 @@ def scheme(
         raise InputError(f"'{name}' has sheets for several scales", where="--scale", mend="write --scale 1:25000")
     whole = round(scale or 0)
     if name == "international":
-        return international(whole, map_crs="EPSG:326{zone:02d}")
+        return international(whole, map_crs="EPSG:32{half}{zone:02d}", south=True)
     if name == "puwg1992":
         return international(whole, crs="EPSG:4258", map_crs="EPSG:2180", title=f"the division of PUWG 1992, 1:{whole}")
     if name == "soviet":

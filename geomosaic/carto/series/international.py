@@ -1,8 +1,10 @@
 """The international map 1:1 000 000 and its divisions down to 1:10 000, as Poland and the Soviet Union name them.
 
-Sheets 1:1 000 000 are 6° by 4°: letters from the equator, columns from 180° eastwards. Numbers and letters of the
-divisions run by rows from the upper left. Polish rules: regulation on the spatial reference system of 15 October 2012
-(Dz.U. 2012 poz. 1247), section 18; the Soviet ones differ in their letters and in 1:200 000 for 1:250 000.
+Sheets 1:1 000 000 are 6° by 4°: letters from the equator, columns from 180° eastwards; those of the southern
+hemisphere have S before the letter (SF-23 Rio de Janeiro), and N before that of northern ones is understood. Numbers
+and letters of the divisions run by rows from the upper left. Polish rules: regulation on the spatial reference system
+of 15 October 2012 (Dz.U. 2012 poz. 1247), section 18; the Soviet ones differ in their letters and in 1:200 000 for
+1:250 000.
 """
 
 from __future__ import annotations
@@ -45,8 +47,9 @@ def from_roman(text: str) -> int | None:
 
 
 def international(
-    scale: int, *, crs: str = "EPSG:4326", letters: str = "latin", title: str = "", map_crs: str | None = None
-) -> GridScheme:
+    scale: int, *, crs: str = "EPSG:4326", letters: str = "latin", title: str = "", map_crs: str | None = None,
+    south: bool = False,
+) -> GridScheme:  # fmt: skip
     """Scheme of one scale.
 
     Parameters
@@ -59,7 +62,9 @@ def international(
     title : str, optional
     map_crs : str, optional
         CRS of the sheets; '{zone}' in it takes the number of the UTM zone, '{zone:02d}' in two digits, and '{gauss}'
-        that of the Gauss-Krüger zone of 6°.
+        that of the Gauss-Krüger zone of 6°, and '{half}' 6 or 7 in the northern or southern hemisphere.
+    south : bool
+        Sheets 1:1 000 000 of the southern hemisphere too; divisions differ there from country to country.
 
     Raises
     ------
@@ -79,6 +84,8 @@ def international(
 
     def name_of(col: int, row: int) -> str | None:
         big, up = col // fine % 60, row // fine  # the last column has the first one in the east
+        if south and not steps and -len(ROWS) <= up < 0:
+            return f"S{ROWS[-1 - up]}-{big + 1:02d}"
         if not 0 <= up < len(ROWS):
             return None
         words = [ROWS[up], f"{big + 1:02d}"]
@@ -92,6 +99,12 @@ def international(
         return "-".join(words)
 
     def place_of(name: str) -> tuple[int, int] | None:
+        half = re.match(r"\s*([NS])(?=[A-V][-.\s]*\d)", name, re.IGNORECASE)
+        if half and half[1].upper() == "S":
+            found = re.fullmatch(r"([A-V])[-.\s]*(\d\d?)\s*", name[half.end() :], re.IGNORECASE)
+            known = south and not steps and found is not None and 1 <= int(found[2]) <= 60
+            return (int(found[2]) - 1, -1 - ROWS.index(found[1].upper())) if known and found else None
+        name = name[half.end() :] if half else name
         words = re.findall(r"[0-9]+|[IVXL]{2,}|[^\W\d_]", name) if not steps or steps[0][1] != "roman" else None
         if words is None:
             words = [word for word in re.split(r"[-.\s]+", name) if word]
@@ -109,8 +122,9 @@ def international(
         return col * fine + across, row * fine + fine - 1 - down
 
     def own_crs(name: str) -> str | None:
-        zone = int(name.split("-")[1])
-        return None if map_crs is None else map_crs.format(zone=zone, gauss=(zone - 31) % 60 + 1)
+        row, column = name.split("-")[:2]
+        zone, half = int(column), 6 if len(row) == 1 else 7
+        return None if map_crs is None else map_crs.format(zone=zone, gauss=(zone - 31) % 60 + 1, half=half)
 
     example = name_of(33 * fine + fine // 2, 12 * fine + fine // 2) or ""
     return GridScheme(

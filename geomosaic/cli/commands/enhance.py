@@ -7,14 +7,14 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.looks import stretch_options
+from geomosaic.cli.looks import look_options
 from geomosaic.cli.options import FILE, debug_option, json_option, overwrite_option
 from geomosaic.cli.talk import answer, notes
 
 
 @click.command()
 @click.argument("raster", type=FILE)
-@stretch_options
+@look_options
 @click.option("--radius", type=click.FloatRange(0.3, 50), default=1.0, show_default=True, help="Of sharpening, pixels.")
 @click.option("--pan", type=FILE, help="Sharpen the bands with this panchromatic raster; keeps the sample type.")
 @click.option(
@@ -32,7 +32,8 @@ from geomosaic.cli.talk import answer, notes
 def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: bool, **flags: Any) -> None:
     """Make an 8-bit picture for print of a raster, or give its bands the detail of a panchromatic one.
 
-    Without --pan the bands are stretched, their local contrast evened and sharpened, in this order.
+    Without --pan the bands are stretched, their local contrast evened, shaded by a hillshade and sharpened, in this
+    order.
     With --pan all bands (or those of -b) are brought to the pixels of the pan raster, which must be in the same CRS.
 
     \b
@@ -48,7 +49,7 @@ def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: 
         if pan is not None:
             used = [
                 f"--{key}"
-                for key in ("stretch", "limits", "percentiles", "gamma", "clahe", "sharpen")
+                for key in ("stretch", "limits", "percentiles", "gamma", "clahe", "sharpen", "hillshade")
                 if flags[key] is not None
             ]
             if used:
@@ -71,5 +72,5 @@ def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: 
                 facts, f"{output}: the bands explain {100 * model.r2:.1f} % of the pan band (weights {shown})", as_json
             )
             return
-        enhance_raster(raster, output, **flags, **common)
+        enhance_raster(raster, output, shade=flags.pop("hillshade"), **flags, **common)
     answer({"output": str(output)}, str(output), as_json)

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from geomosaic.cli.commands.plan_tables import tables_command
+from geomosaic.cli.measure import Measure
 from geomosaic.cli.options import debug_option, json_option
 from geomosaic.cli.scale import Scale
 from geomosaic.cli.talk import answer
@@ -27,7 +28,8 @@ SUMMARIES = {
 def command() -> None:
     """Calculate a photo flight, its scans and its maps.
 
-    Give what is known; everything that follows is printed with its formula, in whatever direction.
+    Give what is known; everything that follows is printed with its formula, in whatever direction. Numbers may have a
+    unit of their own: 6km, 20000ft, 12in, 3.5cm, 100gon, 40px/mm.
 
     \b
     Examples:
@@ -38,7 +40,7 @@ def command() -> None:
 
 
 def _option(name: str, quantity: Quantity) -> click.Option:
-    kind: Any = Scale() if quantity.unit == "1:" else float
+    kind: Any = Scale() if quantity.unit == "1:" else Measure(quantity.unit)
     unit = {"1:": "1:N", "°": "DEGREES", "%": "PERCENT", "m": "METRES", "": "NUMBER", "µm": "MICRONS"}.get(
         quantity.unit, quantity.unit.upper()
     )
@@ -82,23 +84,29 @@ command.add_command(tables_command)
 
 
 @command.command("area")
-@click.option("--area", nargs=2, type=float, required=True, metavar="LENGTH WIDTH", help="Along and across, metres.")
+@click.option(
+    "--area", nargs=2, type=Measure("m"), required=True, metavar="LENGTH WIDTH", help="Along and across, metres."
+)
 @click.option("--photo-scale", type=Scale(), required=True, help="Scale of the photo.")
 @click.option(
-    "--format-along", type=float, default=230.0, show_default=True, metavar="MM", help="Side along the strip."
+    "--format-along", type=Measure("mm"), default=230.0, show_default=True, metavar="MM", help="Side along the strip."
 )
-@click.option("--format-across", type=float, default=230.0, show_default=True, metavar="MM", help="Side across it.")
-@click.option("--overlap", type=float, default=60.0, show_default=True, metavar="PERCENT", help="Along the strip.")
-@click.option("--sidelap", type=float, default=30.0, show_default=True, metavar="PERCENT", help="Of the strips.")
+@click.option(
+    "--format-across", type=Measure("mm"), default=230.0, show_default=True, metavar="MM", help="Side across it."
+)
+@click.option("--overlap", type=Measure("%"), metavar="PERCENT", help="Along the strip.  [default: 60]")
+@click.option("--sidelap", type=Measure("%"), metavar="PERCENT", help="Of the strips.  [default: 30]")
+@click.option("--strips", type=click.IntRange(1), help="So many strips, instead of --sidelap, which follows.")
+@click.option("--photos-in-strip", type=click.IntRange(1), help="So many photos, instead of --overlap, which follows.")
 @click.option("--mono", is_flag=True, help="Each place on one photo is enough, instead of on two.")
-@click.option("--ortho-pixel", type=float, metavar="METRES", help="Tell the size of the raster too.")
+@click.option("--ortho-pixel", type=Measure("m"), metavar="METRES", help="Tell the size of the raster too.")
 @json_option
 @debug_option
 def area_command(area: tuple[float, float], ortho_pixel: float | None, mono: bool, as_json: bool, **flags: Any) -> None:
-    """Number of strips and photos that cover a rectangle.
+    """Number of strips and photos that cover a rectangle, or the overlaps that a number of them has.
 
     \b
-    Formulas:
+    Formulas (geometry of the vertical photo):
       base = (1 - overlap/100) · format along · M_photo
       spacing = (1 - sidelap/100) · format across · M_photo
       strips = ⌈(width - format across · M_photo) / spacing⌉ + 1
@@ -106,15 +114,21 @@ def area_command(area: tuple[float, float], ortho_pixel: float | None, mono: boo
     """
     from geomosaic.plan.coverage import coverage, raster_size
 
+    for lap, number, usual in (("overlap", "photos_in_strip", 60.0), ("sidelap", "strips", 30.0)):
+        if flags[lap] is not None and flags[number] is not None:
+            raise click.UsageError(f"--{number.replace('_', '-')} says what the {lap} is: leave out --{lap}")
+        flags[lap] = usual if flags[lap] is None else flags[lap]
     found = coverage(*area, stereo=not mono, **flags)
     facts: dict[str, Any] = {
         "photos": found.photos, "strips": found.strips, "photos_in_strip": found.photos_in_strip,
-        "base": found.base, "spacing": found.spacing, "footprint": list(found.footprint),
+        "base": found.base, "spacing": found.spacing, "overlap": found.overlap, "sidelap": found.sidelap,
+        "footprint": list(found.footprint),
     }  # fmt: skip
     lines = [
         f"{found.photos} photos: {found.strips} strips of {found.photos_in_strip}",
         f"exposures every {found.base:.6g} m, strips every {found.spacing:.6g} m, "
         f"{found.footprint[0]:.6g} x {found.footprint[1]:.6g} m on a photo",
+        f"overlap {found.overlap:.4g} %, sidelap {found.sidelap:.4g} %",
     ]
     if ortho_pixel is not None:
         size = raster_size(*area, ortho_pixel)
@@ -125,7 +139,9 @@ def area_command(area: tuple[float, float], ortho_pixel: float | None, mono: boo
 
 @command.command("control")
 @click.option("--model", default="affine", show_default=True, help="Model of the image.")
-@click.option("--points", type=click.IntRange(4), help="Show where so many points should lie.")
+@click.option(
+    "--points", type=click.IntRange(4), help="Show where so many should lie, and for which models they are enough."
+)
 @click.option("--photos", type=click.IntRange(1), help="Photos adjusted together, for the balance of the block.")
 @click.option("--ties", type=click.IntRange(0), default=0, help="Connections of two photos by a tie point.")
 @click.option("--control", type=click.IntRange(0), default=0, help="Measurements of control points in photos.")
@@ -141,7 +157,7 @@ def control_command(model: str, points: int | None, photos: int | None, ties: in
       Wolf, 9-8: block: unknowns = photos · unknowns of the model; two equations for every
       measurement of control and every connection; a point on n photos makes n (n - 1) / 2 connections
     """
-    from geomosaic.plan.control import FOR_FILTERING, block_balance, control_layout, control_number
+    from geomosaic.plan.control import FOR_FILTERING, block_balance, control_layout, control_number, models_of
 
     need = control_number(model)
     low, high = need.recommended
@@ -154,6 +170,12 @@ def control_command(model: str, points: int | None, photos: int | None, ties: in
         f"{low} to {high} points per image are recommended, {max(FOR_FILTERING, high)} where bad ones are to be found",
     ]
     if points is not None:
+        enough, twice = models_of(points)
+        facts["determined"], facts["redundant"] = list(enough), list(twice)
+        lines += [
+            f"{points} points determine {', '.join(enough)}",
+            f"and check each other (twice as many equations as unknowns) for {', '.join(twice) or 'none'}",
+        ]
         places = control_layout(points)
         facts["layout"] = places.round(4).tolist()
         lines += ["shares of width and height, in the order in which to measure:"]
@@ -173,17 +195,21 @@ def control_command(model: str, points: int | None, photos: int | None, ties: in
 
 @command.command("product")
 @click.option("--ortho-scale", type=Scale(), required=True, help="Scale of the photo map.")
-@click.option("--camera-constant", type=float, required=True, metavar="MM", help="Camera constant of the photos.")
+@click.option(
+    "--camera-constant", type=Measure("mm"), required=True, metavar="MM", help="Camera constant of the photos."
+)
 @click.option(
     "--film", type=click.Choice(["grey", "colour"]), default="colour", show_default=True, help="Of the photos."
 )
 @click.option("--ratio", type=float, help="K = M_photo / M_ortho.  [default: that of K-2.8]")
-@click.option("--position-error", type=float, metavar="METRES", help="Target.  [default: 0.3 mm on the map]")
+@click.option("--position-error", type=Measure("m"), metavar="METRES", help="Target.  [default: 0.3 mm on the map]")
 @click.option(
-    "--other-error", "other_errors", type=click.FloatRange(0), multiple=True, metavar="METRES",
+    "--other-error", "other_errors", type=Measure("m"), multiple=True, metavar="METRES",
     help="An error of position that does not come from heights: orientation, identification.",
 )  # fmt: skip
-@click.option("--radius", type=float, default=140.0, show_default=True, metavar="MM", help="Largest r that is used.")
+@click.option(
+    "--radius", type=Measure("mm"), default=140.0, show_default=True, metavar="MM", help="Largest r that is used."
+)
 @json_option
 @debug_option
 def product_command(as_json: bool, **flags: Any) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from geomosaic.cli.measure import Measure
 from geomosaic.cli.options import debug_option, json_option
 from geomosaic.cli.scale import Scale
 from geomosaic.cli.talk import answer
@@ -20,7 +21,7 @@ HEIGHT_ERRORS = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
     help="Scale of the photo map; any number of times.",
 )  # fmt: skip
 @click.option(
-    "--camera-constant", "constants", type=float, multiple=True, default=(150.0, 300.0), show_default=True,
+    "--camera-constant", "constants", type=Measure("mm"), multiple=True, default=(150.0, 300.0), show_default=True,
     metavar="MM", help="Camera constant; any number of times.",
 )  # fmt: skip
 @json_option
@@ -34,7 +35,8 @@ def tables_command(scales: tuple[float, ...], constants: tuple[float, ...], as_j
       largest error of heights = m_O · (140 mm / r) · (c / 150 mm)
       radial shift on the map = dZ · r / (c · M_ortho), in the photo's corner (r = 140 mm)
       pixel = 0.08 mm (grey) or 0.10 mm (colour) · M_ortho
-      grid intervals have no formula: they are given for 1:2000, 1:5000 and 1:10 000
+      scanning pixels are usual ones: 12-25 µm in grey, 20-30 µm in colour
+      photo scales and grid intervals have no formula: they are given for 1:2000, 1:5000 and 1:10 000
     """
     facts = [_of_scale(scale, constants) for scale in scales]
     answer({"tables": facts}, "\n\n".join(_words(one) for one in facts), as_json)
@@ -47,6 +49,8 @@ def _of_scale(scale: float, constants: tuple[float, ...]) -> dict[str, Any]:
     return {
         "ortho_scale": scale,
         "ratio": k28.RATIOS.get(round(scale)),
+        "photo_scale": None if row is None else list(row.photo),
+        "scan_pixel": {film: list(k28.SCAN_UM[film]) for film in ("grey", "colour")},
         "position_error": k28.position_error(scale),
         "ortho_pixel": {film: k28.ortho_pixel(scale, film) for film in ("grey", "colour")},
         "ortho_dpi": {film: k28.dpi_of(film) for film in ("grey", "colour")},
@@ -61,6 +65,9 @@ def _words(one: dict[str, Any]) -> str:
     lines = [
         f"1:{one['ortho_scale']:.0f}: error of position {one['position_error']:g} m"
         + (f", K = {one['ratio']:g}" if one["ratio"] else ""),
+        "  scanning pixel "
+        + ", ".join(f"{low:g}-{high:g} µm {film}" for film, (low, high) in one["scan_pixel"].items())
+        + (", photos 1:{:g} to 1:{:g}".format(*one["photo_scale"]) if one["photo_scale"] else ""),
         "  pixel "
         + ", ".join(
             f"{v * 100:.3g} cm {film} ({int(one['ortho_dpi'][film])} dpi)" for film, v in one["ortho_pixel"].items()

@@ -48,7 +48,10 @@ def command(
         raise click.UsageError("say where to: --dst-crs, or --like RASTER")
     if like is not None and (flags["dst_crs"] or flags["res"] or flags["bounds"]):
         raise click.UsageError("--like says CRS, pixels and extent: leave out --dst-crs, --res and --bounds")
+    if like is not None and snap:
+        raise click.UsageError("--like says where the pixels lie: leave out --target-aligned-pixels")
     if is_vector(source):
+        _refuse_for_rasters()
         _vectors(source, src_crs, like, output, as_json, flags)
         return
     from geomosaic.geo.crs import horizontal, parse_map
@@ -78,6 +81,20 @@ def command(
     assert own is not None  # it could not have been placed
     words = _operation(own, result.grid.crs)
     answer({**ortho_facts(result), "operation": words}, f"{ortho_words(result)}\n{words}", as_json)
+
+
+_OF_RASTERS = {
+    "res": "--res", "bounds": "--bounds", "snap": "--target-aligned-pixels", "resampling": "--resampling",
+    "tolerance": "--tolerance", "nodata": "--nodata", "driver": "--driver", "creation": "--co",
+}  # fmt: skip
+
+
+def _refuse_for_rasters() -> None:
+    """Refuse options that would do nothing."""
+    given = click.get_current_context().get_parameter_source
+    useless = [flag for name, flag in _OF_RASTERS.items() if given(name) == click.core.ParameterSource.COMMANDLINE]
+    if useless:
+        raise click.UsageError(f"vectors have no pixels and are not clipped: leave out {', '.join(useless)}")
 
 
 def _vectors(

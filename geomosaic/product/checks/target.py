@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -59,7 +60,9 @@ def read_target(path: Path) -> tuple[Requirement, ...]:
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"the target cannot be read ({error})", where=str(path), mend=_MEND) from error
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError("this is no plan of a product", where=str(path), mend=_MEND) from error
+        raise InputError(
+            "this is no plan of a product, or a limit is no number", where=str(path), mend=_MEND
+        ) from error
     if not any(requirement.name in SEEN for requirement in found):
         raise InputError(
             "the target holds nothing that a finished map shows", where=str(path), mend=f"give {', '.join(SEEN)}"
@@ -75,17 +78,33 @@ _MEND = (
 
 def _plan(data: Any) -> tuple[Requirement, ...]:
     made = (
-        Requirement(r["name"], _text(r["name"]), r["least"], r["most"], r["unit"], r["source"])
+        Requirement(
+            str(r["name"]),
+            _text(str(r["name"])),
+            _limit(r["least"]),
+            _limit(r["most"]),
+            str(r["unit"]),
+            str(r["source"]),
+        )
         for r in data["requirements"]
     )
     return tuple(made)
+
+
+def _limit(value: Any) -> float | None:
+    """A limit of a requirement; None where it is open."""
+    if value is None:
+        return None
+    if isinstance(value, bool) or not 0 <= float(value) < math.inf:
+        raise ValueError(value)
+    return float(value)
 
 
 def _table(data: Mapping[str, Any]) -> tuple[Requirement, ...]:
     for name in data:
         if name not in SEEN:
             raise InputError(f"a target has no '{name}'", mend=did_you_mean(name, SEEN) or f"it has {', '.join(SEEN)}")
-    return tuple(Requirement(name, _text(name), None, float(value), "m", "target") for name, value in data.items())
+    return tuple(Requirement(name, _text(name), None, _limit(value), "m", "target") for name, value in data.items())
 
 
 def _text(name: str) -> str:

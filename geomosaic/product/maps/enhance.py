@@ -82,10 +82,14 @@ def sample(source: Source, grid: Grid, bands: Sequence[int]) -> tuple[AnyArray, 
 
 
 def band_curves(part: EnhancePart, source: Source, grid: Grid, bands: Sequence[int]) -> Curves:
-    """Curves of the stretch from the whole raster; none where nothing is asked for."""
-    if part.stretch == "none" and part.gamma == 1.0:
-        return ()
+    """Curves of the stretch from the whole raster; none for 8 bits where nothing is asked for.
+
+    Other samples without a stretch go from their 2nd to their 98th percentile, the same for all bands: the sheets of a
+    series fit each other, and colours stay.
+    """
     whole = source.dtype == np.uint8
+    if whole and part.stretch == "none" and part.gamma == 1.0:
+        return ()
     if part.stretch == "linear" or (part.stretch == "none" and whole):
         low, high = part.limits or (0.0, 255.0)
         if part.stretch == "linear" and part.limits is None and not whole:
@@ -94,6 +98,8 @@ def band_curves(part: EnhancePart, source: Source, grid: Grid, bands: Sequence[i
             )
         return [linear(low, high, part.gamma)] * len(bands)
     values, valid = sample(source, grid, bands)
+    if part.stretch == "none":
+        return [linear(*percentile_limits(values[valid > 0], 2.0, 98.0), part.gamma)] * len(bands)
     seen = [values[..., k][valid > 0] for k in range(len(bands))]
     if part.stretch == "equalise":
         curves = [equalised(band) for band in seen]
@@ -143,7 +149,7 @@ def finishing(
             out[..., :3] = np.where(valid[..., None] > 0, made, out[..., :3])
         if part.hillshade > 0 and dem is not None:
             step = ((area[2] - area[0]) / cols * metres, (area[3] - area[1]) / rows * metres)
-            shade = hillshade(_heights(dem, dem_heights, grid.crs, x, y), step, part.azimuth, part.altitude)
+            shade = hillshade(heights_at(dem, dem_heights, grid.crs, x, y), step, part.azimuth, part.altitude)
             made = shaded(out, shade, float(np.sin(np.radians(part.altitude))), part.hillshade)
             out[..., :3] = np.where(valid[..., None] > 0, made, out[..., :3])
         if part.sharpen > 0:
@@ -153,8 +159,8 @@ def finishing(
     return finish
 
 
-def _heights(path: Path, heights: str | None, crs: CRS, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Heights of a DEM at the pixels, row by row."""
+def heights_at(path: Path, heights: str | None, crs: CRS, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Heights (rows, cols) of a DEM at pixels in columns x and rows y of a map, row by row; NaN where unknown."""
     with closing(Dem.open(path, heights=heights)) as dem:
         move = Transform(crs, horizontal(dem.crs))
         return np.array([dem.height(move(np.column_stack([x, np.full_like(x, row)]))) for row in y])

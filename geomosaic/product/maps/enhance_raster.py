@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from geomosaic.carto.layout import EnhancePart
+from geomosaic.carto.nice import metres_per_unit
 from geomosaic.carto.picture import raster_grid, read_bands
 from geomosaic.enhance.local import Clahe, luminance, sharpened, toned
 from geomosaic.enhance.pan import PanModel, magnified, pan_model, pan_sharpened
+from geomosaic.enhance.shade import hillshade, shaded
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.product.maps.enhance import band_curves, sample, shown_bands, stretch_given
+from geomosaic.product.maps.enhance import band_curves, heights_at, sample, shown_bands, stretch_given
 from geomosaic.raster.output import check_output
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.resample.warp import value_range
-from geomosaic.types import AnyArray
+from geomosaic.types import AnyArray, FloatArray
 
 TILE = (2048, 512)
+SHADE = 0.6
+"""Strength of a hillshade, as on sheets."""
 
 
 def enhance_raster(
@@ -35,16 +39,19 @@ def enhance_raster(
     clahe: float | None = None,
     sharpen: float | None = None,
     radius: float = 1.0,
+    shade: Path | None = None,
     driver: str = "COG",
     overwrite: bool = False,
 ) -> Path:
-    """Write an 8-bit picture; see `EnhancePart` for the parameters, `radius` counts pixels here.
+    """Write an 8-bit picture; see `EnhancePart` for the parameters.
+
+    `radius` counts pixels here, and `shade` is the DEM of a hillshade.
 
     Raises
     ------
     InputError, OutputExistsError, OutputError
     """
-    check_output(output, overwrite=overwrite)
+    check_output(output, overwrite=overwrite, inputs=(raster, *filter(None, [shade])))
     with Source(raster) as source:
         grid = raster_grid(source, str(raster))
         own = {key: found for key, found in stretch_given(stretch, limits, percentiles).items() if found is not None}
@@ -58,7 +65,8 @@ def enhance_raster(
             level = np.dstack([curves[k](values[..., k]) if curves else values[..., k] for k in range(len(shown))])
             grey = luminance(level) if len(shown) == 3 else level[..., 0]
             local = Clahe.of(grey, valid.astype(np.uint8), look.clahe)
-        reach = int(np.ceil(3 * radius)) + 1 if sharpen else 0
+        light_of = None if shade is None else _shade_of(shade, grid, look)
+        reach = max(int(np.ceil(3 * radius)) + 1 if sharpen else 0, 0 if shade is None else 1)
         with RasterSink(output, grid, len(shown), "uint8", driver=driver, overwrite=overwrite) as sink:
             for window in grid.window.split(*TILE):
                 wide = Window(
@@ -74,6 +82,8 @@ def enhance_raster(
                     x = (wide.col + np.arange(wide.width) + 0.5) / grid.width
                     light = luminance(rgb)
                     rgb = toned(rgb, light, local(light, y, x))
+                if light_of is not None:
+                    rgb = shaded(rgb, light_of(wide), float(np.sin(np.radians(look.altitude))), SHADE)
                 if sharpen:
                     rgb = sharpened(rgb, seen, radius, sharpen)
                 inside = slice(reach, reach + window.height), slice(reach, reach + window.width)
@@ -81,6 +91,22 @@ def enhance_raster(
                 sink.write(window, made, np.ascontiguousarray(seen[inside]))
             sink.finish()
     return output
+
+
+def _shade_of(dem: Path, grid: Grid, look: EnhancePart) -> Callable[[Window], FloatArray]:
+    """Hillshade of windows of a raster."""
+    if not grid.crs.is_projected:
+        raise InputError("a hillshade needs a map in metres", where="--hillshade", mend="reproject the raster first")
+    metres = metres_per_unit(grid.crs)
+
+    def of(window: Window) -> FloatArray:
+        cols, rows = window.col + np.arange(window.width) + 0.5, window.row + np.arange(window.height) + 0.5
+        x = grid.xy(np.column_stack([cols, np.zeros_like(cols)]))[:, 0]
+        y = grid.xy(np.column_stack([np.zeros_like(rows), rows]))[:, 1]
+        step = grid.resolution[0] * metres, grid.resolution[1] * metres
+        return hillshade(heights_at(dem, None, grid.crs, x, y), step, look.azimuth, look.altitude)
+
+    return of
 
 
 def sharpen_with_pan(
@@ -112,7 +138,7 @@ def sharpen_with_pan(
     ------
     InputError, OutputExistsError, OutputError
     """
-    check_output(output, overwrite=overwrite)
+    check_output(output, overwrite=overwrite, inputs=(raster, pan))
     with Source(raster) as coarse, Source(pan) as fine:
         low, high = raster_grid(coarse, str(raster)), raster_grid(fine, str(pan))
         if low.crs != high.crs:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import multiprocessing
-import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -21,19 +18,25 @@ from geomosaic.carto.layout import Layout
 from geomosaic.carto.picture import raster_grid
 from geomosaic.carto.series.neatline import SheetPlace, sheet_place, sheets_on
 from geomosaic.carto.series.scheme import Scheme
-from geomosaic.carto.style import Label, Line, Style, Symbol
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Bounds
+from geomosaic.product.maps.series_folder import (
+    digest,
+    earlier_sheets,
+    file_name,
+    read_record,
+    refuse_index_of_others,
+    refuse_one_file_for_two,
+    state_of,
+    write_index,
+    write_record,
+)
 from geomosaic.product.maps.sheet import VectorInput, make_sheet
 from geomosaic.raster.checksum import sha256
-from geomosaic.raster.output import write_text
+from geomosaic.raster.output import check_output
 from geomosaic.raster.source import Source
-from geomosaic.raster.vector import Layer, write_layers
 
-RECORD = ".sheets.json"
-"""In the folder of the sheets: by file the key of what it was made from, and its checksum."""
-INDEX = "index"
 MOST_SHEETS = 5000
 Progress = Callable[[int, int, str], None]
 
@@ -108,40 +111,56 @@ def make_series(
     """
     with Source(inputs.raster) as source:
         grid = raster_grid(source, str(inputs.raster))
-    names = [scheme.proper(name) for name in only] or _all(scheme, grid.crs, grid.bounds)
+    names = list(dict.fromkeys(scheme.proper(name) for name in only)) or _all(scheme, grid.crs, grid.bounds)
     places = [sheet_place(scheme, name, grid.crs, overlap) for name in names]
     for place in places:
-        if not _meet(place.bounds, grid.bounds):
+        if not _meet(place, grid.bounds):
             raise InputError(
                 f"sheet {place.name} shows nothing of the raster",
                 where=str(inputs.raster),
                 mend="leave it out of --only; without --only all sheets that show something are made",
             )
+    refuse_one_file_for_two(names, suffix)
     folder.mkdir(parents=True, exist_ok=True)
     _tell_crs(scheme, names[0], grid.crs)
-    record = _read_record(folder)
+    record = read_record(folder)
+    refuse_index_of_others(folder, record)
     base = _ingredients(inputs, record)
     tasks, kept, order = [], [], []
     for name, place in zip(names, places, strict=True):
-        path = folder / (file_name(name) + suffix)
-        key = _digest({**base, "name": name, "overlap": overlap, "ring": place.ring.tolist(), "suffix": suffix})
+        path, ring = folder / (file_name(name) + suffix), place.ring.tolist()
+        key = digest({**base, "name": name, "overlap": overlap, "ring": ring, "suffix": suffix})
         order.append((place, path))
-        known = record["sheets"].get(path.name)
-        if path.is_file() and known and known["key"] == key and known["sha256"] == sha256(path):
+        state = state_of(path, record["sheets"].get(path.name), key)
+        if state == "foreign":
+            check_output(path, overwrite=False)
+        entry = {
+            "key": key,
+            "name": name,
+            "ring": digest(ring),
+            "sha256": sha256(path) if state == "finished" else None,
+        }
+        if state == "older":
+            entry["was"] = sha256(path)
+        record["sheets"][path.name] = entry
+        if state == "finished":
             kept.append(path)
-            continue
-        ours = bool(known and path.is_file() and known["sha256"] == sha256(path))
-        tasks.append((Task(inputs, place, path, ours), key))
+        else:
+            tasks.append(Task(inputs, place, path, state == "older"))
+    write_record(folder, record)
     made = []
-    for done, (task, key, told) in enumerate(_run(tasks, workers), 1):
-        record["sheets"][task.path.name] = {"key": key, "sha256": sha256(task.path)}
-        _write_record(folder, record)
+    for done, (task, told) in enumerate(_run(tasks, workers), 1):
+        entry = record["sheets"][task.path.name]
+        entry["sha256"] = sha256(task.path)
+        entry.pop("was", None)
+        write_record(folder, record)
         made.append(task.path)
         for text in told:
             warnings.warn(f"{task.place.name}: {text}", GeomosaicWarning, stacklevel=2)
         if progress is not None:
             progress(done, len(tasks), "sheets")
-    index = _index(inputs, order, folder, grid.crs)
+    order += earlier_sheets(record, scheme, grid.crs, overlap, folder, suffix, names)
+    index = write_index(inputs.raster, inputs.layout.map.scale, order, folder, grid.crs, record)
     return SeriesResult(tuple(made), tuple(kept), tuple(names), index)
 
 
@@ -155,8 +174,10 @@ class Task:
     overwrite: bool
 
 
-def _meet(a: Bounds, b: Bounds) -> bool:
-    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
+def _meet(place: SheetPlace, bounds: Bounds) -> bool:
+    from shapely import Polygon, box
+
+    return bool(Polygon(place.ring).intersection(box(*bounds)).area > 0)
 
 
 def _all(scheme: Scheme, crs: CRS, bounds: Bounds) -> list[str]:
@@ -183,24 +204,17 @@ def _tell_crs(scheme: Scheme, name: str, crs: CRS) -> None:
         )
 
 
-def file_name(name: str) -> str:
-    """Name of a sheet as that of a file."""
-    return re.sub(r"[^\w.-]+", "_", name).strip("_.") or "sheet"
-
-
-def _run(tasks: Sequence[tuple[Task, str]], workers: int) -> Iterator[tuple[Task, str, list[str]]]:
+def _run(tasks: Sequence[Task], workers: int) -> Iterator[tuple[Task, list[str]]]:
     """Draw the sheets, each in the order of the list."""
     if workers == 1 or len(tasks) < 2:
-        for task, key in tasks:
-            yield task, key, _draw(task)
+        for task in tasks:
+            yield task, _draw(task)
         return
     # Matplotlib is not made for threads; new processes start clean on every system.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(workers, len(tasks)), mp_context=context) as pool:
         try:
-            results = pool.map(_draw, [task for task, _ in tasks])
-            for (task, key), told in zip(tasks, results, strict=True):
-                yield task, key, told
+            yield from zip(tasks, pool.map(_draw, tasks), strict=True)
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
@@ -236,55 +250,3 @@ def _ingredients(inputs: SeriesInputs, record: dict[str, Any]) -> dict[str, Any]
         "layers": [repr(replace(layer, path=Path(layer.path.name))) for layer in inputs.layers],
         "dem": inputs.dem_heights, "report": inputs.report, "options": repr(inputs.files),
     }  # fmt: skip
-
-
-def _digest(value: Any) -> str:
-    return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
-
-
-def _read_record(folder: Path) -> dict[str, Any]:
-    try:
-        found = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        found = {}
-    usable = isinstance(found, dict) and isinstance(found.get("sheets"), dict) and isinstance(found.get("files"), dict)
-    return found if usable else {"sheets": {}, "files": {}}
-
-
-def _write_record(folder: Path, record: Mapping[str, Any]) -> None:
-    write_text(folder / RECORD, json.dumps(record, indent=1, sort_keys=True), overwrite=True)
-
-
-def _index(inputs: SeriesInputs, order: Sequence[tuple[SheetPlace, Path]], folder: Path, crs: CRS) -> tuple[Path, ...]:
-    """Write the atlas index: a GeoPackage of neatlines, and a page that shows them over the raster."""
-    from shapely import Polygon
-
-    places = [place for place, _ in order]
-    columns: dict[str, list[Any]] = {
-        "name": [place.name for place in places],
-        "file": [path.name for _, path in order],
-        "scale": [float(place.scale or inputs.layout.map.scale or 0.0) for place in places],
-    }
-    columns |= {
-        way.lower(): [place.neighbours.get(way, "") for place in places]
-        for way in ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
-    }
-    layer = Layer(crs, "Polygon", [Polygon(place.ring) for place in places], columns)
-    package = write_layers(folder / f"{INDEX}.gpkg", {"sheets": layer}, overwrite=True)
-    boxes = [place.bounds for place in places]
-    bounds = (min(b[0] for b in boxes), min(b[1] for b in boxes), max(b[2] for b in boxes), max(b[3] for b in boxes))
-    style = Style("Sheets", Symbol(line=Line("#c00000", 0.35)), label=Label("name", 7.0, "#7a0000"))
-    layout = Layout()
-    layout = replace(
-        layout,
-        sheet=replace(layout.sheet, title="Index of sheets", subtitle=places[0].series, paper="A4", dpi=200),
-        map=replace(layout.map, bounds=bounds),
-    )
-    page = make_sheet(
-        inputs.raster,
-        folder / f"{INDEX}.pdf",
-        layout,
-        [VectorInput(package, "sheets", style, "Sheets")],
-        overwrite=True,
-    )
-    return package, page.path
