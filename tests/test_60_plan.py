@@ -10,7 +10,7 @@ import pytest
 
 from geomosaic.errors import InputError
 from geomosaic.plan import k28
-from geomosaic.plan.control import COEFFICIENTS, block_balance, control_layout, control_number
+from geomosaic.plan.control import COEFFICIENTS, block_balance, connections, control_layout, control_number
 from geomosaic.plan.coverage import coverage, raster_size
 from geomosaic.plan.product import requirements
 from geomosaic.plan.quantities import QUANTITIES, shown
@@ -232,9 +232,10 @@ def test_layout_of_control_is_spread() -> None:
 
 
 def test_balance_of_a_block() -> None:
-    """Wolf, figure 9-6: 12 photos, 63 connections."""
+    """Wolf, figure 9-6: 12 photos, 63 connections; a point on two photos makes one, on four six."""
     block = block_balance(12, "conformal", 63, 16)
     assert (block.unknowns, block.tie_equations, block.redundancy) == (48, 126, 110)
+    assert [connections(n) for n in (2, 3, 4)] == [1, 3, 6]
 
 
 @pytest.mark.parametrize(("length", "width"), [(10000, 8000), (920, 2300), (920.5, 2300.5), (100, 100), (5520, 7130)])

@@ -135,10 +135,7 @@ def _limits(
     factor = max(1, int(max(box[2] - box[0], box[3] - box[1]) / 1000))
     values, valid = read_bands(source, grid, _aligned(*box, factor), factor, bands)
     known = values[valid > 0]
-    if not known.size:
-        return 0.0, 1.0
-    low, high = np.percentile(known, (2.0, 98.0))
-    return float(low), float(high)
+    return (0.0, 1.0) if not known.size else tuple(float(v) for v in np.percentile(known, (2.0, 98.0)))  # type: ignore[return-value]
 
 
 def _resized(values: AnyArray, valid: AnyArray, box: Any, size: tuple[int, int], curves: Curves = ()) -> ByteArray:

@@ -104,6 +104,11 @@ class BlockBalance:
         return self.tie_equations + self.control_equations - self.unknowns
 
 
+def connections(photos: int) -> int:
+    """Pairs of photos that a tie point measured on `photos` of them connects: 1 on two photos, 6 on four."""
+    return photos * (photos - 1) // 2
+
+
 def block_balance(photos: int, model: str, ties: int, control: int) -> BlockBalance:
     """Balance of a semi-controlled mosaic.
 

@@ -45,28 +45,11 @@ def coverage(
     sidelap: float = 30.0,
     stereo: bool = True,
 ) -> Coverage:
-    """Photos over a rectangle.
+    """Photos over a rectangle of `length` along and `width` across the strips, metres.
 
     Strips are spread so that their outer edges reach those of the area: n = ⌈(width - side) / spacing⌉ + 1. In a strip,
     n = ⌈(length - side) / base⌉ + 1; with `stereo`, n = ⌈length / base⌉ + 1, so that everything up to both ends lies
     between the nadir points of two photos.
-
-    Parameters
-    ----------
-    length, width : float
-        Of the rectangle along and across the strips, metres.
-    photo_scale : float
-        Denominator.
-    format_along, format_across : float
-        Sides of the photo, mm.
-    overlap, sidelap : float
-        Percent of these sides.
-    stereo : bool
-
-    Raises
-    ------
-    InputError
-        A value out of its range.
     """
     if not (length > 0 and width > 0):
         raise InputError(f"{length:g} x {width:g} m is no area", where="--area", mend="give two lengths in metres")

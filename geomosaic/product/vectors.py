@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.product.vector_cut import moved
-from geomosaic.raster.output import check_output, under_construction
+from geomosaic.raster.output import check_output, partial, remove, sync
 from geomosaic.raster.vector import append_layer, layer_names, read_layer
-
-if TYPE_CHECKING:
-    from geopandas import GeoDataFrame
 
 DRIVERS = {
     ".gpkg": "GPKG",
@@ -92,7 +89,8 @@ def reproject_vectors(
     layers: dict[str, int] = {}
     sources: list[CRS] = []
     lost, cut = 0, 0
-    with under_construction(output, output.suffix) as unfinished:
+    unfinished = partial(output, output.suffix)
+    try:
         for name in names:
             frame = read_layer(path, name)
             own = source or _own(frame, f"{path}, layer {name}")
@@ -101,16 +99,20 @@ def reproject_vectors(
                 sources.append(own)
             append_layer(unfinished, found, name, driver)
             layers[name], lost, cut = len(found), lost + gone, cut + pieces
+        sync(unfinished)
+        unfinished.replace(output)
+    finally:
+        remove(unfinished)
     return VectorResult(output, layers, lost, tuple(sources), cut)
 
 
-def _own(frame: GeoDataFrame, where: str) -> CRS:
+def _own(frame: Any, where: str) -> CRS:
     if frame.crs is None:
         raise InputError("the layer has no CRS", where=where, mend="name it with --src-crs")
     return CRS.from_user_input(frame.crs)
 
 
-def _moved(frame: GeoDataFrame, own: CRS, crs: CRS) -> tuple[GeoDataFrame, int, int]:
+def _moved(frame: Any, own: CRS, crs: CRS) -> tuple[Any, int, int]:
     """Return the layer in the new CRS, how many features have no place there, and how many were cut."""
     import shapely
 

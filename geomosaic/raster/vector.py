@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,7 +14,8 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError, OutputError
-from geomosaic.raster.output import check_output, under_construction
+from geomosaic.raster.output import check_output
+from geomosaic.raster.unfinished import under_construction
 from geomosaic.types import PathLike
 
 if TYPE_CHECKING:
@@ -63,16 +63,22 @@ def write_layers(path: PathLike, layers: Mapping[str, Layer], *, overwrite: bool
     OutputError
         Writing failed.
     """
+    import pyogrio
     from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, GeometryError
 
     final = Path(path)
     check_output(final, overwrite=overwrite)
     if not layers:
         raise InputError("there is no layer to write", where=str(path))
-    failures = DataSourceError, DataLayerError, FeatureError, GeometryError
-    with _dated(), under_construction(final, ".gpkg", failures) as unfinished:
-        for name, layer in layers.items():
-            _write(unfinished, name, layer)
+    before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
+    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": _date()})
+    try:
+        failures = DataSourceError, DataLayerError, FeatureError, GeometryError
+        with under_construction(final, ".gpkg", failures) as unfinished:
+            for name, layer in layers.items():
+                _write(unfinished, name, layer)
+    finally:
+        pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": before})
     return final
 
 
@@ -105,19 +111,9 @@ def _many(geometry: Any) -> Any:
     return plain[geometry.geom_type]([geometry]) if geometry.geom_type in plain else geometry
 
 
-@contextmanager
-def _dated() -> Iterator[None]:
-    """The time that files carry: SOURCE_DATE_EPOCH, or 1970-01-01 where that is not set."""
-    import pyogrio
-
+def _date() -> str:
     seconds = int(os.environ.get("SOURCE_DATE_EPOCH") or 0)
-    date = datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
-    before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
-    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": date})
-    try:
-        yield
-    finally:
-        pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": before})
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
 
 
 def append_layer(path: Path, frame: GeoDataFrame, name: str, driver: str) -> None:
@@ -133,17 +129,20 @@ def append_layer(path: Path, frame: GeoDataFrame, name: str, driver: str) -> Non
 
     # GeoJSON of today is in longitude and latitude only; the older form names another CRS.
     options = {"RFC7946": "NO"} if driver == "GeoJSON" else {}
+    before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
     try:
-        with _dated():
-            pyogrio.write_dataframe(
-                frame, path, layer=name, driver=driver, append=path.exists(), layer_options=options, use_arrow=False
-            )
+        pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": _date()})
+        pyogrio.write_dataframe(
+            frame, path, layer=name, driver=driver, append=path.exists(), layer_options=options, use_arrow=False
+        )
     except (DataSourceError, FeatureError, GeometryError, OSError) as error:
         raise OutputError(
             f"writing failed ({error})",
             where=str(path),
             mend="check the space on the disk and the rights of the folder",
         ) from error
+    finally:
+        pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": before})
 
 
 def layer_names(path: PathLike) -> list[str]:

@@ -92,7 +92,7 @@ def command(raster: Path, points: Path, as_json: bool, **flags: Any) -> int:
       geomosaic check map.tif --points check.csv --crs EPSG:32633 --max-rms 1.0
       geomosaic plan product --ortho-scale 1:5000 --camera-constant 150 --json > plan.json
       geomosaic check map.tif --points check.csv --target plan.json
-    """
+    """  # noqa: D301
     from geomosaic.cli.accuracy_words import check_facts, check_words
     from geomosaic.errors import QualityError
     from geomosaic.product.checks.accuracy import check_map

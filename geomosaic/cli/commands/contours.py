@@ -61,7 +61,7 @@ def command(
     \b
     Example:
       geomosaic contours dem.tif --interval 5 --index 5 -o contours.gpkg
-    """
+    """  # noqa: D301
     from dataclasses import asdict
 
     from geomosaic.product.maps.contours import make_contours

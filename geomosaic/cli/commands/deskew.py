@@ -41,7 +41,7 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
     Example:
       geomosaic deskew strip.tif --option kind=scanner --option field_of_view=90 \\
         --option height_above_ground=3000 --option v_over_h=0.00133 -o flat.tif
-    """
+    """  # noqa: D301
     from geomosaic.errors import InputError
     from geomosaic.project.inputs import BlockInputs
     from geomosaic.project.make import make_ortho

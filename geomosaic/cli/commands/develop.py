@@ -46,7 +46,7 @@ def command(
     Example:
       geomosaic develop tower1.jpg tower2.jpg --sensor frame --camera camera.toml \\
         --gcps points.csv --surface tower.toml --res 0.01 -o tower.tif
-    """
+    """  # noqa: D301
     from geomosaic.project.things.develop import make_developed
 
     note_memory(flags["mem_limit"], flags["threads"])

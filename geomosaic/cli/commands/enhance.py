@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from geomosaic.cli.looks import stretch_options
-from geomosaic.cli.options import FILE, debug_option, json_option, overwrite_option
+from geomosaic.cli.options import FILE, debug_option, json_option
 from geomosaic.cli.talk import answer, notes
 
 
@@ -26,7 +26,7 @@ from geomosaic.cli.talk import answer, notes
 )
 @click.option("-f", "--driver", type=click.Choice(["COG", "GTiff"]), default="COG", show_default=True, help="Format.")
 @click.option("-o", "--output", type=FILE, required=True, help="File to write.")
-@overwrite_option
+@click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 @json_option
 @debug_option
 def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: bool, **flags: Any) -> None:
@@ -39,7 +39,7 @@ def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: 
     Examples:
       geomosaic enhance scene.tif -b 4,3,2 --stretch percentile --gamma 1.2 -o print.tif
       geomosaic enhance xs.tif --pan pan.tif --method regression -o sharp.tif
-    """
+    """  # noqa: D301
     from geomosaic.errors import InputError
     from geomosaic.product.maps.enhance_raster import enhance_raster, sharpen_with_pan
 

@@ -37,7 +37,7 @@ def command(scans: tuple[Path, ...], output: Path, overwrite: bool, as_json: boo
     Example:
       geomosaic fiducials scans/*.tif --camera certificate.toml \\
         --template scans/0417.tif --at 512 498 --pixel-size 14 -o marks.csv
-    """
+    """  # noqa: D301
     from geomosaic.project.find import Search, find_marks, write_marks
     from geomosaic.project.make import refuse_existing
 

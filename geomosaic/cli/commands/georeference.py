@@ -65,7 +65,7 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
     Examples:
       geomosaic georeference scan.tif --gcps scan.points --crs EPSG:32633 -o map.tif
       geomosaic georeference photo.jpg --gcps gcps.csv --model projective --dst-crs EPSG:2180 -o map.tif
-    """
+    """  # noqa: D301
     from geomosaic.cli.accuracy_words import georeference_words
     from geomosaic.cli.words import ortho_facts
     from geomosaic.product.georeference.examine import BadControlError

@@ -71,7 +71,7 @@ def command(image: Path, source: Path | None, inverse: bool, as_json: bool, **fl
         --dem dem.tif --pixel 812.5 640 --sigma-px 0.5 --sigma-dem 2
       geomosaic locate scene.tif roads.gpkg --inverse --sensor rpc \\
         --dem dem.tif --dem-heights egm96 --rows negative -o roads-in-scene.gpkg
-    """
+    """  # noqa: D301
     if bool(flags["pixels"]) == (source is not None):
         raise click.UsageError("give either --pixel COL ROW or a file SOURCE")
     if inverse and source is None:

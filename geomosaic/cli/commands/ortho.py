@@ -33,7 +33,7 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
       geomosaic ortho photo.tif --sensor frame --camera camera.toml \\
         --exterior exterior.csv --exterior-crs EPSG:32633 --heights egm96 \\
         --dem dem.tif --res 0.5 -o ortho.tif
-    """
+    """  # noqa: D301
     from geomosaic.project.make import make_ortho
 
     note_memory(flags["mem_limit"], flags["threads"])

@@ -34,7 +34,7 @@ def command() -> None:
       geomosaic plan photo --height 3000 --camera-constant 150 --ortho-scale 1:5000
       geomosaic plan swath --field 90 --height 6000
       geomosaic plan product --ortho-scale 1:10000 --camera-constant 150
-    """
+    """  # noqa: D301
 
 
 def _option(name: str, quantity: Quantity) -> click.Option:
@@ -103,7 +103,7 @@ def area_command(area: tuple[float, float], ortho_pixel: float | None, mono: boo
       spacing = (1 - sidelap/100) · format across · M_photo
       strips = ⌈(width - format across · M_photo) / spacing⌉ + 1
       photos in a strip = ⌈length / base⌉ + 1, with --mono ⌈(length - side) / base⌉ + 1
-    """
+    """  # noqa: D301
     from geomosaic.plan.coverage import coverage, raster_size
 
     found = coverage(*area, stereo=not mono, **flags)
@@ -140,7 +140,7 @@ def control_command(model: str, points: int | None, photos: int | None, ties: in
       Jensen: 20 to begin with, where the worst are left out until the RMS is below a threshold
       Wolf, 9-8: block: unknowns = photos · unknowns of the model; two equations for every
       measurement of control and every connection; a point on n photos makes n (n - 1) / 2 connections
-    """
+    """  # noqa: D301
     from geomosaic.plan.control import FOR_FILTERING, block_balance, control_layout, control_number
 
     need = control_number(model)
@@ -195,7 +195,7 @@ def product_command(as_json: bool, **flags: Any) -> None:
       error of heights <= m_O · (140 mm / r) · (c / 150 mm); grid intervals by terrain
       errors that are independent add as squares: m_O² = m_DTM² + other²
     With --json > plan.json, `geomosaic check --target plan.json` holds the finished map against it.
-    """
+    """  # noqa: D301
     from geomosaic.plan.product import requirements
 
     found = requirements(**flags)

@@ -35,14 +35,14 @@ def tables_command(scales: tuple[float, ...], constants: tuple[float, ...], as_j
       radial shift on the map = dZ · r / (c · M_ortho), in the photo's corner (r = 140 mm)
       pixel = 0.08 mm (grey) or 0.10 mm (colour) · M_ortho
       grid intervals have no formula: they are given for 1:2000, 1:5000 and 1:10 000
-    """
-    facts = [_of_scale(scale, constants) for scale in scales]
+    """  # noqa: D301
+    from geomosaic.plan import k28
+
+    facts = [_of_scale(k28, scale, constants) for scale in scales]
     answer({"tables": facts}, "\n\n".join(_words(one) for one in facts), as_json)
 
 
-def _of_scale(scale: float, constants: tuple[float, ...]) -> dict[str, Any]:
-    from geomosaic.plan import k28
-
+def _of_scale(k28: Any, scale: float, constants: tuple[float, ...]) -> dict[str, Any]:
     row = k28.INTERVALS.get(round(scale))
     return {
         "ortho_scale": scale,

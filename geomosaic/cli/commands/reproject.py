@@ -41,7 +41,7 @@ def command(
       geomosaic reproject roads.gpkg --dst-crs EPSG:32631 -o roads-utm.gpkg
 
     Grids of datum shifts are looked for in the folders that the environment variable PROJ_DATA names, too.
-    """
+    """  # noqa: D301
     from geomosaic.product.vectors import is_vector
 
     if like is None and flags["dst_crs"] is None:

@@ -58,7 +58,7 @@ def command(images: tuple[Path, ...], as_json: bool, **flags: Any) -> None:
       geomosaic rpc scene.tif --refine shift --gcps gcps.csv --crs EPSG:32635 \\
         --heights ellipsoidal --tags --overwrite
       geomosaic rpc left.tif right.tif --refine shift --ties ties.csv --text --folder refined
-    """
+    """  # noqa: D301
     from geomosaic.project.rpc.write import SENSOR, RpcInputs, make_rpcs
 
     if flags["sensor"] is None and not (flags["exterior"] or flags["camera"]):

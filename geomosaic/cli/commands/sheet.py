@@ -49,7 +49,7 @@ def command(raster: Path, output: Path, as_json: bool, **flags: Any) -> None:
     Example:
       geomosaic sheet mosaic.tif --scale 1:5000 --paper A3 --contours dem.tif \\
         --vector roads.gpkg:road -o sheet.pdf
-    """
+    """  # noqa: D301
     from geomosaic.project.sheets.sheet import sheet_from_files
 
     with notes():

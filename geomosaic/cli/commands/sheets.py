@@ -45,7 +45,7 @@ def command() -> None:
       ign            French 1:50 000 and 1:25 000, on NTF; sheets in Lambert-93
       mgrs           UTM squares: --size 100000, 10000, 1000 or 100
       grid           any size in any CRS: --size W --size H --crs CRS
-    """
+    """  # noqa: D301
 
 
 def _scheme(flags: dict[str, Any]) -> Scheme:
@@ -86,7 +86,7 @@ def make_command(raster: Path, output: Path, as_json: bool, **flags: Any) -> Non
     \b
     Example:
       geomosaic sheets make mosaic.tif --scheme puwg1992 --scale 1:10000 -o sheets/
-    """
+    """  # noqa: D301
     from geomosaic.project.sheets.series import series_from_files
 
     scheme = _scheme(flags)

@@ -40,7 +40,7 @@ def command(
     \b
     Example:
       geomosaic water mosaic.tif --dem dem.tif -o water.gpkg
-    """
+    """  # noqa: D301
     from geomosaic.product.maps.water import propose_water
 
     with notes():

@@ -27,7 +27,6 @@ from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Bounds
 from geomosaic.product.maps.sheet import VectorInput, make_sheet
 from geomosaic.raster.checksum import sha256
-from geomosaic.raster.output import write_text
 from geomosaic.raster.source import Source
 from geomosaic.raster.vector import Layer, write_layers
 
@@ -159,7 +158,7 @@ def _meet(a: Bounds, b: Bounds) -> bool:
     return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
-def _all(scheme: Scheme, crs: CRS, bounds: Bounds) -> list[str]:
+def _all(scheme: Scheme, crs: CRS, bounds: Any) -> list[str]:
     names = []
     for name in sheets_on(scheme, crs, bounds):
         names.append(name)
@@ -252,7 +251,9 @@ def _read_record(folder: Path) -> dict[str, Any]:
 
 
 def _write_record(folder: Path, record: Mapping[str, Any]) -> None:
-    write_text(folder / RECORD, json.dumps(record, indent=1, sort_keys=True), overwrite=True)
+    unfinished = folder / f"{RECORD}.partial"
+    unfinished.write_text(json.dumps(record, indent=1, sort_keys=True), encoding="utf-8")
+    unfinished.replace(folder / RECORD)
 
 
 def _index(inputs: SeriesInputs, order: Sequence[tuple[SheetPlace, Path]], folder: Path, crs: CRS) -> tuple[Path, ...]:

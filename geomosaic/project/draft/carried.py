@@ -122,6 +122,12 @@ def _own_models(inputs: BlockInputs) -> list[str]:
     return [name for name in SCENES if name in names and all(_carries(name, path) for path in inputs.images)]
 
 
+def _beside(name: str, path: Path) -> tuple[Path, ...]:
+    """Files of a sensor's model beside an image."""
+    sensor = plugin(name)
+    return sensor.files(path) if isinstance(sensor, HasFiles) else ()
+
+
 def _carries(name: str, path: Path) -> bool:
     if name == "rpc" and not read_rpc_tags(path) and not _beside(name, path):
         return False
@@ -132,12 +138,6 @@ def _carries(name: str, path: Path) -> bool:
     except GeomosaicError:
         return False
     return True
-
-
-def _beside(name: str, path: Path) -> tuple[Path, ...]:
-    """Files of a sensor's model beside an image."""
-    sensor = plugin(name)
-    return sensor.files(path) if isinstance(sensor, HasFiles) else ()
 
 
 def _photos(inputs: BlockInputs, facts: Sequence[PhotoFacts], size: tuple[int, int], project: Path) -> Carried:
