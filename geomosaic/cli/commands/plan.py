@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.commands.plan_tables import tables_command
 from geomosaic.cli.options import debug_option, json_option
+from geomosaic.cli.plan_tables import tables_command
 from geomosaic.cli.scale import Scale
 from geomosaic.cli.talk import answer
 from geomosaic.plan.quantities import QUANTITIES, Quantity, shown
