@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from geomosaic.errors import OutputError
-from geomosaic.raster.output import under_construction
+from geomosaic.raster.unfinished import under_construction
 
 
 def write_atomic(path: Path, text: str) -> None:

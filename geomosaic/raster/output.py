@@ -5,11 +5,10 @@ from __future__ import annotations
 import os
 import platform
 import re
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 
-from geomosaic.errors import InputError, OutputError, OutputExistsError
+from geomosaic.errors import InputError, OutputExistsError
 
 OTHER_FORMATS = (
     ".bmp", ".ecw", ".gif", ".gpkg", ".img", ".jp2", ".jpeg", ".jpg", ".json", ".kmz", ".mbtiles", ".nc", ".pdf",
@@ -70,56 +69,6 @@ def partial(path: Path, suffix: str = "") -> Path:
         if found and not _alive(int(found.group(1))):
             Path(entry.path).unlink(missing_ok=True)
     return path.with_name(f"{start}{os.getpid()}{suffix}")
-
-
-@contextmanager
-def under_construction(path: Path, suffix: str = "", failures: tuple[type[Exception], ...] = ()) -> Iterator[Path]:
-    """Make a file under another name (see `partial`): whole, it gets its own; else nothing is left of it.
-
-    Parameters
-    ----------
-    path : Path
-        The final name; `check_output` has found it free.
-    suffix : str
-        Ending of the other name, for writers that go by it.
-    failures : tuple of type
-        What besides OSError means that writing failed.
-
-    Raises
-    ------
-    OutputError
-        Writing failed.
-    """
-    unfinished: Path | None = None
-    failing: tuple[type[Exception], ...] = (OSError, *failures)
-    try:
-        unfinished = partial(path, suffix)
-        yield unfinished
-        sync(unfinished)
-        unfinished.replace(path)
-        sync(path.parent)
-    except failing as error:
-        raise OutputError(
-            f"writing failed ({getattr(error, 'strerror', None) or error})",
-            where=str(path),
-            mend="check the space on the disk and the rights of the folder",
-        ) from error
-    finally:
-        if unfinished is not None:
-            remove(unfinished)
-
-
-def write_text(path: Path, text: str, *, overwrite: bool, encoding: str = "utf-8") -> None:
-    """Write a text file, whole under its name or not at all.
-
-    Raises
-    ------
-    OutputExistsError, OutputError
-        The name is taken; writing failed.
-    """
-    check_output(path, overwrite=overwrite)
-    with under_construction(path) as unfinished:
-        unfinished.write_text(text, encoding=encoding, newline="\n")
 
 
 def remove(unfinished: Path) -> None:

@@ -16,7 +16,8 @@ from rasterio.io import MemoryFile
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.raster.environment import environment
-from geomosaic.raster.output import check_output, under_construction
+from geomosaic.raster.output import check_output
+from geomosaic.raster.unfinished import under_construction
 from geomosaic.types import ByteArray, PathLike
 
 

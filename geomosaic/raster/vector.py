@@ -15,7 +15,8 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError, OutputError
-from geomosaic.raster.output import check_output, under_construction
+from geomosaic.raster.output import check_output
+from geomosaic.raster.unfinished import under_construction
 from geomosaic.types import PathLike
 
 if TYPE_CHECKING:

@@ -15,9 +15,10 @@ from geomosaic.carto.page import Page
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import is_local
 from geomosaic.geo.grid import Grid
-from geomosaic.raster.output import check_output, under_construction, write_text
+from geomosaic.raster.output import check_output
 from geomosaic.raster.pdf import write_raster_pdf
 from geomosaic.raster.sink import RasterSink
+from geomosaic.raster.unfinished import under_construction, write_text
 from geomosaic.raster.webtiles import write_web
 from geomosaic.types import ByteArray, FloatArray
 

@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from geomosaic.product.georeference.vectors import write_residuals
 from geomosaic.product.report.control import render_control
-from geomosaic.raster.output import write_text
+from geomosaic.raster.unfinished import write_text
 
 
 def write_files(

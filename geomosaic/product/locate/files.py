@@ -14,7 +14,8 @@ from pyproj.exceptions import CRSError
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.product.vectors import DRIVERS
-from geomosaic.raster.output import check_output, under_construction
+from geomosaic.raster.output import check_output
+from geomosaic.raster.unfinished import under_construction
 from geomosaic.raster.vector import append_layer
 
 if TYPE_CHECKING:

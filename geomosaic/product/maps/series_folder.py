@@ -19,7 +19,7 @@ from geomosaic.carto.style import Label, Line, Style, Symbol
 from geomosaic.errors import InputError, OutputExistsError
 from geomosaic.product.maps.sheet import VectorInput, make_sheet
 from geomosaic.raster.checksum import sha256
-from geomosaic.raster.output import write_text
+from geomosaic.raster.unfinished import write_text
 from geomosaic.raster.vector import Layer, write_layers
 
 RECORD = ".sheets.json"

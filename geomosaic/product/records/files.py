@@ -20,7 +20,8 @@ from geomosaic.product.records.taken import time_span
 from geomosaic.product.seams.quality import SeamQuality
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.checksum import sha256
-from geomosaic.raster.output import check_output, write_text
+from geomosaic.raster.output import check_output
+from geomosaic.raster.unfinished import write_text
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.seam.lines import Segment, segments
 

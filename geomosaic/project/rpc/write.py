@@ -18,8 +18,8 @@ from geomosaic.project.corrections import write_corrections
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.rpc.grid import GridFit, fit_pair
 from geomosaic.project.rpc.refine import ImageRpc, Wanted, refined
-from geomosaic.raster.output import write_text
 from geomosaic.raster.rpc import read_rpc_tags, write_rpc_tags
+from geomosaic.raster.unfinished import write_text
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.rational import HasRational
 from geomosaic.sensor.registry import plugin
