@@ -12,9 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 from pyproj import Transformer
 from scipy.linalg import polar
 
+from geomosaic.cli.main import run
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
@@ -142,6 +144,19 @@ def test_ign_quaternion_and_panorama_say_the_same(real_data: RealData) -> None:
     assert middle == pytest.approx((width / 2, height / 2), abs=0.01)
     with pytest.raises(InputError, match="spherical panorama"):
         photo(base / "spheric.ori.xml")
+
+
+def test_new_knows_ign(real_data: RealData, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its files are recognised, and what they say of their map is passed on; a map is not guessed of a name."""
+    with rasterio.open(tmp_path / PHOTO, "w", driver="GTiff", width=1920, height=1080, count=1, dtype="uint8"):
+        pass
+    file = str(real_data("ign-ori-xml") / "conic.ori.xml")
+    given = ["new", str(tmp_path / "p.toml"), str(tmp_path / PHOTO), "--sensor", "frame", "--exterior", file]
+    assert run([*given, "--json"]) == 0
+    made = json.loads(capsys.readouterr().out)
+    assert "angle system: ori, by the name and the first lines" in made["understood"]
+    assert any("crs, such as" in text and "the file calls it Lambert93" in text for text in made["needed"])
+    assert any("heights" in text and "the file calls it Raf98" in text for text in made["needed"])
 
 
 def test_ign_rigorously(real_data: RealData) -> None:

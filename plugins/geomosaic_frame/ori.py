@@ -23,6 +23,8 @@ from geomosaic.errors import InputError
 from geomosaic.sensor.plain_xml import parse
 
 ENDING = ".ori.xml"
+LONGEST = 1e9
+"""Pixels; no focal length is longer."""
 _ORTHONORMAL = 1e-4
 """Real files print twelve decimals of matrices that are off orthonormal by 1e-5."""
 
@@ -55,8 +57,8 @@ def read_ori(data: bytes, where: str) -> Photo:
 
 def _camera(sensor: Element, where: str) -> dict[str, Any]:
     focal = _number(sensor, "ppa/focale", where)
-    if focal <= 0.0:
-        raise InputError(f"the focal length is {focal:g}", where=where)
+    if not 0.0 < focal < LONGEST:
+        raise InputError(f"the focal length is {focal:g} pixels", where=where)
     point = [_number(sensor, f"ppa/{name}", where) for name in ("c", "l")]
     lens: dict[str, Any] = {"model": "none"}
     if sensor.find("distortion") is not None:

@@ -14,7 +14,7 @@ from pyproj import CRS
 
 from geomosaic.block.block import Block, ControlPoint
 from geomosaic.block.scene import Scene
-from geomosaic.errors import GeomosaicError
+from geomosaic.errors import GeomosaicError, SolveError
 from geomosaic.project.astray.readings import point_readings
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.orientation.doubts import BETTER, FAR, PLAUSIBLE, distance
@@ -68,15 +68,25 @@ def astray(inputs: BlockInputs, block: Block) -> list[Astray]:
         points = [point for point in block.control if point.role == role]
         off = distance(block.scenes, points, block.crs) if points else 0.0
         if off > FAR:
-            cause, mend = _cause(inputs, block, points, block.crs, off)
+            scenes = _unrefined(inputs) or block.scenes
+            cause, mend = _cause(scenes, points, block.crs, distance(scenes, points, block.crs))
             found.append(Astray(role, off, cause, mend or _how_to_adjust(inputs, role)))
     return found
 
 
-def _cause(inputs: BlockInputs, block: Block, points: Sequence[ControlPoint], crs: CRS, off: float) -> tuple[str, str]:
+def explain(inputs: BlockInputs, control: Sequence[ControlPoint], crs: CRS | None, error: SolveError) -> None:
+    """Put the likeliest cause into the error of a sensor that its control points did not determine."""
+    points = [point for point in control if point.role == "control"]
+    scenes = _unrefined(inputs)
+    if crs is None or scenes is None or not points:
+        return
+    cause, mend = _cause(scenes, points, crs, distance(scenes, points, crs))
+    if cause:
+        error.what, error.mend = f"{error.what}: the points do not lie in the image; {cause}", mend
+
+
+def _cause(scenes: Sequence[Scene], points: Sequence[ControlPoint], crs: CRS, given: float) -> tuple[str, str]:
     """The reading of the points that brings them where the images put them, with its mend; empty words for none."""
-    scenes = _unrefined(inputs, block)
-    given = distance(scenes, points, crs) if scenes is not block.scenes else off
     if len(points) < FEW or given <= FAR:
         return "", ""
     sizes = {scene.name: scene.model.size for scene in scenes}
@@ -88,28 +98,29 @@ def _cause(inputs: BlockInputs, block: Block, points: Sequence[ControlPoint], cr
     return "", ""
 
 
-def _unrefined(inputs: BlockInputs, block: Block) -> Sequence[Scene]:
-    """The images without what the control made of them, where their sensor can be had so."""
+def _unrefined(inputs: BlockInputs) -> Sequence[Scene] | None:
+    """The images without what the control made of them; None where their sensor cannot be had so."""
     from geomosaic.project.build import build_block
 
     if not any(entry.name == "refine" for entry in plugin(inputs.sensor).inputs):
-        return block.scenes
+        return None
     plain = replace(inputs, control=None, options={**inputs.options, "refine": "none"})
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return build_block(plain, ground=False).scenes
     except GeomosaicError:
-        return block.scenes
+        return None
 
 
 def _how_to_adjust(inputs: BlockInputs, role: str) -> str:
     """Mend where nothing usual explains it."""
     known = {entry.name for entry in plugin(inputs.sensor).inputs}
+    resected = "points" in known and inputs.exterior is None and "orientation" not in inputs.options
     only = ""
     if role == "control" and "refine" in known and inputs.options.get("refine") == "none":
         only = "they only judge, as refine is 'none': "
-    elif role == "control" and "refine" not in known:
+    elif role == "control" and "refine" not in known and not resected:
         more = ", but photos without an [exterior] file are placed by three of them" if "points" in known else ""
         only = f"they only judge, as sensor '{inputs.sensor}' is not adjusted to them{more}: "
     return (

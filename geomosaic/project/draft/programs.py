@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 FIRST = 4096
 """Bytes that are looked at."""
 PIX4D = ("_calibrated_camera_parameters.txt", "_pmatrix.txt")
 """How names of Pix4D's files of cameras end."""
+_FRAME = ("systeme", "grid_alti")
+
+
+def frame_words(path: Path | None) -> tuple[str, str]:
+    """What a file of IGN calls its map and its heights, in brackets; empty where it says nothing."""
+    try:
+        text = "" if path is None else path.read_bytes()[:FIRST].decode("utf-8", "replace")
+    except OSError:
+        text = ""
+    found = (re.search(rf"<{tag}>\s*([^<]{{1,40}}?)\s*</", text) for tag in _FRAME)
+    map_name, heights = (f" (the file calls it {match[1]})" if match else "" for match in found)
+    return map_name, heights
 
 
 def program_of(path: Path) -> str | None:

@@ -76,8 +76,8 @@ def is_digitized(path: Path) -> bool:
 
 def beyond(colrow: FloatArray, size: tuple[int, int]) -> BoolArray:
     """Which image points (N, 2) lie outside of the image: a model goes on there, but nobody has seen them."""
-    outside: BoolArray = ~((colrow >= -HAIR) & (colrow <= np.array(size) + HAIR)).all(axis=1)
-    return outside
+    inside = ((colrow >= -HAIR) & (colrow <= np.array(size) + HAIR)).all(axis=1)
+    return np.logical_not(np.atleast_1d(inside))
 
 
 def need_inside(colrow: FloatArray, size: tuple[int, int], where: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,13 +13,15 @@ from pyproj import CRS
 
 from geomosaic.block.block import Block
 from geomosaic.block.scene import Scene
-from geomosaic.errors import InputError, SolveError
+from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.crs import height_name, parse_crs
 from geomosaic.product.locate import Certainty, Places, ground_crs, locate, orientation
 from geomosaic.product.locate.files import check_name, write_csv, write_frame
+from geomosaic.project.astray.control import astray
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.mono.pixels import axes_of, beyond, is_digitized, need_inside, read_digitized, read_pixels
+from geomosaic.project.orientation.doubts import FAR, distance
 from geomosaic.sensor.model import SensorModel
 from geomosaic.surface.model import Surface
 from geomosaic.types import FloatArray
@@ -168,7 +171,13 @@ def oriented(inputs: MonoplotInputs, block: Block, scene: Scene) -> tuple[Scene,
         model, covariance, note = orientation(scene.model, inputs.sigmas, control, block.crs)
     except SolveError as error:
         error.where = error.where or f"{inputs.block.control}, {scene.name}"
+        for points in astray(inputs.block, block):
+            if points.cause:
+                error.what, error.mend = f"{error.what}; {points.cause}", points.mend
         raise
+    if block.crs is not None and distance([replace(scene, model=model)], control, block.crs) > FAR:
+        for points in astray(inputs.block, block):  # of the image as it was: adjusted to wrong points it tells nothing
+            warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
     return replace(scene, model=model), covariance, note
 
 

@@ -43,7 +43,7 @@ class Triaxial:
         a, b, c = self.semi_axes
         with np.errstate(invalid="ignore"):
             foot = np.column_stack([u, v, c * np.sqrt(1.0 - (u / a) ** 2 - (v / b) ** 2)])
-        return foot + h[:, None] * self._outward(foot)
+        return np.asarray(foot + h[:, None] * self._outward(foot))
 
     def coordinates(self, xyz: FloatArray) -> FloatArray:
         """Body axes (N, 3) to developed (N, 3); NaN where the lower half is nearest."""
