@@ -137,6 +137,26 @@ def dome(projection: str, a: float, c: float) -> Case:
     )
 
 
+def oval() -> Case:
+    """A dome over an oval, its long axis 30 degrees north of east, in plan."""
+    axes, turn = np.array([5.0, 3.5, 2.5]), np.radians(30.0)
+    first, second = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([-np.sin(turn), np.cos(turn), 0.0])
+    own = np.array([first, second, Z])
+
+    def point(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        height = axes[2] * np.sqrt(1.0 - (u / axes[0]) ** 2 - (v / axes[1]) ** 2)
+        return CENTRE + np.column_stack([u, v, height]) @ own
+
+    return Case(
+        f'kind = "ellipsoid"\ncentre = {text(CENTRE)}\nzero = {text(first)}\nsemi_axes = {text(axes)}\n'
+        'projection = "dome-plan"\nbottom = 1.0\n',
+        lambda p: np.sqrt((((p - CENTRE) @ own.T / axes) ** 2).sum(axis=1)) - 1.0,
+        point,
+        rig.Pinhole(CENTRE + np.array([9.0, 2.0, 11.0]), CENTRE + np.array([0.0, 0.0, 1.0]), Z),
+        40.0,
+    )
+
+
 CASES: dict[str, Callable[[], Case]] = {
     "plane": wall,
     "cylinder": tower,
@@ -146,6 +166,7 @@ CASES: dict[str, Callable[[], Case]] = {
     "flat dome-equidistant": lambda: dome("dome-equidistant", 5.0, 3.0),
     "flat dome-equal-area": lambda: dome("dome-equal-area", 5.0, 3.0),
     "long equal-area": lambda: dome("equal-area", 3.0, 5.0),
+    "oval dome-plan": oval,
 }
 
 

@@ -257,6 +257,37 @@ def test_rows_of_the_wrong_sense_are_recognised(
     assert "--rows negative would bring them into it" in capsys.readouterr().err
 
 
+def test_pixels_outside_the_image_have_no_place(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A model goes on beyond the image; nobody has seen what it would say there."""
+    (tmp_path / "p.csv").write_text("id,col,row\na,500,400\nb,-3,400\nc,1000.5,400\n")
+    found = asked(capsys, *words(folder, str(tmp_path / "p.csv")))
+    assert [point["x"] is None for point in found["points"]] == [False, True, False]  # a hand may slip over the edge
+    assert (found["lost"], found["outside"]) == (1, [1])
+    assert run(words(folder, str(tmp_path / "p.csv"), "-o", str(tmp_path / "p.gpkg"))) == 0
+    told = capsys.readouterr().out
+    assert "p.gpkg: 2 points" in told
+    assert "1 point with no place" in told
+    assert "1 outside the image" in told
+    lines = [shapely.LineString([(10, 10), (90, 60)]), shapely.LineString([(10, 10), (-90, 60)])]
+    geopandas.GeoDataFrame(geometry=lines, crs=32633).to_file(tmp_path / "lines.gpkg")
+    assert run(words(folder, str(tmp_path / "lines.gpkg"), "--rows", "down", "-o", str(tmp_path / "o.gpkg"))) == 0
+    assert "1 feature with no place and left out" in capsys.readouterr().out
+    assert run(words(folder, "--pixel", "5000", "400")) == 1
+    assert "would bring them into it" not in capsys.readouterr().err
+
+
+def test_vectors_of_another_place_are_told(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    far = geopandas.GeoDataFrame(geometry=[shapely.Point(590000.0, 5500000.0)], crs=32633)
+    far.to_file(tmp_path / "far.gpkg")
+    drawn = [str(tmp_path / "far.gpkg"), "--inverse", "--rows", "down", "-o", str(tmp_path / "drawn.csv")]
+    assert run(words(folder, *drawn)) == 0
+    said = capsys.readouterr().err
+    assert "nothing of far.gpkg is seen in the photo" in said
+    assert "--src-crs" in said
+
+
 def test_heights_of_a_geoid_stay_in_the_file(folder: Path, tmp_path: Path) -> None:
     """A compound CRS is kept whole by a GeoPackage; GeoJSON has the map's, and a column for the heights."""
     for suffix in (".gpkg", ".geojson"):

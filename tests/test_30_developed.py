@@ -16,6 +16,7 @@ from geomosaic.surface.developed.developed import Developed
 from geomosaic.surface.developed.ellipsoid import Ellipsoid
 from geomosaic.surface.developed.flat import Flat
 from geomosaic.surface.developed.meridian import arc, area, latitude_of_arc, sine_of_area
+from geomosaic.surface.developed.triaxial import Triaxial
 from geomosaic.types import FloatArray
 
 AXES = Axes.about(np.array([120.0, -40.0, 7.0]), np.array([0.1, -0.2, 1.0]), np.array([1.0, 1.0, 0.0]), "test")
@@ -36,7 +37,11 @@ PROJECTED: dict[str, tuple[Body, tuple[float, float, float, float]]] = {
         ("dome-plan", (-2.0, -2.0, 2.0, 2.0)),
     )
 }
-ALL = DEVELOPABLE | PROJECTED
+PLANS: dict[str, tuple[Body, tuple[float, float, float, float]]] = {
+    "oval dome": (Triaxial((5.0, 3.0, 2.0)), (-3.5, -1.8, 3.5, 1.8)),
+    "tall oval dome": (Triaxial((2.5, 3.0, 6.0)), (-1.6, -1.8, 1.6, 1.8)),
+}
+ALL = DEVELOPABLE | PROJECTED | PLANS
 
 
 def places(bounds: tuple[float, float, float, float], count: int = 300, offset: float = 0.3) -> FloatArray:
@@ -112,9 +117,9 @@ def test_lengths_by_hand() -> None:
     assert np.isnan(spire.point(slant * np.array([[np.sin(1.01 * edge), -np.cos(1.01 * edge), 0.0]]))).all()
 
 
-@pytest.mark.parametrize("name", PROJECTED)
+@pytest.mark.parametrize("name", PROJECTED | PLANS)
 def test_what_each_projection_keeps(name: str) -> None:
-    body, bounds = PROJECTED[name]
+    body, bounds = ALL[name]
     surface, uvh = Developed(body, AXES), places(bounds) * [1.0, 1.0, 0.0]
     step = 1e-5
     by_u, by_v = (

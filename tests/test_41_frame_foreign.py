@@ -229,6 +229,20 @@ def test_pix4d(tmp_path: Path) -> None:
         assert np.abs(model.ground_to_image(xyz + corner) - np.column_stack([F * u + CX, F * v + CY])).max() < CLOSE
 
 
+def test_pix4d_without_its_offset_is_told(tmp_path: Path) -> None:
+    file = write_pix4d(tmp_path)
+    (tmp_path / "flight_offset.xyz").unlink()
+    with pytest.warns(GeomosaicWarning, match="no PROJECT_offset.xyz beside it"):
+        build(file, "pix4d", "one.jpg", MAP, treatment="planar")
+
+
+def test_colmap_binary_model_is_told(tmp_path: Path) -> None:
+    (tmp_path / "images.bin").write_bytes(b"\0\1")
+    with pytest.raises(InputError, match="binary model") as caught:
+        build(tmp_path / "images.bin", "colmap", "one.jpg", MAP, world="map")
+    assert "--output_type TXT" in str(caught.value.mend)
+
+
 def test_pix4d_projection_matrices(tmp_path: Path) -> None:
     """P = K [R | −R·t] of any scale and sign, with a shear: the pixels are those of the product."""
     corner = np.array([512345.0, 5771000.0, 0.0])

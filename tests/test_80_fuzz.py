@@ -102,6 +102,15 @@ METASHAPE = (
     f"</transform></camera></cameras><transform><rotation>{MATRIX}</rotation><translation>5e5 5.5e6 0</translation>"
     '<scale>1</scale></transform><reference>LOCAL_CS["m"]</reference></chunk></document>'
 )
+ROWS = ("<x>1</x><y>0</y><z>0</z>", "<x>0</x><y>-1</y><z>0</z>", "<x>0</x><y>0</y><z>-1</z>")
+IGN = (
+    "<orientation><auxiliarydata><image_name>a</image_name></auxiliarydata><geometry><extrinseque><sommet><easting>5e5"
+    "</easting><northing>5.5e6</northing><altitude>900</altitude></sommet><rotation><Image2Ground>true</Image2Ground>"
+    f"<mat3d>{''.join(f'<l{i}><pt3d>{row}</pt3d></l{i}>' for i, row in enumerate(ROWS, 1))}</mat3d></rotation>"
+    "</extrinseque><intrinseque><sensor><image_size><width>40</width><height>30</height></image_size><ppa><c>20</c>"
+    "<l>15</l><focale>40</focale></ppa><distortion><pps><c>21</c><l>15</l></pps><r3>1e-6</r3><r5>0</r5><r7>0</r7>"
+    "</distortion></sensor></intrinseque></geometry></orientation>"
+)
 TEXT = "# Cameras (1)\n# PhotoID, X, Y, Z, Omega, Phi, Kappa, r11\na\t500000\t5500000\t900\t0.5\t-0.2\t10\n"
 CAMERA = {"focal_length_px": 40.0}
 
@@ -160,6 +169,7 @@ KINDS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     "ODM": ("reconstruction.json", SHOT, frame("odm")),
     "Pix4D": ("p_calibrated_camera_parameters.txt", PIX4D, frame("pix4d")),
     "Metashape XML": ("cameras.xml", METASHAPE, frame("metashape", world="map")),
+    "IGN": ("a.ori.xml", IGN, frame("ori")),
     "Metashape text": ("opk.txt", TEXT, frame("metashape", camera=CAMERA)),
     "COLMAP images": ("images.txt", IMAGES, colmap),
     "COLMAP cameras": ("cameras.txt", "# list\n1 OPENCV 40 30 40 40 20 15 0.01 0 0 0\n", colmap),
@@ -244,8 +254,9 @@ def test_tags_of_photos(exif: dict[str, str], xmp: str) -> None:
 BOMB = '<!DOCTYPE d [<!ENTITY a "aaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
 
 
+@pytest.mark.parametrize("kind", ["Metashape XML", "IGN"])
 @pytest.mark.parametrize("bomb", [BOMB, '<!DOCTYPE d SYSTEM "file:///etc/hostname">', "<a>" * 5000])
-def test_xml_entities_are_refused(bomb: str) -> None:
-    error = outcome("Metashape XML", (bomb + METASHAPE).encode())
+def test_xml_entities_are_refused(kind: str, bomb: str) -> None:
+    error = outcome(kind, (bomb + KINDS[kind][1]).encode())
     assert error is not None
     assert "document type" in error.what or "nested" in error.what

@@ -26,13 +26,19 @@ PLACES = [(13.400, 52.5200), (13.4003, 52.5200)]
 
 
 def photo(
-    path: Path, place: tuple[float, float] | None, *, gimbal: bool = True, element: bool = False, south: bool = False
+    path: Path,
+    place: tuple[float, float] | None,
+    *,
+    gimbal: bool = True,
+    element: bool = False,
+    south: bool = False,
+    equivalent: int = 24,
 ) -> Path:
     """A JPEG with EXIF as cameras write it, and the XMP of a drone."""
     exif = Image.Exif()
     exif[0x010F], exif[0x0110] = "Maker", "Model 1"
     inner = exif.get_ifd(0x8769)
-    inner[0xA405], inner[0xA002] = 24, 4000  # equivalent focal length; width of the photo this is a copy of
+    inner[0xA405], inner[0xA002] = equivalent, 4000  # equivalent focal length; width of the photo this is a copy of
     if place is not None:
         gps = exif.get_ifd(0x8825)
         for tag, value, signs in ((1, place[1], "NS"), (3, place[0], "EW")):
@@ -118,6 +124,42 @@ def inputs_crs() -> Any:
     from pyproj import CRS
 
     return CRS.from_epsg(4979)
+
+
+def test_photos_of_two_cameras_are_two_projects(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The focal length of the first must not stand for all."""
+    images = [photo(tmp_path / f"{i}.jpg", place, equivalent=24 + 26 * i) for i, place in enumerate(PLACES)]
+    assert run(["new", str(tmp_path / "p.toml"), *map(str, images)]) == 1
+    said = capsys.readouterr().err
+    assert "2 cameras or focal lengths: 0.jpg" in said
+    assert "1.jpg" in said
+    assert not list(tmp_path.glob("p*"))
+    (tmp_path / "camera.toml").write_text("focal_length_px = 300.0\n")
+    new(capsys, tmp_path / "p.toml", *images, "--sensor", "frame", "--camera", tmp_path / "camera.toml")
+
+
+def test_a_raster_with_control_points_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from rasterio.control import GroundControlPoint
+
+    points = [GroundControlPoint(row, col, 5e5 + col, 5.5e6 - row) for col in (0, 30) for row in (0, 20)]
+    with rasterio.open(
+        tmp_path / "one.tif", "w", driver="GTiff", width=40, height=30, count=1, dtype="uint8", gcps=points,
+        crs="EPSG:32633",
+    ) as file:  # fmt: skip
+        file.write(np.full((1, 30, 40), 7, dtype=np.uint8))
+    made = new(capsys, tmp_path / "p.toml", tmp_path / "one.tif")
+    assert "one.tif carries 4 control points" in made["understood"]
+    assert any("geomosaic georeference" in text for text in made["needed"])
+
+
+@pytest.mark.parametrize(("reference", "height"), [("0", 150.5), ("1", -150.5), ("0x02", 150.5), ("3", -150.5)])
+def test_depths(reference: str, height: float) -> None:
+    """Below the sea, in the words of EXIF 2 and of EXIF 3."""
+    from geomosaic.raster.photo_tags import PhotoTags
+
+    place = {"GPSLatitude": "(50) (0) (0)", "GPSLatitudeRef": "N", "GPSLongitude": "(10)", "GPSLongitudeRef": "E"}
+    facts = photo_facts(PhotoTags({**place, "GPSAltitude": "(150.5)", "GPSAltitudeRef": reference}, ""), SIZE)
+    assert facts.position == (10.0, 50.0, height)
 
 
 def test_photos_with_positions_but_no_attitude(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -159,4 +159,8 @@ def test_a_project_with_a_printed_list_is_the_same_block(tmp_path: Path) -> None
     other.write_text(text.replace('axes = "right up"', 'axes = "left down"'))
     with pytest.raises(InputError, match="cannot be meant: control points") as caught:
         build_block(load_project(other).inputs)
-    assert "set axes to where these point" in str(caught.value.mend)
+    assert "set axes = 'right up' under [exterior.printed]" in str(caught.value.mend)
+    other.write_text(text.replace('axes = "right up"', 'axes = "right down"'))
+    with pytest.raises(InputError, match="looks at the sky") as caught:
+        build_block(load_project(other).inputs)
+    assert "set axes = 'right up' under [exterior.printed]" in str(caught.value.mend)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from geomosaic.errors import counted
+
 if TYPE_CHECKING:
     from geomosaic.project.mono.draw import Drawn
     from geomosaic.project.mono.plot import Located
@@ -25,6 +27,7 @@ def located_facts(found: Located, output: Path | None) -> dict[str, Any]:
         "points": [dict(zip(POINT, row, strict=True)) for row in found.rows()],
         "features": found.features,
         "lost": found.lost,
+        "outside": list(found.outside),
         "output": None if output is None else str(output),
     }
 
@@ -36,10 +39,11 @@ def located_words(found: Located, output: Path | None) -> str:
     places = found.places
     metres = not places.crs.is_geographic
     lines = [describe(places.crs)]
-    for row in found.rows() if output is None else []:
+    for number, row in enumerate(found.rows() if output is None else []):
         name, col, line, x, y, z, *error = row
         if x is None:
-            lines.append(f"{name}: {col:g} {line:g} sees no known ground")
+            why = "lies outside the image" if number in found.outside else "sees no known ground"
+            lines.append(f"{name}: {col:g} {line:g} {why}")
             continue
         place = f"{x:.3f} {y:.3f}" if metres else f"{x:.9f} {y:.9f}"
         text = f"{name}: {col:g} {line:g} -> {place} {z:.3f}"
@@ -47,11 +51,13 @@ def located_words(found: Located, output: Path | None) -> str:
             text += f"  ellipse {error[0]:.3g} x {error[1]:.3g} m at {error[2]:.0f} deg, height {error[3]:.3g} m"
         lines.append(text)
     if output is not None:
-        what = f"{found.features} features" if not found.names else f"{len(found.names)} points"
+        kept = len(found.names) if output.suffix.lower() == ".csv" else len(found.names) - found.lost
+        what = counted(kept, "point") if found.names else counted(found.features, "feature")
         lines.append(f"{output}: {what}")
     if found.lost:
-        noun, end = ("points", "") if found.names else ("features", ": left out")
-        lines.append(f"{found.lost} {noun} see ground that is not known, or none{end}")
+        noun, end = ("point", "no place") if found.names else ("feature", "no place and left out")
+        beyond = f"; {len(found.outside)} outside the image" if found.outside else ""
+        lines.append(f"{counted(found.lost, noun)} with {end}: the sky, or ground that is not known{beyond}")
     if found.certainty.known:
         lines.append(f"errors (one standard deviation) of {', '.join(found.certainty.known)}")
     return "\n".join([*lines, *found.certainty.notes])

@@ -79,7 +79,7 @@ image_options = stack(
         default="opk",
         show_default=True,
         help="Angle system of the table: opk, pok, matrix, patb, rpy, dji, opensfm, odm, pix4d, metashape, colmap, "
-        "printed.",
+        "ori, printed.",
     ),
     click.option(
         "--angle-unit",

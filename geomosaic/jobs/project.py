@@ -68,6 +68,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             orientation,
             (*images, *tables, *ground),
             oriented,
+            version=2,
         ),
         Step(
             "mosaic",
@@ -95,6 +96,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             {"quality": settings.quality.model_dump(mode="json"), **said_of_reference},
             (layout.mosaic, *reference, layout.facts("orient"), layout.facts("mosaic")),
             (layout.facts("check"),),
+            version=2,
         ),
         Step(
             "report",

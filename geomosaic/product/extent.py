@@ -11,13 +11,15 @@ from geomosaic.block.footprint import Footprint, footprint
 from geomosaic.block.scene import Scene
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.area import area_of_use, beyond, longitude_latitude
-from geomosaic.geo.crs import geographic, horizontal
+from geomosaic.geo.crs import geographic, horizontal, longitude_latitude_crs
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.surface.model import Surface
 
 # Rows, columns and tiles of a GeoTIFF are counted in 31 bits.
 _MOST, _TILE = 1 << 31, 512 * 512
+TORN = 100.0
+"""Times that a metre on the ground may grow in the output, or be longer in one direction than in the other."""
 FAR = 6.0
 """Degrees beyond the area of use of the output CRS, a zone's width, that are told."""
 
@@ -104,6 +106,52 @@ def note_far_crs(crs: CRS, outlines: list[Footprint]) -> None:
             GeomosaicWarning,
             stacklevel=3,
         )
+
+
+def refuse_torn_crs(crs: CRS, scenes: tuple[Scene, ...]) -> None:
+    """Refuse an output CRS that has no place for the images, or tears them apart: one made for the Earth's other side.
+
+    Raises
+    ------
+    InputError
+        Says what a metre becomes there, and proposes a CRS.
+    """
+    from pyproj import Proj
+    from pyproj.exceptions import ProjError
+
+    model = scenes[0].model
+    if not crs.is_projected or model.crs.is_engineering or horizontal(crs).geodetic_crs is None:
+        return
+    level = geographic(model.crs) if model.crs.is_geocentric else model.crs
+    place = Transform(model.crs, level)(np.array([model.seed])) if model.crs.is_geocentric else np.array([model.seed])
+    xy = Transform(horizontal(level), horizontal(crs))(place[:, :2])
+    lon, lat = Transform(horizontal(level), longitude_latitude_crs(horizontal(level)))(place[:, :2])[0]
+    if not np.isfinite([lon, lat]).all():
+        return
+    what = "" if np.isfinite(xy).all() else "has no place for it"
+    try:
+        scales = Proj(crs).get_factors(lon, lat)
+        most, least = float(scales.tissot_semimajor), float(scales.tissot_semiminor)
+    except ProjError:
+        most, least = 1.0, 1.0
+    if not what and max(most, most / max(least, 1e-300)) > TORN:
+        long = f"{least:.3g} to {most:.3g} m" if np.isfinite([least, most]).all() else "endlessly"
+        what = f"draws a metre of the ground {long} long"
+    if what:
+        raise InputError(
+            f"the image lies at longitude {lon:.4f}, latitude {lat:.4f}, and the output CRS, "
+            f"{crs_label(crs)}, {what}: it is made for another side of the Earth",
+            where=scenes[0].name,
+            mend=f"give --dst-crs (crs under [output]) of that place, such as EPSG:{utm_zone(lon, lat).to_epsg()}",
+        )
+
+
+def crs_label(crs: CRS) -> str:
+    """Name of a CRS; its method where it has none."""
+    operation = crs.coordinate_operation
+    if crs.name.lower() in ("unnamed", "unknown", "undefined") and operation is not None:
+        return operation.method_name
+    return crs.name
 
 
 def check_size(grid: Grid) -> None:

@@ -13,7 +13,7 @@ from pyproj import CRS
 
 from geomosaic.block.block import Block, ControlPoint
 from geomosaic.block.scene import Scene
-from geomosaic.errors import HeightDatumError, InputError
+from geomosaic.errors import HeightDatumError, InputError, SolveError
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.project.camera import read_camera
@@ -70,7 +70,14 @@ def build_block(inputs: BlockInputs, *, ground: bool = True) -> Block:
         from geomosaic.project.orientation.doubts import looking_down
 
         mends = looking_down(inputs, photos, crs, build) if crs is not None else []
-        error.mend = f"all photos would look down if you {mends[0]}; else {error.mend}" if mends else error.mend
+        down = " or ".join(mends[:2])
+        error.mend = f"all photos would look down if you {down}; else {error.mend}" if mends else error.mend
+        raise
+    except SolveError as error:
+        if control:
+            from geomosaic.project.astray.control import explain
+
+            explain(inputs, control, crs, error)
         raise
     if ground and (len(scenes) > 1 or control):  # what one photo alone says of itself is known
         from geomosaic.project.orientation.doubts import check_orientation
@@ -272,4 +279,9 @@ def _control(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS | None) -> t
         raise InputError(
             "the control points have no CRS", where=str(inputs.control), mend="name it: crs under [exterior]"
         )
-    return read_control(inputs.control, [photo.name for photo in photos])
+    points = read_control(inputs.control, [photo.name for photo in photos])
+    if points and not inputs.trusted:
+        from geomosaic.project.astray.place import refuse_misplaced
+
+        refuse_misplaced(points, crs, inputs.control)
+    return points

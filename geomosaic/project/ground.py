@@ -14,6 +14,7 @@ from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.project.frames import declared, undeclared
 from geomosaic.project.inputs import BlockInputs
+from geomosaic.project.orientation.exterior import SELF_PLACED
 from geomosaic.project.photos import Photo
 from geomosaic.raster.info import inspect
 from geomosaic.surface.model import Surface
@@ -46,8 +47,8 @@ def build_surface(
     if inputs.height is not None:
         from geomosaic.surface.plane import Plane
 
-        if crs is None and inputs.sensor not in ("planar", "frame"):
-            # Scenes that carry their own model need no CRS of positions: any will do to say where a height counts from.
+        if crs is None and (inputs.sensor not in ("planar", "frame") or inputs.angles in SELF_PLACED):
+            # What carries its own place needs no CRS of positions: any will do to say where a height counts from.
             crs = CRS.from_epsg(4326)
         if crs is None:
             raise InputError("a height needs a CRS", mend="name it: --exterior-crs, or crs under [exterior]")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -137,7 +137,7 @@ class BlockInputs:
         ties = self.planar.ties if self.planar else None
         own = (self.camera, self.fiducials, self.exterior, self.control, ties, self.usable, _grid(self.heights))
         grids = [corrections_file(self.corrections, image.name) for image in self.images] if self.corrections else []
-        others = _beside(self.exterior, self.angles)
+        others = _beside(self.exterior, self.angles, self.images)
         return (*(path for path in own if path), *others, *dict.fromkeys(grids), *_named_in(self.options, self.base))
 
     @property
@@ -151,12 +151,15 @@ def _grid(heights: str | None) -> Path | None:
     return Path(heights) if heights and heights.lower().endswith((".tif", ".gtx")) else None
 
 
-def _beside(exterior: Path | None, angles: str) -> tuple[Path, ...]:
+def _beside(exterior: Path | None, angles: str, images: Sequence[Path]) -> tuple[Path, ...]:
     """Files of another program that are read with the one that is named."""
     if exterior is None:
         return ()
     if angles == "colmap":
         return (exterior.with_name("cameras.txt"), exterior.with_name("images.txt"))
+    if angles == "ori":
+        files = (exterior.with_name(f"{image.stem}.ori.xml") for image in images)
+        return tuple(file for file in files if file.is_file() and file != exterior)
     for ending in PIX4D if angles == "pix4d" else ():
         if exterior.name.endswith(ending):
             offset = exterior.with_name(exterior.name.removesuffix(ending) + "_offset.xyz")

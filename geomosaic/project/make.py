@@ -16,7 +16,14 @@ from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Bounds, Grid
-from geomosaic.product.extent import check_size, footprints, note_far_crs, output_crs, output_grid
+from geomosaic.product.extent import (
+    check_size,
+    footprints,
+    note_far_crs,
+    output_crs,
+    output_grid,
+    refuse_torn_crs,
+)
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs, PlanarInputs
 from geomosaic.raster.info import inspect
@@ -66,6 +73,7 @@ def plan(scenes: Sequence[Scene], surface: Surface | None, area: Area) -> tuple[
         grid = grid_of(area.like)
         return grid, footprints(several, surface, grid.crs)
     crs: CRS = parse_map(area.crs, "output CRS") if area.crs else output_crs(several, surface)
+    refuse_torn_crs(crs, several)
     outlines = footprints(several, surface, crs)
     _judge(crs, outlines, area.resolution)
     grid = output_grid(crs, outlines, area.resolution, area.bounds, snap=area.snap)

@@ -14,6 +14,9 @@ from geomosaic_frame.opensfm import read_shot
 LARGEST = 256 << 20
 """Bytes; no file of orientations is that long."""
 
+LOCAL = 1e5
+"""Metres; coordinates of a map are rarely smaller, those that count from an offset are."""
+
 Tables = tuple[dict[str, Any] | None, dict[str, Any]]
 """Camera table as of `camera.toml`, where the file has one, and orientation row."""
 
@@ -51,6 +54,9 @@ def _odm(path: Path, image: str, where: str) -> Tables:
 def _colmap(path: Path, image: str, where: str) -> Tables:
     from geomosaic_frame.colmap import read_colmap
 
+    if path.suffix.lower() == ".bin":
+        mend = "write it as text: colmap model_converter --output_type TXT, and name its images.txt"
+        raise InputError(f"{path} is COLMAP's binary model", where=where, mend=mend)
     cameras, images = path.with_name("cameras.txt"), path.with_name("images.txt")
     model = read_colmap(_text(cameras, where), _text(images, where), (str(cameras), str(images)))
     pose = entry(model.images, image, images, where)
@@ -74,6 +80,13 @@ def _pix4d(path: Path, image: str, where: str) -> Tables:
             stacklevel=2,
         )
     camera, row = entry(read(_text(path, where), shift, str(path)), image, path, where)
+    if shift is None and max(map(abs, row["position"][:2])) < LOCAL:
+        warnings.warn(
+            f"{path.name} has no PROJECT{OFFSET} beside it, and its coordinates are small: without the offset they "
+            "are no places of the map; Pix4D writes it to the same folder",
+            GeomosaicWarning,
+            stacklevel=2,
+        )
     return dict(camera), dict(row)
 
 
@@ -87,12 +100,29 @@ def _metashape(path: Path, image: str, where: str) -> Tables:
     return None, dict(entry(read_metashape_text(_text(path, where), str(path)), image, path, where))
 
 
+def _ori(path: Path, image: str, where: str) -> Tables:
+    """One file for each image, named after it; a file of any name counts for the image that it names."""
+    from geomosaic_frame.ori import ENDING, read_ori
+
+    own = path.with_name(Path(image).stem + ENDING)
+    file = own if own.is_file() else path
+    name, camera, row = read_ori(_bytes(file, where), str(file))
+    if file != own and Path(name).stem != Path(image).stem:
+        raise InputError(
+            f"{path} is the orientation of '{name}', and there is no {own.name} beside it",
+            where=where,
+            mend=f"name the files of orientations as their images: {own.name}",
+        )
+    return dict(camera), dict(row)
+
+
 READERS: Mapping[str, Callable[[Path, str, str], Tables]] = {
     "opensfm": _opensfm,
     "odm": _odm,
     "colmap": _colmap,
     "pix4d": _pix4d,
     "metashape": _metashape,
+    "ori": _ori,
 }
 
 

@@ -266,6 +266,7 @@ SYSTEMS: Mapping[str, AngleSystem] = {
                 ("colmap", "COLMAP's images.txt, with cameras.txt beside it"),
                 ("pix4d", "Pix4D's calibrated camera parameters, with their offset beside them"),
                 ("metashape", "cameras of Metashape, as XML or as omega, phi, kappa"),
+                ("ori", "IGN's orientations, IMAGE.ori.xml for each image"),
             )
         ),
     )

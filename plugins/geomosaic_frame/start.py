@@ -84,7 +84,8 @@ def model_at(
             + (f" but {-dip:.1f}° above it" if dip is not None else ""),
             where=where,
             mend=f"check the angle system ({', '.join(SYSTEMS)}), angle_unit, the direction of a matrix, and whether "
-            f"a roll or omega near 180° turns the camera over",
+            "a roll or omega near 180° turns the camera over; a photo of a facade that is right as it is needs "
+            "upwards = true",
         )
     seed, distance = (
         _some_way_ahead(start, crs, options) if anywhere else _ground_ahead(start, crs, place.height, ground)

@@ -44,6 +44,15 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
             verdicts.append(
                 {"name": name, "what": what, "value": value, "limit": limit, "unit": unit, "passed": passed}
             )
+    for points in orientation["astray"]:
+        if getattr(quality, f"max_{points['role']}_rms_px") is None:  # a limit of the user's own is the one that counts
+            verdicts.append(
+                {
+                    "name": f"{points['role']}_median_px", "what": f"{points['role']} points, median distance",
+                    "value": points["median"], "limit": points["limit"], "unit": "px", "passed": False,
+                    "text": points["text"],
+                }
+            )  # fmt: skip
     facts = {"reference": reference, "reference_path": quality.reference, "verdicts": verdicts}
     write_json(layout.facts("check"), facts)
     return {"passed": all(verdict["passed"] for verdict in verdicts)}
@@ -62,8 +71,9 @@ def failure(project: Project) -> QualityError | None:
         f"limit {v['limit']:g} {v['unit']}"
         for v in failed
     ]
+    why = "".join(f"; {verdict['text']}" for verdict in [v for v in failed if "text" in v][:1])
     return QualityError(
         "; ".join(words),
         where=f"{project.path.name}, [quality]",
-        mend=f"all outputs are written; look at {Layout(project).report}",
+        mend=f"all outputs are written; look at {Layout(project).report}{why}",
     )

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 from geomosaic.block.block import Block
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.jobs.facts import write_json
 from geomosaic.jobs.heard import heard
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.step import Context
 from geomosaic.product.checks.check import check_control, rms
+from geomosaic.project.astray.control import astray
 from geomosaic.project.build import build_block
 from geomosaic.project.camera import read_camera
 from geomosaic.project.draft.needs import needs
 from geomosaic.project.frames import describe
 from geomosaic.project.load import Project
+from geomosaic.project.orientation.doubts import FAR
 from geomosaic.project.orientation.exterior import SYSTEM_NAMES
 from geomosaic.sensor.state import to_dict
 
@@ -30,6 +34,9 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
             write_json(path, {"image": scene.name, **to_dict(scene.sensor, scene.model)})
             context.progress(done + 1, len(block.scenes), "orient")
         residuals = check_control(block)
+        off = astray(project.inputs, block)
+        for points in off:
+            warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
     inputs = project.inputs
     surface = block.surface
     facts = {
@@ -65,6 +72,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
         "measured": {f"{p.id} {p.image}": list(p.colrow) for p in block.control},
         "rms_control_px": rms(residuals, "control"),
         "rms_check_px": rms(residuals, "check"),
+        "astray": [{**asdict(points), "text": points.text, "limit": FAR} for points in off],
         "planar": planar,
         "warnings": notes,
     }

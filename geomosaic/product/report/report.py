@@ -66,7 +66,7 @@ def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
     verdicts = {verdict["name"]: verdict for verdict in check["verdicts"]}
 
     def card(title: str, value: str, unit: str, text: str, threshold: str = "") -> dict[str, Any]:
-        verdict = verdicts.get(threshold)
+        verdict = verdicts.get(threshold) or verdicts.get(f"{title.partition(' ')[0].lower()}_median_px")
         return {
             "title": title,
             "value": value,

@@ -13,7 +13,7 @@ from geomosaic.errors import GeomosaicError, InputError, OutputExistsError
 from geomosaic.project.atomic import write_atomic
 from geomosaic.project.draft.exif import PhotoFacts, photo_facts
 from geomosaic.project.inputs import BlockInputs, PlanarInputs
-from geomosaic.raster.info import inspect
+from geomosaic.raster.info import control_point_count, inspect
 from geomosaic.raster.photo_tags import read_photo_tags
 from geomosaic.raster.rpc import read_rpc_tags
 from geomosaic.sensor.plugin import SensorRequest
@@ -95,8 +95,15 @@ def carried_by(inputs: BlockInputs, project: Path) -> Carried:
         return Carried(inputs)
     facts = [photo_facts(read_photo_tags(path), info.size) for path, info in zip(inputs.images, infos, strict=True)]
     if any(fact.position or fact.gimbal for fact in facts):
+        if inputs.camera is None:
+            _one_camera(inputs.images, facts, [info.size for info in infos])
         return _photos(inputs, facts, infos[0].size, project)
     lines = [_camera_line(facts[0])] if facts[0].camera else []
+    tagged = [(path, control_point_count(path)) for path in inputs.images]
+    with_points = [f"{path.name} carries {count} control points" for path, count in tagged if count]
+    if with_points:
+        mend = "images placed by their own control points: geomosaic georeference IMAGE ... -o PLACED, and PLACED here"
+        return Carried(inputs, lines=[*lines, *with_points], needed=[mend])
     return Carried(inputs, lines=[*lines, "no image says where it was taken: no georeference, RPC, DIMAP or GPS"])
 
 
@@ -132,6 +139,33 @@ def _carries(name: str, path: Path) -> bool:
     except GeomosaicError:
         return False
     return True
+
+
+def _one_camera(images: Sequence[Path], facts: Sequence[PhotoFacts], sizes: Sequence[tuple[int, int]]) -> None:
+    """Refuse photos of several cameras or focal lengths: a project has one, and the first must not stand for all.
+
+    Raises
+    ------
+    InputError
+        Names a photo of each.
+    """
+    kinds: dict[tuple[str, int | None], Path] = {}
+    for path, fact, size in zip(images, facts, sizes, strict=True):
+        # In thousandths of the diagonal, so that copies of several sizes are alike.
+        focal = None if fact.focal is None else round(1000.0 * fact.focal / math.hypot(*size))
+        kinds.setdefault((fact.camera, focal), path)
+    if len(kinds) > 1:
+        (first, one), (second, other), *_ = kinds.items()
+        what = [f"{path.name} ({name or 'no name'}, focal length {_share(focal)})" for (name, focal), path in
+                ((first, one), (second, other))]  # fmt: skip
+        raise InputError(
+            f"the photos were taken with {len(kinds)} cameras or focal lengths: {' and '.join(what)}",
+            mend="make a project for the photos of each, or give --camera that holds for all",
+        )
+
+
+def _share(focal: int | None) -> str:
+    return "unknown" if focal is None else f"{focal / 1000.0:.3f} of the diagonal"
 
 
 def _photos(inputs: BlockInputs, facts: Sequence[PhotoFacts], size: tuple[int, int], project: Path) -> Carried:

@@ -15,6 +15,8 @@ FULL_FRAME_DIAGONAL = math.hypot(36.0, 24.0)
 """Millimetres: what '35 mm equivalent' focal lengths refer to (CIPA DCG-001)."""
 UNITS = {"2": 25.4, "3": 10.0, "4": 1.0}
 """Millimetres of EXIF's FocalPlaneResolutionUnit."""
+BELOW = ("1", "0x01", "3", "0x03")
+"""EXIF's GPSAltitudeRef of depths: below the sea in version 2; in 3.0 below the ellipsoid (1) or the sea (3)."""
 GIMBAL = ("GimbalYawDegree", "GimbalPitchDegree", "GimbalRollDegree")
 
 
@@ -76,7 +78,7 @@ def _xmp(xmp: str, name: str) -> float | None:
 def _position(exif: Mapping[str, str], xmp: str) -> tuple[float, float, float] | None:
     lat, lon = _angle(exif, "GPSLatitude", "NS"), _angle(exif, "GPSLongitude", "EW")
     altitude = _rational(exif.get("GPSAltitude", ""))
-    if altitude is not None and exif.get("GPSAltitudeRef", "0").strip().lower() in ("1", "0x01"):
+    if altitude is not None and exif.get("GPSAltitudeRef", "0").strip().lower() in BELOW:
         altitude = -altitude
     fine = _xmp(xmp, "GpsLatitude")
     east = [value for value in (_xmp(xmp, "GpsLongitude"), _xmp(xmp, "GpsLongtitude")) if value is not None]

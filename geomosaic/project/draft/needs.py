@@ -6,6 +6,7 @@ from pathlib import Path
 
 from geomosaic.errors import SensorError
 from geomosaic.geo.crs import has_heights
+from geomosaic.project.draft.programs import frame_words
 from geomosaic.project.frames import named
 from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.orientation.exterior import (
@@ -62,14 +63,15 @@ def needs(inputs: BlockInputs) -> list[str]:
         found.append(
             "positions and angles of the photos: [exterior] file, a table with image, x, y, z, omega, phi, kappa"
         )
+    of_map, of_heights = frame_words(inputs.exterior if inputs.angles == "ori" else None)
     if inputs.crs is None and not framed:
-        found.append("the CRS of the positions: [exterior] crs, such as EPSG:32633")
+        found.append(f"the CRS of the positions: [exterior] crs, such as EPSG:32633{of_map}")
     declared = inputs.heights is not None or framed
     if not declared and not (inputs.crs and has_heights(named(inputs.crs, None))):
-        found.append(f"the vertical datum of the positions: [exterior] heights: {HEIGHTS}")
+        found.append(f"the vertical datum of the positions: [exterior] heights: {HEIGHTS}{of_heights}")
     if inputs.dem is None and inputs.height is None:
         found.append("the ground: [dem] file, or [dem] height in metres")
-    own = framed and inputs.sensor != "frame"
+    own = framed and (inputs.sensor != "frame" or (inputs.exterior is not None and inputs.angles in SELF_PLACED))
     if own and inputs.height is not None and not (inputs.dem_heights or inputs.heights or inputs.crs):
         found.append(f"what the height of the ground counts from: [dem] heights: {HEIGHTS}")
     if inputs.dem_heights is None and undeclared_heights(inputs.dem):

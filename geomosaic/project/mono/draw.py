@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block.footprint import footprint
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.product.locate import View, draw
 from geomosaic.product.locate.files import check_name, write_csv, write_frame
@@ -55,6 +56,14 @@ def draw_vectors(inputs: MonoplotInputs) -> Drawn:
     margin = _AROUND * max(right - left, top - bottom)
     bounds = left - margin, bottom - margin, right + margin, top + margin
     made = draw(view, list(frame.geometry.values), bounds, hidden=inputs.hidden)
+    if len(frame) and not made.geometries:
+        theirs, ours = (", ".join(f"{value:.8g}" for value in box) for box in (frame.total_bounds, bounds))
+        warnings.warn(
+            f"nothing of {inputs.source.name} is seen in the photo: it lies at {theirs}, the photo shows no more than "
+            f"{ours} (left, bottom, right, top in {flat.name}); is that its CRS? else say --src-crs",
+            GeomosaicWarning,
+            stacklevel=2,
+        )
     if inputs.output.suffix.lower() == ".csv":
         _write_drawn_table(inputs, made.geometries, made.feature, made.hidden, axes.xy)
     else:

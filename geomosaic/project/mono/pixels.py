@@ -13,11 +13,13 @@ from geomosaic.product.locate.axes import ROWS, PixelAxes
 from geomosaic.product.vectors import READ
 from geomosaic.project.tables import read_table
 from geomosaic.raster.vector import read_layer
-from geomosaic.types import FloatArray
+from geomosaic.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
+HAIR = 1.0
+"""Pixels beyond the border that still count as in the image: its edge, drawn by hand."""
 SAY_ROWS = "--rows down (rows count down from the top), negative (the same with a minus, as QGIS shows it) or up"
 
 
@@ -72,16 +74,21 @@ def is_digitized(path: Path) -> bool:
     return path.suffix.lower() in READ
 
 
+def beyond(colrow: FloatArray, size: tuple[int, int]) -> BoolArray:
+    """Which image points (N, 2) lie outside of the image: a model goes on there, but nobody has seen them."""
+    inside = ((colrow >= -HAIR) & (colrow <= np.array(size) + HAIR)).all(axis=1)
+    return np.logical_not(np.atleast_1d(inside))
+
+
 def need_inside(colrow: FloatArray, size: tuple[int, int], where: str) -> None:
     """Refuse coordinates of which not one lies in the image, and say how they may be meant."""
-    inside = ((colrow >= -1.0) & (colrow <= np.array(size) + 1.0)).all(axis=1)
-    if inside.any():
+    if not beyond(colrow, size).all():
         return
     (left, top), (right, bottom) = np.min(colrow, axis=0), np.max(colrow, axis=0)
     fits = [
         rows
         for rows, low, high in (("negative", -bottom, -top), ("up", size[1] - bottom, size[1] - top))
-        if low >= -1.0 and high <= size[1] + 1.0
+        if low >= -HAIR and high <= size[1] + HAIR and left >= -HAIR and right <= size[0] + HAIR
     ]
     hint = f"--rows {fits[0]} would bring them into it; " if fits else ""
     raise InputError(

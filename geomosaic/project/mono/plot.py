@@ -1,7 +1,8 @@
-"""Monoplotting of one image from plain declarations: pixels to the map. The other way is `monodraw`."""
+"""Monoplotting of one image from plain declarations: pixels to the map. The other way is `draw.py`."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,13 +13,17 @@ from pyproj import CRS
 
 from geomosaic.block.block import Block
 from geomosaic.block.scene import Scene
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.crs import height_name, parse_crs
 from geomosaic.product.locate import Certainty, Places, ground_crs, locate, orientation
 from geomosaic.product.locate.files import check_name, write_csv, write_frame
+from geomosaic.project.astray.control import astray
 from geomosaic.project.build import build_block
 from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.mono.pixels import axes_of, is_digitized, need_inside, read_digitized, read_pixels
+from geomosaic.project.mono.pixels import axes_of, beyond, is_digitized, need_inside, read_digitized, read_pixels
+from geomosaic.project.orientation.doubts import FAR, distance
+from geomosaic.sensor.model import SensorModel
+from geomosaic.surface.model import Surface
 from geomosaic.types import FloatArray
 
 if TYPE_CHECKING:
@@ -90,6 +95,8 @@ class Located:
     lost : int
         Points, or features, of which something sees no known ground.
     certainty : Certainty
+    outside : tuple of int
+        Those of the lost, counted from 0, that lie outside of the image.
     """
 
     places: Places
@@ -97,6 +104,7 @@ class Located:
     features: int
     lost: int
     certainty: Certainty
+    outside: tuple[int, ...] = ()
 
     def rows(self) -> list[list[Any]]:
         """Values of `POINT` for each point; None where something is not known."""
@@ -136,8 +144,9 @@ def locate_pixels(inputs: MonoplotInputs) -> Located:
         names = tuple(str(number) for number in range(1, len(colrow) + 1))
     else:
         raise InputError("no pixel is given", mend="give --pixel COL ROW, or a table or vectors of pixels")
-    places = locate(scene.model, block.surface, colrow, crs, certainty)
-    found = Located(places, names, 0, int((~places.seen).sum()), certainty)
+    places = _located(scene.model, block.surface, colrow, crs, certainty)
+    outside = tuple(np.flatnonzero(beyond(colrow, size)).tolist())
+    found = Located(places, names, 0, int((~places.seen).sum()), certainty, outside)
     if inputs.output is not None:
         _write_points(inputs.output, found, overwrite=inputs.overwrite)
     return found
@@ -158,7 +167,17 @@ def scene_of(inputs: BlockInputs) -> tuple[Block, Scene]:
 def oriented(inputs: MonoplotInputs, block: Block, scene: Scene) -> tuple[Scene, FloatArray | None, str]:
     """Adjust the image to its control points, where it has any; the covariance of its orientation, and a note."""
     control = [point for point in block.control if point.image == scene.name and point.role == "control"]
-    model, covariance, note = orientation(scene.model, inputs.sigmas, control, block.crs)
+    try:
+        model, covariance, note = orientation(scene.model, inputs.sigmas, control, block.crs)
+    except SolveError as error:
+        error.where = error.where or f"{inputs.block.control}, {scene.name}"
+        for points in astray(inputs.block, block):
+            if points.cause:
+                error.what, error.mend = f"{error.what}; {points.cause}", points.mend
+        raise
+    if block.crs is not None and distance([replace(scene, model=model)], control, block.crs) > FAR:
+        for points in astray(inputs.block, block):  # of the image as it was: adjusted to wrong points it tells nothing
+            warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
     return replace(scene, model=model), covariance, note
 
 
@@ -195,7 +214,7 @@ def _located_vectors(
     if inputs.step is not None:
         shapes = shapely.segmentize(shapes, inputs.step)
     colrow, owner = shapely.get_coordinates(shapes, return_index=True)
-    places = locate(scene.model, block.surface, colrow, crs, certainty)
+    places = _located(scene.model, block.surface, colrow, crs, certainty)
     whole = np.ones(len(shapes), dtype=bool)
     whole[owner[~places.seen]] = False
     if inputs.output.suffix.lower() == ".csv":
@@ -215,7 +234,14 @@ def _located_vectors(
             out[name] = worst[:, k]
         out["heights"] = height_name(crs)
         write_frame(inputs.output, out, inputs.layer or "places", overwrite=inputs.overwrite)
-    return Located(places, (), int(whole.sum()), int((~whole).sum()), certainty)
+    outside = tuple(np.unique(owner[beyond(colrow, scene.model.size)]).tolist())
+    return Located(places, (), int(whole.sum()), int((~whole).sum()), certainty, outside)
+
+
+def _located(model: SensorModel, surface: Surface | None, colrow: FloatArray, crs: CRS, certainty: Certainty) -> Places:
+    """Places of image points; none for those outside of the image."""
+    seen = np.where(beyond(colrow, model.size)[:, None], np.nan, colrow)
+    return replace(locate(model, surface, seen, crs, certainty), colrow=colrow)
 
 
 def _worst(error: FloatArray, owner: FloatArray, count: int) -> FloatArray:

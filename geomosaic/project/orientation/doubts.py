@@ -41,6 +41,8 @@ ALIKE, UNLIKE, GAIN = 0.35, 0.45, 0.3
 PAIRS = 3
 SURE = 0.65
 """Correlation of a single pair that makes others needless."""
+PLAUSIBLE = 0.1
+"""Part of the diagonal that points may lie off by a reading that is proposed: farther off, it explains nothing."""
 MEASUREMENTS = 4
 TRUST = "if the orientation is right as it is, say so: --trust-orientation (trusted = true under [exterior])"
 
@@ -114,6 +116,8 @@ def _by_control(
         return
     least = min(off for off, _ in tried)
     off, best = next((off, reading) for off, reading in tried if off <= 1.2 * least + 0.5)
+    if off > PLAUSIBLE * min(float(np.hypot(*scene.model.size)) for scene in scenes):
+        return
     if BETTER * off < distance([scene for scene in scenes if scene.name in {p.name for p in some}], control, crs):
         raise _doubt(inputs, f"control points lie {given:.0f} px from where it puts them", best, f"{off:.1f} px")
 

@@ -41,10 +41,11 @@ SYSTEM_NAMES: Mapping[str, str] = {
     "pix4d": "Pix4D's list of calibrated camera parameters, with its offset: camera, rotation and position in the map",
     "metashape": "cameras exported from Metashape: XML with the camera, geocentric unless it says otherwise; or text",
     "colmap": "COLMAP's images.txt, with cameras.txt beside it; what its world is, is said by `world` of the sensor",
+    "ori": "IGN's XML of one photo: NAME.ori.xml for each image, in the map that <systeme> and <grid_alti> name",
     "printed": "a printed list, with columns, unit, sequence and axes as declared under [exterior.printed]",
 }
 
-RECONSTRUCTIONS = ("opensfm", "odm", "pix4d", "metashape", "colmap")
+RECONSTRUCTIONS = ("opensfm", "odm", "pix4d", "metashape", "colmap", "ori")
 """Angle systems whose file is no table: the sensor reads camera and orientation from the file of another program."""
 
 SELF_PLACED = ("opensfm", "metashape", "colmap")

@@ -127,8 +127,8 @@ def _by_column(inputs: BlockInputs, photos: tuple[Photo, ...]) -> Iterator[Readi
             where = f"{'rows' if by_row else 'columns'} {' and '.join(lines)} of the matrix"
             yield Reading(
                 what,
-                f"set axes to where these point, under [exterior.printed] ({what})"
-                if inputs.angles == "printed"
+                f"set axes = '{_turned_axes(inputs.printed.axes, signs)}' under [exterior.printed]"
+                if inputs.printed is not None
                 else f"change the signs of {where} in {table}",
                 inputs,
                 changed(lambda angles, signs=signs, by_row=by_row: _signed(angles, signs, by_row)),  # type: ignore[misc]
@@ -193,6 +193,14 @@ def _by_height(inputs: BlockInputs, photos: tuple[Photo, ...], crs: CRS) -> Iter
             inputs,
             tuple(_raised(photo, by) for photo in photos),
         )
+
+
+def _turned_axes(axes: str, signs: tuple[float, float, float]) -> str:
+    """Declared axes of the image with those along x (right, left) and y (up, down) of the picture turned round."""
+    other = {"right": "left", "left": "right", "up": "down", "down": "up"}
+    turned = {word for words, sign in zip((("right", "left"), ("up", "down")), signs, strict=False) if sign < 0
+              for word in words}  # fmt: skip
+    return " ".join(other[word] if word in turned else word for word in axes.lower().split())
 
 
 def _with_angles(photo: Photo, angles: Angles) -> Photo:

@@ -8,6 +8,7 @@ import numpy as np
 
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import has_heights
+from geomosaic.project.astray.control import astray
 from geomosaic.project.build import build_block
 from geomosaic.project.control import read_control
 from geomosaic.project.draft.needs import needs
@@ -44,7 +45,8 @@ def understood(inputs: BlockInputs) -> tuple[list[str], str | None]:
     if needs(inputs):
         return lines, None
     try:
-        return [*lines, _block(inputs)], None
+        together, far = _block(inputs)
+        return [*lines, together], far
     except GeomosaicError as error:
         return lines, str(error)
 
@@ -97,14 +99,15 @@ def _dem(inputs: BlockInputs) -> str:
         dem.close()
 
 
-def _block(inputs: BlockInputs) -> str:
-    """Place and sampling of the whole."""
+def _block(inputs: BlockInputs) -> tuple[str, str | None]:
+    """Place and sampling of the whole; what its control says against it."""
     block = build_block(inputs)
     grid, outlines = plan(block.scenes, block.surface, Area())
     left, bottom, right, top = grid.bounds
     unit = grid.crs.axis_info[0].unit_name
     sampling = np.median([outline.sampling for outline in outlines])
+    far = [points.text for points in astray(inputs, block)]
     return (
         f"together: {right - left:.6g} x {top - bottom:.6g} {unit} in {crs_name(grid.crs)}, "
         f"ground sampling {sampling:.3g} {unit}"
-    )
+    ), (far[0] if far else None)

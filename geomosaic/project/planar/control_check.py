@@ -41,11 +41,11 @@ def examine(points: Sequence[ControlPoint], crs: CRS, path: Path | None, policy:
     for point in points:
         by_image.setdefault(point.image, []).append(point)
     once = list({point.id: point for point in points}.values())
-    found: list[tuple[str, Advice]] = [(where, advice) for advice in misplaced(_control(once, crs, where))]
+    found: list[tuple[str, Advice]] = [(where, advice) for advice in misplaced(image_control(once, crs, where))]
     for image, own in by_image.items():
         # A point measured twice in a photo is another table's matter; the first counts here.
         alone = list({point.id: point for point in reversed(own)}.values())
-        found += [(f"{where}, {image}", advice) for advice in contradictions(_control(alone, crs, where))]
+        found += [(f"{where}, {image}", advice) for advice in contradictions(image_control(alone, crs, where))]
     for at, advice in found:
         if advice.severity == "error":
             what = f"{advice.what} ({advice.code})"
@@ -55,7 +55,8 @@ def examine(points: Sequence[ControlPoint], crs: CRS, path: Path | None, policy:
             warnings.warn(f"{at}: {what}; {advice.mend}", GeomosaicWarning, stacklevel=3)
 
 
-def _control(points: Sequence[ControlPoint], crs: CRS, where: str) -> ImageControl:
+def image_control(points: Sequence[ControlPoint], crs: CRS, where: str) -> ImageControl:
+    """Control points, no two of one name, as the examinations of `geomosaic.control` take them."""
     count = len(points)
     return ImageControl(
         tuple(point.id for point in points),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from geomosaic.surface.developed.cylinder import Cylinder
 from geomosaic.surface.developed.developed import Developed
 from geomosaic.surface.developed.ellipsoid import PROJECTIONS, Ellipsoid
 from geomosaic.surface.developed.flat import Flat
+from geomosaic.surface.developed.triaxial import PLAN, Triaxial
 from geomosaic.types import FloatArray, PathLike
 
 ORIGIN = {"plane": "point", "cylinder": "point", "cone": "apex", "sphere": "centre", "ellipsoid": "centre"}
@@ -154,10 +155,8 @@ def _given(given: Mapping[str, Any], kind: str, crs: CRS, where: str) -> Parts:
         if values is None:
             raise InputError(f"'{name}' is missing", where=where, mend=f"give {name}, or points to fit the {kind} to")
         sizes += [_positive(v, name, where) for v in (values if isinstance(values, list) else [values])]
-    if kind == "ellipsoid" and len(sizes) != 2:
-        raise InputError(
-            f"semi_axes has {len(sizes)} values, not 2", where=where, mend="give [across the axis, along it], metres"
-        )
+    if kind == "ellipsoid":
+        _check_semi_axes(sizes, given, where)
     if kind == "cone":
         if not sizes[0] < 90.0:
             raise InputError(f"half_angle = {sizes[0]:g} is not below 90 degrees", where=where)
@@ -173,7 +172,26 @@ def body_of(kind: str, sizes: FloatArray, projection: str) -> Body:
         return Cylinder(float(sizes[0]))
     if kind == "cone":
         return Cone(float(sizes[0]))
+    if len(sizes) == 3:
+        return Triaxial((float(sizes[0]), float(sizes[1]), float(sizes[2])))
     return Ellipsoid(float(sizes[0]), float(sizes[-1]), projection)
+
+
+def _check_semi_axes(sizes: Sequence[float], given: Mapping[str, Any], where: str) -> None:
+    """Refuse other than two or three semi-axes, and of three different ones any development but the plan."""
+    if len(sizes) not in (2, 3):
+        raise InputError(
+            f"semi_axes has {len(sizes)} values, not 2 or 3",
+            where=where,
+            mend="give [across the axis, along it], metres, or [towards zero, across that, along the axis]",
+        )
+    if len(sizes) == 3 and given.get("projection", USUAL) != PLAN:
+        raise InputError(
+            f"an ellipsoid of three semi-axes has no '{given.get('projection', USUAL)}' development: its parallels are "
+            "no circles",
+            where=where,
+            mend=f"say projection = '{PLAN}', or give two semi-axes, where both across the axis are alike",
+        )
 
 
 def _fitted(given: Mapping[str, Any], kind: str, crs: CRS, path: Path, where: str) -> Parts:

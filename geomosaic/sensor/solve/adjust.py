@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from geomosaic.errors import SolveError
+from geomosaic.errors import SolveError, counted
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve.derivatives import jacobian
 from geomosaic.types import BoolArray, FloatArray
@@ -247,8 +247,10 @@ class _Problem:
             )
         if observations < unknowns:
             names = ", ".join(np.array(self.names)[self.free])
+            points = counted(int(seen.sum()), "point")
+            verb = "gives" if points == "1 point" else "give"
             raise SolveError(
-                f"{int(seen.sum())} points give {observations} observations for {unknowns} unknowns ({names})",
+                f"{points} {verb} {observations} observations for {unknowns} unknowns ({names})",
                 mend=f"give at least {-(-(unknowns - int(self.prior.sum())) // 2)} points, or fix parameters",
             )
 

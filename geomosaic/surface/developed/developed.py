@@ -20,6 +20,7 @@ from geomosaic.surface.developed.cone import Cone
 from geomosaic.surface.developed.cylinder import Cylinder
 from geomosaic.surface.developed.ellipsoid import Ellipsoid
 from geomosaic.surface.developed.flat import Flat
+from geomosaic.surface.developed.triaxial import Triaxial
 from geomosaic.types import BoolArray, FloatArray
 
 
@@ -162,5 +163,8 @@ def body_from_dict(state: dict[str, Any]) -> Body:
         return Cylinder(float(state["radius"]))
     if kind == "cone":
         return Cone(float(state["half_angle_radians"]))
+    if len(state["semi_axes"]) == 3:
+        a, b, c = map(float, state["semi_axes"])
+        return Triaxial((a, b, c))
     across, along = state["semi_axes"]
     return Ellipsoid(float(across), float(along), str(state["projection"]))

@@ -1,0 +1,1 @@
+"""Control that lies far from where the images put it: what is likeliest wrong with it."""

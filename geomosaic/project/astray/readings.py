@@ -1,0 +1,122 @@
+"""What the coordinates of control points may have meant: other axes, units, zones, datums, pixels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.block.block import ControlPoint
+from geomosaic.errors import GeomosaicError
+from geomosaic.geo.crs import horizontal
+from geomosaic.geo.transform import Transform
+from geomosaic.surface.undeclared import undulation
+
+FOOT = 0.3048
+_LEAST_UNDULATION = 0.5
+
+Sizes = dict[str, tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class PointReading:
+    """One way to read the points.
+
+    Attributes
+    ----------
+    what : str
+        Follows 'with': what would be different.
+    mend : str
+    points : tuple of ControlPoint
+        Read that way, in the CRS of the block.
+    """
+
+    what: str
+    mend: str
+    points: tuple[ControlPoint, ...]
+
+
+def point_readings(points: Sequence[ControlPoint], crs: CRS, sizes: Sizes) -> Iterator[PointReading]:
+    """Other readings of control points, the likeliest slips first.
+
+    Parameters
+    ----------
+    points : sequence of ControlPoint
+    crs : CRS
+        Of their coordinates, 3-D.
+    sizes : dict
+        Width and height of the images by name.
+    """
+    if not crs.is_geocentric:
+        yield from _by_axes(points, crs)
+        yield from _by_height(points, crs)
+    yield from _by_pixels(points, sizes)
+    utm = horizontal(crs).to_epsg() if horizontal(crs).utm_zone else None
+    if utm is not None:
+        yield from _by_zone(points, crs, utm)
+
+
+def _by_axes(points: Sequence[ControlPoint], crs: CRS) -> Iterator[PointReading]:
+    names = ("longitude", "latitude") if horizontal(crs).is_geographic else ("east", "north")
+    yield PointReading(
+        "x and y exchanged",
+        f"exchange the names x and y in the header of the control points: x is {names[0]}, y is {names[1]}",
+        _ground(points, lambda x, y, z: (y, x, z)),
+    )
+
+
+def _by_height(points: Sequence[ControlPoint], crs: CRS) -> Iterator[PointReading]:
+    shift = undulation(horizontal(crs), *points[0].xyz[:2])
+    if math.isfinite(shift) and abs(shift) >= _LEAST_UNDULATION:
+        for by, of in ((shift, "the geoid (EGM96)"), (-shift, "the ellipsoid")):
+            yield PointReading(
+                f"their heights counted from {of}, {abs(shift):.1f} m {'above' if by > 0 else 'below'} where they lie",
+                f"add {by:+.1f} m to z of the control points (which share the vertical datum of the positions, heights "
+                "under [exterior]), or declare the datum that is theirs",
+                _ground(points, lambda x, y, z, by=by: (x, y, z + by)),
+            )
+    for factor, unit in ((FOOT, "feet"), (1.0 / FOOT, "metres that were taken for feet")):
+        yield PointReading(
+            f"their heights in {unit}",
+            f"multiply z of the control points by {factor:.4f}",
+            _ground(points, lambda x, y, z, factor=factor: (x, y, factor * z)),
+        )
+
+
+def _by_pixels(points: Sequence[ControlPoint], sizes: Sizes) -> Iterator[PointReading]:
+    def moved(change: str) -> tuple[ControlPoint, ...]:
+        out = []
+        for point in points:
+            (col, row), (width, height) = point.colrow, sizes[point.image]
+            place = {"rows": (col, height - row), "swap": (row, col), "minus": (col, -row), "turn": (width - col, row)}
+            out.append(replace(point, colrow=place[change]))
+        return tuple(out)
+
+    yield PointReading("col and row exchanged", "exchange the names col and row in the header", moved("swap"))
+    yield PointReading("rows counted from the bottom", "write row = height of the image - row", moved("rows"))
+    yield PointReading("rows counted with a minus sign, as QGIS does", "change the sign of row", moved("minus"))
+    yield PointReading("columns counted from the right", "write col = width of the image - col", moved("turn"))
+
+
+def _by_zone(points: Sequence[ControlPoint], crs: CRS, code: int) -> Iterator[PointReading]:
+    for other in (code - 1, code + 1):
+        try:
+            elsewhere = CRS.from_epsg(other)
+            if not elsewhere.utm_zone:
+                continue
+            xy = Transform(elsewhere, horizontal(crs))(np.array([point.xyz[:2] for point in points]))
+        except (GeomosaicError, ValueError, RuntimeError):
+            continue
+        if np.isfinite(xy).all():
+            yield PointReading(
+                f"the points in {elsewhere.name}",
+                f"bring the control points from EPSG:{other} to the CRS of [exterior], which is also theirs",
+                tuple(replace(p, xyz=(float(x), float(y), p.xyz[2])) for p, (x, y) in zip(points, xy, strict=True)),
+            )
+
+
+def _ground(points: Sequence[ControlPoint], change: object) -> tuple[ControlPoint, ...]:
+    return tuple(replace(point, xyz=change(*point.xyz)) for point in points)  # type: ignore[operator]
