@@ -180,6 +180,22 @@ def pair(folder: Path) -> tuple[list[Path], list[RpcModel]]:
     return images, [models[0], models[1].with_values(np.array([0.0, 2.5, 0, 0, 0, 0]))]
 
 
+def test_control_without_a_vertical_datum_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Ellipsoidal or geoid, that is 44 m and nine pixels here: nothing is guessed."""
+    image = blank(tmp_path / "scene.tif", rig.SIZE)
+    write_tags(rig.model(), image)
+    ground = rig.ground(4)
+    rows = zip(ground.tolist(), rig.model().ground_to_image(ground).tolist(), strict=True)
+    lines = [f"p{k},{x!r},{y!r},{z!r},scene.tif,{c!r},{r!r}" for k, ((x, y, z), (c, r)) in enumerate(rows)]
+    (tmp_path / "gcps.csv").write_text("id,x,y,z,image,col,row\n" + "\n".join(lines) + "\n")
+    words = ["rpc", str(image), "--refine", "shift", "--gcps", str(tmp_path / "gcps.csv"), "--crs", "EPSG:4326"]
+    assert run(words) == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert "the heights of the control points have no vertical datum" in said
+    assert "px in the image" in said
+    assert run([*words, "--heights", "ellipsoidal"]) == 0
+
+
 def test_refined_against_another_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Tie points bring the lines of sight together; the scene that is held keeps its RPC."""
     images, true = pair(tmp_path)

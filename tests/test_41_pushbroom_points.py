@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -191,6 +192,20 @@ def test_few_points_keep_to_the_ideal_flight() -> None:
     np.testing.assert_array_equal(model.parameters.values[9:], 0.0)
     chosen = solve(ground, image, ECEF, SIZE, flying_height=832_000.0, additional=["phi1", "bend"])
     assert np.count_nonzero(chosen.parameters.values[9:]) == 2
+
+
+@pytest.mark.parametrize("off", [50.0, -300.0])
+def test_a_gross_point_is_named(off: float) -> None:
+    """No flight passes it, however it bends; the other fifteen say which one it is and by how much it is off."""
+    ground, image = SATELLITE.points(16, 800.0, 100, with_places(16))
+    image = image + np.random.default_rng(3).normal(0.0, 0.3, image.shape)
+    image[5, 0] += off
+    with pytest.raises(SolveError) as told:
+        solve(ground, image, ECEF, SIZE, flying_height=832_000.0)
+    assert "without 6 the others fit to some" in str(told.value)
+    found = re.search(r"off by some (\d+) px: measure it again", str(told.value))
+    assert found
+    assert float(found[1]) == pytest.approx(abs(off), rel=0.1)
 
 
 def test_what_is_told() -> None:

@@ -207,6 +207,20 @@ def test_tags_and_sidecar_that_differ(tmp_path: Path) -> None:
     assert np.allclose(moved, [0.0, 1.0])
 
 
+@pytest.mark.parametrize("name", ["scene_RPC.TXT", "scene.RPB"])
+def test_a_sidecar_that_gdal_prefers_does_not_hide_the_tags(name: str, tmp_path: Path) -> None:
+    """GDAL reads these two itself, and then says nothing of the tags."""
+    image = picture(tmp_path / "scene.tif")
+    write_tags(rig.model(), image)
+    moved = {"scene_RPC.TXT": ("LINE_OFF: 1499.5", "LINE_OFF: 1500.5"), "scene.RPB": ("= 1499.5", "= 1500.5")}[name]
+    text = SIDECARS[name]()
+    assert moved[0] in text
+    (tmp_path / name).write_text(text.replace(*moved))
+    with pytest.raises(InputError, match=r"and of image differ, by up to 1 pixels"):
+        build(image)
+    assert same(build(image, rpc="image"), rig.model())
+
+
 def test_no_rpc_at_all(tmp_path: Path) -> None:
     image = picture(tmp_path / "scene.tif")
     assert read_rpc_tags(image) == {}

@@ -24,6 +24,7 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.assemble import ECEF, assemble
+from geomosaic_pushbroom.doubt import odd_one
 from geomosaic_pushbroom.look import Look
 from geomosaic_pushbroom.model import PushbroomModel
 from geomosaic_pushbroom.points import Control, need_crs, with_result
@@ -107,6 +108,11 @@ def solve_without_metadata(request: SensorRequest, control: Control) -> Pushbroo
         model = model_at(solved.model.parameters.values, focal, tuple(notes))
     except SolveError as error:
         error.where = where
+        found = odd_one(frame.to_enu(xyz), control.colrow)
+        if found is not None:
+            name, away, rms = control.names[found[0]], *found[1:]
+            said = f"without {name} the others fit to some {rms:.1f} px, and it is off by some {away:.0f} px"
+            error.mend = f"{said}: measure it again, or leave it out"
         raise
     return with_result(model, solved.residuals, control)
 

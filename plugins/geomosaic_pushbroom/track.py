@@ -15,6 +15,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.options import number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
+from geomosaic_pushbroom.inputs import INPUTS
 from geomosaic_pushbroom.look import Look
 from geomosaic_pushbroom.paths import TrackPath
 from geomosaic_pushbroom.platform import Flight
@@ -42,7 +43,10 @@ def read_track(request: SensorRequest) -> tuple[Flight, Look, Quality]:
     where, options = request.image, request.options
     for name in ("focal_length_px", "start_time", "line_period", "columns"):
         if options.get(name) is None:
-            raise InputError(f"'{name}' is missing, which a strip with a track needs", where=where, mend=f"give {name}")
+            text = next(entry.text for entry in INPUTS if entry.name == name)
+            raise InputError(
+                f"'{name}' is missing, which a strip with a track needs", where=where, mend=f"give {name}: {text}"
+            )
     unit = options.get("angle_unit", "deg")
     if unit not in UNITS:
         raise InputError(f"angle_unit = {unit!r}", where=where, mend=f"choose from: {', '.join(UNITS)}")

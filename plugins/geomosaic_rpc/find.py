@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.raster.rpc import read_rpc_tags
+from geomosaic.raster.rpc import pam_has_rpc, read_rpc_tags
 from geomosaic_rpc.coefficients import Rpc
 from geomosaic_rpc.fields import RpcFields
 from geomosaic_rpc.read import FORMATS, read_rpc
@@ -62,10 +62,8 @@ def rpc_beside(path: Path) -> list[Found]:
 def files_beside(path: Path) -> tuple[Path, ...]:
     """Files beside an image that its RPC may come from, GDAL's .aux.xml among them where it holds one."""
     sure, maybe = _named(path)
-    notes = path.with_name(f"{path.name}.aux.xml")
-    with suppress(OSError):
-        if b'"RPC"' in notes.read_bytes():
-            maybe = [*maybe, notes]
+    if pam_has_rpc(path):
+        maybe = [*maybe, path.with_name(f"{path.name}.aux.xml")]
     return (*sure, *maybe)
 
 

@@ -15,6 +15,7 @@ from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.transform import Transform
 from geomosaic.project.rpc.ties import read_ties
 from geomosaic.sensor.correction_grid import CorrectionGrid
+from geomosaic.sensor.datum import need_heights
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.rational import HasRational
 from geomosaic.types import FloatArray
@@ -112,6 +113,8 @@ def refined(
 def _by_control(
     tool: HasRational, model: SensorModel, name: str, points: Sequence[ControlPoint], crs: CRS, kind: str
 ) -> tuple[SensorModel, ImageRpc]:
+    need_heights(crs, "the control points", name, lambda _: model)
+
     def arrays(role: str) -> tuple[list[ControlPoint], FloatArray, FloatArray]:
         mine = [point for point in points if point.role == role]
         ground = np.array([point.xyz for point in mine], dtype=np.float64).reshape(-1, 3)
