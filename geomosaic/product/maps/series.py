@@ -222,6 +222,7 @@ def _ingredients(inputs: SeriesInputs, record: dict[str, Any]) -> dict[str, Any]
     files = [inputs.raster, *(layer.path for layer in inputs.layers), *filter(None, (inputs.dem, inputs.shade))]
     if inputs.layout.sheet.logo:
         files.append(Path(inputs.layout.sheet.logo))
+    files += [Path(name) for name in inputs.layout.sheet.fonts]
     digests = {}
     for path in files:
         stat = path.stat()
