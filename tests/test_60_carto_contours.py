@@ -73,20 +73,18 @@ def turning(contours: list[Contour]) -> float:
 def test_smoothing_keeps_its_tolerance(tolerance: float) -> None:
     """Everywhere along a smoothed contour, not only at its vertices, the surface is within the tolerance of its height.
 
-    Where the traced line itself leaves it (flat saddles), smoothing makes nothing worse; the deviation told is the
-    one that an independent, dense sampling finds.
+    The deviation told is the one that a denser sampling finds.
     """
     rough = Heights(noise(), PLACE)
     plain, smoothed = trace(rough, 5.0, tolerance=0.0), trace(rough, 5.0, tolerance=tolerance)
-    assert len(plain) == len(smoothed)
+    assert abs(len(plain) - len(smoothed)) <= 2  # ends of a cell that is crossed twice may have changed partners
     worst = 0.0
     for c in smoothed:
         t = np.linspace(0, 1, 22)[:, None]
         dense = np.concatenate([a + t * (b - a) for a, b in zip(c.xy[:-1], c.xy[1:], strict=True)])
         worst = max(worst, float(np.nanmax(np.abs(rough.at(dense) - c.height))))
-    limit = max(tolerance, *(1.02 * c.deviation for c in plain))
-    assert worst <= limit
-    assert max(c.deviation for c in smoothed) <= limit
+    assert worst <= 1.02 * tolerance
+    assert max(c.deviation for c in smoothed) <= tolerance
     assert turning(smoothed) < 0.7 * turning(plain)
 
 
@@ -158,3 +156,47 @@ def test_short_rings_are_left_out() -> None:
     bump = heights(lambda x, y: 12.0 * np.exp(-(x**2 + y**2) / 30.0))
     assert len(trace(bump, 10.0)) == 1
     assert trace(bump, 10.0, shortest=50.0) == []
+
+
+@pytest.mark.parametrize("kind", ["noise", "steps", "gaps"])
+def test_rough_ground_keeps_the_tolerance_too(kind: str) -> None:
+    """Straight lines through the cells of such ground miss its surface by many metres; SciPy looks along the lines."""
+    from scipy.ndimage import map_coordinates
+
+    seeds = np.random.default_rng(5)
+    values = seeds.normal(0.0, 20.0, (24, 24))
+    if kind == "steps":
+        values = np.kron(seeds.integers(0, 50, (8, 8)), np.ones((3, 3)))
+    values = values.astype(np.float32).astype(np.float64)
+    holes = seeds.random(values.shape) < (0.05 if kind == "gaps" else 0.0)
+    known = np.where(holes, np.nan, values)
+    place = Affine(5.0, 0.0, 0.0, 0.0, -5.0, 0.0)
+    found = trace(Heights(known, place), 5.0, tolerance=0.5)
+    assert len(found) > 50
+    assert max(line.deviation for line in found) <= 0.5
+    worst = 0.0
+    for line in found:
+        node = np.column_stack([line.xy[:, 0] / 5.0 - 0.5, -line.xy[:, 1] / 5.0 - 0.5])
+        t = np.linspace(0.0, 1.0, 33)[:, None, None]
+        dense = (node[:-1] + t * np.diff(node, axis=0)).reshape(-1, 2).T[::-1]
+        heights = map_coordinates(values, dense, order=1, mode="nearest")
+        near_hole = map_coordinates(holes.astype(float), dense, order=1, mode="nearest") > 0
+        worst = max(worst, float(np.abs(heights - line.height)[~near_hole].max(initial=0.0)))
+    assert 0.1 < worst <= 0.52
+
+
+@pytest.mark.parametrize(
+    ("level", "apart"), [(2.2, {(0, 0), (1, 1)}), (2.3, {(0, 0), (1, 1)}), (2.4, {(1, 0), (0, 1)})]
+)
+def test_a_cell_that_is_crossed_twice_joins_the_ends_of_each_branch(level: float, apart: set[object]) -> None:
+    """Which corners a contour cuts off is for the saddle to say, at 14/6 m, not for the mean of the corners, 2.25 m."""
+    values = np.array([[0.0, 4.0], [3.5, 1.5]]) - level
+    found = trace(Heights(values, Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0)), 10.0, tolerance=0.01)
+    cut = set()
+    for line in found:
+        ends = np.column_stack([line.xy[[0, -1], 0] - 0.5, -line.xy[[0, -1], 1] - 0.5])  # (col, row) of the nodes
+        sides = [{(i, j) for i in (0, 1) for j in (0, 1) if min(abs(u - i), abs(v - j)) < 1e-9} for u, v in ends]
+        cut |= sides[0] & sides[1]
+    assert len(found) == 2
+    assert cut == apart
+    assert max(line.deviation for line in found) <= 0.01

@@ -1,9 +1,10 @@
 """Contours of a height grid: traced, smoothed within a tolerance of height, labelled so that figures look uphill.
 
 Heights are bilinear between the nodes, as everywhere in geomosaic. A traced contour has vertices on the sides of the
-cells, where it is exact; the straight line between two of them leaves the bilinear surface a little. Smoothing moves
-vertices only as far as the surface at their new place, and on the way to their neighbours, stays within the tolerance
-of the contour's height. A tolerance below half the interval so keeps contours from crossing.
+cells, where it is exact; the straight line between two of them leaves the bilinear surface, and gets vertices on it
+(`branches.py`) where that is more than a share of the tolerance. Smoothing moves vertices only as far as the surface at
+their new place, and on the way to their neighbours, stays within the tolerance of the contour's height. A tolerance
+below half the interval so keeps contours from crossing.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geomosaic.carto.branches import on_surface
 from geomosaic.carto.nice import multiples, nice_step
 from geomosaic.carto.smooth import bilinear_at, deviation, smooth
 from geomosaic.errors import InputError
@@ -124,6 +126,8 @@ def trace(
     cell = float(np.hypot(heights.transform.a, heights.transform.d))
     for level in levels:
         traced: Any = generator.lines(float(level))
+        if tolerance > 0:
+            traced = on_surface(heights.values, [line for line in traced if len(line) > 1], float(level), tolerance)
         for line in map(_distinct, traced):
             if len(line) > 1 and not (_closed(line) and cell * np.hypot(*np.diff(line, axis=0).T).sum() < shortest):
                 lines.append(line)

@@ -235,8 +235,8 @@ def _draw(task: Task) -> list[str]:
 def _ingredients(inputs: SeriesInputs, record: dict[str, Any]) -> dict[str, Any]:
     """Everything that all sheets depend on; digests of files are kept with their size and time."""
     files = [inputs.raster, *(layer.path for layer in inputs.layers), *filter(None, (inputs.dem, inputs.shade))]
-    if inputs.layout.sheet.logo:
-        files.append(Path(inputs.layout.sheet.logo))
+    lent = [Path(name) for name in (inputs.layout.sheet.logo, *inputs.layout.sheet.fonts) if name]
+    files += [path for path in lent if path.is_file()]  # what is missing is told where it is read
     digests = {}
     for path in files:
         stat = path.stat()
