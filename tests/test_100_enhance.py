@@ -163,3 +163,45 @@ def test_limits_and_percentiles_of_ones_own(scene: Path, tmp_path: Path, capsys:
         assert run(["enhance", str(scene), *words, "-o", str(tmp_path / "no.tif")]) == 1
         assert part in capsys.readouterr().err
         assert not (tmp_path / "no.tif").exists()
+
+
+def test_sheets_of_16_bits_have_one_tone(scene: Path, tmp_path: Path) -> None:
+    """Where nothing is asked for, two sheets of different parts show common ground alike, by limits of the raster."""
+    (tmp_path / "l.toml").write_text(NO_GRIDS)
+    made = []
+    for name, left in (("w", 400_000), ("e", 401_500)):
+        words = ["--scale", "1:50000", "--dpi", "100", "--layout", str(tmp_path / "l.toml")]
+        area = ["--bounds", str(left), "5495000", str(left + 4500), "5499000"]
+        assert run(["sheet", str(scene), *words, *area, "-o", str(tmp_path / f"{name}.tif")]) == 0
+        with rasterio.open(tmp_path / f"{name}.tif") as file:
+            places = [(x, y) for x in range(402_000, 404_001, 400) for y in range(5_496_000, 5_498_001, 400)]
+            made.append(np.array(list(file.sample(places))).astype(int))
+    assert np.ptp(made[0]) > 20
+    assert np.abs(made[0] - made[1]).max() <= 1
+    with rasterio.open(scene) as file:
+        raw, mask = file.read((1, 2, 3)).astype(float), file.dataset_mask() > 0
+        seen = np.array(list(file.sample(places, (1, 2, 3)))).astype(float)
+    low, high = np.percentile(raw[:, mask], (2, 98))
+    assert np.abs(made[0] - np.clip(255 * (seen - low) / (high - low), 0, 255)).max() <= 2
+
+
+def test_hillshade_of_a_whole_raster(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A plane shades a flat picture by the cosine of its normal to the sun, the same at the seams of the windows."""
+    flat = write(tmp_path / "flat.tif", np.full((3, 600, 700), 120, np.uint8), 10.0)
+    row, col = np.mgrid[0:70, 0:80]
+    east, north = 0.2, 0.1
+    with rasterio.open(
+        tmp_path / "dem.tif", "w", driver="GTiff", width=80, height=70, count=1, dtype="float32", crs="EPSG:32633",
+        transform=Affine(100, 0, 399_500, 0, -100, 5_500_500),
+    ) as out:  # fmt: skip
+        out.write((500 + 100 * (east * col - north * row)).astype(np.float32)[None])
+    words = ["enhance", str(flat), "--hillshade", str(tmp_path / "dem.tif")]
+    assert run([*words, "-o", str(tmp_path / "h.tif")]) == 0
+    with rasterio.open(tmp_path / "h.tif") as file:
+        made = file.read()
+    a, h = np.radians(315), np.radians(45)
+    sun = np.array([np.sin(a) * np.cos(h), np.cos(a) * np.cos(h), np.sin(h)])
+    light = np.array([-east, -north, 1]) @ sun / np.sqrt(1 + east**2 + north**2)
+    assert np.unique(made).tolist() == [int(np.floor(120 * (1 + 0.6 * (light / np.sin(h) - 1)) + 0.5))]
+    assert run([*words, "-o", str(flat), "--overwrite"]) == 1
+    assert "one of the inputs" in capsys.readouterr().err

@@ -164,6 +164,12 @@ def test_what_has_no_place_is_told(tell, tmp_path):
     code, out, _ = tell("reproject", path, "--dst-crs", UTM, "-o", tmp_path / "o.fgb")
     assert code == 0
     assert "1 features have no place" in out
+    metres = tmp_path / "metres.geojson"
+    gpd.GeoDataFrame({"n": [1]}, geometry=[shapely.Point(LEFT, TOP)], crs=4326).to_file(metres)
+    code, _, err = tell("reproject", metres, "--dst-crs", UTM, "-o", tmp_path / "p.gpkg")
+    assert code == 1
+    assert "none of the features has a place" in err
+    assert not (tmp_path / "p.gpkg").exists()
     bare = tmp_path / "bare.gpkg"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -242,6 +248,46 @@ def test_options_of_pixels_do_nothing_for_vectors(tell, tmp_path):
         assert f"leave out {words[0]}" in err
     assert tell("reproject", path, "--dst-crs", UTM, "-o", path, "--overwrite")[0] == 1
     assert tell("reproject", path, "--like", path, "--target-aligned-pixels", "-o", tmp_path / "o.gpkg")[0] == 2
+
+
+def test_a_raster_without_a_place_is_told_how_to_get_one(tell, lambert, tmp_path):
+    """No CRS, no geotransform, control points instead, metres that call themselves degrees and the other way round."""
+    with rasterio.open(lambert) as source:
+        profile, values, transform = source.profile, source.read(), source.transform
+    degrees = Affine(1e-5, 0, 3.8, 0, -1e-5, 43.6)
+    for changes, code, part in (
+        ({"crs": None}, 1, "give --src-crs; its coordinates (x 770500 to 770760, y 6277440 to 6277700) are no degrees"),
+        ({"crs": None, "transform": degrees}, 1, "could be degrees"),
+        ({"crs": "EPSG:4326"}, 1, "are no longitudes and latitudes"),
+        ({"transform": degrees}, 0, "look like degrees"),
+        ({"transform": Affine.identity()}, 1, "geomosaic georeference"),
+    ):
+        odd, out = tmp_path / "odd.tif", tmp_path / "o.tif"
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            with rasterio.open(odd, "w", **{**profile, **changes}) as dataset:
+                dataset.write(values)
+        got, _, err = tell("reproject", odd, "--dst-crs", UTM, "-o", out, "--overwrite")
+        assert (got, part in err) == (code, True)
+        if "crs" in changes and "transform" not in changes:
+            words = ("reproject", odd, "--src-crs", LAMBERT, "--dst-crs", UTM, "-o", out, "--overwrite")
+            assert tell(*words)[::2] == (0, "")
+    corners = [rasterio.control.GroundControlPoint(r, c, *(transform @ (c, r))) for r in (0, 260) for c in (0, 260)]
+    profile.pop("transform")
+    with rasterio.open(odd, "w", **{**profile, "gcps": corners, "crs": LAMBERT}) as dataset:
+        dataset.write(values)
+    assert "but 4 control points" in tell("reproject", odd, "--dst-crs", UTM, "-o", tmp_path / "q.tif")[2]
+
+
+def test_bands_keep_their_names_and_the_meaning_of_their_values(tell, lambert, tmp_path):
+    out = tmp_path / "o.tif"
+    with rasterio.open(lambert, "r+") as dataset:
+        dataset.scales, dataset.offsets, dataset.units = (0.1, 0.2), (5.0, -3.0), ("K", "m")
+        dataset.set_band_description(1, "heat")
+    assert tell("reproject", lambert, "--dst-crs", UTM, "-o", out)[0] == 0
+    with rasterio.open(out) as dataset:
+        assert (dataset.scales, dataset.offsets, dataset.units) == ((0.1, 0.2), (5.0, -3.0), ("K", "m"))
+        assert dataset.descriptions == ("heat", None)
 
 
 def on_the_globe(lon: np.ndarray, lat: np.ndarray) -> np.ndarray:

@@ -176,6 +176,8 @@ def test_the_index_knows_earlier_sheets_and_is_never_taken_from_others(
     (out / "index.gpkg").write_bytes(b"mine")
     assert run(["sheets", *map(str, words)]) == 1
     assert "in the way of the index" in capsys.readouterr().err
+    assert run(["sheets", *map(str, words[:-1]), str(raster)]) == 1
+    assert "the output is a file" in capsys.readouterr().err
     assert (out / "index.gpkg").read_bytes() == b"mine"
     assert len(list(out.glob("M-*.tif"))) == 2
 

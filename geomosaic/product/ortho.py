@@ -176,6 +176,7 @@ def ortho(
             overwrite=options.overwrite,
             threads=options.threads,
             descriptions=info.descriptions,
+            meanings=tuple(zip(info.scales, info.offsets, info.units, strict=True)),
             tags={"GEOMOSAIC_SENSOR": scene.sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
         ) as sink:
             threads = engine.threads(options.threads)

@@ -117,6 +117,11 @@ def reproject_vectors(
                 _check_one_kind(found, f"{path}, layer {name}")
             told += append_layer(whole, found, output.stem if driver == "ESRI Shapefile" else name, driver)
             layers[name], lost, cut = len(found), lost + gone, cut + pieces
+        if lost and not sum(layers.values()):
+            raise InputError(
+                f"none of the features has a place in {crs.name}", where=str(path),
+                mend="their coordinates are not of the CRS that the file names: give the right one as --src-crs",
+            )  # fmt: skip
         for name in tables if driver in _SEVERAL else ():
             told += append_layer(whole, read_table(path, name), name, driver)
         _publish(whole, output, driver)

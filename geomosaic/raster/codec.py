@@ -21,6 +21,9 @@ from geomosaic.raster.tiff import Directory, Field
 from geomosaic.types import AnyArray, ByteArray
 
 BLOCK = 512
+Meaning = tuple[float, float, str | None]
+"""Of the samples of a band: value = sample · scale + offset, and the unit of the value."""
+PLAIN: Meaning = (1.0, 0.0, None)
 PIXEL_TAGS = {
     tiff.BITS, tiff.COMPRESSION, tiff.PHOTOMETRIC, tiff.SAMPLES, tiff.PLANAR, tiff.TILE_WIDTH, tiff.TILE_LENGTH,
     tiff.PREDICTOR, tiff.EXTRA_SAMPLES, tiff.SAMPLE_FORMAT,
@@ -105,6 +108,7 @@ def describe_raster(
     *,
     nodata: float | None,
     descriptions: Sequence[str | None],
+    meanings: Sequence[Meaning],
     tags: Mapping[str, str],
     where: str,
 ) -> Directory:
@@ -122,6 +126,9 @@ def describe_raster(
                 for band, text in enumerate(descriptions, start=1):
                     if text:
                         dataset.set_band_description(band, text)
+                if any(meaning != PLAIN for meaning in meanings):
+                    dataset.scales, dataset.offsets = [m[0] for m in meanings], [m[1] for m in meanings]
+                    dataset.units = [m[2] or "" for m in meanings]
                 if tags:
                     dataset.update_tags(**tags)
                 if profile.get("compress", "NONE").upper() != "NONE":  # only a tile shows what the codec cannot do

@@ -12,7 +12,7 @@ from rasterio.errors import RasterioError
 
 from geomosaic.errors import OutputError
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.raster.codec import BLOCK
+from geomosaic.raster.codec import BLOCK, Meaning
 from geomosaic.raster.options import check_nodata, check_type, creation_options
 from geomosaic.raster.output import check_geotiff, partial, remove, sync
 from geomosaic.raster.tilefile import TileFile
@@ -48,6 +48,8 @@ class RasterSink:
         For compression.
     descriptions : sequence of str, optional
         Per band.
+    meanings : sequence of tuple, optional
+        Per band: scale, offset and unit of its values, see `codec.Meaning`.
     tags : mapping, optional
         Metadata of the file.
     mask : bool
@@ -80,6 +82,7 @@ class RasterSink:
         overwrite: bool = False,
         threads: int = 1,
         descriptions: Sequence[str | None] = (),
+        meanings: Sequence[Meaning] = (),
         tags: Mapping[str, str] | None = None,
         mask: bool = True,
         photometric: str | None = None,
@@ -107,6 +110,7 @@ class RasterSink:
                 cog=driver == "COG",
                 nodata=nodata,
                 descriptions=descriptions,
+                meanings=meanings,
                 tags=tags,
                 mask=mask,
                 threads=threads,

@@ -70,6 +70,7 @@ class TileFile:
         cog: bool = False,
         nodata: float | None = None,
         descriptions: Sequence[str | None] = (),
+        meanings: Sequence[codec.Meaning] = (),
         tags: Mapping[str, str] | None = None,
         mask: bool = True,
         threads: int = 1,
@@ -81,8 +82,9 @@ class TileFile:
         raw_bytes = grid.width * grid.height * bands * self._dtype.itemsize
         self._big = tiff.needs_big(self._profile.pop("bigtiff", "IF_SAFER"), raw_bytes * (4 / 3 if overviews else 1))
         self._directory = codec.describe_raster(
-            grid, self._profile, nodata=nodata, descriptions=descriptions, tags=tags or {}, where=str(path)
-        )
+            grid, self._profile, nodata=nodata, descriptions=descriptions, meanings=meanings, tags=tags or {},
+            where=str(path),
+        )  # fmt: skip
         self._raw = self._directory[tiff.COMPRESSION].integers[0] == 1
         self._levels = levels(grid.width, grid.height) if overviews else [Level(grid.width, grid.height)]
         self._maker = TileMaker(

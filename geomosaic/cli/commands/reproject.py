@@ -59,11 +59,17 @@ def command(
     from geomosaic.project.area import Area, grid_of
     from geomosaic.project.inputs import BlockInputs
     from geomosaic.project.make import make_ortho
+    from geomosaic.project.placed import check_placed
     from geomosaic.raster.info import inspect
 
     note_memory(flags["mem_limit"], flags["threads"])
     with notes(), progress(as_json) as report:
         info = inspect(source)
+        own = check_placed(info, parse_map(src_crs, "--src-crs") if src_crs else None)
+        if "palette" in info.colors and flags["resampling"] == "nearest":
+            warnings.warn(
+                "the numbers of the palette are kept, its colours are not carried over", GeomosaicWarning, stacklevel=1
+            )
         if src_crs is None and info.crs is not None and (suspicious := doubt(info.crs)):
             target = grid_of(like).crs if like is not None else parse_map(flags["dst_crs"], "--dst-crs")
             if not operation_between(horizontal(info.crs), horizontal(target)).possible:
@@ -77,8 +83,6 @@ def command(
         inputs = BlockInputs((source,), "planar", options=options, crs=src_crs)
         area = Area(flags["dst_crs"], flags["res"], flags["bounds"], snap, like)
         result = make_ortho(inputs, area, output, render_options(flags, report))
-    own = parse_map(src_crs, "--src-crs") if src_crs else info.crs
-    assert own is not None  # it could not have been placed
     words = _operation(own, result.grid.crs)
     answer({**ortho_facts(result), "operation": words}, f"{ortho_words(result)}\n{words}", as_json)
 

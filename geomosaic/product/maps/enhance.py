@@ -15,7 +15,7 @@ from geomosaic.carto.picture import Curves, read_bands
 from geomosaic.enhance.curves import equalised, linear, percentile_limits
 from geomosaic.enhance.local import Clahe, luminance, sharpened, toned
 from geomosaic.enhance.shade import hillshade, shaded
-from geomosaic.errors import InputError
+from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.geo.transform import Transform
@@ -160,7 +160,14 @@ def finishing(
 
 
 def heights_at(path: Path, heights: str | None, crs: CRS, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Heights (rows, cols) of a DEM at pixels in columns x and rows y of a map, row by row; NaN where unknown."""
-    with closing(Dem.open(path, heights=heights)) as dem:
+    """Heights (rows, cols) of a DEM at pixels in columns x and rows y of a map, row by row; NaN where unknown.
+
+    Heights that declare no vertical datum are taken as they are: for the slopes of a hillshade none is needed.
+    """
+    try:
+        opened = Dem.open(path, heights=heights)
+    except HeightDatumError:
+        opened = Dem.open(path, heights="ellipsoidal")
+    with closing(opened) as dem:
         move = Transform(crs, horizontal(dem.crs))
         return np.array([dem.height(move(np.column_stack([x, np.full_like(x, row)]))) for row in y])

@@ -121,6 +121,8 @@ def make_series(
                 mend="leave it out of --only; without --only all sheets that show something are made",
             )
     refuse_one_file_for_two(names, suffix)
+    if folder.exists() and not folder.is_dir():
+        raise InputError("the output is a file", where=str(folder), mend="name a folder, which is made where it is not")
     folder.mkdir(parents=True, exist_ok=True)
     _tell_crs(scheme, names[0], grid.crs)
     record = read_record(folder)
