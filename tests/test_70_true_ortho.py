@@ -155,7 +155,7 @@ def test_nodes_between_the_pixels_serve_as_well(city: tuple[City, Path], truth: 
     with rasterio.open(tmp_path / "m.tif") as mosaic, rasterio.open(tmp_path / "m-labels.tif") as labels:
         values, valid, label = mosaic.read(1), mosaic.dataset_mask() > 0, labels.read(1)
     assert sum(int(((label == i + 1) & valid & ~seen[i]).sum()) for i in range(6)) == 0
-    assert (label == 7).sum() < 2.3 * (~np.any(seen, axis=0)).sum()  # a ring of a pixel would be 4 times as much
+    assert (label == 7).sum() < 2.3 * (~np.any(seen, axis=0)).sum()
     assert ((values == WALL_CLASS) & valid).mean() < 0.006
     beside = np.any([near_edges(view.astype(float)) & (label == i + 1) for i, view in enumerate(seen)], axis=0)
     wrong = (values != kind) & valid

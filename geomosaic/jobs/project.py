@@ -75,7 +75,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             {**orientation, **place, **blend},
             (*images, *ground, *master, *drawn, *usable, *layout.models),
             (*rasters, layout.facts("mosaic"), layout.places),
-            version=4,
+            version=5,
         ),
     ]
     if every_ortho:
@@ -86,6 +86,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
                 {**orientation, **place},
                 (*images, *ground, *usable, *layout.models),
                 every_ortho,
+                version=2,
             )
         )
     steps += [
