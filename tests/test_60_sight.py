@@ -32,7 +32,7 @@ def look(lines: Field, relief: Relief, wanted: ByteArray) -> tuple[ByteArray, By
     hidden(lines, relief, wanted, one)
     compiled(
         (lines.nodes, lines.z_middle, lines.z_inverse, lines.width),
-        (relief.heights, relief.cells, relief.ranges, relief.tiles, relief.walls, relief.top),
+        (relief.heights, relief.tiles, relief.walls, relief.top),
         wanted,
         other,
     )
@@ -119,5 +119,7 @@ def test_rough_ground_does_not_hide_itself() -> None:
     relief = Relief.of(heights, 0.45, 0.5)
     one, _ = look(field((0.4, 0.2), width=0.5), relief, np.ones(SHAPE, dtype=np.uint8))
     assert not one.any()
-    assert not relief.may_hide(0.45, 0.5)
-    assert relief.may_hide(8.0, 0.5)
+    for ready in (relief, Relief.of(heights, 0.45, 0.5, compiled=True)):
+        assert not ready.may_hide(0.45)
+    for compiled_ in (False, True):
+        assert Relief.of(heights, 8.0, 0.5, compiled=compiled_).may_hide(8.0)

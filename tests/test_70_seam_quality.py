@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -83,3 +84,13 @@ def test_pictures_of_a_place_have_one_stretch():
     assert picture.shape == (5, 3 * 7 + 2 * 6, 3)
     assert picture[2, 3, 0] < picture[2, 30, 0] < picture[2, 15, 0]
     assert strip([view[:, :, :1] for view in views]).shape == picture.shape
+
+
+def test_a_mosaic_without_a_project_names_the_checksums_of_its_sources_too(tell, tmp_path):
+    tiles = tile(tmp_path / "a.tif", 0), tile(tmp_path / "b.tif", STEP)
+    out = tmp_path / "m.tif"
+    assert tell("mosaic", *tiles, "--res", 4, "-o", out)[0] == 0
+    sums = [hashlib.sha256(path.read_bytes()).hexdigest() for path in tiles]
+    assert read_layer(out.with_suffix(".gpkg"), "footprints")["sha256"].tolist() == sums
+    sources = json.loads(out.with_suffix(".stac.json").read_text())["properties"]["geomosaic:sources"]
+    assert [source["sha256"] for source in sources] == sums

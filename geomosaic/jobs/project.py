@@ -87,6 +87,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
                 {**orientation, **place},
                 (*images, *ground, *usable, *layout.models),
                 every_ortho,
+                version=2,
             )
         )
     steps += [

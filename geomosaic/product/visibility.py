@@ -92,7 +92,7 @@ class Visibility:
         longest = np.nanmax(np.hypot(np.abs(nodes[..., 2:5]).sum(axis=-1), np.abs(nodes[..., 5:8]).sum(axis=-1)))
         width = rough_metres(surface.crs) / math.sqrt(abs(t.determinant))
         relief = Relief.of(patch.heights, float(longest), width, compiled=self.compiled)
-        if not relief.may_hide(float(longest), width):
+        if not relief.may_hide(float(longest)):
             return None
         half = (high - low) / 2
         return Field(nodes, (low + high) / 2, 1.0 / half if half > 0.0 else 0.0, width), relief
@@ -221,7 +221,7 @@ class Shades:
 
             hidden(
                 (lines.nodes, lines.z_middle, lines.z_inverse, lines.width),
-                (relief.heights, relief.cells, relief.ranges, relief.tiles, relief.walls, relief.top),
+                (relief.heights, relief.tiles, relief.walls, relief.top),
                 wanted,
                 out,
             )

@@ -63,23 +63,17 @@ class Relief:
     ----------
     heights : float32 array (rows, cols)
         NaN where unknown, which hides nothing.
-    cells : float32 array (rows − 1, cols − 1)
-        Highest of its four nodes.
-    ranges : float32 array (rows − 1, cols − 1)
-        Between its highest and lowest node.
     tiles : float32 array
-        Highest of `TILE` × `TILE` cells.
+        Highest of `TILE` × `TILE` cells, each of which is as high as the highest of its nodes.
     walls : float32 array
         Highest of those of them that may be walls to the line of sight that rises least.
     top : float
         Highest of all.
     steepest : float
-        Metres per node that no slope exceeds.
+        Metres per node that no slope exceeds; 0 where all slopes are too gentle to be in the way of anything.
     """
 
     heights: Float32Array
-    cells: Float32Array
-    ranges: Float32Array
     tiles: Float32Array
     walls: Float32Array
     top: float
@@ -100,36 +94,41 @@ class Relief:
             Whether the compiled kernel is worth its start; the answer is the same.
         """
         least = np.float64(_least_wall(longest, width))
+        gentle = STEEP / longest / 2.0 if longest > 0.0 else np.inf
         if compiled:
             from geomosaic.resample.kernels.relief import prepare
 
-            shape = heights.shape[0] - 1, heights.shape[1] - 1
-            coarse = -(-shape[0] // TILE), -(-shape[1] // TILE)
-            cells, ranges, tiles, walls = (np.empty(size, dtype=np.float32) for size in (shape, shape, coarse, coarse))
-            rises = prepare(heights, least, cells, ranges, tiles, walls)
+            shape = -(-(heights.shape[0] - 1) // TILE), -(-(heights.shape[1] - 1) // TILE)
+            tiles, walls = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
+            rises = prepare(heights, least, gentle, tiles, walls)
         else:
-            pairs, lower = np.fmax(heights[1:], heights[:-1]), np.fmin(heights[1:], heights[:-1])
-            cells = np.fmax(pairs[:, 1:], pairs[:, :-1])
-            ranges = cells - np.fmin(lower[:, 1:], lower[:, :-1])
-            unknown = np.isnan(cells)
-            if unknown.any():
-                cells[unknown], ranges[unknown] = -np.inf, 0.0
+            cells, ranges = _cells(heights)
             tiles, walls = _highest(cells), _highest(np.where(ranges > least, cells, np.float32(-np.inf)))
             rises = tuple(np.fmax.reduce(np.abs(np.diff(heights, axis=k)), axis=None, initial=0.0) for k in (1, 0))
         steepest = float(np.hypot(float(rises[0]), float(rises[1])))
-        return cls(heights, cells, ranges, tiles, walls, float(tiles.max()), steepest)
+        return cls(heights, tiles, walls, float(tiles.max()), steepest)
 
-    def may_hide(self, longest: float, width: float) -> bool:
+    def may_hide(self, longest: float) -> bool:
         """Whether anything can be in the way of lines of sight that go sideways by up to `longest` nodes per metre."""
         if longest == 0.0:
             return False
-        walls = float(self.ranges.max()) > _least_wall(longest, width)
-        return walls or self.steepest * longest >= STEEP
+        return bool((self.walls > -np.inf).any()) or self.steepest * longest >= STEEP
 
 
 def _least_wall(longest: float, width: float) -> float:
     """Rise of a cell from which on it may be a wall to some line of sight."""
     return min(SHARE / longest, WALL * width) if longest > 0.0 else WALL * width
+
+
+def _cells(heights: Float32Array) -> tuple[Float32Array, Float32Array]:
+    """Highest of the four nodes of each cell, −inf where none is known, and how far it is above the lowest."""
+    pairs, lower = np.fmax(heights[1:], heights[:-1]), np.fmin(heights[1:], heights[:-1])
+    cells = np.fmax(pairs[:, 1:], pairs[:, :-1])
+    ranges = cells - np.fmin(lower[:, 1:], lower[:, :-1])
+    unknown = np.isnan(cells)
+    if unknown.any():
+        cells[unknown], ranges[unknown] = -np.inf, 0.0
+    return cells, ranges
 
 
 def _highest(cells: Float32Array) -> Float32Array:
@@ -167,7 +166,8 @@ def hidden(field: Field, relief: Relief, wanted: ByteArray, out: ByteArray) -> N
             col, row, next_x, next_y, np.zeros(len(on)), beside,
         ]
     )  # fmt: skip
-    high, wide = relief.cells.shape
+    cells, ranges = _cells(relief.heights)
+    high, wide = cells.shape
     while len(on):
         z, rise, wall, step_x, step_y, across, down, ux, uy, col, row, next_x, next_y, t, beside = state
         level = z + rise * t
@@ -175,7 +175,7 @@ def hidden(field: Field, relief: Relief, wanted: ByteArray, out: ByteArray) -> N
         i, j = np.where(inside, row, 0).astype(np.int64), np.where(inside, col, 0).astype(np.int64)
         leave = np.minimum(next_x, next_y)
         passed, first, by_x = leave > t + TOUCH, beside > 0.0, next_x <= next_y
-        above = ((t >= NEAR) | (relief.ranges[i, j] > wall)) & (relief.cells[i, j] > level)
+        above = ((t >= NEAR) | (ranges[i, j] > wall)) & (cells[i, j] > level)
         blocked = inside & passed & np.where(first, _shut(relief.heights, i, j, by_x, ux, uy, z + wall), above)
         out[rows[on[blocked]], cols[on[blocked]]] = 1
         state[9:] = (

@@ -252,25 +252,26 @@ class Blender:
         window = ground.window
         middle = self.grid.xy(np.array([[window.col + window.width / 2, window.row + window.height / 2]]))[0]
         centres = {i: np.hypot(*(np.array(self.photos.outlines[i].centre) - middle)) for i in near}
+        own, seen, missing = np.empty_like(values), np.zeros_like(valid), np.empty(valid.shape, dtype=bool)
         for i in sorted(near, key=lambda i: (centres[i], i)):
             # Outlines are drawn through a hundred points and cut corners of high relief: the image itself is asked.
-            missing = valid == 0
+            np.equal(valid, 0, out=missing)
             if not missing.any():
                 break
+            wanted: AnyArray = missing
             if shades is not None:
                 with self.photos.using(i) as photo:
-                    missing = shades.worthwhile(photo.mapper, missing)
-            need = cells_of(missing).astype(np.uint8)
+                    wanted = shades.worthwhile(photo.mapper, missing)
+            need = cells_of(wanted).astype(np.uint8)
             if not need.any():
                 continue
-            own, seen = np.zeros_like(values), np.zeros_like(valid)
-            self._pull(i, ground, own, seen, need, lattices, shades, missing)
-            new = (seen > 0) & (valid == 0)
-            if not new.any():
+            seen.fill(0)
+            self._pull(i, ground, own, seen, need, lattices, shades, wanted)
+            new = np.flatnonzero(np.greater(seen, valid, out=missing))
+            if not len(new):
                 continue
-            np.copyto(values, own, where=new[..., None])
-            np.copyto(valid, 1, where=new)
-            np.copyto(label, i + 1, where=new)
+            down, along = np.divmod(new, valid.shape[1])
+            values[down, along], valid[down, along], label[down, along] = own[down, along], 1, i + 1
             filled = True
         return filled
 

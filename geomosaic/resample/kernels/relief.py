@@ -9,31 +9,64 @@ from geomosaic.resample.sight import TILE
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def prepare(heights, least, cells, ranges, tiles, walls):
-    """Fill cells, ranges, tiles and walls; returns the largest rise along columns and rows.
+def prepare(heights, least, gentle, tiles, walls):
+    """Fill tiles and walls; returns the largest rises along columns and rows, or 0 where they are below `gentle`.
 
-    Cells that rise by more than `least` may be walls.
+    Cells that rise by more than `least` may be walls. Most tiles are even: only of the others each cell is looked at.
     """
+    rows, cols = heights.shape
     rises = np.zeros(2, dtype=np.float32)
-    tiles[:] = -np.inf
-    walls[:] = -np.inf
-    for row in range(cells.shape[0]):
-        for col in range(cells.shape[1]):
-            p, q, r, s = heights[row, col], heights[row, col + 1], heights[row + 1, col], heights[row + 1, col + 1]
-            high, low = np.float32(-np.inf), np.float32(np.inf)
-            for node in (p, q, r, s):
-                high, low = (node if node > high else high), (node if node < low else low)
-            across, below = abs(q - p), abs(s - r)
+    high, low = np.empty(cols, dtype=np.float32), np.empty(cols, dtype=np.float32)
+    for i in range(tiles.shape[0]):
+        first, last = i * TILE, min(i * TILE + TILE + 1, rows)
+        high[:] = -np.inf
+        low[:] = np.inf
+        for row in range(first, last):
+            line = heights[row]
+            for col in range(cols):
+                z = line[col]
+                high[col] = z if z > high[col] else high[col]
+                low[col] = z if z < low[col] else low[col]
+        for j in range(tiles.shape[1]):
+            most, least_of = np.float32(-np.inf), np.float32(np.inf)
+            for col in range(j * TILE, min(j * TILE + TILE + 1, cols)):
+                most = high[col] if high[col] > most else most
+                least_of = low[col] if low[col] < least_of else least_of
+            tiles[i, j] = most
+            walls[i, j] = -np.inf
+            rise = np.float64(most) - least_of
+            if rise > least or rise > gentle:
+                end = min(j * TILE + TILE + 1, cols)
+                walls[i, j] = look_at(heights, first, last, j * TILE, end, least, rises)
+    return rises[0], rises[1]
+
+
+@njit(nogil=True, error_model="numpy")
+def look_at(heights, first_row, last_row, first_col, last_col, least, rises):
+    """Highest of a tile's cells that may be walls, −inf where there are none; notes rises of its nodes."""
+    wall = np.float32(-np.inf)
+    for row in range(first_row, last_row - 1):
+        for col in range(first_col, last_col - 1):
+            p, q = heights[row, col], heights[row, col + 1]
+            r, s = heights[row + 1, col], heights[row + 1, col + 1]
+            across, below, left, right = abs(q - p), abs(s - r), abs(r - p), abs(s - q)
             rises[0] = across if across > rises[0] else rises[0]
             rises[0] = below if below > rises[0] else rises[0]
-            left, right = abs(r - p), abs(s - q)
             rises[1] = left if left > rises[1] else rises[1]
             rises[1] = right if right > rises[1] else rises[1]
-            cells[row, col] = high
-            known = high >= low
-            ranges[row, col] = high - low if known else np.float32(0.0)
-            i, j = row // TILE, col // TILE
-            tiles[i, j] = max(tiles[i, j], high)
-            if ranges[row, col] > least:
-                walls[i, j] = max(walls[i, j], high)
-    return rises[0], rises[1]
+            high, rise = cell(heights, row, col)
+            if rise > least and high > wall:
+                wall = high
+    return wall
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def cell(heights, row, col):
+    """Highest of a cell's four nodes, −inf where none is known, and how far it is above the lowest."""
+    high, low = np.float32(-np.inf), np.float32(np.inf)
+    for k in range(2):
+        for m in range(2):
+            node = heights[row + k, col + m]
+            high = node if node > high else high
+            low = node if node < low else low
+    return high, high - low

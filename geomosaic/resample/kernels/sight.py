@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
+from geomosaic.resample.kernels.relief import cell
 from geomosaic.resample.sight import NEAR, SHARE, STEP, TILE, TOUCH, WALL
 
 GROUP = 16
@@ -23,7 +24,7 @@ PARTS = 6
 def hidden(field, relief, wanted, out):
     """Set `out` to 1 where the surface hides what is `wanted`.
 
-    `field` is (nodes, z_middle, z_inverse, width), `relief` (heights, cells, ranges, tiles, walls, top): see
+    `field` is (nodes, z_middle, z_inverse, width), `relief` (heights, tiles, walls, top): see
     `resample.sight.Field` and `Relief`.
     """
     left, right, at = np.empty(8), np.empty(8), np.empty(8)
@@ -43,7 +44,7 @@ def hidden(field, relief, wanted, out):
 def follow(field, relief, end, row, first_col, last_col, wanted, room, out):
     """Follow the lines of sight of a row of pixels of one group, up to a level beyond which nothing is in the way."""
     nodes, z_middle, z_inverse, width = field
-    heights, cells, ranges, tiles, _, _ = relief
+    heights, tiles, _, top = relief
     left, right, at = room
     i, j = row // STEP, first_col // STEP
     v = (row + 0.5) / STEP - i
@@ -57,7 +58,7 @@ def follow(field, relief, end, row, first_col, last_col, wanted, room, out):
         for k in range(8):
             at[k] = left[k] + (right[k] - left[k]) * u
         z = bilinear(heights, at[0], at[1])
-        if not z < relief[5]:  # nor where it is not known
+        if not z < top:  # nor where it is not known
             continue
         t = (z - z_middle) * z_inverse
         sx = at[2] + t * (at[3] + t * at[4])
@@ -67,9 +68,7 @@ def follow(field, relief, end, row, first_col, last_col, wanted, room, out):
             rise = 1.0 / length
             wall = min(SHARE * rise, WALL * width)
             low = foot(heights, at[0], at[1], wall)
-            out[row, col] = blocked(
-                at[0], at[1], z, low, sx * rise, sy * rise, rise, wall, end, heights, cells, ranges, tiles
-            )
+            out[row, col] = blocked(at[0], at[1], z, low, sx * rise, sy * rise, rise, wall, end, heights, tiles)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -89,7 +88,7 @@ def last_level(field, relief, first_row, first_col):
     What all lines pass between two heights lies in a box. Up to `NEAR` nodes away only walls count.
     """
     nodes, z_middle, z_inverse, _ = field
-    tiles, walls, top = relief[3], relief[4], relief[5]
+    tiles, walls, top = relief[1], relief[2], relief[3]
     ni, nj = first_row // STEP, first_col // STEP
     v, u = first_row / STEP - ni, first_col / STEP - nj
     size = GROUP / STEP
@@ -174,9 +173,9 @@ def corner(nodes, ni, nj, v, u, k):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def blocked(x, y, z, low, ux, uy, rise, wall, end, heights, cells, ranges, tiles):
+def blocked(x, y, z, low, ux, uy, rise, wall, end, heights, tiles):
     """1 where the surface is in the way of one line of sight, else 0; `low` is its place's foot of a wall, or NaN."""
-    high, wide = cells.shape
+    high, wide = heights.shape[0] - 1, heights.shape[1] - 1
     beside = low == low
     z = low if beside else z
     col, row = math.floor(x), math.floor(y)
@@ -199,8 +198,10 @@ def blocked(x, y, z, low, ux, uy, rise, wall, end, heights, cells, ranges, tiles
                 beside = False
                 if shut(heights, row, col, next_x <= next_y, ux, uy, low + wall):
                     return 1
-            elif not empty and cells[row, col] > level and (t >= NEAR or ranges[row, col] > wall):
-                return 1
+            elif not empty:
+                above, rises = cell(heights, row, col)
+                if above > level and (t >= NEAR or rises > wall):
+                    return 1
         if next_x <= next_y:
             col += step_x
             next_x += across
