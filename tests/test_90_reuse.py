@@ -14,6 +14,7 @@ import shapely
 from scipy.ndimage import distance_transform_edt
 
 from geomosaic.cli.main import run
+from geomosaic.product import mosaic as product
 from geomosaic.raster.vector import read_layer
 from geomosaic.resample.warp import CELL
 
@@ -226,3 +227,16 @@ def test_views_are_kept_where_the_pixels_are(own, tell, monkeypatch):
     shutil.rmtree(own.parent / "output")
     assert tell("run", own, "mosaic")[0] == 0
     assert [*hashes(own), hashlib.sha256(views.read_bytes()).hexdigest()] == kept
+
+
+def test_compiled_kernels_are_started_for_what_is_left_only(own, tell, monkeypatch):
+    asked, choose = [], product.engine_for
+    monkeypatch.setattr(product, "engine_for", lambda work, *more: asked.append(work) or choose(work, *more))
+    edit_south(own)
+    assert tell("run", own, "mosaic")[0] == 0
+    found = facts(own)
+    nothing_yet, left = asked
+    assert nothing_yet == 0
+    assert tell("run", own, "mosaic", "--force")[0] == 0
+    assert left == asked[2] * (found["units"] - found["reused"]) // found["units"]
+    assert len(asked) == 3

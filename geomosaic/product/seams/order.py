@@ -66,7 +66,7 @@ def index_of(name: str, scenes: Sequence[Scene]) -> int:
         raise InputError(
             f"{'several images are' if found else 'no image is'} called '{name}'",
             where="base image",
-            mend=f"name one of the images{f': {meant}' if meant else ''}, such as {names[0]}",
+            mend=meant or f"name one of the images, such as {names[0]}",
         )
     return found[0]
 
