@@ -2,7 +2,7 @@
 
     corrected = field(place) · gain · R · ((value + dark − haze · path(place)) / R)^gamma
 
-R is the range of values, `field` the exponential of the sum that `bases` describes, `path` how much more air there is
+R is a middle value, `field` the exponential of the sum that `bases` describes, `path` how much more air there is
 than at the nadir: the light of haze is added to that of the ground, where a field multiplies it. The parameters make
 corrected values of the same ground alike. They are found by Gauss-Newton steps with Tukey's biweight, so that clouds,
 cars and water that only one image shows count for nothing. How the steps treat noise in both views: see `steps`.
@@ -73,7 +73,7 @@ class Fields:
 
     def tone(self, index: int, values: FloatArray) -> FloatArray:
         """Values (..., bands) without their place: gain · R · ((value + dark) / R)^gamma."""
-        return _tone(values, self.gain[index], self.dark[index], self.gamma[index], self.setting.reach)
+        return _tone(values, self.gain[index], self.dark[index], self.gamma[index], self.setting.pivot)
 
     def correct(self, index: int, values: FloatArray, image: FloatArray, view: FloatArray) -> FloatArray:
         """Corrected values (N, bands)."""

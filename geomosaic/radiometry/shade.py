@@ -52,12 +52,13 @@ class Shade:
         dark: FloatArray,
         gamma: FloatArray,
         reach: float,
+        pivot: float,
     ) -> Shade:
-        """Tabulate curves of a power; `net` holds all gains."""
+        """Tabulate curves of a power that leaves `pivot` as it is; `net` holds all gains."""
         bands = len(dark)
         curve = np.zeros((bands, 0))
         if (gamma != 1.0).any():
-            curve = reach * (np.arange(STEPS + 1) / STEPS)[None, :] ** gamma[:, None]
+            curve = pivot * (reach / pivot * np.arange(STEPS + 1) / STEPS)[None, :] ** gamma[:, None]
         return cls(np.ascontiguousarray(net, dtype=np.float64), origin, spacing, dark, np.zeros(bands), curve, reach)
 
     def then(self, gain: FloatArray, offset: FloatArray) -> Shade:

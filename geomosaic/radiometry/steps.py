@@ -46,6 +46,8 @@ class Setting:
         Median of all that each image shows, NaN where unknown: after correction they are about alike.
     rounds : int
         Most steps.
+    middle : float
+        Value that powers leave as it is, so that they change no level; `reach` unless given.
     """
 
     images: int
@@ -55,6 +57,12 @@ class Setting:
     reach: float
     level: FloatArray | None = None
     rounds: int = ROUNDS
+    middle: float = 0.0
+
+    @property
+    def pivot(self) -> float:
+        """Value that powers leave as it is."""
+        return self.middle or self.reach
 
 
 def levels_of(setting: Setting, bands: int) -> FloatArray:
@@ -92,7 +100,7 @@ class Band:
     def look(self, state: list[FloatArray]) -> tuple[FloatArray, FloatArray, list[FloatArray], list[FloatArray]]:
         """Difference and mean of both views (P, K), and derivatives of each by its image's own parameters."""
         gain, dark, gamma, haze, shared = state
-        reach, shown, light, slope = self.setting.reach, [], [], []
+        reach, shown, light, slope = self.setting.pivot, [], [], []
         for number, values, base, path in (
             (self.views.first, self.a, self.shared_a, self.path_a),
             (self.views.second, self.b, self.shared_b, self.path_b),
@@ -174,7 +182,7 @@ def change_of(
     pull[at[:, 0]] -= held
     parts = [(rows, cols, values), (at.ravel(), at.ravel(), known.ravel())]
     parts.append((prior.rows * kinds, prior.cols * kinds, prior.held))
-    told, off, by_dark = _levels(band.level, state)
+    told, off, by_dark = _levels(band.level, state, band.setting.pivot)
     if len(told):
         weight_of = np.full(len(told), SIGMA_LEVEL**-2)
         pull[at[told, 0]] -= weight_of * off
@@ -198,12 +206,12 @@ def change_of(
     return [*own_change, change[images * kinds :]]
 
 
-def _levels(level: FloatArray, state: list[FloatArray]) -> tuple[IntArray, FloatArray, FloatArray]:
+def _levels(level: FloatArray, state: list[FloatArray], pivot: float) -> tuple[IntArray, FloatArray, FloatArray]:
     """Images whose level is known, how far its logarithm is off the mean once corrected, and derivatives by dark."""
     told = np.flatnonzero(np.isfinite(level))
     light = np.maximum(level[told] + state[1][told], 0.05 * level[told])
-    reached = state[0][told] + np.log(light)
-    return told, reached - np.log(level[told]).mean() if len(told) else reached, 1 / light
+    reached = state[0][told] + state[2][told] * np.log(light / pivot)
+    return told, reached - np.log(level[told] / pivot).mean() if len(told) else reached, state[2][told] / light
 
 
 def _solution(total: int, parts: list[tuple[IntArray, IntArray, FloatArray]], pull: FloatArray) -> FloatArray:

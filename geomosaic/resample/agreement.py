@@ -70,7 +70,8 @@ def doubt_of(moments: Float32Array, known: Float32Array, level: FloatArray, leas
         return None
     weight, (d, s, dd, ds, ss) = known[None], moments
     bands = len(d)
-    both, trusted, slope = np.concatenate([d, s]), weight, np.zeros(bands)
+    both, slope = np.concatenate([d, s]), np.zeros(bands)
+    trusted: AnyArray = weight
     around = np.maximum(by.expand(by.reduce(weight)), np.float32(1e-6))
     for number in range(ROUNDS):
         mean = _means(both, trusted, by)

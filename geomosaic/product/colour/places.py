@@ -87,7 +87,7 @@ def shade_of(photos: Photos, index: int, fields: Fields) -> Shade:
     net = np.round(np.exp(log + fields.gain[index]), 9).reshape(len(rows), len(cols), -1)
     shade = Shade.of(
         net, (float(cols[0]), float(rows[0])), (spacing, spacing), fields.dark[index], fields.gamma[index],
-        fields.setting.reach,
+        fields.setting.reach, fields.setting.pivot,
     )  # fmt: skip
     if fields.haze is None:
         return shade

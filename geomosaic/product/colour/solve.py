@@ -106,7 +106,9 @@ def _with_fields(
     find = places_of(photos, grid)
     kinds = cameras(photos)
     camera = np.concatenate([kinds, np.full(len(start.gain) - len(kinds), -1)])
-    setting = Setting(len(camera), int(kinds.max()) + 1, camera, frozenset(), _reach(photos, pairs), level)
+    setting = Setting(
+        len(camera), int(kinds.max()) + 1, camera, frozenset(), _reach(photos, pairs), level, middle=_middle(pairs)
+    )
     linear = () if anchor is None else (anchor,)
     asked = None if options.colour == ("auto",) else frozenset(options.colour) - {"gain"}
     few = gather(pairs, find, MOST_TRIED) if asked is None else None
@@ -133,6 +135,11 @@ def _reach(photos: Photos, pairs: list[Overlap]) -> float:
     """The range of values: of the sample type, or of the samples where that has none."""
     _, high, whole = value_range(photos.info.dtype)
     return high if whole else max(float(np.abs(pair.a).max()) for pair in pairs) or 1.0
+
+
+def _middle(pairs: list[Overlap]) -> float:
+    """Median of the samples, of the first views of all overlaps; 0 where it is no light."""
+    return max(float(np.median(np.concatenate([pair.a.ravel() for pair in pairs if len(pair.a)]))), 0.0)
 
 
 def _to_anchor(fields: Fields, anchor: int | None) -> tuple[FloatArray, FloatArray]:

@@ -65,7 +65,9 @@ def read_cutlines(path: Path, names: Sequence[str], outlines: Sequence[Any], crs
         if name not in names:
             hint = did_you_mean(str(name), names)
             raise InputError(
-                f"row {row} names '{name}', which is no image of this mosaic", where=where, mend=hint or "name an image"
+                f"row {row} names '{name}', which is no image of this mosaic",
+                where=where,
+                mend=f"{hint} name an image; or is this the file of another block?".strip(),
             )
         if geometry is None or geometry.is_empty:
             continue
