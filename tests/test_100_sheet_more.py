@@ -249,7 +249,7 @@ def test_an_error_leaves_nothing(raster: Path, tmp_path: Path, monkeypatch: pyte
     def full(path: Path) -> None:
         raise OSError(28, "No space left on device")
 
-    for module in ("geomosaic.raster.webtiles", "geomosaic.raster.sink", "geomosaic.raster.output"):
+    for module in ("geomosaic.raster.webtiles", "geomosaic.raster.sink", "geomosaic.raster.unfinished"):
         monkeypatch.setattr(f"{module}.sync", full)
     assert run(["sheet", str(raster), "--dpi", "72", "-o", str(tmp_path / f"map.{suffix}")]) == 1
     assert list(tmp_path.iterdir()) == []
