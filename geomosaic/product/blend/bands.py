@@ -14,6 +14,7 @@ from geomosaic.product.blend.block import Blender, Lattices
 from geomosaic.product.blend.options import Blending
 from geomosaic.product.blend.ramps import between
 from geomosaic.product.mosaic_unit import MosaicUnit
+from geomosaic.product.room import Room
 from geomosaic.product.visibility import Shades
 from geomosaic.raster.burn import burn
 from geomosaic.resample.engine import Engine
@@ -40,12 +41,15 @@ class BandBlender(Blender):
     steps : Steps
     noise : float, optional
         Usual difference of images, where what differs more is not to be blended.
+    room : Room
+        For what the images show of a block: where photos are small or overlap much, many show something of it.
     """
 
     blending: Blending
     width: float
     steps: Steps
-    noise: float | None = None
+    noise: float | None
+    room: Room
 
     @property
     def levels(self) -> int:
@@ -102,12 +106,22 @@ class BandBlender(Blender):
         shades, wide = (None, None) if self.sight is None else (self.sight.block(below), self.sight.block(ground))
         if not below.unknown:
             self._outside(window, zone, label, around, (values, valid, number), lattices[0], shades)
-        self._inside(window, ground, zone, label, around, (values, valid, number), lattices[1], wide)
+        with self.room.of(self._bytes(label, ground.window)):
+            self._inside(window, ground, zone, label, around, (values, valid, number), lattices[1], wide)
         if not below.unknown:
             self._fill(below, self.photos.near(window), values, valid, number, lattices[0], shades)
         self._mark_hidden(shades, valid, number)
         unit.counts[:] += np.bincount(number.ravel(), minlength=len(unit.counts))
         unit.facts.extend((one.error, one.scale) for two in lattices for used in two.values() for one in used)
+
+    def _bytes(self, label: IntArray, wide: Window) -> int:
+        """About what the images of a block hold at once: values and differences of each, sums and weights of all."""
+        if self.blending.kind == "overlap":
+            images = len(self.photos.near(wide))
+        else:
+            images = int(np.count_nonzero(np.bincount(label.ravel() + 1)[1:]))
+        sample = np.dtype(self.dtype).itemsize
+        return wide.width * wide.height * self.photos.info.bands * (images * (sample + max(4, sample)) + 24)
 
     def _with_margin(self, zone: Window) -> Window:
         by = self.margin

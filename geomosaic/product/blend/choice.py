@@ -10,6 +10,7 @@ from geomosaic.product.blend.block import Blender, Seams
 from geomosaic.product.blend.options import Blending
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.photos import Photos
+from geomosaic.product.room import Room
 from geomosaic.product.visibility import Visibility
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.shade import Shade
@@ -46,4 +47,5 @@ def blender_for(
     return BandBlender(
         photos, grid, ground, replace(seams, feather=0.0), colours, engine, render.resampling, render.tolerance, dtype,
         sight, limited, blending, seams.feather, steps(compiled=bool(engine.quick)), noise,
+        Room(render.memory_limit // 3),
     )  # fmt: skip
