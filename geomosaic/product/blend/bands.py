@@ -238,11 +238,13 @@ class BandBlender(Blender):
         chosen = set(np.flatnonzero(np.bincount(label.ravel() + 1)[1:]).tolist())
         images, views, gap = [], [], np.ones(shape, dtype=bool)
         for i in sorted(near, key=lambda i: i not in chosen):
-            if i not in chosen and self.blending.kind != "overlap" and not gap.any():
+            wanted = i in chosen or self.blending.kind == "overlap"
+            if not wanted and not gap.any():
                 break
             values, seen = np.zeros((*shape, info.bands), dtype=self.dtype), np.zeros(shape, dtype=np.uint8)
             self._pull(i, ground, values, seen, None, lattices, shades)
-            if seen.any():
+            # Beyond all images the gap stays, however many are asked: only those that show something of it are kept.
+            if (seen if wanted else seen * gap).any():
                 images.append(i)
                 views.append(View(values, seen > 0))
                 gap &= seen == 0
