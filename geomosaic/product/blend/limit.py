@@ -15,8 +15,8 @@ from geomosaic.types import AnyArray, ByteArray, FloatArray
 
 _SPARSE = 8
 """Every so many pixels serve for a mean level."""
-_PART = 1e-4
-"""Of the values of floating point: differences of rounding."""
+_PART, _LEAST = 1e-4, 1e-12
+"""Of the values of floating point, differences of rounding; and the least such, whose square 32 bits still hold."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def limit(shown: Sequence[Shown], engine: Engine, dtype: str, label: AnyArray, t
             moments = np.zeros((5, total.shape[2], rows, cols), dtype=np.float32)
             known = np.zeros((rows, cols), dtype=np.float32)
             engine.compare(one.values, other.values, one.seen, other.seen, level, cells, corner, moments, known)
-            least = 0.5 if whole else _PART * max(float(np.abs(level).mean()), 1e-300)
+            least = 0.5 if whole else max(_PART * max(_size(level), _size(_level(other))), _LEAST)
             doubt = doubt_of(moments, known, level, least, by)
             if doubt is None:
                 continue
@@ -56,6 +56,10 @@ def limit(shown: Sequence[Shown], engine: Engine, dtype: str, label: AnyArray, t
                 one.values, other.values, one.seen, other.seen, a.weight, b.weight, a.factor, a.margin,
                 (a.index + 1, b.index + 1), cells, corner, doubt, label, total,
             )  # fmt: skip
+
+
+def _size(level: FloatArray) -> float:
+    return float(np.abs(level).mean())
 
 
 def _level(one: Shown) -> FloatArray:
