@@ -1,7 +1,7 @@
 """GDAL's warper between two CRS, as a whole process.
 
-reprojected.py IMAGE LIKE TARGET RESAMPLING THREADS [TOLERANCE]: the grid is that of LIKE; the transformation is
-approximated within so many pixels, 0.125 as gdalwarp does by default.
+reprojected.py IMAGE LIKE TARGET RESAMPLING THREADS: the grid is that of LIKE; the transformation is approximated
+as gdalwarp does by default, within 0.125 pixels.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import rasterio
 from rasterio.warp import Resampling, reproject
 
 
-def main(image: str, like: str, target: str, resampling: str, threads: str, tolerance: str = "0.125") -> None:
+def main(image: str, like: str, target: str, resampling: str, threads: str) -> None:
     """Warp."""
     with rasterio.open(like) as grid, rasterio.open(image) as source:
         profile = {
@@ -24,7 +24,7 @@ def main(image: str, like: str, target: str, resampling: str, threads: str, tole
             bands = list(source.indexes)
             reproject(
                 rasterio.band(source, bands), rasterio.band(out, bands), resampling=Resampling[resampling],
-                num_threads=int(threads), warp_mem_limit=256, tolerance=float(tolerance),
+                num_threads=int(threads), warp_mem_limit=256,
             )  # fmt: skip
 
 
