@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +44,11 @@ class Engine:
 
 def numpy_engine(hands: int = 1) -> Engine:
     """Kernels in NumPy: nothing to start, slow on large jobs."""
-    from geomosaic.resample import agreement, reference
+    from geomosaic.resample import reference
 
     return Engine(
         reference.coordinates, reference.sample, reference.accumulate, reference.finish, {}, reference.shade,
-        agreement.compare, agreement.withdraw, hands,
+        _later("agreement", "compare"), _later("agreement", "withdraw"), hands,
     )  # fmt: skip
 
 
@@ -55,7 +57,7 @@ def numba_engine() -> Engine:
     from geomosaic.resample.start import load_numba
 
     load_numba()
-    from geomosaic.resample.kernels import agree, blend, inner, place, sample, shade
+    from geomosaic.resample.kernels import blend, inner, place, sample, shade
 
     return Engine(
         place.coordinates,
@@ -64,9 +66,18 @@ def numba_engine() -> Engine:
         blend.finish,
         {"bilinear": place.bilinear_rgb, "cubic": place.cubic_rgb, "bilinear, inner": inner.bilinear_rgb_inner},
         shade.shade,
-        agree.compare,
-        agree.withdraw,
+        _later("kernels.agree", "compare"),
+        _later("kernels.agree", "withdraw"),
     )
+
+
+def _later(module: str, name: str) -> Callable[..., None]:
+    """A kernel that is imported when it is first called: only mosaics compare images."""
+
+    def kernel(*arguments: Any) -> None:
+        getattr(import_module(f"geomosaic.resample.{module}"), name)(*arguments)
+
+    return kernel
 
 
 # Samples that NumPy has taken by the time the compiled kernels have started, measured.

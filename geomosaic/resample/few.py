@@ -16,21 +16,21 @@ CELL = 64
 AT_ONCE = 65536
 
 
-def few_of(engine: Engine, only: BoolArray | None, need: ByteArray, n: int) -> tuple[IntArray, IntArray] | None:
+def few_of(engine: Engine, only: BoolArray, need: ByteArray, n: int) -> tuple[IntArray, IntArray] | None:
     """Rows and columns of the wanted pixels of wanted cells; None where all of the cells are done sooner.
 
     Parameters
     ----------
     engine : Engine
         NumPy's gives whole cells.
-    only : bool array (rows, cols) or None
+    only : bool array (rows, cols)
         Wanted pixels of a block.
     need : uint8 array (rows / 64, cols / 64)
         Wanted cells.
     n : int
         Samples along a pixel's side: one alone is taken for itself.
     """
-    if only is None or n > 1 or not engine.quick:
+    if n > 1 or not engine.quick:
         return None
     number = int(np.count_nonzero(only))
     if number > SHARE * CELL**2 * np.count_nonzero(need):

@@ -12,7 +12,6 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.resample.engine import Engine
-from geomosaic.resample.few import few_of, fill_few
 from geomosaic.resample.quick import fill_rgb
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
 from geomosaic.surface.model import HeightPatch
@@ -150,7 +149,11 @@ def warp(
             lattice.step,
         )
         here = np.ascontiguousarray(wanted[rows, cols])
-        few = few_of(engine, None if only is None else only[inside], here, n)
+        few = None
+        if only is not None:
+            from geomosaic.resample.few import few_of
+
+            few = few_of(engine, only[inside], here, n)
         _fill(engine, reader, shape, geometry, here, window, colour, out[inside], out_valid[inside], few)
 
 
@@ -196,6 +199,8 @@ def _fill(
         return (float(here.col), float(here.row), float(shape.shrink), *shape.size), pixels, known
 
     if few is not None:
+        from geomosaic.resample.few import fill_few
+
         fill_few(engine, shape.kernel, geometry, shape.size, few, pixels_for, ending, out, out_valid)
         return
     start, (height, width), n = 0, out_valid.shape, shape.n
