@@ -316,7 +316,7 @@ def test_every_place_on_two_photos_takes_half_of_each() -> None:
     assert coverage(10000, 8000, 10000, overlap=50).overlap == pytest.approx(50)
     for given in ({"overlap": 49.0}, {"photos_in_strip": 9}):
         with pytest.raises(InputError, match="only one photo"):
-            coverage(10000, 8000, 10000, **given)  # type: ignore[arg-type]
+            coverage(10000, 8000, 10000, **given)
     assert coverage(10000, 8000, 10000, overlap=49, stereo=False).overlap == pytest.approx(49)
 
 

@@ -64,7 +64,7 @@ def _by_axes(points: Sequence[ControlPoint], crs: CRS) -> Iterator[PointReading]
     yield PointReading(
         "x and y exchanged",
         f"exchange the names x and y in the header of the control points: x is {names[0]}, y is {names[1]}",
-        _ground(points, lambda x, y, z: (y, x, z)),
+        tuple(replace(point, xyz=(point.xyz[1], point.xyz[0], point.xyz[2])) for point in points),
     )
 
 
@@ -76,13 +76,13 @@ def _by_height(points: Sequence[ControlPoint], crs: CRS) -> Iterator[PointReadin
                 f"their heights counted from {of}, {abs(shift):.1f} m {'above' if by > 0 else 'below'} where they lie",
                 f"add {by:+.1f} m to z of the control points (which share the vertical datum of the positions, heights "
                 "under [exterior]), or declare the datum that is theirs",
-                _ground(points, lambda x, y, z, by=by: (x, y, z + by)),
+                _heights(points, 1.0, by),
             )
     for factor, unit in ((FOOT, "feet"), (1.0 / FOOT, "metres that were taken for feet")):
         yield PointReading(
             f"their heights in {unit}",
             f"multiply z of the control points by {factor:.4f}",
-            _ground(points, lambda x, y, z, factor=factor: (x, y, factor * z)),
+            _heights(points, factor, 0.0),
         )
 
 
@@ -118,5 +118,5 @@ def _by_zone(points: Sequence[ControlPoint], crs: CRS, code: int) -> Iterator[Po
             )
 
 
-def _ground(points: Sequence[ControlPoint], change: object) -> tuple[ControlPoint, ...]:
-    return tuple(replace(point, xyz=change(*point.xyz)) for point in points)  # type: ignore[operator]
+def _heights(points: Sequence[ControlPoint], factor: float, shift: float) -> tuple[ControlPoint, ...]:
+    return tuple(replace(p, xyz=(p.xyz[0], p.xyz[1], factor * p.xyz[2] + shift)) for p in points)
