@@ -14,27 +14,14 @@ import numpy as np
 import pytest
 import rasterio
 import shapely
-from affine import Affine
 from PIL import Image
 from pyproj import Transformer
 from sheet_reading import SheetPdf
+from sheet_rig import LEFT, TOP, write
 
 from geomosaic.cli.main import run
 
-LEFT, TOP = 399_000.0, 5_500_600.0
 LOCAL = 'LOCAL_CS["wall",UNIT["metre",1],AXIS["Easting",EAST],AXIS["Northing",NORTH]]'
-
-
-def write(
-    path: Path, values: np.ndarray, crs: Any, pixel: float = 1.0, place: tuple[float, float] = (LEFT, TOP)
-) -> Path:
-    bands = values if values.ndim == 3 else values[None]
-    with rasterio.open(
-        path, "w", driver="GTiff", width=bands.shape[2], height=bands.shape[1], count=len(bands), dtype=bands.dtype,
-        crs=crs, transform=Affine(pixel, 0, place[0], 0, -pixel, place[1]),
-    ) as out:  # fmt: skip
-        out.write(bands)
-    return path
 
 
 @pytest.fixture(scope="module")

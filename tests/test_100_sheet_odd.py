@@ -10,24 +10,11 @@ from typing import Any
 import geopandas
 import numpy as np
 import pytest
-import rasterio
 import shapely
-from affine import Affine
 from sheet_reading import SheetPdf, crossing, overlaps
+from sheet_rig import LEFT, TOP, write
 
 from geomosaic.cli.main import run
-
-LEFT, TOP = 399_000.0, 5_500_600.0
-
-
-def write(path: Path, values: np.ndarray, crs: str, pixel: float, place: tuple[float, float] = (LEFT, TOP)) -> Path:
-    bands = values if values.ndim == 3 else values[None]
-    with rasterio.open(
-        path, "w", driver="GTiff", width=bands.shape[2], height=bands.shape[1], count=len(bands), dtype=bands.dtype,
-        crs=crs, transform=Affine(pixel, 0, place[0], 0, -pixel, place[1]),
-    ) as out:  # fmt: skip
-        out.write(bands)
-    return path
 
 
 @pytest.fixture(scope="module")
