@@ -29,14 +29,3 @@ class Room:
             with self._changed:
                 self._held -= size
                 self._changed.notify_all()
-
-
-def give_back() -> None:
-    """Return memory that was freed to the system, where the C library keeps it (glibc); elsewhere nothing happens."""
-    import ctypes
-
-    try:
-        trim = ctypes.CDLL(None).malloc_trim
-    except (OSError, TypeError, AttributeError):
-        return
-    trim(0)

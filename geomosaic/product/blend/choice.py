@@ -10,7 +10,7 @@ from geomosaic.product.blend.block import Blender, Seams
 from geomosaic.product.blend.options import Blending
 from geomosaic.product.options import RenderOptions
 from geomosaic.product.photos import Photos
-from geomosaic.product.room import Room, give_back
+from geomosaic.product.room import Room
 from geomosaic.product.visibility import Visibility
 from geomosaic.radiometry.curve import Curve
 from geomosaic.radiometry.shade import Shade
@@ -44,7 +44,6 @@ def blender_for(
     from geomosaic.resample.pyramid import steps
 
     noise = usual_difference(plain) if blending.limits else None
-    give_back()  # what the seams took: blocks in bands take as much again
     return BandBlender(
         photos, grid, ground, replace(seams, feather=0.0), colours, engine, render.resampling, render.tolerance, dtype,
         sight, limited, blending, seams.feather, steps(compiled=bool(engine.quick)), noise,

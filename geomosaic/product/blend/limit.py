@@ -34,20 +34,21 @@ def limit(shown: Sequence[Shown], engine: Engine, dtype: str, label: AnyArray, t
 
     Images are judged by pairs, from nothing but the block itself. What they show alike stays as it is, to the bit.
     """
-    by = None
+    if len(shown) < 2:
+        return
+    by = steps(compiled=bool(engine.quick))
     whole = np.issubdtype(np.dtype(dtype), np.integer)
-    for at, one in enumerate(shown):
-        for other in shown[at + 1 :]:
+    levels = [_level(one) for one in shown]
+    for at, (one, level) in enumerate(zip(shown, levels, strict=True)):
+        for other, other_level in zip(shown[at + 1 :], levels[at + 1 :], strict=True):
             cells = one.cells & other.cells
             if not cells.any():
                 continue
-            by = by or steps(compiled=bool(engine.quick))
             corner, (rows, cols) = box_of(cells)
-            level = _level(one)
             moments = np.zeros((5, total.shape[2], rows, cols), dtype=np.float32)
             known = np.zeros((rows, cols), dtype=np.float32)
             engine.compare(one.values, other.values, one.seen, other.seen, level, cells, corner, moments, known)
-            least = 0.5 if whole else max(_PART * max(_size(level), _size(_level(other))), _LEAST)
+            least = 0.5 if whole else max(_PART * max(_size(level), _size(other_level)), _LEAST)
             doubt = doubt_of(moments, known, level, least, by)
             if doubt is None:
                 continue
