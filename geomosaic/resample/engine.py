@@ -54,9 +54,6 @@ def numpy_engine(hands: int = 1) -> Engine:
 
 def numba_engine() -> Engine:
     """Compiled kernels."""
-    from geomosaic.resample.start import load_numba
-
-    load_numba()
     from geomosaic.resample.kernels import blend, inner, place, sample, shade
 
     return Engine(

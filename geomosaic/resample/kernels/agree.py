@@ -6,13 +6,14 @@ The twins in NumPy are in `resample.agreement`: the same operations in the same 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from geomosaic.resample.kernels.compiled import kernel
 
 CELL, SAMPLE = 64, 4
 PER = CELL // SAMPLE
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def compare(a, b, seen_a, seen_b, level, cells, corner, out, known):
     """Moments of samples of 4 x 4 pixels that both images show whole, see `agreement.compare`."""
     height, width, bands = a.shape
@@ -50,7 +51,7 @@ def compare(a, b, seen_a, seen_b, level, cells, corner, out, known):
                     out[4, m, r0, c0] = ss * 0.25
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def withdraw(a, b, seen_a, seen_b, weight_a, weight_b, factor, margin, indices, cells, corner, doubt, label, total):
     """Take the other image's weight back from a sum where both show different things, see `agreement.withdraw`."""
     height, width, bands = a.shape

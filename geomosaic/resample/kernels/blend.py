@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from geomosaic.resample.kernels.compiled import kernel
 
 CELL = 64
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def accumulate(values, valid, weight, factor, margin, index, cells, total, sums, best, label):
     """Add one image's weighted values to a block; `weight` is a reduced lattice with `margin` cells around it."""
     height, width, bands = values.shape
@@ -40,7 +41,7 @@ def accumulate(values, valid, weight, factor, margin, index, cells, total, sums,
                     label[k, c] = index
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def finish(total, sums, cells, low, high, whole, out, out_valid):
     """Divide by the sum of weights, round, and store."""
     height, width, bands = out.shape

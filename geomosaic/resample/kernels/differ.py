@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from geomosaic.resample.kernels.compiled import kernel
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def minus(values, ground, both):
     """Values (rows, cols, bands) less the ground's, where `both` are known, else 0: float32 (bands, rows, cols)."""
     rows, cols, bands = values.shape
@@ -20,7 +21,7 @@ def minus(values, ground, both):
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def join(values, own, differs, blend, blends, label, index, low, high, whole, kind, out):
     """Put blend + value − own difference, rounded, where `label` is `index`; `kind` holds a number of the exact type.
 

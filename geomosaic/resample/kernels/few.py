@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from geomosaic.resample.kernels.compiled import kernel, part
 from geomosaic.resample.kernels.place import FAR, NONE, _span
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def coordinates_of(geometry, down, along, size, cols, rows):
     """Fill `cols`, `rows` (N) with image coordinates of the pixels in rows `down` and columns `along` of a block.
 
@@ -43,7 +43,7 @@ def coordinates_of(geometry, down, along, size, cols, rows):
     return span[0], span[1], span[2], span[3]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def listed(only, need, down, along):
     """Note rows and columns of the wanted pixels of wanted cells of 64 x 64 pixels; returns their number."""
     number = 0
@@ -58,7 +58,7 @@ def listed(only, need, down, along):
     return number
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def between(heights, x, y):
     """Bilinear height; a tap of no weight may be unknown."""
     last_col, last_row = heights.shape[1] - 1, heights.shape[0] - 1

@@ -8,7 +8,8 @@ instructions; elsewhere every pixel is taken for itself. Both give what `place.b
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from geomosaic.resample.kernels.compiled import kernel, part
 
 UNIT, HALF, SHIFT = np.int32(2048), np.int32(2097152), np.int32(22)
 BITS, PART = np.int32(11), np.int32(2047)
@@ -16,7 +17,7 @@ LONG = 12
 """Pixels of a run, on average over a row, from which on runs are sooner."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def bilinear_rgb_inner(nodes, step, source, corner, out):
     """Place and sample a block all of whose taps lie in the window `source`.
 
@@ -68,14 +69,14 @@ def bilinear_rgb_inner(nodes, step, source, corner, out):
     return height
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _place(across, first, delta, corner, out):
     """Distance from the centre of the window's first pixel in 2048ths, rounded: pixel and weight in one number."""
     for c in range(out.shape[0]):
         out[c] = np.int32((first + delta * across[c] - corner) * 2048.0 - 1023.5)
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _run(values, stride, at, right, below, out):
     """Bytes side by side, each between itself and the third to its right, above and below."""
     number = out.shape[0]
@@ -87,7 +88,7 @@ def _run(values, stride, at, right, below, out):
         out[k] = (first * UNIT + (second - first) * below[k] + HALF) >> SHIFT
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _single(values, stride, at, right, below, out):
     """Each pixel for itself."""
     for c in range(at.shape[0]):

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from numba import njit
+from geomosaic.resample.kernels.compiled import kernel
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def lookup(values, table, wanted, choose, out, out_valid):
     """Put table[band, value] of each value (rows, cols, bands) in `out`, and 1 in `out_valid`.
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from geomosaic.resample.kernels.compiled import inlined, kernel, part
 
 NONE, EDGE, FAR = np.int32(-1), np.int32(-2), np.int32(2147483647)
 UNIT, HALF, SHIFT = np.int32(2048), np.int32(2097152), 22
@@ -20,7 +21,7 @@ LIFT = np.int64((1 << 19) | (1 << 40) | (1 << 61))
 LIFTED = np.int64(2048 << 19)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def coordinates(geometry, first_row, n, size, need, cols, rows):
     """Fill `cols`, `rows` (R·n, C·n) with image coordinates of the sub-pixels of R output rows from `first_row`.
 
@@ -43,7 +44,7 @@ def coordinates(geometry, first_row, n, size, need, cols, rows):
     return span[0], span[1], span[2], span[3]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def bilinear_rgb(geometry, size, need, source, corner, ending, out, out_valid):
     """Place and sample a block; returns its first row that reaches beyond the window `source`, its height if none does.
 
@@ -68,7 +69,7 @@ def bilinear_rgb(geometry, size, need, source, corner, ending, out, out_valid):
     return height
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def cubic_rgb(geometry, size, need, source, corner, ending, out, out_valid):
     """Cubic convolution in whole numbers, bilinear where its 16 pixels are not all there; see `bilinear_rgb`."""
     height, width = out_valid.shape
@@ -106,7 +107,7 @@ def cubic_rgb(geometry, size, need, source, corner, ending, out, out_valid):
     return height
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _wanted(need, width):
     """First column of the first of the cells that are wanted, and where the last of them stops."""
     first, stop = 0, 0
@@ -116,7 +117,7 @@ def _wanted(need, width):
     return 64 * first, min(64 * stop, width)
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _room(geometry, width, n):
     """Place of each sub-pixel between the nodes of its cell; room for a row of heights; for the height of each."""
     step = geometry[6]
@@ -126,7 +127,7 @@ def _room(geometry, width, n):
     return across, np.empty(geometry[2].shape[1]), np.empty(width)
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _row(geometry, n, v, wanted, room, cols, rows):
     """Place one row of sub-pixels, `v` steps down."""
     nodes, places, heights, z_middle, z_inverse, flat, step = geometry
@@ -169,7 +170,7 @@ def _row(geometry, n, v, wanted, room, cols, rows):
             rows[c] = (((r3 + e3 * u) * t + (r2 + e2 * u)) * t + (r1 + e1 * u)) * t + (r0 + e0 * u)
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _heights_along(heights, xa, xd, xb, y, across, line, z):
     """Heights of sub-pixels that lie along a row of heights: down once per height, then across once per sub-pixel."""
     y0 = min(np.int32(y), heights.shape[0] - 1)
@@ -188,7 +189,7 @@ def _heights_along(heights, xa, xd, xb, y, across, line, z):
         z[c] = second if fx > 0.0 else first
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _heights(heights, xa, xd, ya, yd, across, z):
     """Bilinear heights; a tap of no weight may be unknown."""
     dem_rows, dem_cols = heights.shape
@@ -218,7 +219,7 @@ def _heights(heights, xa, xd, ya, yd, across, z):
         z[c] = first + (second - first) * fx if fx > 0.0 else first
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _span(cols, rows, width, height, span):
     """Widen `span` by what falls in the image; in whole numbers, so that the loop can be vectorised."""
     least_col, least_row, most_col, most_row = span[0], span[1], span[2], span[3]
@@ -235,7 +236,7 @@ def _span(cols, rows, width, height, span):
     span[0], span[1], span[2], span[3] = least_col, least_row, most_col, most_row
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _inside(x, y, size, shape, corner, radius):
     """Judge a row: 1 if all its taps lie in the window, or beyond the image; −1 if not; 0 if it is not seen."""
     span = np.array([FAR, FAR, NONE, NONE], dtype=np.int32)
@@ -249,14 +250,16 @@ def _inside(x, y, size, shape, corner, radius):
     return 1 if here else -1
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _plain(ending):
     """Whether values stay what they are."""
     gain, offset, _, _, whole = ending
-    return whole and (gain == 1.0).all() and (offset == 0.0).all()
+    for k in range(gain.shape[0]):
+        whole &= gain[k] == 1.0 and offset[k] == 0.0
+    return whole
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _bilinear_taps(xs, ys, size, shape, corner, taps):
     """Upper-left of four pixels in the flat window, −1 outside the image; weights right and below in 2048ths.
 
@@ -283,7 +286,7 @@ def _bilinear_taps(xs, ys, size, shape, corner, taps):
         at[c] = inner_j * stride + inner_i * np.int32(3) if seen else NONE
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _between(values, p, q, r, s, a, b):
     """Bilinear value in units of 2⁻²²."""
     first = np.int32(values[p])
@@ -293,7 +296,7 @@ def _between(values, p, q, r, s, a, b):
     return first * UNIT + (second - first) * b
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _bilinear_values(values, columns, taps, plain, ending, out, out_valid):
     stride = np.uint64(columns * 3)
     at, a, b = taps
@@ -314,7 +317,7 @@ def _bilinear_values(values, columns, taps, plain, ending, out, out_valid):
         out_valid[c] = 1
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _put(v0, v1, v2, ending, out, c):
     """Store three values in units of 2⁻²² with gain and offset."""
     gain, offset, low, high, whole = ending
@@ -331,7 +334,7 @@ def _put(v0, v1, v2, ending, out, c):
         out[c, 2] = w2
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _packed(source):
     """Three bands of a pixel in one word, 21 bits apart, so that one product serves all three."""
     packed = np.empty(source.shape[0] * source.shape[1], dtype=np.int64)
@@ -342,7 +345,7 @@ def _packed(source):
     return packed
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _keys(t):
     """Keys' weights in 2048ths that sum to 2048; the outer two are negative, so cutting rounds them as the others."""
     w0 = np.int32(((-0.5 * t + 1.0) * t - 0.5) * t * 2048.0 - 0.5)
@@ -351,7 +354,7 @@ def _keys(t):
     return w0, UNIT - w0 - w2 - w3, w2, w3
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _cubic_taps(xs, ys, size, shape, corner, at, u, w):
     """First of 16 pixels in the packed window, −1 outside the image, −2 where some are missing; weights both ways."""
     width, height = np.float64(size[0]), np.float64(size[1])
@@ -375,13 +378,13 @@ def _cubic_taps(xs, ys, size, shape, corner, at, u, w):
     return edge
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _sums(packed, p, u0, u1, u2, u3):
     """Weighted sums over four pixels side by side, all three bands at once."""
     return packed[p] * u0 + packed[p + ONE] * u1 + packed[p + TWO] * u2 + packed[p + THREE] * u3 + LIFT
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _cubic_values(packed, columns, at, u, w, plain, ending, out, out_valid):
     stride = np.uint64(columns)
     least, most = int(max(ending[2], -2147483648.0)), int(min(ending[3], 2147483647.0))

@@ -7,31 +7,32 @@ lie one after the other, so that processors take eight samples of a line at a ti
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from geomosaic.resample.kernels.compiled import kernel
 
 SIXTEENTH, EIGHTH, QUARTER = np.float32(0.0625), np.float32(0.125), np.float32(0.25)
 THREE_EIGHTHS, HALF, THREE_QUARTERS = np.float32(0.375), np.float32(0.5), np.float32(0.75)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _five(a, b, c, d, e, line):
     for i in range(line.size):
         line[i] = (a[i] + e[i]) * SIXTEENTH + (b[i] + d[i]) * QUARTER + c[i] * THREE_EIGHTHS
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _three(a, b, c, line):
     for i in range(line.size):
         line[i] = (a[i] + c[i]) * EIGHTH + b[i] * THREE_QUARTERS
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _two(b, c, line):
     for i in range(line.size):
         line[i] = (b[i] + c[i]) * HALF
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def reduce(fine):
     """Half the size (bands, rows / 2, cols / 2): the sample (k, l) lies on the fine sample (2k, 2l)."""
     bands, height, width = fine.shape
@@ -59,7 +60,7 @@ def reduce(fine):
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def expand(coarse):
     """Twice the size (bands, 2 rows, 2 cols), the samples of `reduce` in their places."""
     bands, rows, cols = coarse.shape

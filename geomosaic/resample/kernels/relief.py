@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from geomosaic.resample.kernels.compiled import inlined, kernel, part
 from geomosaic.resample.sight import TILE
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def prepare(heights, least, gentle, tiles, walls):
     """Fill tiles and walls; returns the largest rises along columns and rows, or 0 where they are below `gentle`.
 
@@ -41,7 +41,7 @@ def prepare(heights, least, gentle, tiles, walls):
     return rises[0], rises[1]
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def look_at(heights, first_row, last_row, first_col, last_col, least, rises):
     """Highest of a tile's cells that may be walls, −inf where there are none; notes rises of its nodes."""
     wall = np.float32(-np.inf)
@@ -60,7 +60,7 @@ def look_at(heights, first_row, last_row, first_col, last_col, least, rises):
     return wall
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def cell(heights, row, col):
     """Highest of a cell's four nodes, −inf where none is known, and how far it is above the lowest."""
     high, low = np.float32(-np.inf), np.float32(np.inf)

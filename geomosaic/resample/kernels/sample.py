@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from geomosaic.resample.kernels.compiled import inlined, kernel, part
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _bilinear(source, valid, masked, x, y, values):
     """Weighted mean of the valid ones of four pixels; taps beyond the window repeat its edge."""
     height, width, bands = source.shape
@@ -51,7 +51,7 @@ def _bilinear(source, valid, masked, x, y, values):
         values[m] = top + (low - top) * b
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _whole(valid, masked, width, height, i, j, radius):
     """Whether all taps i−radius+1 … i+radius in both directions are in the window and valid."""
     if i - radius + 1 < 0 or j - radius + 1 < 0 or i + radius >= width or j + radius >= height:
@@ -64,7 +64,7 @@ def _whole(valid, masked, width, height, i, j, radius):
     return True
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _store(out, out_valid, k, c, values, gain, offset, low, high, whole):
     for m in range(out.shape[2]):
         value = values[m] * gain[m] + offset[m]
@@ -75,7 +75,7 @@ def _store(out, out_valid, k, c, values, gain, offset, low, high, whole):
     out_valid[k, c] = 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sample_nearest(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):
     """Value of the pixel that the point falls in; never averaged (n is 1)."""
     col0, row0, shrink, width, height = place
@@ -95,7 +95,7 @@ def sample_nearest(source, valid, masked, cols, rows, n, place, gain, offset, lo
             _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _cubic_whole(t):
     """Keys' weights in 2048ths that sum to 2048; the outer two are negative, so cutting rounds them as the others."""
     w0 = np.int32(((-0.5 * t + 1.0) * t - 0.5) * t * 2048.0 - 0.5)
@@ -104,7 +104,7 @@ def _cubic_whole(t):
     return w0, np.int32(2048 - w0 - w2 - w3), w2, w3
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sample_bilinear(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):
     """Bilinear values; with n > 1 the mean of n × n bilinear samples, which is an average over the footprint."""
     col0, row0, shrink, width, height = place
@@ -148,7 +148,7 @@ def sample_bilinear(source, valid, masked, cols, rows, n, place, gain, offset, l
                 _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _cubic(t, coarse):
     """Keys' weights; in 2048ths where the samples have eight bits."""
     if coarse:
@@ -162,7 +162,7 @@ def _cubic(t, coarse):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sample_cubic(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):
     """Cubic convolution with a = −0.5 (Keys 1981), bilinear where its 16 pixels are not all there."""
     col0, row0, shrink, width, height = place
@@ -196,7 +196,7 @@ def sample_cubic(source, valid, masked, cols, rows, n, place, gain, offset, low,
             _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sample_lanczos(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):
     """Lanczos with three lobes, weights normalised to one, bilinear where its 36 pixels are not all there."""
     col0, row0, shrink, width, height = place
@@ -233,7 +233,7 @@ def sample_lanczos(source, valid, masked, cols, rows, n, place, gain, offset, lo
             _store(out, out_valid, k, c, values, gain, offset, low, high, whole)
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _lanczos_weights(t, weights):
     total = 0.0
     for p in range(6):

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from geomosaic.resample.kernels.compiled import kernel
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def shade(
     values, seen, net, path, haze, place, dark, curve, reach, offset, low, high, whole, out, out_valid
 ):  # fmt: skip

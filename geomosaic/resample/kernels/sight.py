@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from geomosaic.resample.kernels.compiled import kernel
 from geomosaic.resample.kernels.relief import cell
 from geomosaic.resample.sight import NEAR, SHARE, STEP, TILE, TOUCH, WALL
 
@@ -20,7 +20,7 @@ PARTS = 6
 """Parts of their lines of sight that are looked at one by one."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def hidden(field, relief, wanted, out):
     """Set `out` to 1 where the surface hides what is `wanted`.
 
@@ -40,7 +40,7 @@ def hidden(field, relief, wanted, out):
                     follow(field, relief, end, row, first_col, last_col, wanted, (left, right, at), out)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def follow(field, relief, end, row, first_col, last_col, wanted, room, out):
     """Follow the lines of sight of a row of pixels of one group, up to a level beyond which nothing is in the way."""
     nodes, z_middle, z_inverse, width = field
@@ -71,7 +71,7 @@ def follow(field, relief, end, row, first_col, last_col, wanted, room, out):
             out[row, col] = blocked(at[0], at[1], z, low, sx * rise, sy * rise, rise, wall, end, heights, tiles)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def any_of(wanted, first_row, last_row, first_col, last_col):
     """Whether any pixel of a group is wanted."""
     for row in range(first_row, last_row):
@@ -81,7 +81,7 @@ def any_of(wanted, first_row, last_row, first_col, last_col):
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def last_level(field, relief, first_row, first_col):
     """Level beyond which nothing is in the way of lines of sight from a group of places; −inf where nothing is at all.
 
@@ -139,7 +139,7 @@ def last_level(field, relief, first_row, first_col):
     return -np.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def between(heights, x_low, x_high, y_low, y_high):
     """Lowest and highest node that heights within a box are interpolated from; inf and −inf where none is known."""
     rows, cols = heights.shape
@@ -151,7 +151,7 @@ def between(heights, x_low, x_high, y_low, y_high):
     return lowest, highest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def over(tiles, x_low, x_high, y_low, y_high, level):
     """Whether a tile that meets a box, and a cell around it for the sake of rounding, is above a level."""
     rows, cols = tiles.shape
@@ -164,7 +164,7 @@ def over(tiles, x_low, x_high, y_low, y_high, level):
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def corner(nodes, ni, nj, v, u, k):
     """One number of a field between nodes."""
     left = nodes[ni, nj, k] + (nodes[ni + 1, nj, k] - nodes[ni, nj, k]) * v
@@ -172,7 +172,7 @@ def corner(nodes, ni, nj, v, u, k):
     return left + (right - left) * u
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def blocked(x, y, z, low, ux, uy, rise, wall, end, heights, tiles):
     """1 where the surface is in the way of one line of sight, else 0; `low` is its place's foot of a wall, or NaN."""
     high, wide = heights.shape[0] - 1, heights.shape[1] - 1
@@ -211,7 +211,7 @@ def blocked(x, y, z, low, ux, uy, rise, wall, end, heights, tiles):
         t = leave
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def foot(heights, x, y, wall):
     """Lowest of the nodes around a place where a wall stands between them; NaN where none does."""
     i, j = int(y), int(x)
@@ -224,7 +224,7 @@ def foot(heights, x, y, wall):
     return low if high - low > wall else np.nan
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def shut(heights, row, col, by_x, ux, uy, least):
     """Whether what rises above `least` may keep a line of sight from leaving the cell that it starts in."""
     a, b = heights[row, col] > least, heights[row, col + 1] > least
@@ -240,7 +240,7 @@ def shut(heights, row, col, by_x, ux, uy, least):
     return (ux != 0.0 and (b or d) == (ux > 0.0)) or (uy != 0.0 and (c or d) == (uy > 0.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def bilinear(heights, x, y):
     """Height between nodes; NaN beyond them."""
     if not (x >= 0.0 and y >= 0.0 and x < heights.shape[1] - 1 and y < heights.shape[0] - 1):

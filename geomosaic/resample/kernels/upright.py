@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from geomosaic.resample.kernels.compiled import inlined, kernel, part
 from geomosaic.resample.sight import TOUCH
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def upright(heights, way, wall, out):
     """Fill `out` (rows, cols) with heights at whole cols and rows."""
     a, b, c, d = way
@@ -28,7 +28,7 @@ def upright(heights, way, wall, out):
                 out[row, col] = height(np.float64(p), np.float64(q), np.float64(r), np.float64(s), u[col], v[row], wall)
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _along(number, step, start, nodes):
     """Nodes before and after each pixel and the way between them; −1 beyond all."""
     first, last, way = np.empty(number, dtype=np.int64), np.empty(number, dtype=np.int64), np.empty(number)
@@ -42,7 +42,7 @@ def _along(number, step, start, nodes):
     return first, last, way
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def height(p, q, r, s, u, v, wall):
     """Height between four nodes that are not all the same."""
     taps = (p, (1.0 - u) * (1.0 - v)), (q, u * (1.0 - v)), (r, (1.0 - u) * v), (s, u * v)
