@@ -13,11 +13,11 @@ from raster_rig import NORTH_UP, digest, grid_of, holes, picture, whole, write_r
 
 from geomosaic.errors import InputError, OutputError, OutputExistsError
 from geomosaic.geo.grid import Window
-from geomosaic.raster import tiff
 from geomosaic.raster.option_values import METHODS
-from geomosaic.raster.pyramid import halve
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source, inspect
+from geomosaic.raster.tiles import tiff
+from geomosaic.raster.tiles.pyramid import halve
 
 
 @pytest.mark.parametrize("driver", ["GTiff", "COG"])

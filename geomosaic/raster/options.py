@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.raster.codec import BLOCK
 from geomosaic.raster.info import DTYPES
 from geomosaic.raster.option_values import checked_values
+from geomosaic.raster.tiles.codec import BLOCK
 
 DRIVERS = ("COG", "GTiff")
 # Deflate level 1 is 4 times as fast as GDAL's level 6 for 5 % more bytes, and every TIFF reader knows it.

@@ -12,10 +12,10 @@ from rasterio.errors import RasterioError
 
 from geomosaic.errors import OutputError
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.raster.codec import BLOCK, Meaning
 from geomosaic.raster.options import check_nodata, check_type, creation_options
 from geomosaic.raster.output import check_geotiff, partial, remove, sync
-from geomosaic.raster.tilefile import TileFile
+from geomosaic.raster.tiles.codec import BLOCK, Meaning
+from geomosaic.raster.tiles.file import TileFile
 from geomosaic.types import AnyArray, ByteArray, PathLike
 
 _SIDECARS = (".aux.xml", ".ovr", ".msk")

@@ -17,14 +17,14 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.raster import codec, tiff
-from geomosaic.raster.codec import BLOCK
-from geomosaic.raster.earlier import EarlierTiles, inside_of
 from geomosaic.raster.environment import enter_for_good
-from geomosaic.raster.pieces import Pieces, TileMaker
-from geomosaic.raster.pyramid import Blank, Half, Kept, Level, Parents, Tile, halve, levels
-from geomosaic.raster.tiff import Directory, Field
-from geomosaic.raster.tilestore import TileStore, write_all
+from geomosaic.raster.tiles import codec, tiff
+from geomosaic.raster.tiles.codec import BLOCK
+from geomosaic.raster.tiles.earlier import EarlierTiles, inside_of
+from geomosaic.raster.tiles.pieces import Pieces, TileMaker
+from geomosaic.raster.tiles.pyramid import Blank, Half, Kept, Level, Parents, Tile, halve, levels
+from geomosaic.raster.tiles.store import TileStore, write_all
+from geomosaic.raster.tiles.tiff import Directory, Field
 from geomosaic.types import AnyArray, ByteArray
 
 _START = 16

@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from typing import BinaryIO
 
-from geomosaic.raster import tiff
-from geomosaic.raster.tiff import Field
+from geomosaic.raster.tiles import tiff
+from geomosaic.raster.tiles.tiff import Field
 
 _SMALL = 1 << 16
 """Bytes of a tile that are rather copied than written in three pieces."""

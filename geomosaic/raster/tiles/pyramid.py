@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.raster.codec import BLOCK
+from geomosaic.raster.tiles.codec import BLOCK
 from geomosaic.types import AnyArray, ByteArray
 
 HALF = BLOCK // 2

@@ -15,9 +15,9 @@ from rasterio.io import MemoryFile
 
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
-from geomosaic.raster import tiff
 from geomosaic.raster.environment import environment
-from geomosaic.raster.tiff import Directory, Field
+from geomosaic.raster.tiles import tiff
+from geomosaic.raster.tiles.tiff import Directory, Field
 from geomosaic.types import AnyArray, ByteArray
 
 BLOCK = 512

@@ -10,10 +10,10 @@ from types import TracebackType
 import numpy as np
 
 from geomosaic.geo.grid import Window
-from geomosaic.raster import codec, tiff
-from geomosaic.raster.codec import BLOCK
-from geomosaic.raster.pyramid import Level
-from geomosaic.raster.tiff import Directory
+from geomosaic.raster.tiles import codec, tiff
+from geomosaic.raster.tiles.codec import BLOCK
+from geomosaic.raster.tiles.pyramid import Level
+from geomosaic.raster.tiles.tiff import Directory
 from geomosaic.raster.validity import combine, missing_by_value
 from geomosaic.types import AnyArray, ByteArray, PathLike
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.raster import codec
-from geomosaic.raster.blank import filled
-from geomosaic.raster.codec import BLOCK
-from geomosaic.raster.pyramid import Half, Tile, halve
+from geomosaic.raster.tiles import codec
+from geomosaic.raster.tiles.blank import filled
+from geomosaic.raster.tiles.codec import BLOCK
+from geomosaic.raster.tiles.pyramid import Half, Tile, halve
 
 
 @dataclass(frozen=True, eq=False)
