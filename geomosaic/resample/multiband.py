@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from geomosaic.resample.part import Part, after, both_of
 from geomosaic.resample.pyramid import Steps, ascend, descend, filled
 from geomosaic.resample.warp import value_range
 from geomosaic.types import AnyArray, BoolArray, IntArray
@@ -45,7 +46,17 @@ class View:
     valid: BoolArray
 
 
-def differences(views: Sequence[View], label: IntArray, noise: float | None, by: Steps) -> list[AnyArray | None]:
+@dataclass(frozen=True)
+class Apart:
+    """Differences (bands, rows, cols) of an image from the base, in the part of a window where they are needed."""
+
+    values: AnyArray
+    part: Part
+
+
+def differences(
+    views: Sequence[View], label: IntArray, noise: float | None, by: Steps, parts: Sequence[Part | None]
+) -> list[Apart | None]:
     """Difference of each image from a common base, known everywhere.
 
     The base is the image with the largest share. An image that does not meet it is compared with those that do.
@@ -59,11 +70,13 @@ def differences(views: Sequence[View], label: IntArray, noise: float | None, by:
     noise : float, optional
         Usual difference of two images of the same ground, in values; unless given, all differences are believed.
     by : Steps
+    parts : sequence of Part or None
+        Of the window, for each image: what of its differences is kept.
 
     Returns
     -------
-    list of float32 array (bands, rows, cols) or None
-        None for the base, and for images that meet no other.
+    list of Apart or None
+        None for the base, for images that meet no other, and where there is no part.
     """
     count = np.bincount(label[label >= 0].ravel(), minlength=len(views))
     base = int(np.argmax(count))
@@ -71,22 +84,27 @@ def differences(views: Sequence[View], label: IntArray, noise: float | None, by:
     ground = views[base].values.astype(_exact(views[base].values.dtype))
     if not known.all():  # whatever stands there, it may be no number
         ground[~known] = 0
-    found: list[AnyArray | None] = [None] * len(views)
+    found: list[Apart | None] = [None] * len(views)
     left = [i for i in range(len(views)) if i != base]
     while left:
         shared = [np.count_nonzero(known & views[i].valid) for i in left]
         if not max(shared):
             break
         i = left.pop(int(np.argmax(shared)))
-        view, both = views[i], known & views[i].valid
+        view, both, part = views[i], known & views[i].valid, parts[i]
+        new = view.valid & ~known
+        serves = bool(left) and bool(new.any())  # as ground that the next image may be compared with
+        if part is None and not serves:
+            continue
         # Bands lie one after the other from here on: a weight then serves them all at no cost.
         raw = by.minus(view.values, ground, both)
         certain = both[None].astype(np.float32)
         if noise is not None:
             certain = believed(raw, certain, noise, by)
-        found[i] = apart = raw if (certain == 1).all() else filled(by, raw, certain, REACH)
-        new = view.valid & ~known
-        if left and new.any():  # ground that the next image may be compared with
+        apart = raw if (certain == 1).all() else filled(by, raw, certain, REACH)
+        if part is not None:
+            found[i] = Apart(np.ascontiguousarray(apart[:, part.rows, part.cols]), part)
+        if serves:
             ground[new] = view.values[new] - apart[:, new].T
             known |= new
     return found
@@ -118,12 +136,13 @@ def _mean(values: AnyArray, weight: AnyArray, by: Steps) -> AnyArray:
     return ascend(by, total / np.maximum(sums, np.float32(1e-6)), levels)
 
 
-def in_bands(apart: Sequence[AnyArray | None], label: IntArray, levels: int, by: Steps) -> AnyArray | None:
+def in_bands(apart: Sequence[Apart | None], label: IntArray, levels: int, by: Steps) -> AnyArray | None:
     """Blend of the differences in bands of frequency: each across the seam as wide as its own wavelength.
 
     Parameters
     ----------
-    apart : sequence of float32 array (bands, rows, cols) or None
+    apart : sequence of Apart or None
+        What is beyond its part must be too far from the image's own pixels to count, see `spread`.
     label : int array (rows, cols)
     levels : int
         The coarsest band is blended over about 2 ^ (levels + 1) pixels.
@@ -137,15 +156,14 @@ def in_bands(apart: Sequence[AnyArray | None], label: IntArray, levels: int, by:
     for i, own in enumerate(apart):
         if own is None:
             continue
-        gauss = descend(by, own, levels)
-        shares = descend(by, (label == i)[None].astype(np.float32), levels)
+        gauss = descend(by, own.values, levels)
+        shares = descend(by, (label[own.part.rows, own.part.cols] == i)[None].astype(np.float32), levels)
         for level in range(levels + 1):
             band = gauss[level] if level == levels else gauss[level] - by.expand(gauss[level + 1])
             band *= shares[level]
             if len(sums) <= level:
-                sums.append(band)
-            else:
-                sums[level] += band
+                sums.append(np.zeros((len(band), *(length >> level for length in label.shape)), dtype=np.float32))
+            sums[level][:, *own.part.level(level)] += band
     if not sums:
         return None
     out = sums[-1]
@@ -155,31 +173,43 @@ def in_bands(apart: Sequence[AnyArray | None], label: IntArray, levels: int, by:
     return out
 
 
-def by_weights(apart: Sequence[AnyArray | None], weights: Sequence[AnyArray]) -> AnyArray | None:
-    """Blend of the differences by weights (rows, cols) that sum to one."""
+def by_weights(apart: Sequence[Apart | None], weights: Sequence[AnyArray]) -> AnyArray | None:
+    """Blend of the differences, each of the whole window, by weights (rows, cols) that sum to one."""
     out: AnyArray | None = None
     for own, weight in zip(apart, weights, strict=True):
         if own is not None:
-            part = own * weight[None]
+            part = own.values * weight[None]
             out = part if out is None else out + part
     return out
 
 
+def spread(levels: int) -> int:
+    """Pixels over which `in_bands` spreads what an image shows: the taps down and up, all levels together."""
+    return 4 << levels
+
+
 def corrected(
     views: Sequence[View],
-    apart: Sequence[AnyArray | None],
+    apart: Sequence[Apart | None],
     blend: AnyArray | None,
     label: IntArray,
     by: Steps,
+    inside: tuple[slice, slice],
     out: AnyArray,
 ) -> None:
-    """Put each pixel's own value and its correction into `out` (rows, cols, bands), rounded; zero where no image is."""
+    """Put own value and correction of each pixel `inside` a window, rounded, into `out`; zero where no image is."""
     kind = np.zeros(1, dtype=_exact(views[0].values.dtype))
-    out[label < 0] = 0
+    out[label[inside] < 0] = 0
     for i, (view, own) in enumerate(zip(views, apart, strict=True)):
+        rows, cols = inside
+        difference = _NONE
+        if own is not None:
+            rows, cols = both_of(rows, own.part.rows), both_of(cols, own.part.cols)
+            difference = own.values[:, after(own.part.rows, rows), after(own.part.cols, cols)]
         by.join(
-            view.values, _NONE if own is None else own, own is not None, _NONE if blend is None else blend,
-            blend is not None, label, i, *value_range(str(out.dtype)), kind, out,
+            view.values[rows, cols], difference, own is not None, _NONE if blend is None else blend[:, rows, cols],
+            blend is not None, label[rows, cols], i, *value_range(str(out.dtype)), kind,
+            out[after(inside[0], rows), after(inside[1], cols)],
         )  # fmt: skip
 
 

@@ -18,7 +18,8 @@ from geomosaic.product.room import Room
 from geomosaic.product.visibility import Shades
 from geomosaic.raster.burn import burn
 from geomosaic.resample.engine import Engine
-from geomosaic.resample.multiband import View, by_weights, corrected, differences, in_bands
+from geomosaic.resample.multiband import View, by_weights, corrected, differences, in_bands, spread
+from geomosaic.resample.part import Part, parts_of
 from geomosaic.resample.pyramid import Steps, steps
 from geomosaic.resample.warp import CELL
 from geomosaic.sensor.ground import BlockGround
@@ -65,10 +66,10 @@ class BandBlender(Blender):
     def margin(self) -> int:
         """Pixels beyond a seam that its blending changes, and beyond those that they depend on; in whole cells."""
         if self.blending.kind == "multiband":
-            pixels = 4.0 * (1 << self.levels)  # of the taps down and up, all levels together
+            pixels = spread(self.levels)
         else:
-            pixels = float(CELL)
-        return self.cell * math.ceil(pixels / self.cell)
+            pixels = CELL
+        return self.cell * -(-pixels // self.cell)
 
     @property
     def reach(self) -> int:
@@ -106,7 +107,7 @@ class BandBlender(Blender):
         shades, wide = (None, None) if self.sight is None else (self.sight.block(below), self.sight.block(ground))
         if not below.unknown:
             self._outside(window, zone, label, around, (values, valid, number), lattices[0], shades)
-        with self.room.of(self._bytes(label, ground.window)):
+        with self.room.of(self._bytes(label, around, ground.window)):
             self._inside(window, ground, zone, label, around, (values, valid, number), lattices[1], wide)
         if not below.unknown:
             self._fill(below, self.photos.near(window), values, valid, number, lattices[0], shades)
@@ -114,14 +115,22 @@ class BandBlender(Blender):
         unit.counts[:] += np.bincount(number.ravel(), minlength=len(unit.counts))
         unit.facts.extend((one.error, one.scale) for two in lattices for used in two.values() for one in used)
 
-    def _bytes(self, label: IntArray, wide: Window) -> int:
+    def _bytes(self, label: IntArray, around: Window, wide: Window) -> int:
         """About what the images of a block hold at once: values and differences of each, sums and weights of all."""
+        sample, whole = np.dtype(self.dtype).itemsize, wide.width * wide.height
         if self.blending.kind == "overlap":
             images = len(self.photos.near(wide))
+            apart = images * whole
         else:
-            images = int(np.count_nonzero(np.bincount(label.ravel() + 1)[1:]))
-        sample = np.dtype(self.dtype).itemsize
-        return wide.width * wide.height * self.photos.info.bands * (images * (sample + max(4, sample)) + 24)
+            parts = [part for part in self._parts(label[wide.slices_in(around)], len(self.photos)) if part is not None]
+            images, apart = len(parts), sum(part.size for part in parts)
+        return self.photos.info.bands * (whole * (images * sample + 24) + apart * max(4, sample))
+
+    def _parts(self, label: IntArray, images: int) -> list[Part | None]:
+        """Where differences of each image are needed."""
+        if self.blending.kind == "overlap":
+            return [Part.whole(label.shape)] * images
+        return parts_of(label, images, spread(self.levels), self.levels)
 
     def _with_margin(self, zone: Window) -> Window:
         by = self.margin
@@ -201,8 +210,7 @@ class BandBlender(Blender):
     ) -> None:
         """The zone with its margin, blended; what lies in the block is kept."""
         wide = self._with_margin(zone)
-        top, left = wide.row - around.row, wide.col - around.col
-        label = label[top : top + wide.height, left : left + wide.width].copy()
+        label = label[wide.slices_in(around)].copy()
         images, views = self._views(ground, label, lattices, shades)
         if not images:
             return
@@ -210,17 +218,12 @@ class BandBlender(Blender):
         weights = self._weights(wide, images, views, local)
         part = zone.intersection(window)
         inside, block = part.slices_in(wide), part.slices_in(window)
-        apart = differences(views, local, self.noise, self.steps)
+        apart = differences(views, local, self.noise, self.steps, self._parts(local, len(views)))
         if weights is None:
             blend = in_bands(apart, local, self.levels, self.steps)
         else:
             blend = by_weights(apart, weights)
-        corrected(
-            [View(view.values[inside], view.valid[inside]) for view in views],
-            [None if one is None else one[:, *inside] for one in apart],
-            None if blend is None else blend[:, *inside],
-            local[inside], self.steps, target[0][block],
-        )  # fmt: skip
+        corrected(views, apart, blend, local, self.steps, inside, target[0][block])
         target[1][block] = local[inside] >= 0
         numbers = np.array([*(i + 1 for i in images), 0], dtype=target[2].dtype)  # −1 takes the last
         target[2][block] = numbers[local[inside]]

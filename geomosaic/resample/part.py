@@ -1,0 +1,60 @@
+"""Parts of a window that some of the images need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from scipy.ndimage import find_objects
+
+from geomosaic.types import IntArray
+
+
+@dataclass(frozen=True)
+class Part:
+    """Rows and columns of a window; all multiples of the size of the coarsest cells of a pyramid."""
+
+    rows: slice
+    cols: slice
+
+    @classmethod
+    def whole(cls, shape: tuple[int, ...]) -> Part:
+        """Of a window of this shape."""
+        return cls(slice(0, shape[0]), slice(0, shape[1]))
+
+    @property
+    def size(self) -> int:
+        """Pixels."""
+        rows, cols = (int(along.stop - along.start) for along in (self.rows, self.cols))
+        return rows * cols
+
+    def level(self, level: int) -> tuple[slice, slice]:
+        """Rows and columns of a level of the pyramid."""
+        return slice(self.rows.start >> level, self.rows.stop >> level), slice(
+            self.cols.start >> level, self.cols.stop >> level
+        )
+
+
+def parts_of(label: IntArray, images: int, margin: int, levels: int) -> list[Part | None]:
+    """Where a label array (rows, cols) shows each of so many images, and what lies within a margin; None if nowhere."""
+    found: list[Part | None] = []
+    for box in find_objects(label + 1, images):
+        if box is None:
+            found.append(None)
+            continue
+        ends = [
+            (max(0, along.start - margin) >> levels, -(-min(most, along.stop + margin) >> levels))
+            for along, most in zip(box, label.shape, strict=True)
+        ]
+        found.append(Part(*(slice(first << levels, last << levels) for first, last in ends)))
+    return found
+
+
+def both_of(one: slice, other: slice) -> slice:
+    """What two slices share; empty if nothing."""
+    start = max(one.start, other.start)
+    return slice(start, max(start, min(one.stop, other.stop)))
+
+
+def after(first: slice, then: slice) -> slice:
+    """Count a slice from the start of another."""
+    return slice(then.start - first.start, then.stop - first.start)
