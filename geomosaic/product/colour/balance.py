@@ -46,10 +46,10 @@ def meet(
     level = np.full((len(photos), photos.info.bands), np.nan)
     low, high, whole = value_range(photos.info.dtype)
     windows = [grid.window_of(outline.bounds) for outline in photos.outlines]
-    overlaps = Overlaps(windows, (low, high) if whole else None)
+    overlaps, cells = Overlaps(windows, (low, high) if whole else None), cells_in(windows)
 
     def piece(index: int) -> Thumbnail:
-        return without(_mean(photos, index, windows[index], grid), grid, hidden)
+        return without(_mean(photos, index, windows[index], grid, cells), grid, hidden)
 
     rendered = in_order(piece, range(len(photos)), options.threads, ahead=1)
     for done, (index, found) in enumerate(rendered):
@@ -87,9 +87,14 @@ def comparison_grid(photos: Photos, cells: int = CELLS) -> Grid:
     return photos.grid.coarser(max(1, round(cell / photos.grid.resolution[0])))
 
 
-def _mean(photos: Photos, index: int, window: Window, grid: Grid) -> Thumbnail:
+def cells_in(windows: Sequence[Window]) -> int:
+    """Cells of so many thumbnails."""
+    return sum(window.width * window.height for window in windows if not window.empty)
+
+
+def _mean(photos: Photos, index: int, window: Window, grid: Grid, cells: int) -> Thumbnail:
     with photos.using(index) as photo:
-        found = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
+        found = thumbnail(photo, photos.block.surface, grid, window, "average", "float32", cells)
     return replace(found, valid=_inner(found.valid))
 
 
@@ -109,9 +114,12 @@ def _inner(valid: ByteArray) -> ByteArray:
 
 
 def thumbnail(
-    photo: Photo, surface: Surface | None, grid: Grid, window: Window, resampling: str, dtype: str
+    photo: Photo, surface: Surface | None, grid: Grid, window: Window, resampling: str, dtype: str, cells: int = 0
 ) -> Thumbnail:
-    """Render one photo on a coarse grid: means of cells ('average'), or one pixel of each ('nearest')."""
+    """Render one photo on a coarse grid: means of cells ('average'), or one pixel of each ('nearest').
+
+    Where it is one of many, `cells` of all of them tell whether they are worth the start of compiled kernels.
+    """
     bands = photo.source.info.bands
     values = np.zeros((max(window.height, 0), max(window.width, 0), bands), dtype=dtype)
     valid = np.zeros(values.shape[:2], dtype=np.uint8)
@@ -126,7 +134,7 @@ def thumbnail(
         if photo.source.thins and photo.scale == 1.0 and values.dtype == photo.source.dtype:
             picked(photo.source, photo.offset, size, window, values, valid)
             return Thumbnail(window, values, valid)
-    engine, colour = engine_for(4 * valid.size, resampling), Colour.identity(bands)
+    engine, colour = engine_for(4 * max(cells, valid.size), resampling), Colour.identity(bands)
     below = Ground.under(grid, surface)
     # The window itself is cut into blocks, not the grid: only the heights below the photo are read.
     for part in window.split(BLOCK_WIDTH, BLOCK_HEIGHT):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.product.colour.balance import thumbnail
+from geomosaic.product.colour.balance import cells_in, thumbnail
 from geomosaic.product.colour.corrections import Correction, corrected
 from geomosaic.product.georeference.metres import metres_per_unit
 from geomosaic.product.options import RenderOptions
@@ -55,7 +55,12 @@ def seam_cost(
     waiting = _pairs(candidates)
     order = sorted(waiting, key=lambda i: (windows[i].row, i))
     here: dict[int, Features] = {}
-    seen = in_order(lambda i: _seen(photos, i, grid, windows[i], colours[i], weights), order, options.threads, ahead=1)
+    cells = cells_in([windows[i] for i in order])
+
+    def look(i: int) -> tuple[Features, FloatArray]:
+        return _seen(photos, i, grid, windows[i], cells, colours[i], weights)
+
+    seen = in_order(look, order, options.threads, ahead=1)
     for done, (i, (found, price)) in enumerate(seen):
         here[i] = found
         own[:, *_slices(windows[i])] += np.where(candidates[:, *_slices(windows[i])] == i, price, 0)
@@ -92,11 +97,11 @@ def _slices(window: Window) -> tuple[slice, slice]:
 
 
 def _seen(
-    photos: Photos, index: int, grid: Grid, window: Window, colour: Correction, weights: SeamWeights
+    photos: Photos, index: int, grid: Grid, window: Window, cells: int, colour: Correction, weights: SeamWeights
 ) -> tuple[Features, FloatArray]:
     """What an image shows of its window, and what it costs to show it."""
     with photos.using(index) as photo:
-        piece = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
+        piece = thumbnail(photo, photos.block.surface, grid, window, "average", "float32", cells)
         angle = _angles(photo, photos, grid, window) if weights.angle else np.zeros(piece.valid.shape)
     valid = piece.valid > 0
     values = corrected(colour, piece.values, window, grid, photos.grid)
