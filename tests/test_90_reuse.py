@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-import shapely
+from project_rig import PHOTOS, edit_south, make_project
 from scipy.ndimage import distance_transform_edt
 
 from geomosaic.cli.main import run
@@ -18,25 +18,11 @@ from geomosaic.product import mosaic as product
 from geomosaic.raster.vector import read_layer
 from geomosaic.resample.warp import CELL
 
-PHOTOS = ("strip1_02.jpg", "strip1_03.jpg", "strip2_02.jpg", "strip2_03.jpg")
-
 
 @pytest.fixture(scope="module")
 def done(sample, tmp_path_factory) -> Path:
     """A project of four photos, run once."""
-    folder = tmp_path_factory.mktemp("reuse") / "one"
-    (folder / "photos").mkdir(parents=True)
-    for name in PHOTOS:
-        shutil.copy(sample / "photos" / name, folder / "photos")
-    for name in ("camera.toml", "exterior.csv", "dem.tif"):
-        shutil.copy(sample / name, folder)
-    file = folder / "trial.toml"
-    words = [
-        "new", file, *sorted((folder / "photos").iterdir()), "--sensor", "frame", "--camera", folder / "camera.toml",
-        "--exterior", folder / "exterior.csv", "--crs", "EPSG:32633", "--heights", "egm96", "--dem", folder / "dem.tif",
-    ]  # fmt: skip
-    assert run([str(word) for word in words]) == 0
-    file.write_text(file.read_text().replace("# resolution = 0.5 ", "resolution = 0.7 "))
+    file = make_project(tmp_path_factory.mktemp("reuse") / "one", sample)
     assert run(["run", str(file), "mosaic"]) == 0
     return file
 
@@ -55,22 +41,6 @@ def facts(project: Path) -> dict[str, int]:
 def hashes(project: Path) -> list[str]:
     names = ("trial.tif", "trial-labels.tif", "trial.gpkg")
     return [hashlib.sha256((project.parent / "output" / name).read_bytes()).hexdigest() for name in names]
-
-
-def edit_south(project: Path) -> None:
-    """Give a place in the south to another photo, as one would in QGIS."""
-    made = project.parent / "output" / "trial.gpkg"
-    shares, prints = read_layer(made, "seams"), read_layer(made, "footprints")
-    seen = dict(zip(prints["image"], prints.geometry, strict=True))
-    pairs = [(i, j) for i in range(len(shares)) for j in range(len(shares)) if i != j]
-    common = {(i, j): shares.geometry[i].intersection(seen[shares["image"][j]]) for i, j in pairs}
-    south, other = min((pair for pair in pairs if common[pair].area > 2e4), key=lambda pair: common[pair].bounds[1])
-    left, bottom, right, _ = common[south, other].bounds
-    place = common[south, other].intersection(shapely.box(left, bottom, right, bottom + 120))
-    drawn = [shape.union(place) if i == other else shape.difference(place) for i, shape in enumerate(shares.geometry)]
-    shares.set_geometry(drawn).to_file(project.parent / "mine.gpkg", layer="seams")
-    text = project.read_text()
-    project.write_text(text.replace("[mosaic]\n", '[mosaic]\ncutlines = "mine.gpkg"\n'))
 
 
 def test_the_first_run_computes_all(done):
@@ -232,11 +202,18 @@ def test_views_are_kept_where_the_pixels_are(own, tell, monkeypatch):
 def test_compiled_kernels_are_started_for_what_is_left_only(own, tell, monkeypatch):
     asked, choose = [], product.engine_for
     monkeypatch.setattr(product, "engine_for", lambda work, *more: asked.append(work) or choose(work, *more))
+    monkeypatch.setattr(product, "started", lambda: False)
     edit_south(own)
     assert tell("run", own, "mosaic")[0] == 0
     found = facts(own)
     nothing_yet, left = asked
     assert nothing_yet == 0
     assert tell("run", own, "mosaic", "--force")[0] == 0
-    assert left == asked[2] * (found["units"] - found["reused"]) // found["units"]
+    every = asked[2]
+    assert left == every * (found["units"] - found["reused"]) // found["units"]
     assert len(asked) == 3
+    monkeypatch.setattr(product, "started", lambda: True)  # in a process that goes on they are there
+    own.write_text(own.read_text().replace('cutlines = "mine.gpkg"\n', ""))
+    assert tell("run", own, "mosaic")[0] == 0
+    assert facts(own)["reused"] > 0
+    assert asked[3:] == [every]

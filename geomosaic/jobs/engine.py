@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError, OutputError, OutputExistsError
-from geomosaic.jobs.digest import Hashes, ingredients
+from geomosaic.jobs.digest import ingredients
 from geomosaic.jobs.lock import project_lock
 from geomosaic.jobs.manifest import Manifest, Record
 from geomosaic.jobs.step import Context, Job, Progress, State, Step
 from geomosaic.jobs.stop import Stop, on_sigterm
+from geomosaic.raster.checksum import Hashes
 
 MANIFEST, LOCK = "manifest.json", "lock"
 

@@ -40,7 +40,7 @@ from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output import check_geotiff, check_output
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.vector import prepare
-from geomosaic.resample.engine import engine_for
+from geomosaic.resample.engine import engine_for, started
 from geomosaic.seam.lines import segments
 from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import blocks
@@ -106,7 +106,7 @@ def mosaic(
     try:
         # What costs time to import gets it where a processor would idle.
         units, work = tiles(grid, render.tile), 2 * samples(grid, outlines)
-        again = options.memory is not None and options.memory.file.is_file()
+        again = options.memory is not None and options.memory.file.is_file() and not started()
         # What an earlier run has left to do is not known yet, and may not be worth the start of the compiled kernels.
         compiled = beside_it.submit(engine_for, 0 if again else work, render.resampling, render.threads)
         with Clock(seconds, "balance"):

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from geomosaic.errors import InputError
+from geomosaic.raster.journal import holds, journal_of
 from geomosaic.types import PathLike
 
 
@@ -22,3 +25,43 @@ def sha256(path: PathLike) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", where=str(path)) from error
+
+
+@dataclass
+class Hashes:
+    """SHA-256 of what files hold; a file of known size and modification time is not read again.
+
+    Of a database that another program holds open, what stands in its journal counts too, see `raster.journal`.
+
+    Attributes
+    ----------
+    known : dict
+        Path to [size, mtime in ns, sha256].
+    """
+
+    known: dict[str, list[Any]] = field(default_factory=dict)
+
+    def of(self, path: Path) -> str:
+        """Digest of what a file holds.
+
+        Raises
+        ------
+        InputError
+            The file is missing or unreadable.
+        """
+        digest, journal = self._of(path), journal_of(path)
+        if journal is None or not holds(journal):
+            return digest
+        return hashlib.sha256(f"{digest} {self._of(journal)}".encode()).hexdigest()
+
+    def _of(self, path: Path) -> str:
+        try:
+            stat = path.stat()
+        except OSError:
+            raise InputError("the file does not exist", where=str(path), mend="check the path") from None
+        entry = self.known.get(str(path))
+        if entry and entry[0] == stat.st_size and entry[1] == stat.st_mtime_ns:
+            return str(entry[2])
+        digest = sha256(path)
+        self.known[str(path)] = [stat.st_size, stat.st_mtime_ns, digest]
+        return digest

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from geomosaic.errors import InputError, OutputExistsError
+from geomosaic.raster.journal import holds, journal_of
 
 OTHER_FORMATS = (
     ".bmp", ".ecw", ".gif", ".gpkg", ".img", ".jp2", ".jpeg", ".jpg", ".json", ".kmz", ".mbtiles", ".nc", ".pdf",
@@ -23,7 +24,7 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) ->
     Raises
     ------
     OutputExistsError
-        The file exists and `overwrite` is false.
+        The file exists and `overwrite` is false, or it is a database that another program is writing to.
     InputError
         The name is a folder's, a device's or an input's, or its folder does not exist.
     """
@@ -39,6 +40,13 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) ->
         )
     if path.exists() and not overwrite:
         raise OutputExistsError("the output exists", where=str(path), mend="give another name, or --overwrite")
+    if (journal := journal_of(path)) is not None and path.exists() and holds(journal):
+        # Readers would put the journal of the old file into the new one, page by page, and show neither.
+        raise OutputExistsError(
+            f"another program holds the output open, with changes that are still beside it ({journal.name})",
+            where=str(path),
+            mend="close it there (in QGIS: remove the layer), or give the output another name",
+        )
 
 
 def check_geotiff(path: Path, *, overwrite: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -85,6 +86,11 @@ _WHILE_STARTING = {
     "cubic": 700_000,
     "lanczos": 500_000,
 }
+
+
+def started() -> bool:
+    """Whether this process has compiled kernels at hand."""
+    return "geomosaic.resample.kernels.place" in sys.modules
 
 
 def engine_for(samples: int, resampling: str, hands: int = 1) -> Engine:

@@ -2,36 +2,90 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
+from typing import NoReturn
 
 import click
 
 from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, machine_options
 from geomosaic.cli.outcome import outcome_words, verdict
-from geomosaic.cli.talk import answer, notes, progress
+from geomosaic.cli.talk import answer, notes, progress, say
+from geomosaic.errors import GeomosaicError, Interrupted
 
 
 @click.command()
 @click.argument("project", type=FILE)
 @click.argument("steps", nargs=-1, metavar="[STEP...]")
 @click.option("--force", is_flag=True, help="Run the steps whether stale or not.")
+@click.option("--watch", is_flag=True, help="Stay, and run again when a file that the project reads has changed.")
 @machine_options
 def command(
-    project: Path, steps: tuple[str, ...], force: bool, threads: int | None, mem_limit: int | None, as_json: bool
+    project: Path,
+    steps: tuple[str, ...],
+    force: bool,
+    watch: bool,
+    threads: int | None,
+    mem_limit: int | None,
+    as_json: bool,
 ) -> int:
     """Run what is stale in a project: orient, mosaic, orthos, check, report.
 
     With STEP, run that step and what it reads from. A run that was stopped goes on with the step it was in.
+
+    With --watch, each edit that is saved elsewhere - a seam in QGIS, a setting in the project file - is in the outputs
+    seconds later, sooner than by a new run, which would have to start everything anew. Ctrl-C ends it.
     """
     from geomosaic.jobs.project import run_project
     from geomosaic.jobs.step import Machine
     from geomosaic.project.load import load_project
 
-    loaded, machine = load_project(project), Machine(threads, mem_limit)
     note_memory(mem_limit, threads)
-    with notes(), progress(as_json) as report:
-        done = run_project(loaded, only=steps, force=force, machine=machine, progress=report)
-    answer({"steps": [asdict(state) for state in done.states], **done.facts}, outcome_words(done), as_json)
-    return verdict(done.failure, as_json)
+    machine = Machine(threads, mem_limit)
+
+    def once(force: bool) -> int:
+        loaded = load_project(project)
+        with notes(), progress(as_json) as report:
+            done = run_project(loaded, only=steps, force=force, machine=machine, progress=report)
+        answer({"steps": [asdict(state) for state in done.states], **done.facts}, outcome_words(done), as_json)
+        return verdict(done.failure, as_json)
+
+    if watch:
+        _again_and_again(project, once, force, as_json)
+    return once(force)
+
+
+def _again_and_again(project: Path, once: Callable[[bool], int], force: bool, as_json: bool) -> NoReturn:
+    """Run, wait for a change, run; what is wrong is told, and waits to be mended."""
+    from geomosaic.cli.failure import failed
+    from geomosaic.jobs.watch import look, wait_for_change
+
+    before = look(_read(project))
+    while True:
+        try:
+            once(force)
+        except Interrupted:
+            raise
+        except GeomosaicError as error:
+            failed(error, as_json=as_json, debug=False)
+        force = False
+        # More may be read by now; what has changed meanwhile is a change.
+        before = {path: before.get(path, state) for path, state in look(_read(project)).items()}
+        say(f"waiting for changes of {project.name} and of what it reads; Ctrl-C ends")
+        now = wait_for_change(before)
+        say(f"changed: {', '.join(path.name for path in now if now[path] != before[path])}")
+        before = now
+
+
+def _read(project: Path) -> list[Path]:
+    """The files that count: the project file alone, where that is wrong."""
+    from geomosaic.jobs.project import job_of
+    from geomosaic.jobs.watch import read_by
+    from geomosaic.project.load import load_project
+
+    with suppress(GeomosaicError):
+        return read_by(job_of(load_project(project)))
+    return [project]

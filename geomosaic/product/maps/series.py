@@ -33,7 +33,7 @@ from geomosaic.product.maps.series_folder import (
     write_record,
 )
 from geomosaic.product.maps.sheet import VectorInput, make_sheet
-from geomosaic.raster.checksum import sha256
+from geomosaic.raster.checksum import Hashes, sha256
 from geomosaic.raster.output import check_output
 from geomosaic.raster.source import Source
 
@@ -239,14 +239,8 @@ def _ingredients(inputs: SeriesInputs, record: dict[str, Any]) -> dict[str, Any]
     files = [inputs.raster, *(layer.path for layer in inputs.layers), *filter(None, (inputs.dem, inputs.shade))]
     lent = [Path(name) for name in (inputs.layout.sheet.logo, *inputs.layout.sheet.fonts) if name]
     files += [path for path in lent if path.is_file()]  # what is missing is told where it is read
-    digests = {}
-    for path in files:
-        stat = path.stat()
-        known = record["files"].get(str(path.resolve()))
-        if known is None or known[:2] != [stat.st_size, stat.st_mtime_ns]:
-            known = [stat.st_size, stat.st_mtime_ns, sha256(path)]
-            record["files"][str(path.resolve())] = known
-        digests[path.name] = known[2]
+    hashes = Hashes(record["files"])
+    digests = {path.name: hashes.of(path.resolve()) for path in files}
     return {
         "version": geomosaic.__version__, "files": digests, "layout": repr(inputs.layout),
         "layers": [repr(replace(layer, path=Path(layer.path.name))) for layer in inputs.layers],
