@@ -9,12 +9,21 @@ from pathlib import Path
 from geomosaic.jobs.step import Job
 from geomosaic.raster.journal import journal_of
 
-PAUSE = 0.15
+PAUSE = 0.1
 """Seconds from one look to the next."""
 SHARE = 0.05
 """Of a processor that looking may take, however many files there are."""
 Look = dict[Path, tuple[int, int] | None]
 """Size and modification time of files; None where there is none."""
+
+
+def make_ready() -> None:
+    """Load what the next run of a mosaic will need: seconds, better spent before it is waited for."""
+    import geopandas  # noqa: F401
+
+    from geomosaic.resample.engine import numba_engine
+
+    numba_engine()
 
 
 def read_by(job: Job) -> list[Path]:

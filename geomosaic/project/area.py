@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +27,8 @@ from geomosaic.surface.model import Surface
 
 MANY_PIXELS, FINER = 10_000_000_000, 10.0
 """Pixels of an output, and how many times finer than the images they are, that together nobody can mean."""
+
+FindOutlines = Callable[[tuple[Scene, ...], Surface | None, CRS], list[Footprint]]
 
 
 @dataclass(frozen=True)
@@ -54,15 +56,17 @@ class Area:
     like: Path | None = None
 
 
-def plan(scenes: Sequence[Scene], surface: Surface | None, area: Area) -> tuple[Grid, list[Footprint]]:
-    """Outlines of the images and the grid of the output."""
+def plan(
+    scenes: Sequence[Scene], surface: Surface | None, area: Area, find: FindOutlines = footprints
+) -> tuple[Grid, list[Footprint]]:
+    """Outlines of the images, which `find` finds or remembers, and the grid of the output."""
     several = tuple(scenes)
     if area.like is not None:
         grid = grid_of(area.like)
-        return grid, footprints(several, surface, grid.crs)
+        return grid, find(several, surface, grid.crs)
     crs: CRS = parse_map(area.crs, "output CRS") if area.crs else output_crs(several, surface)
     refuse_torn_crs(crs, several)
-    outlines = footprints(several, surface, crs)
+    outlines = find(several, surface, crs)
     _judge(crs, outlines, area.resolution)
     grid = output_grid(crs, outlines, area.resolution, area.bounds, snap=area.snap)
     check_size(grid)

@@ -17,8 +17,8 @@ from geomosaic.errors import GeomosaicWarning
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
-from geomosaic.product.extent import check_size
-from geomosaic.project.area import Area, plan
+from geomosaic.product.extent import check_size, footprints
+from geomosaic.project.area import Area, FindOutlines, plan
 from geomosaic.raster.info import inspect
 from geomosaic.surface.model import Surface
 
@@ -28,8 +28,10 @@ _SCATTERED = 0.02
 """Part of a mosaic that images must cover not to be called scattered."""
 
 
-def plan_mosaic(scenes: Sequence[Scene], surface: Surface | None, area: Area) -> tuple[Grid, list[Footprint]]:
-    """Outlines of the images and the grid of their mosaic.
+def plan_mosaic(
+    scenes: Sequence[Scene], surface: Surface | None, area: Area, find: FindOutlines = footprints
+) -> tuple[Grid, list[Footprint]]:
+    """Outlines of the images, which `find` finds or remembers, and the grid of their mosaic.
 
     Where the first image is georeferenced in the output's CRS, north up, and neither bounds nor another pixel size is
     asked for, the grid is the first image's own, extended over all images. Of images in degrees the mosaic is in
@@ -39,7 +41,7 @@ def plan_mosaic(scenes: Sequence[Scene], surface: Surface | None, area: Area) ->
         first = inspect(scenes[0].path).crs
         if first is not None and first.is_geographic and _own_grid(scenes[0], horizontal(first)) is not None:
             area = replace(area, crs=horizontal(first).to_wkt())
-    grid, outlines = plan(scenes, surface, area)
+    grid, outlines = plan(scenes, surface, area, find)
     own = _own_grid(scenes[0], grid.crs) if surface is None and area.bounds is None and area.like is None else None
     if own is None or not (area.resolution is None or _same_size(own, area.resolution)):
         return grid, outlines

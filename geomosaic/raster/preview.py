@@ -17,6 +17,9 @@ from geomosaic.types import AnyArray, ByteArray, PathLike
 _PACKED = 2
 """Of zlib's levels: a fifth of the time of its usual one (6), and pictures of photos 14 % larger."""
 
+_QUALITY = 92
+"""Of JPEG: nothing of it is seen at twice the size."""
+
 
 def preview(path: PathLike, max_size: int = 1024) -> tuple[ByteArray, ByteArray]:
     """Read a raster reduced to a small picture, through its overviews where it has any.
@@ -67,6 +70,20 @@ def stretch(values: AnyArray, valid: ByteArray) -> ByteArray:
     with np.errstate(invalid="ignore"):
         grey = (values.astype(np.float64) - low) * (255.0 / max(high - low, 1e-12))
     return np.where(valid[:, :, None] != 0, np.clip(np.nan_to_num(grey), 0, 255), 0).astype(np.uint8)
+
+
+def picture(rgb: ByteArray, valid: ByteArray) -> tuple[bytes, str]:
+    """Encode a picture (rows, cols, 3) to be looked at, and say as what: JPEG, a fifth of PNG's size and time.
+
+    PNG where parts are not valid, which are transparent.
+    """
+    if not valid.all():
+        return png_bytes(rgb, valid), "image/png"
+    from PIL import Image
+
+    stream = BytesIO()
+    Image.fromarray(rgb).save(stream, format="JPEG", quality=_QUALITY, subsampling=0)
+    return stream.getvalue(), "image/jpeg"
 
 
 def png_bytes(rgb: ByteArray, valid: ByteArray | None = None) -> bytes:

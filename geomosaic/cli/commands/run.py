@@ -61,7 +61,7 @@ def command(
 def _again_and_again(project: Path, once: Callable[[bool], int], force: bool, as_json: bool) -> NoReturn:
     """Run, wait for a change, run; what is wrong is told, and waits to be mended."""
     from geomosaic.cli.failure import failed
-    from geomosaic.jobs.watch import look, wait_for_change
+    from geomosaic.jobs.watch import look, make_ready, wait_for_change
 
     before = look(_read(project))
     while True:
@@ -75,6 +75,7 @@ def _again_and_again(project: Path, once: Callable[[bool], int], force: bool, as
         # More may be read by now; what has changed meanwhile is a change.
         before = {path: before.get(path, state) for path, state in look(_read(project)).items()}
         say(f"waiting for changes of {project.name} and of what it reads; Ctrl-C ends")
+        make_ready()
         now = wait_for_change(before)
         say(f"changed: {', '.join(path.name for path in now if now[path] != before[path])}")
         before = now

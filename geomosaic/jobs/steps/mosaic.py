@@ -10,7 +10,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from pyproj import CRS
 
+from geomosaic.block.footprint import Footprint
+from geomosaic.block.scene import Scene
 from geomosaic.jobs.digest import digest_of, versions
 from geomosaic.jobs.facts import read_json, write_json
 from geomosaic.jobs.heard import heard, tell
@@ -20,11 +23,13 @@ from geomosaic.jobs.steps.restore import area_of, render_options, restore_block
 from geomosaic.product.blend.options import Blending, Width
 from geomosaic.product.colour.facts import colour_facts, picture
 from geomosaic.product.reruns.reuse import Memory
+from geomosaic.project.area import FindOutlines
 from geomosaic.project.draft.write import relative
 from geomosaic.project.frames import describe
 from geomosaic.project.load import Project
 from geomosaic.project.make import reference_scene
 from geomosaic.project.mosaic_grid import plan_mosaic
+from geomosaic.surface.model import Surface
 
 _SEAMS = ("seams", "seam_weights", "order", "base", "water_fill")
 _NO_COLOUR = (
@@ -49,8 +54,8 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     started, spent = time.perf_counter(), time.process_time()
     layout.mosaic.parent.mkdir(parents=True, exist_ok=True)
     with heard() as notes:
-        block = restore_block(project)
-        grid, outlines = plan_mosaic(block.scenes, block.surface, area_of(project))
+        block, memory = restore_block(project), _memory(project, context)
+        grid, outlines = plan_mosaic(block.scenes, block.surface, area_of(project), _remembered(memory))
         reference = project.file(wanted.reference)
         options = MosaicOptions(
             replace(render_options(project, machine, context.progress), true_ortho=wanted.true_ortho),
@@ -73,7 +78,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             about=_about(project, context),
             exclude=tuple(wanted.exclude),
             retouch={name: Retouch(own.gain, own.offset) for name, own in wanted.retouch.items()},
-            memory=_memory(project, context),
+            memory=memory,
             colour=terms_of(wanted.colour),
             mask=project.file(wanted.mask),
             region=project.file(wanted.region),
@@ -198,6 +203,18 @@ def _memory(project: Project, context: Context) -> Memory:
         remembered.unlink(missing_ok=True)
         shutil.rmtree(remembered.with_name("found"), ignore_errors=True)
     return Memory(remembered, scenes, digest_of(said), digest_of(colour), digest_of(seams), context.digest)
+
+
+def _remembered(memory: Memory) -> FindOutlines:
+    """Outlines of the images, as an earlier run has found them where nothing they depend on has changed."""
+    from geomosaic.product.extent import footprints
+    from geomosaic.product.reruns.recall import Recall, digest_of
+
+    def find(scenes: tuple[Scene, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
+        key = digest_of(*memory.scenes, memory.ground, crs.to_wkt())
+        return Recall(memory.found).get("footprints", key, lambda: footprints(scenes, surface, crs))
+
+    return find
 
 
 def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geomosaic.raster.preview import png_bytes, preview
+from geomosaic.raster.preview import picture, preview
 from geomosaic.raster.vector import read_layer
 from geomosaic.types import FloatArray
 
@@ -105,7 +105,7 @@ def mosaic_map(mosaic: Path, vectors: Path, bounds: Sequence[float], unit: str) 
         if unit == "metre" and length >= 1000
         else f"{length:g} {'m' if unit == 'metre' else unit}"
     )
-    return MosaicMap(width, height, data_uri(png_bytes(rgb, valid)), outlines, seams, length * float(scale[0]), text)
+    return MosaicMap(width, height, data_uri(*picture(rgb, valid)), outlines, seams, length * float(scale[0]), text)
 
 
 def residual_plot(
@@ -149,9 +149,9 @@ def nice_length(length: float) -> float:
     return float(max(step * power for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))
 
 
-def data_uri(png: bytes) -> str:
+def data_uri(picture: bytes, kind: str = "image/png") -> str:
     """Picture to be put into a page."""
-    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
+    return f"data:{kind};base64,{base64.b64encode(picture).decode('ascii')}"
 
 
 def _parts(geometry: Any) -> list[Any]:

@@ -38,7 +38,7 @@ class Earlier:
     def __init__(self, photos: Photos, options: MosaicOptions) -> None:
         memory, grid = options.memory, photos.grid
         self._options, self._memory = options, memory
-        self.recall = Recall(None if memory is None else memory.file.with_name("found"))
+        self.recall = Recall(None if memory is None else memory.found)
         place = (grid.crs.to_wkt(), tuple(grid.transform), grid.shape)
         self._base = "" if memory is None else digest_of(
             geomosaic.__version__, VERSION, *memory.scenes, memory.ground, *place, photos.info.dtype

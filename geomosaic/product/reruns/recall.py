@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 CLASSES = {
+    "Footprint": "geomosaic.block.footprint",
     "Balance": "geomosaic.radiometry.gain_offset",
     "Curve": "geomosaic.radiometry.curve",
     "Shade": "geomosaic.radiometry.shade",

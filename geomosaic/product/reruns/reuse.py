@@ -64,6 +64,11 @@ class Memory:
     seams: str = ""
     digest: Callable[[Path], str] = sha256
 
+    @property
+    def found(self) -> Path:
+        """Folder of what else was found."""
+        return self.file.with_name("found")
+
 
 @dataclass(frozen=True)
 class KeptUnit:
