@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.product.report.figures import LONGEST, data_uri, nice_length
-from geomosaic.raster.preview import picture, preview
+from geomosaic.raster.preview import jpeg_bytes, preview
 
 SHARE = 0.06
 """Length of the longest residual of the fit as it is drawn, as a share of the picture's longer side."""
@@ -91,7 +91,7 @@ def control_figure(points: Sequence[Mapping[str, Any]], size: tuple[int, int], i
         width,
         height,
         margin,
-        data_uri(*picture(rgb, valid)),
+        data_uri(jpeg_bytes(rgb, valid), "image/jpeg"),
         marks,
         bar * scale,
         f"{bar:g} px",

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geomosaic.raster.preview import picture, preview
+from geomosaic.raster.preview import jpeg_bytes, preview
 from geomosaic.raster.vector import read_layer
 from geomosaic.types import FloatArray
 
@@ -105,7 +105,9 @@ def mosaic_map(mosaic: Path, vectors: Path, bounds: Sequence[float], unit: str) 
         if unit == "metre" and length >= 1000
         else f"{length:g} {'m' if unit == 'metre' else unit}"
     )
-    return MosaicMap(width, height, data_uri(*picture(rgb, valid)), outlines, seams, length * float(scale[0]), text)
+    return MosaicMap(
+        width, height, data_uri(jpeg_bytes(rgb, valid), "image/jpeg"), outlines, seams, length * float(scale[0]), text
+    )
 
 
 def residual_plot(
