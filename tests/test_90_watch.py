@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import queue
 import shutil
 import signal
 import subprocess
@@ -120,7 +121,7 @@ def test_an_output_with_changes_beside_it_is_not_replaced(own, tell):
         before = sha256(output), sha256(output.with_suffix(".tif"))
         code, _, err = tell("run", own, "mosaic")
         assert code == 1
-        assert "another program holds the output open" in err
+        assert "changes to the output stand beside it" in err
         assert "trial.gpkg-wal" in err
         assert (sha256(output), sha256(output.with_suffix(".tif"))) == before
     assert tell("run", own, "mosaic")[0] == 0
@@ -140,36 +141,89 @@ def test_a_change_is_waited_for_until_it_is_whole(tmp_path):
 
     writer = threading.Thread(target=write)
     writer.start()
-    now = wait_for_change(before, pause=0.15)
+    now = wait_for_change(before, pause=0.6)
     assert not writer.is_alive()
     assert file.read_text().endswith("7")
     assert now == look([file, other])
     assert [path for path in now if now[path] != before[path]] == [file, other]
 
 
-def test_watching(own):
-    """A wrong setting is told and waited out; an edit is run by the process that is there."""
+def test_a_journal_without_its_file_is_not_put_into_a_new_one(own, tell):
+    """QGIS ended badly, and only the GeoPackage was removed."""
+    output = own.parent / "output" / "trial.gpkg"
+    output.unlink()
+    left = output.with_name("trial.gpkg-wal")
+    left.write_bytes(b"pages of another file")
+    code, _, err = tell("run", own, "mosaic")
+    assert code == 1
+    assert "remove both files" in err
+    left.unlink()
+    assert tell("run", own, "mosaic")[0] == 0
+
+
+def test_a_journal_that_has_just_gone_is_none(tmp_path, monkeypatch):
+    file = tmp_path / "a.gpkg"
+    file.write_bytes(b"one")
+    monkeypatch.setattr("geomosaic.raster.checksum.holds", lambda journal: True)
+    assert Hashes().of(file) == sha256(file)
+
+
+@contextmanager
+def watcher(project: Path) -> Iterator[tuple[subprocess.Popen[str], Callable[[], dict[str, Any]]]]:
+    """A run that watches, and a function that gives its next answer, within two minutes."""
     start = "from geomosaic.cli.main import main; main()"
-    words = [sys.executable, "-c", start, "run", str(own), "mosaic", "--watch", "--json"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as watching:
-        assert watching.stdout is not None
+    words = [sys.executable, "-c", start, "run", str(project), "mosaic", "--watch", "--json"]
+    answers: queue.Queue[str] = queue.Queue()
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as watching:
 
-        def said() -> dict[str, Any]:
-            return json.loads(watching.stdout.readline())
+        def listen() -> None:
+            assert watching.stdout is not None
+            for line in watching.stdout:
+                answers.put(line)
 
+        threading.Thread(target=listen, daemon=True).start()
         try:
-            assert [state["fresh"] for state in said()["steps"]] == [True, True]
-            good = own.read_text()
-            own.write_text(good.replace("[mosaic]", "[mosaics]"))
-            assert "mosaics" in said()["error"]["what"]
-            own.write_text(good.replace('cutlines = "mine.gpkg"\n', ""))
-            again = said()
-            assert [state["fresh"] for state in again["steps"]] == [True, False]
-            assert 0 < again["mosaic"]["reused"] < again["mosaic"]["units"]
-            watching.send_signal(signal.SIGINT)
-            out, err = watching.communicate(timeout=60)
+            yield watching, lambda: json.loads(answers.get(timeout=120))
         finally:
             watching.kill()
-    assert watching.returncode == 130
-    assert json.loads(out)["error"]["what"] == "stopped by Ctrl-C"
-    assert f"changed: {own.name}" in err
+
+
+def fresh(answer: dict[str, Any]) -> list[bool]:
+    return [state["fresh"] for state in answer["steps"]]
+
+
+def test_watching(own):
+    """A wrong setting is told and waited out; an edit is run by the process that is there; Ctrl-C ends it."""
+    with watcher(own) as (watching, said):
+        assert fresh(said()) == [True, True]
+        good = own.read_text()
+        own.write_text(good.replace("[mosaic]", "[mosaics]"))
+        assert "mosaics" in said()["error"]["what"]
+        own.write_text(good.replace('cutlines = "mine.gpkg"\n', ""))
+        again = said()
+        assert fresh(again) == [True, False]
+        assert 0 < again["mosaic"]["reused"] < again["mosaic"]["units"]
+        watching.send_signal(signal.SIGINT)
+        assert said()["error"]["what"] == "stopped by Ctrl-C"
+        assert watching.wait(timeout=60) == 130
+
+
+def test_a_photo_that_goes_and_comes_back_is_seen(own):
+    photo = next((own.parent / "photos").iterdir())
+    with watcher(own) as (watching, said):
+        assert fresh(said()) == [True, True]
+        photo.rename(own.parent / "away.jpg")
+        assert photo.name in json.dumps(said()["error"])
+        (own.parent / "away.jpg").rename(photo)
+        assert fresh(said())[-1]  # the mosaic is still that of all photos
+        watching.send_signal(signal.SIGTERM)
+        assert watching.wait(timeout=60) == 128 + signal.SIGTERM
+
+
+def test_an_output_that_is_closed_elsewhere_is_made(own):
+    with watcher(own) as (_, said):
+        assert fresh(said()) == [True, True]
+        with held_open(own.parent / "output" / "trial.gpkg") as shrink:
+            shrink(8.0)
+            assert "changes to the output" in said()["error"]["what"]
+        assert fresh(said()) == [True, False]

@@ -99,6 +99,7 @@ def run(
                 state = State(step.name, False, reason, record.seconds, record.finished)
             states.append(state)
         manifest.save()
+        stop.check()
     return states
 
 

@@ -13,6 +13,8 @@ PAUSE = 0.1
 """Seconds from one look to the next."""
 SHARE = 0.05
 """Of a processor that looking may take, however many files there are."""
+LONGEST = 2.0
+"""Seconds between looks at most."""
 Look = dict[Path, tuple[int, int] | None]
 """Size and modification time of files; None where there is none."""
 
@@ -27,10 +29,13 @@ def make_ready() -> None:
 
 
 def read_by(job: Job) -> list[Path]:
-    """Files that the steps read and none of them writes, with the journals that databases may get."""
-    written = {path for step in job.steps for path in step.outputs}
+    """Files that the steps read and none of them writes, and the journals that databases may get.
+
+    Those of outputs too: while one holds anything, its file is not replaced.
+    """
+    written = dict.fromkeys(path for step in job.steps for path in step.outputs)
     read = dict.fromkeys(path for step in job.steps for path in step.inputs if path not in written)
-    return [*read, *(journal for path in read if (journal := journal_of(path)) is not None)]
+    return [*read, *(journal for path in (*read, *written) if (journal := journal_of(path)) is not None)]
 
 
 def look(files: Iterable[Path]) -> Look:
@@ -42,7 +47,7 @@ def wait_for_change(before: Look, pause: float = PAUSE) -> Look:
     """Wait until files are other than before and stay so for a pause: a file half written is no change yet."""
     last, spent = before, 0.0
     while True:
-        time.sleep(max(pause, spent / SHARE))
+        time.sleep(min(max(pause, spent / SHARE), LONGEST))
         started = time.perf_counter()
         now = look(before)
         spent = time.perf_counter() - started
@@ -55,5 +60,7 @@ def _state(path: Path) -> tuple[int, int] | None:
     try:
         found = path.stat()
     except OSError:
+        return None
+    if path.name.endswith("-wal") and not found.st_size:  # comes and goes with a look at the layer
         return None
     return found.st_size, found.st_mtime_ns

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -49,10 +50,12 @@ class Hashes:
         InputError
             The file is missing or unreadable.
         """
-        digest, journal = self._of(path), journal_of(path)
-        if journal is None or not holds(journal):
-            return digest
-        return hashlib.sha256(f"{digest} {self._of(journal)}".encode()).hexdigest()
+        journal, beside = journal_of(path), ""
+        if journal is not None and holds(journal):
+            with suppress(InputError):  # it has just gone into the file, which is read after it
+                beside = self._of(journal)
+        digest = self._of(path)
+        return hashlib.sha256(f"{digest} {beside}".encode()).hexdigest() if beside else digest
 
     def _of(self, path: Path) -> str:
         try:

@@ -8,14 +8,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
-KINDS = (".gpkg", ".sqlite", ".db")
+KINDS = (".gpkg", ".sqlite", ".db", ".mbtiles")
 
 
 def journal_of(path: Path) -> Path | None:
-    """Where SQLite's journal of a file would be; None for files of other kinds."""
+    """Where SQLite's journal of a file would be; None for files of other kinds.
+
+    Journals of the older kind (`-journal`) need not be looked at: with them the file itself holds what was saved.
+    """
     return path.with_name(f"{path.name}-wal") if path.suffix.lower() in KINDS else None
 
 
 def holds(journal: Path) -> bool:
     """Whether a journal is there and not empty."""
-    return journal.is_file() and journal.stat().st_size > 0
+    try:
+        return journal.stat().st_size > 0
+    except OSError:  # it goes when the other program closes the file, perhaps at this moment
+        return False

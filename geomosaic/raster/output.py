@@ -40,12 +40,12 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) ->
         )
     if path.exists() and not overwrite:
         raise OutputExistsError("the output exists", where=str(path), mend="give another name, or --overwrite")
-    if (journal := journal_of(path)) is not None and path.exists() and holds(journal):
+    if (journal := journal_of(path)) is not None and holds(journal):
         # Readers would put the journal of the old file into the new one, page by page, and show neither.
         raise OutputExistsError(
-            f"another program holds the output open, with changes that are still beside it ({journal.name})",
+            f"changes to the output stand beside it ({journal.name}): another program holds it open, or ended badly",
             where=str(path),
-            mend="close it there (in QGIS: remove the layer), or give the output another name",
+            mend="save a copy of what you drew there, then close it (in QGIS: remove the layer), or remove both files",
         )
 
 

@@ -20,7 +20,7 @@ _PACKED = 2
 _QUALITY = 92
 """Of JPEG: nothing of it is seen at twice the size."""
 _NOTHING = 238, 241, 244
-"""What maps in reports stand on."""
+"""Of `.map` in the report's style.css."""
 
 
 def preview(path: PathLike, max_size: int = 1024) -> tuple[ByteArray, ByteArray]:

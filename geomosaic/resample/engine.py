@@ -89,7 +89,7 @@ _WHILE_STARTING = {
 
 
 def started() -> bool:
-    """Whether this process has compiled kernels at hand."""
+    """Whether this process has compiled kernels at hand, or is loading them."""
     return "geomosaic.resample.kernels.place" in sys.modules
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.resample.part import Part, after, both_of
+from geomosaic.resample.part import Part, both_of, within
 from geomosaic.resample.pyramid import Steps, ascend, descend, filled
 from geomosaic.resample.warp import value_range
 from geomosaic.types import AnyArray, BoolArray, IntArray
@@ -205,11 +205,11 @@ def corrected(
         difference = _NONE
         if own is not None:
             rows, cols = both_of(rows, own.part.rows), both_of(cols, own.part.cols)
-            difference = own.values[:, after(own.part.rows, rows), after(own.part.cols, cols)]
+            difference = own.values[:, within(own.part.rows, rows), within(own.part.cols, cols)]
         by.join(
             view.values[rows, cols], difference, own is not None, _NONE if blend is None else blend[:, rows, cols],
             blend is not None, label[rows, cols], i, *value_range(str(out.dtype)), kind,
-            out[after(inside[0], rows), after(inside[1], cols)],
+            out[within(inside[0], rows), within(inside[1], cols)],
         )  # fmt: skip
 
 

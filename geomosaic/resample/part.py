@@ -24,18 +24,19 @@ class Part:
     @property
     def size(self) -> int:
         """Pixels."""
-        rows, cols = (int(along.stop - along.start) for along in (self.rows, self.cols))
-        return rows * cols
+        return int((self.rows.stop - self.rows.start) * (self.cols.stop - self.cols.start))
 
     def level(self, level: int) -> tuple[slice, slice]:
         """Rows and columns of a level of the pyramid."""
-        return slice(self.rows.start >> level, self.rows.stop >> level), slice(
-            self.cols.start >> level, self.cols.stop >> level
-        )
+        rows, cols = (slice(along.start >> level, along.stop >> level) for along in (self.rows, self.cols))
+        return rows, cols
 
 
 def parts_of(label: IntArray, images: int, margin: int, levels: int) -> list[Part | None]:
-    """Where a label array (rows, cols) shows each of so many images, and what lies within a margin; None if nowhere."""
+    """Where a label array (rows, cols) shows each of so many images, and what lies within a margin; None if nowhere.
+
+    Its rows and columns are multiples of 2 ** `levels`.
+    """
     found: list[Part | None] = []
     for box in find_objects(label + 1, images):
         if box is None:
@@ -55,6 +56,6 @@ def both_of(one: slice, other: slice) -> slice:
     return slice(start, max(start, min(one.stop, other.stop)))
 
 
-def after(first: slice, then: slice) -> slice:
-    """Count a slice from the start of another."""
-    return slice(then.start - first.start, then.stop - first.start)
+def within(outer: slice, inner: slice) -> slice:
+    """Count a slice from the start of one that holds it."""
+    return slice(inner.start - outer.start, inner.stop - outer.start)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
@@ -10,6 +11,7 @@ from typing import NoReturn
 
 import click
 
+from geomosaic.cli.ending import check_stopped
 from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, machine_options
 from geomosaic.cli.outcome import outcome_words, verdict
@@ -37,7 +39,8 @@ def command(
     With STEP, run that step and what it reads from. A run that was stopped goes on with the step it was in.
 
     With --watch, each edit that is saved elsewhere - a seam in QGIS, a setting in the project file - is in the outputs
-    seconds later, sooner than by a new run, which would have to start everything anew. Ctrl-C ends it.
+    seconds later, sooner than by a new run, which would have to start everything anew. Ctrl-C ends it. With --json
+    every run answers with a line of its own.
     """
     from geomosaic.jobs.project import run_project
     from geomosaic.jobs.step import Machine
@@ -61,32 +64,33 @@ def command(
 def _again_and_again(project: Path, once: Callable[[bool], int], force: bool, as_json: bool) -> NoReturn:
     """Run, wait for a change, run; what is wrong is told, and waits to be mended."""
     from geomosaic.cli.failure import failed
-    from geomosaic.jobs.watch import look, make_ready, wait_for_change
+    from geomosaic.jobs.watch import Look, look, make_ready, wait_for_change
 
-    before = look(_read(project))
+    before: Look = {}
     while True:
+        before = look(_read(project)) | before  # what is read by now; the rest as it was when it was last seen
         try:
             once(force)
         except Interrupted:
             raise
-        except GeomosaicError as error:
-            failed(error, as_json=as_json, debug=False)
+        except Exception as error:
+            failed(error, as_json=as_json, debug="--debug" in sys.argv)
         force = False
-        # More may be read by now; what has changed meanwhile is a change.
-        before = {path: before.get(path, state) for path, state in look(_read(project)).items()}
         say(f"waiting for changes of {project.name} and of what it reads; Ctrl-C ends")
         make_ready()
+        check_stopped()
         now = wait_for_change(before)
-        say(f"changed: {', '.join(path.name for path in now if now[path] != before[path])}")
+        changed = [path.name for path in now if now[path] != before[path]]
+        say(f"changed: {', '.join(changed[:3])}{f' and {len(changed) - 3} more' if len(changed) > 3 else ''}")
         before = now
 
 
 def _read(project: Path) -> list[Path]:
-    """The files that count: the project file alone, where that is wrong."""
+    """The files that count; the project file alone, where that is wrong."""
     from geomosaic.jobs.project import job_of
     from geomosaic.jobs.watch import read_by
     from geomosaic.project.load import load_project
 
-    with suppress(GeomosaicError):
+    with suppress(GeomosaicError, OSError):
         return read_by(job_of(load_project(project)))
-    return [project]
+    return [project.resolve()]

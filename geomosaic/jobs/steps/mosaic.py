@@ -208,10 +208,11 @@ def _memory(project: Project, context: Context) -> Memory:
 def _remembered(memory: Memory) -> FindOutlines:
     """Outlines of the images, as an earlier run has found them where nothing they depend on has changed."""
     from geomosaic.product.extent import footprints
+    from geomosaic.product.reruns.earlier import VERSION
     from geomosaic.product.reruns.recall import Recall, digest_of
 
     def find(scenes: tuple[Scene, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
-        key = digest_of(*memory.scenes, memory.ground, crs.to_wkt())
+        key = digest_of(VERSION, *memory.scenes, memory.ground, crs.to_wkt())
         return Recall(memory.found).get("footprints", key, lambda: footprints(scenes, surface, crs))
 
     return find

@@ -116,7 +116,10 @@ class BandBlender(Blender):
         unit.facts.extend((one.error, one.scale) for two in lattices for used in two.values() for one in used)
 
     def _bytes(self, label: IntArray, around: Window, wide: Window) -> int:
-        """About what the images of a block hold at once: values and differences of each, sums and weights of all."""
+        """About what the images of a block hold at once: values and differences, sums and weights.
+
+        Those that only fill gaps are not known yet.
+        """
         sample, whole = np.dtype(self.dtype).itemsize, wide.width * wide.height
         if self.blending.kind == "overlap":
             images = len(self.photos.near(wide))

@@ -118,7 +118,7 @@ def thumbnail(
 ) -> Thumbnail:
     """Render one photo on a coarse grid: means of cells ('average'), or one pixel of each ('nearest').
 
-    Where it is one of many, `cells` of all of them tell whether they are worth the start of compiled kernels.
+    `cells`: of all thumbnails that will be made, if this is one of many; they decide on compiled kernels.
     """
     bands = photo.source.info.bands
     values = np.zeros((max(window.height, 0), max(window.width, 0), bands), dtype=dtype)

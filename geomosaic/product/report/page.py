@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ from geomosaic.product.report.numbers import byte_size, number, share, words
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from jinja2.bccache import Bucket
 
 
 _FOLDER = Path(__file__).parent
@@ -22,14 +23,21 @@ def environment() -> Environment:
 
     Compiled they are kept where Python keeps its modules, if it may: to compile them takes a fifth of a second.
     """
-    from jinja2 import Environment, FileSystemBytecodeCache, FileSystemLoader, StrictUndefined
+    import jinja2
 
-    keep = not sys.dont_write_bytecode and os.access(_COMPILED, os.W_OK)
-    made = Environment(
-        loader=FileSystemLoader(_FOLDER),
-        bytecode_cache=FileSystemBytecodeCache(str(_COMPILED)) if keep else None,
+    class Kept(jinja2.FileSystemBytecodeCache):
+        def dump_bytecode(self, bucket: Bucket) -> None:
+            with suppress(OSError):  # of a folder that cannot be written, or a full disk: no report fails by this
+                super().dump_bytecode(bucket)
+
+    keep = not sys.dont_write_bytecode and _COMPILED.is_dir()
+    # Raise the number when an option below changes: kept templates know nothing of options.
+    name = f"__jinja2_{jinja2.__version__}_1_%s.cache"
+    made = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_FOLDER),
+        bytecode_cache=Kept(str(_COMPILED), name) if keep else None,
         autoescape=True,
-        undefined=StrictUndefined,
+        undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
