@@ -220,6 +220,16 @@ def test_a_photo_that_goes_and_comes_back_is_seen(own):
         assert watching.wait(timeout=60) == 128 + signal.SIGTERM
 
 
+def test_a_photo_that_comes_is_seen(own):
+    photo = next((own.parent / "photos").iterdir())
+    assert '"photos/*.jpg"' in own.read_text()
+    photo.rename(own.parent / "away.jpg")
+    with watcher(own) as (_, said):
+        without = said()
+        (own.parent / "away.jpg").rename(photo)
+        assert said() != without
+
+
 def test_an_output_that_is_closed_elsewhere_is_made(own):
     with watcher(own) as (_, said):
         assert fresh(said()) == [True, True]

@@ -92,5 +92,8 @@ def _read(project: Path) -> list[Path]:
     from geomosaic.project.load import load_project
 
     with suppress(GeomosaicError, OSError):
-        return read_by(job_of(load_project(project)))
+        loaded = load_project(project)
+        patterns = any(mark in name for name in loaded.settings.project.images for mark in "*?[")
+        folders = {image.parent for image in loaded.images} if patterns else set()  # where photos may come
+        return [*read_by(job_of(loaded)), *sorted(folders)]
     return [project.resolve()]
