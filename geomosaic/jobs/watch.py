@@ -21,10 +21,10 @@ Look = dict[Path, tuple[int, int] | None]
 
 def make_ready() -> None:
     """Load what the next run of a mosaic will need: seconds, better spent before it is waited for."""
-    import geopandas  # noqa: F401
-
+    from geomosaic.raster.vector import prepare
     from geomosaic.resample.engine import numba_engine
 
+    prepare()
     numba_engine()
 
 

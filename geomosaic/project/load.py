@@ -159,6 +159,11 @@ def load_project(path: PathLike) -> Project:
     return project
 
 
+def is_pattern(name: str) -> bool:
+    """Whether a name stands for all files that match it."""
+    return any(mark in name for mark in "*?[")
+
+
 def find_images(folder: Path, patterns: list[str], where: str) -> tuple[Path, ...]:
     """Files that match patterns relative to a folder, each once.
 
@@ -169,7 +174,7 @@ def find_images(folder: Path, patterns: list[str], where: str) -> tuple[Path, ..
     """
     found: dict[Path, None] = {}
     for pattern in patterns:
-        if any(mark in pattern for mark in "*?["):
+        if is_pattern(pattern):
             base = Path(pattern)
             root, rest = (
                 (Path(base.anchor), str(base.relative_to(base.anchor))) if base.is_absolute() else (folder, pattern)

@@ -89,11 +89,11 @@ def _read(project: Path) -> list[Path]:
     """The files that count; the project file alone, where that is wrong."""
     from geomosaic.jobs.project import job_of
     from geomosaic.jobs.watch import read_by
-    from geomosaic.project.load import load_project
+    from geomosaic.project.load import is_pattern, load_project
 
     with suppress(GeomosaicError, OSError):
         loaded = load_project(project)
-        patterns = any(mark in name for name in loaded.settings.project.images for mark in "*?[")
+        patterns = any(map(is_pattern, loaded.settings.project.images))
         folders = {image.parent for image in loaded.images} if patterns else set()  # where photos may come
         return [*read_by(job_of(loaded)), *sorted(folders)]
     return [project.resolve()]

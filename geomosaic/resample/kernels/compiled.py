@@ -16,8 +16,8 @@ class _Kept(FunctionCache):
     """Machine code kept on disk, loaded without what only a compiler needs.
 
     Numba first gathers all that its compiler knows, a sixth of a second. Code that is there needs the memory manager
-    only; where it is not, the compiler gathers for itself. Numba 0.68 was read for this; where a
-    version does not have what it leans on, kernels start as Numba starts them.
+    only; where it is not, the compiler gathers for itself. Numba 0.68 was read for this; where a version does not have
+    the methods it leans on, kernels start as Numba starts them.
     """
 
     def load_overload(self, sig, target_context):
