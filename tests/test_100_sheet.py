@@ -16,6 +16,7 @@ import shapely
 from affine import Affine
 from PIL import Image
 from pyproj import Transformer
+from sheet_reading import SheetPdf, overlaps
 
 from geomosaic.cli.main import run
 
@@ -199,6 +200,34 @@ def test_the_pdf_says_where_it_lies(raster: Path, tmp_path: Path, capsys: pytest
     assert text[start : start + 4] == b"xref"
     at = int(text[start:].split(b"\n")[2].split()[0])
     assert b"/VP" in text[at : text.index(b"endobj", at)]
+
+
+def test_a_river_is_named_along_its_bends(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Read back from the PDF: the name is one text, each letter lies on the river, and none meets another."""
+    pytest.importorskip("pypdfium2", reason="reading PDF back needs pypdfium2")
+    t = np.radians(np.linspace(150.0, 30.0, 500))
+    river = np.column_stack([LEFT + 600 + 250 * np.cos(t), TOP - 600 + 250 * np.sin(t)])  # 50 mm on paper
+    frame = geopandas.GeoDataFrame(
+        {"name": ["Sinuosa Grande 1"]}, geometry=[shapely.LineString(river)], crs="EPSG:32633"
+    )
+    frame.to_file(tmp_path / "river.gpkg")
+    style = tmp_path / "river.toml"
+    style.write_text('[line]\ncolor = "#2060c0"\n[label]\ncolumn = "name"\nsize = 14.0\nitalic = true\n')
+    out = tmp_path / "sheet.pdf"
+    layer = f"{tmp_path / 'river.gpkg'}:{style}"
+    made = sheet(capsys, raster, "--scale", "1:5000", "--paper", "A3", "--title", "River", "--vector", layer, "-o", out)
+    pdf = SheetPdf(out)
+    assert "Sinuosa Grande 1" in pdf.text
+    letters, boxes = pdf.characters()
+    assert overlaps(letters, boxes) == []
+    first = "".join(letters).index("SinuosaGrande1")
+    box, (left, bottom, right, top) = pdf.map_box(), made["bounds"]
+    share = ((boxes[:, :2] + boxes[:, 2:]) / 2 - box[:2]) / (box[2:] - box[:2])
+    ground = (left, bottom) + share[first : first + 14] * (right - left, top - bottom)
+    off = shapely.distance(shapely.points(ground), shapely.LineString(river)) / 5.0  # mm on paper
+    assert off.max() < 1.0  # small letters and tails lie lower or higher than the middle of the capitals
+    straight = shapely.LineString([ground[0], ground[-1]])
+    assert shapely.distance(shapely.points(ground), straight).max() / 5.0 > 1.0
 
 
 def test_text_stays_text_in_embedded_fonts(

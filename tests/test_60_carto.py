@@ -19,7 +19,7 @@ from geomosaic.carto.nice import angle_text, grouped, multiples, nice_scale, nic
 from geomosaic.carto.notes import accuracy_words
 from geomosaic.carto.overlay import holds, overlay, parts_of, to_map
 from geomosaic.carto.page import lay_out
-from geomosaic.carto.place import Placer, Spot, along_line, around_point, corners, overlap, spread, upright
+from geomosaic.carto.place import Placer, Spot, around_point, corners, overlap, spread
 from geomosaic.carto.style import Line, Rule, Style, Symbol, built_in, parse_style
 from geomosaic.errors import InputError
 from geomosaic.geo.local import map_place
@@ -284,7 +284,7 @@ def test_labels_never_touch() -> None:
         for x, y in points
         if (found := placer.place("name", 12.0, 2.0, around_point(float(x), float(y), 12.0, 2.0, 1.7)))
     ]
-    boxes = [shapely.Polygon(corners(p.spot, p.width, p.height)) for p in placed]
+    boxes = [shapely.Polygon(p.pieces[0].box()) for p in placed]
     assert 80 < len(placed) < 200
     assert all(a.distance(b) > 0.5 for i, a in enumerate(boxes) for b in boxes[:i])
     squares = [shapely.box(x - 0.9, y - 0.9, x + 0.9, y + 0.9) for x, y in points]
@@ -302,7 +302,7 @@ def test_labels_stay_within_a_slanted_neatline() -> None:
         placed = slanted.place("name", 12.0, 2.0, around_point(x, y, 12.0, 2.0, 1.0))
         count += plain.place("name", 12.0, 2.0, around_point(x, y, 12.0, 2.0, 1.0)) is not None
         if placed is not None:
-            box = shapely.Polygon(corners(placed.spot, placed.width, placed.height))
+            box = shapely.Polygon(placed.pieces[0].box())
             assert shapely.Polygon(ring).contains(box)
             count -= 1
     assert count > 0
@@ -314,20 +314,6 @@ def test_a_lone_name_stands_upper_right() -> None:
     spot = around_point(10.0, 10.0, 8.0, 2.0, 1.5)[0]
     assert spot.x > 10.0
     assert spot.y > 10.0
-
-
-def test_names_along_lines() -> None:
-    """On the line, where it is straight, never upside down; nowhere on a line that is too short or too bent."""
-    bent = np.array([(0, 0), (5, 0), (5, 5), (45, 25), (45, 60)], dtype=float)
-    for path in (bent, bent[::-1]):
-        spots = along_line(path, 15.0)
-        assert spots[0].angle == pytest.approx(math.degrees(math.atan2(20, 40)), abs=0.01)
-        assert shapely.LineString(path).distance(shapely.Point(spots[0].x, spots[0].y)) < 1e-9
-        assert all(-90 < spot.angle <= 90 for spot in spots)
-    assert along_line(bent[:2], 15.0) == []
-    turns = np.radians(np.arange(0, 720, 20.0))
-    assert along_line(np.column_stack([3 * np.cos(turns), 3 * np.sin(turns)]), 15.0) == []
-    assert [upright(a) for a in (0, 90, 91, 180, -90, -45, 270)] == [0, 90, -89, 0, 90, -45, 90]
 
 
 def test_labels_beside_each_other() -> None:

@@ -9,9 +9,9 @@ import pytest
 import shapely
 from affine import Affine
 
+from geomosaic.carto.along import along_line
 from geomosaic.carto.contours import Contour, Heights, nice_interval, trace
 from geomosaic.carto.draw.names import uphill
-from geomosaic.carto.place import along_line
 from geomosaic.carto.smooth import bilinear_at, smooth
 from geomosaic.errors import InputError
 

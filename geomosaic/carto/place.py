@@ -28,13 +28,31 @@ class Spot:
 
 
 @dataclass(frozen=True)
-class Placed:
-    """A text at its place."""
+class Piece:
+    """A text, or a letter of one, with the middle of its box at a spot; width and height in mm."""
 
     text: str
     spot: Spot
     width: float
     height: float
+
+    def box(self, gap: float = 0.0) -> FloatArray:
+        """Corners (4, 2), with a gap around the text."""
+        return corners(self.spot, self.width + 2 * gap, self.height + 2 * gap)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A text at its place: one piece, or a piece for each letter where it bends; maybe on a line that it names."""
+
+    text: str
+    pieces: tuple[Piece, ...]
+    on_line: bool = False
+
+    @property
+    def spot(self) -> Spot:
+        """Where the text, or its middle letter, stands."""
+        return self.pieces[len(self.pieces) // 2].spot
 
 
 def corners(spot: Spot, width: float, height: float) -> FloatArray:
@@ -101,11 +119,16 @@ class Placer:
         return not any(overlap(box, self._taken[i]) for i in np.flatnonzero(near))
 
     def place(self, text: str, width: float, height: float, spots: Iterable[Spot]) -> Placed | None:
-        """Put a text at the first free spot; None where there is none."""
-        for spot in spots:
-            if self.free(corners(spot, width + 2 * self.gap, height + 2 * self.gap)):
-                self._take(corners(spot, width, height))
-                return Placed(text, spot, width, height)
+        """Put a straight text at the first free spot; None where there is none."""
+        return self.place_pieces(text, ((Piece(text, spot, width, height),) for spot in spots))
+
+    def place_pieces(self, text: str, ways: Iterable[tuple[Piece, ...]], on_line: bool = False) -> Placed | None:
+        """Put a text in the first way in which all its pieces are free; None where there is none."""
+        for pieces in ways:
+            if all(self.free(piece.box(self.gap)) for piece in pieces):
+                for piece in pieces:
+                    self._take(piece.box())
+                return Placed(text, pieces, on_line)
         return None
 
     def _take(self, box: FloatArray) -> None:
@@ -138,62 +161,6 @@ def around_point(x: float, y: float, width: float, height: float, radius: float)
         Spot(x - across, y),
         Spot(x, y - up),
     ]
-
-
-def along_line(
-    path: FloatArray, width: float, *, bend: float = 20.0, offset: float = 0.0, ends: float = 0.0
-) -> list[Spot]:
-    """Places for a straight text on a line, best first: near the middle, where the line is straight.
-
-    Parameters
-    ----------
-    path : array (N, 2)
-        In mm on the page.
-    width : float
-        Of the text.
-    bend : float
-        Largest turn of the line under the text, degrees.
-    offset : float
-        Distance of the text's middle from the line; upwards on the page where positive, on it where 0.
-    ends : float
-        Distance from the line's ends.
-
-    Returns
-    -------
-    list of Spot
-        Never upside down; the angles are from -90 (not included) to 90.
-    """
-    steps = np.hypot(*np.diff(path, axis=0).T)
-    keep = np.concatenate([[True], steps > 1e-9])
-    path, steps = path[keep], steps[steps > 1e-9]
-    length = float(steps.sum())
-    need = width + 2 * ends
-    if length < need or len(path) < 2:
-        return []
-    at = np.concatenate([[0.0], np.cumsum(steps)])
-    middles = np.linspace(need / 2, length - need / 2, max(1, min(41, int((length - need) / 2.0) + 1)))
-    order = np.argsort(np.abs(middles - length / 2), kind="stable")
-    found: list[tuple[float, int, Spot]] = []
-    for rank, middle in enumerate(middles[order]):
-        t = np.linspace(middle - width / 2, middle + width / 2, 7)
-        points = np.column_stack([np.interp(t, at, path[:, 0]), np.interp(t, at, path[:, 1])])
-        chord = points[-1] - points[0]
-        turns = np.degrees(np.arctan2(*np.diff(points, axis=0).T[::-1])) - math.degrees(math.atan2(chord[1], chord[0]))
-        worst = float(np.abs((turns + 180.0) % 360.0 - 180.0).max())
-        if worst > bend:
-            continue
-        angle = upright(math.degrees(math.atan2(chord[1], chord[0])))
-        x, y = points.mean(axis=0)
-        up = math.radians(angle + 90.0)
-        spot = Spot(float(x) + offset * math.cos(up), float(y) + offset * math.sin(up), angle)
-        found.append((round(worst / 5.0), rank, spot))
-    return [spot for _, _, spot in sorted(found, key=lambda item: item[:2])]
-
-
-def upright(angle: float) -> float:
-    """Turn a direction so that text along it can be read: above -90 up to 90 degrees."""
-    turned = (angle + 180.0) % 360.0 - 180.0
-    return turned - 180.0 if turned > 90.0 else turned + 180.0 if turned <= -90.0 else turned
 
 
 def spread(values: Sequence[float], widths: Sequence[float], gap: float) -> list[int]:

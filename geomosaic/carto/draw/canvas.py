@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from geomosaic.types import AnyArray, ByteArray, FloatArray
 
 if TYPE_CHECKING:
     from geomosaic.carto.page import Box
+    from geomosaic.carto.place import Piece
 
 POINT = 25.4 / 72.0
 """Millimetres in a point."""
@@ -57,6 +59,22 @@ def _text_size(text: str, size: float, bold: bool, italic: bool, fonts: tuple[st
         return 0.0, size * CAP * POINT
     # Control points of the outline's curves reach a little beyond it, which is on the safe side.
     return float(_outline(text, size, bold, italic).vertices[:, 0].max()) * POINT, size * CAP * POINT
+
+
+def advances(letters: Sequence[str], size: float, bold: bool = False, italic: bool = False) -> list[float]:
+    """How far each letter takes the pen, in mm: to the next one, kerned, or past its own ink at the end."""
+    found = []
+    for letter, after in itertools.pairwise([*letters, ""]):
+        if not after:
+            found.append(_advance(letter, size, bold, italic))
+        else:
+            found.append(_advance(letter + after, size, bold, italic) - _advance(after, size, bold, italic))
+    return found
+
+
+def _advance(text: str, size: float, bold: bool, italic: bool) -> float:
+    """Width with the room that the font leaves before what comes next, mm."""
+    return text_size(text + "|", size, bold, italic)[0] - text_size("|", size, bold, italic)[0]
 
 
 def _outline(text: str, size: float, bold: bool, italic: bool) -> Any:
@@ -202,27 +220,66 @@ class Canvas:
         halo_width: float = 0.5,
     ) -> None:
         """One line of text: its baseline's left end, middle or right end at (x, y)."""
-        from matplotlib.patches import PathPatch
-        from matplotlib.transforms import Affine2D
-
         if not text:
             return
         width, _ = text_size(text, size, bold, italic)
         back = {"left": 0.0, "center": width / 2, "right": width}[align]
         x, y = x - back * math.cos(math.radians(angle)), y - back * math.sin(math.radians(angle))
         if halo and halo_width > 0:
-            place = Affine2D().scale(POINT).rotate_deg(angle).translate(x, y)
-            outline = PathPatch(
-                place.transform_path(_outline(text, size, bold, italic)), facecolor=halo, edgecolor=halo,
-                linewidth=2 * halo_width / POINT, joinstyle="round",
-            )  # fmt: skip
-            self.axes.add_patch(outline)
-            self._add(outline)
+            self._halo(x, y, text, size, angle, halo, halo_width, bold, italic)
+        self._text(x, y, text, size, angle, color, bold, italic)
+
+    def pieces(
+        self, pieces: Sequence[Piece], size: float, *, color: str = "#000000", bold: bool = False,
+        italic: bool = False, halo: str | None = None, halo_width: float = 0.5, bridge: bool = False,
+    ) -> None:  # fmt: skip
+        """A text in pieces, the middle of the capitals of each at its spot; no halo lies over a letter.
+
+        Where `bridge`, the halo fills the text, so that a line below does not look like a letter between others.
+        """
+        drop = size * CAP * POINT / 2
+        placed = []
+        for piece in pieces:
+            c, s = math.cos(math.radians(piece.spot.angle)), math.sin(math.radians(piece.spot.angle))
+            back = piece.width / 2
+            foot = (piece.spot.x - back * c + drop * s, piece.spot.y - back * s - drop * c)
+            placed.append((piece.text, *foot, piece.spot.angle))
+        if halo and halo_width > 0:
+            for text, x, y, angle in placed:
+                self._halo(x, y, text, size, angle, halo, halo_width, bold, italic, bridge)
+        for text, x, y, angle in placed:
+            if text.strip():
+                self._text(x, y, text, size, angle, color, bold, italic)
+
+    def _text(
+        self, x: float, y: float, text: str, size: float, angle: float, color: str, bold: bool, italic: bool
+    ) -> None:
         drawn = self.axes.text(
             x, y, text.translate(_BREAKS), fontproperties=properties(bold, italic), fontsize=size, color=color,
             rotation=angle, rotation_mode="anchor", ha="left", va="baseline", parse_math=False,
         )  # fmt: skip
         self._add(drawn)
+
+    def _halo(
+        self, x: float, y: float, text: str, size: float, angle: float, color: str, width: float, bold: bool,
+        italic: bool, bridge: bool = False,
+    ) -> None:  # fmt: skip
+        from matplotlib.patches import PathPatch
+        from matplotlib.path import Path as Shape
+        from matplotlib.transforms import Affine2D
+
+        place = Affine2D().scale(POINT).rotate_deg(angle).translate(x, y)
+        shapes = [_outline(text, size, bold, italic)] if text.strip() else []
+        if bridge:
+            end, low, high = _advance(text, size, bold, italic) / POINT, 0.3 * size * CAP, 0.7 * size * CAP
+            shapes.append(Shape([(0, low), (end, low), (end, high), (0, high), (0, low)], closed=True))
+        for shape in shapes:
+            patch = PathPatch(
+                place.transform_path(shape), facecolor=color, edgecolor=color, linewidth=2 * width / POINT,
+                joinstyle="round",
+            )  # fmt: skip
+            self.axes.add_patch(patch)
+            self._add(patch)
 
     def centred(self, x: float, y: float, text: str, size: float, *, angle: float = 0.0, **looks: Any) -> None:
         """One line of text with the middle of its capitals at (x, y)."""

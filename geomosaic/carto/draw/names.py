@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from geomosaic.carto.along import along_bend, along_line, cut_evenly, letters_of
 from geomosaic.carto.contours import Contour
 from geomosaic.carto.contrast import halo_of
-from geomosaic.carto.draw.canvas import Canvas, text_size
+from geomosaic.carto.draw.canvas import Canvas, advances, text_size
 from geomosaic.carto.layout import ContoursPart
 from geomosaic.carto.overlay import Name, Overlay, parts_of
 from geomosaic.carto.page import Page
-from geomosaic.carto.place import Placed, Placer, Spot, along_line, around_point
+from geomosaic.carto.place import Piece, Placed, Placer, Spot, around_point
 from geomosaic.carto.style import Label
 from geomosaic.types import FloatArray
 
 AGAIN = 80.0
 """Least distance in mm at which the same name of the same layer is written again along lines or in areas."""
+LONG = 160.0
+"""Length of line in mm for each time that its name is written."""
 
 
 def place_names(page: Page, layers: Sequence[Overlay], placer: Placer) -> tuple[list[tuple[Placed, Label]], int]:
@@ -49,14 +51,15 @@ def place_names(page: Page, layers: Sequence[Overlay], placer: Placer) -> tuple[
                 max((g.symbol.marker.size / 2 for g in layer.groups if g.symbol.marker), default=0.0) + placer.gap + 0.2
             )
             for name in _merged(layer.names) if kind == "line" else layer.names:
-                spots = _spots(page, name, kind, label, radius)
-                if spots is None or (kind != "point" and _said(found, name.text, label, spots)):
-                    continue
-                width, height = text_size(name.text, label.size, label.bold, label.italic)
-                placed = placer.place(name.text, width, height, spots)
-                left_out += placed is None
-                if placed is not None:
-                    found.append((placed, label))
+                for ways in _ways(page, name, kind, label, radius):
+                    if kind != "point":
+                        ways = [way for way in ways if not _said(found, name.text, label, way)]
+                    if not ways:
+                        continue
+                    placed = placer.place_pieces(name.text, ways, kind == "line")
+                    left_out += placed is None
+                    if placed is not None:
+                        found.append((placed, label))
     return found, left_out
 
 
@@ -75,27 +78,35 @@ def _merged(names: Sequence[Name]) -> list[Name]:
     return sorted(joined, key=lambda item: -item.geometry.length)
 
 
-def _said(found: list[tuple[Placed, Label]], text: str, label: Label, spots: list[Spot]) -> bool:
-    """Whether the same name stands near already, or the line is too short to bear it."""
-    if not spots:
-        return True
+def _said(found: list[tuple[Placed, Label]], text: str, label: Label, way: tuple[Piece, ...]) -> bool:
+    """Whether the same name stands near already."""
+    spot = way[len(way) // 2].spot
     return any(
-        p.text == text and lab is label and math.hypot(p.spot.x - spots[0].x, p.spot.y - spots[0].y) < AGAIN
-        for p, lab in found
+        p.text == text and lab is label and math.hypot(p.spot.x - spot.x, p.spot.y - spot.y) < AGAIN for p, lab in found
     )
 
 
-def _spots(page: Page, name: Name, kind: str, label: Label, radius: float) -> list[Spot] | None:
-    """Places for a name, best first; None where the geometry is of another kind."""
+def _ways(page: Page, name: Name, kind: str, label: Label, radius: float) -> list[list[tuple[Piece, ...]]]:
+    """Ways to write a name, best first, for each time that it is to be written; none of a geometry of another kind."""
     parts = parts_of([name.geometry], kind)
     if not parts:
-        return None
+        return []
     width, height = text_size(name.text, label.size, label.bold, label.italic)
+
+    def straight(spots: Sequence[Spot]) -> list[tuple[Piece, ...]]:
+        return [(Piece(name.text, spot, width, height),) for spot in spots]
+
     if kind == "point":
         x, y = page.to_page(np.array([(parts[0].x, parts[0].y)]))[0]
-        return around_point(float(x), float(y), width, height, radius)
+        return [straight(around_point(float(x), float(y), width, height, radius))]
     if kind == "line":
-        return along_line(page.to_page(np.asarray(parts[0].coords)), width, ends=1.0)
+        letters = letters_of(name.text)
+        steps = advances(letters, label.size, label.bold, label.italic)
+        path = page.to_page(np.asarray(parts[0].coords))
+        pieces = cut_evenly(path, LONG)
+        if len(letters) == 1:
+            return [straight(along_line(piece, width, ends=1.0)) for piece in pieces]
+        return [along_bend(piece, letters, steps, height, ends=1.0) for piece in pieces]
     import shapely
 
     largest = shapely.intersection(max(parts, key=lambda p: p.area), shapely.box(*page.bounds))
@@ -105,15 +116,15 @@ def _spots(page: Page, name: Name, kind: str, label: Label, radius: float) -> li
     middle = next((m for m in middles if largest.contains(m)), middles[-1])
     x, y = page.to_page(np.array([(middle.x, middle.y)]))[0]
     step = 1.2 * height
-    return [Spot(float(x), float(y) + k * step) for k in (0, 1, -1, 2, -2)]
+    return [straight([Spot(float(x), float(y) + k * step) for k in (0, 1, -1, 2, -2)])]
 
 
 def draw_names(canvas: Canvas, placed: Sequence[tuple[Placed, Label]]) -> None:
     """Halos and texts."""
     for item, label in placed:
-        canvas.centred(
-            item.spot.x, item.spot.y, item.text, label.size, angle=item.spot.angle, color=label.color,
-            bold=label.bold, italic=label.italic, halo=label.halo, halo_width=label.halo_width,
+        canvas.pieces(
+            item.pieces, label.size, color=label.color, bold=label.bold, italic=label.italic, halo=label.halo,
+            halo_width=label.halo_width, bridge=item.on_line,
         )  # fmt: skip
 
 
@@ -130,8 +141,7 @@ def place_heights(page: Page, contours: Sequence[Contour], part: ContoursPart, p
         text = f"{contour.height:.{digits}f}".replace("-", "−")
         width, height = text_size(text, size, True)
         path = page.to_page(contour.xy)
-        length = float(np.hypot(*np.diff(path, axis=0).T).sum())
-        for piece in _pieces(path, max(1, int(length / 120.0))):
+        for piece in cut_evenly(path, 120.0):
             spots = [uphill(spot, piece) for spot in along_line(piece, width, bend=15.0, ends=1.0)]
             spots.sort(key=lambda spot: math.cos(math.radians(spot.angle)) < -0.17)  # stable: best first stays
             placed = placer.place(text, width, height, spots)
@@ -142,11 +152,6 @@ def place_heights(page: Page, contours: Sequence[Contour], part: ContoursPart, p
 
 def _digits(heights: Sequence[float]) -> int:
     return next((n for n in range(4) if all(abs(h - round(h, n)) < 1e-6 for h in heights)), 3)
-
-
-def _pieces(path: FloatArray, count: int) -> list[FloatArray]:
-    cuts = np.linspace(0, len(path) - 1, count + 1).astype(int)
-    return [path[a : b + 1] for a, b in itertools.pairwise(cuts) if b - a >= 1]
 
 
 def uphill(spot: Spot, path: FloatArray) -> Spot:
@@ -170,7 +175,4 @@ def uphill(spot: Spot, path: FloatArray) -> Spot:
 def draw_heights(canvas: Canvas, placed: Sequence[Placed], part: ContoursPart) -> None:
     """Heights with a halo that opens their contour."""
     for item in placed:
-        canvas.centred(
-            item.spot.x, item.spot.y, item.text, part.size, angle=item.spot.angle, color=part.color,
-            halo=halo_of(part.color), halo_width=0.35, bold=True,
-        )  # fmt: skip
+        canvas.pieces(item.pieces, part.size, color=part.color, halo=halo_of(part.color), halo_width=0.35, bold=True)

@@ -54,5 +54,4 @@ def draw_spots(canvas: Canvas, page: Page, placed: Sequence[tuple[SpotHeight, Pl
     halo = halo_of(part.color)
     canvas.markers(dots(page, [spot for spot, _ in placed]), "circle", DOT, part.color, halo, 0.15)
     for _, item in placed:
-        canvas.centred(item.spot.x, item.spot.y, item.text, part.size, color=part.color, halo=halo, halo_width=0.35,
-                       bold=True)  # fmt: skip
+        canvas.pieces(item.pieces, part.size, color=part.color, halo=halo, halo_width=0.35, bold=True)
