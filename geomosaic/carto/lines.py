@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from pyproj import CRS
 
+from geomosaic.carto.extent import SAMPLES, Extent, extent_of
 from geomosaic.carto.nice import angle_text, decimals, grouped, multiples, nice_step
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.transform import Transform
 from geomosaic.types import BoolArray, FloatArray
-
-SAMPLES = 65
-"""Points along each side of the neatline and each line: a graticule bends by less than 1e-3 of its sagitta between."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +41,30 @@ class GridLine:
 
 @dataclass(frozen=True)
 class MapGrid:
-    """A grid on the map: its CRS, interval in its own units, lines, and crossings (N, 2) in the map's CRS."""
+    """A grid on the map.
+
+    Attributes
+    ----------
+    crs : CRS
+    intervals : tuple of float
+        Of lines of constant x and of constant y, in its own units; they differ where meridians meet at a pole.
+    lines : tuple of GridLine
+    crossings : array (N, 2)
+        In the map's CRS.
+    pole : array (2,), optional
+        In the map's CRS, where one lies inside the neatline.
+    """
 
     crs: CRS
-    interval: float
+    intervals: tuple[float, float]
     lines: tuple[GridLine, ...]
     crossings: FloatArray
+    pole: FloatArray | None = None
+
+    @property
+    def interval(self) -> float:
+        """Of lines of constant y."""
+        return self.intervals[1]
 
     @property
     def degrees(self) -> bool:
@@ -69,8 +86,8 @@ class MapGrid:
         if self.degrees:
             signs = "NS" if line.axis else "EW"
             if not line.axis and abs(abs(line.value) - 180.0) < 1e-9:
-                return angle_text(180.0, self.interval)  # east and west are one there
-            return angle_text(line.value, self.interval, signs=signs)
+                return angle_text(180.0, self.intervals[0])  # east and west are one there
+            return angle_text(line.value, self.intervals[line.axis], signs=signs)
         return grouped(line.value, decimals(self.interval, 3))
 
 
@@ -97,35 +114,53 @@ def map_grid(crs: CRS, map_crs: CRS, bounds: Bounds, spacing: float, interval: f
     """
     flat = horizontal(crs)
     there, back = Transform(map_crs, flat), Transform(flat, map_crs)
-    edge = there(_outline(bounds))
-    if not np.isfinite(edge).all():
-        raise InputError(f"the grid of '{flat.name}' is not defined on this sheet", mend="choose another grid CRS")
-    if flat.is_geographic and np.ptp(edge[:, 0]) > 180.0:
-        edge[:, 0] %= 360.0  # across the 180th meridian
-        if np.ptp(edge[:, 0]) > 180.0:
-            raise InputError("the sheet has a pole on it", mend='give [graticule] style = "none"')
-    low, high = edge.min(axis=0), edge.max(axis=0)
-    if interval is None:
-        size = np.array([bounds[2] - bounds[0], bounds[3] - bounds[1]])
-        interval = nice_step(float(spacing * np.max((high - low) / size)), degrees=bool(flat.is_geographic))
-    if max((high - low) / interval) > 200:
+    extent = extent_of(flat, there, back, bounds)
+    low, high, pole = extent.low, extent.high, extent.pole
+    size = np.array([bounds[2] - bounds[0], bounds[3] - bounds[1]])
+    steps = _steps(extent, size, spacing, bool(flat.is_geographic)) if interval is None else (interval, interval)
+    count = max((high - low) / steps)
+    if count > (200 if pole is None else 361):
         raise InputError(
-            f"an interval of {interval:g} gives {max((high - low) / interval):.0f} lines on this sheet",
-            mend="give a longer interval",
+            f"an interval of {steps[1]:g} gives {count:.0f} lines on this sheet", mend="give a longer interval"
         )
+    xs, ys = (multiples(low[i], high[i], steps[i]) for i in (0, 1))
+    if pole is not None:
+        xs = xs[xs > low[0] + 1e-9]  # the line of 180 degrees once
     lines = []
-    for axis in (0, 1):
-        along = np.linspace(low[1 - axis], high[1 - axis], SAMPLES)
-        for value in multiples(low[axis], high[axis], interval):
-            path = np.empty((SAMPLES, 2))
-            path[:, axis], path[:, 1 - axis] = value, along
+    for axis, values in ((0, xs), (1, ys)):
+        for value in values.tolist():
+            first, last = low[1 - axis], high[1 - axis]
+            if pole is not None and axis == 0 and value % 90.0:
+                # Where meridians crowd only those of the four quarters go on to the pole.
+                first, last = max(first, steps[1] - 90.0), min(last, 90.0 - steps[1])
+            points = SAMPLES * (max(1, round((last - first) / 90.0)) if flat.is_geographic else 1)
+            path = np.empty((points, 2))
+            path[:, axis], path[:, 1 - axis] = value, np.linspace(first, last, points)
             path = _whole(path, flat)
-            line = _inside(axis, float(path[0, axis]), back(path), bounds)
+            # The ends of parallels around a pole, and of meridians at it, lie inside the neatline.
+            ends = [
+                end == limit and (pole is None or (axis == 0 and abs(end) < 90.0))
+                for end, limit in ((first, low[1 - axis]), (last, high[1 - axis]))
+            ]
+            line = _inside(axis, float(path[0, axis]), _longer(back(path), ends), bounds)
             if line is not None:
                 lines.append(line)
-    xs, ys = (multiples(low[i], high[i], interval) for i in (0, 1))
     nodes = back(_whole(np.array([(x, y) for x in xs for y in ys]).reshape(-1, 2), flat))
-    return MapGrid(flat, float(interval), tuple(lines), nodes[_within(nodes, bounds)])
+    return MapGrid(flat, (float(steps[0]), float(steps[1])), tuple(lines), nodes[_within(nodes, bounds)], pole)
+
+
+def _steps(extent: Extent, size: FloatArray, spacing: float, degrees: bool) -> tuple[float, float]:
+    """Round intervals whose lines lie `spacing` apart at least; around a pole meridians half-way to the sides.
+
+    Parallels are then twice as close, since few of them are on the sheet.
+    """
+    low, high = extent.low, extent.high
+    if extent.pole is None:
+        step = nice_step(float(spacing * np.max((high - low) / size)), degrees=degrees)
+        return step, step
+    reach = float(size.min()) / 2
+    parallels = nice_step(spacing / 2 * extent.degrees_per_unit, degrees=True)
+    return max(parallels, nice_step(360.0 * spacing / (np.pi * reach), degrees=True)), parallels
 
 
 def _whole(places: FloatArray, crs: CRS) -> FloatArray:
@@ -134,15 +169,6 @@ def _whole(places: FloatArray, crs: CRS) -> FloatArray:
         return places
     beyond = places[:, 0] > 180.0
     return np.column_stack([places[:, 0] - 360.0 * beyond, places[:, 1]])
-
-
-def _outline(bounds: Bounds) -> FloatArray:
-    """Points along the neatline."""
-    left, bottom, right, top = bounds
-    t = np.linspace(0.0, 1.0, SAMPLES)
-    xs, ys = left + t * (right - left), bottom + t * (top - bottom)
-    sides = [(xs, np.full(SAMPLES, v)) for v in (bottom, top)] + [(np.full(SAMPLES, v), ys) for v in (left, right)]
-    return np.concatenate([np.column_stack(side) for side in sides])
 
 
 def _within(points: FloatArray, bounds: Bounds) -> BoolArray:
@@ -156,7 +182,6 @@ def _inside(axis: int, value: float, path: FloatArray, bounds: Bounds) -> GridLi
     """Cut a line at the neatline; None where nothing of it is inside."""
     import shapely
 
-    path = _longer(path[np.isfinite(path).all(axis=1)])
     if len(path) < 2:
         return None
     cut = shapely.intersection(shapely.LineString(path), shapely.box(*bounds))
@@ -173,11 +198,13 @@ def _inside(axis: int, value: float, path: FloatArray, bounds: Bounds) -> GridLi
     return GridLine(axis, value, pieces, tuple(ends))
 
 
-def _longer(path: FloatArray) -> FloatArray:
-    """Extend a line by a hair at both ends: those that should meet the neatline then do."""
+def _longer(path: FloatArray, ends: Sequence[bool]) -> FloatArray:
+    """What is defined of a line, longer by a step at its ends: those that should meet the neatline then do."""
+    path = path[np.isfinite(path).all(axis=1)]
     if len(path) < 2:
         return path
-    return np.vstack([2 * path[0] - path[1], path, 2 * path[-1] - path[-2]])
+    before, after = path[:1] + ends[0] * (path[:1] - path[1:2]), path[-1:] + ends[1] * (path[-1:] - path[-2:-1])
+    return np.vstack([before, path, after])
 
 
 def _side(x: float, y: float, bounds: Bounds, axis: int) -> str:

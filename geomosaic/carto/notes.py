@@ -53,8 +53,11 @@ def crs_words(page: Page, place: MapPlace | None, heights: str | None) -> list[s
 def grid_words(grid: MapGrid) -> str:
     """One line of the legend on a grid."""
     if grid.degrees:
-        step = angle_text(grid.interval, grid.interval) if grid.interval >= 1 / 3600 else f"{grid.interval:g}°"
-        return f"{grid.crs.name}, every {_short(step)}"
+        meridians, parallels = (
+            _short(angle_text(step, step)) if step >= 1 / 3600 else f"{step:g}°" for step in grid.intervals
+        )
+        more = "" if meridians == parallels else f", meridians every {meridians}"
+        return f"{grid.crs.name}, every {parallels}{more}"
     unit = grid.crs.axis_info[0].unit_name if grid.crs.axis_info else "units"
     return f"{grid.crs.name}, every {grouped(grid.interval)}\u00a0{'m' if unit == 'metre' else unit}"
 

@@ -126,10 +126,14 @@ class Placer:
         """Put a text in the first way in which all its pieces are free; None where there is none."""
         for pieces in ways:
             if all(self.free(piece.box(self.gap)) for piece in pieces):
-                for piece in pieces:
-                    self._take(piece.box())
+                self.take(pieces)
                 return Placed(text, pieces, on_line)
         return None
+
+    def take(self, pieces: Iterable[Piece]) -> None:
+        """Keep off texts that stand where they stand."""
+        for piece in pieces:
+            self._take(piece.box())
 
     def _take(self, box: FloatArray) -> None:
         count = len(self._taken)

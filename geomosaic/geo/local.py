@@ -57,7 +57,8 @@ def map_place(crs: CRS, x: float, y: float) -> MapPlace:
     there, back, _ = ellipsoid.inv(*ends[0], *ends[1]) if ellipsoid else (0.0, 180.0, 0.0)
     # The azimuth turns along the step; at its middle it is the mean of both ends.
     turn = (back + 180.0 - there + 180.0) % 360.0 - 180.0
-    return MapPlace(float(longitude), float(latitude), float(there + turn / 2), scale)
+    convergence = float(there + turn / 2)
+    return MapPlace(float(longitude), float(latitude), convergence - 360.0 * round(convergence / 360.0), scale)
 
 
 def _on_ellipsoid(crs: CRS, xy: FloatArray) -> FloatArray:

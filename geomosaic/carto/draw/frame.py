@@ -12,7 +12,7 @@ from geomosaic.carto.draw.fonts import CAP
 from geomosaic.carto.layout import GridPart
 from geomosaic.carto.lines import GridLine, MapGrid
 from geomosaic.carto.page import Page
-from geomosaic.carto.place import spread
+from geomosaic.carto.place import Piece, Spot, spread
 from geomosaic.types import FloatArray
 
 CROSS = 3.0
@@ -32,6 +32,8 @@ def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None
         paths = [page.to_page(piece) for line in grid.lines for piece in line.pieces]
         canvas.lines(paths, halo_of(part.color), 2.2 * part.width, opacity=0.45)
         canvas.lines(paths, part.color, part.width)
+        for piece in around_pole(page, grid, part.size) if part.labels else ():
+            canvas.pieces([piece], part.size, color=part.color, halo=halo_of(part.color), halo_width=0.4, bridge=True)
     if part.style == "crosses":
         at = page.to_page(grid.crossings)
         arms = []
@@ -42,7 +44,7 @@ def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None
         canvas.lines(arms, halo_of(part.color), 3.0 * part.width, opacity=0.6)
         canvas.lines(arms, part.color, 1.5 * part.width)
     if part.style == "ticks":
-        inner = [_tick(page, side, x, y, -CROSS) for side, x, y in _ends(grid)]
+        inner = [_tick(page, side, x, y, -CROSS) for _, side, x, y in _marks(grid)]
         canvas.lines(inner, halo_of(part.color), 3.0 * part.width, opacity=0.6)
         canvas.lines(inner, part.color, 1.5 * part.width)
 
@@ -81,7 +83,7 @@ def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None
         for row, (grid, part) in enumerate(grids):
             if grid is None:
                 continue
-            marks = [(line, x, y) for line, s, x, y in _marks(grid) if s == side and (line.axis == axis) != grid.turned]
+            marks = [(line, x, y) for line, s, x, y in _marks(grid) if s == side]
             if not marks:
                 continue
             along = [float(v) for v in page.to_page(np.array([place for _, *place in marks]))[:, axis]]
@@ -138,15 +140,34 @@ def _aside(size: float, row: int) -> float:
 
 
 def _marks(grid: MapGrid) -> list[tuple[GridLine, str, float, float]]:
-    return [(line, *end) for line in grid.lines for end in line.ends]
+    """Ends on the sides that their lines cross: x at bottom and top, y at left and right, unless the grid is turned.
 
-
-def _ends(grid: MapGrid) -> list[tuple[str, float, float]]:
-    """Ends on the sides that their lines cross: x at bottom and top, y at left and right, unless the grid is turned."""
+    Around a pole all lines cross all sides.
+    """
     turned = grid.turned
     return [
-        (side, x, y) for line, side, x, y in _marks(grid) if (side in ("bottom", "top")) == ((line.axis == 0) != turned)
+        (line, *end)
+        for line in grid.lines
+        for end in line.ends
+        if grid.pole is not None or (end[0] in ("bottom", "top")) == ((line.axis == 0) != turned)
     ]
+
+
+def around_pole(page: Page, grid: MapGrid, size: float) -> list[Piece]:
+    """Latitudes of the parallels around a pole that do not reach the neatline, on the parallels between meridians."""
+    if grid.pole is None:
+        return []
+    (centre,) = page.to_page(grid.pole[None])
+    found = []
+    for line in grid.lines:
+        if line.axis == 1 and not line.ends:
+            path = page.to_page(np.concatenate(line.pieces)) - centre
+            # Below the pole, turned by less than a meridian's interval so that the text stands on no meridian.
+            turns = np.degrees(np.arctan2(path[:, 0], -path[:, 1]))
+            at = path[np.argmin(np.abs(turns - grid.intervals[0] / 2))] + centre
+            text = grid.label(line)
+            found.append(Piece(text, Spot(float(at[0]), float(at[1])), *text_size(text, size)))
+    return found
 
 
 def _tick(page: Page, side: str, x: float, y: float, reach: float) -> list[tuple[float, float]]:

@@ -9,7 +9,7 @@ from geomosaic.carto.contours import Contour
 from geomosaic.carto.contrast import halo_of, legend_line
 from geomosaic.carto.declination import Declination
 from geomosaic.carto.draw.canvas import Canvas
-from geomosaic.carto.draw.frame import draw_crop_marks, draw_edge, draw_grid, draw_labels
+from geomosaic.carto.draw.frame import around_pole, draw_crop_marks, draw_edge, draw_grid, draw_labels
 from geomosaic.carto.draw.margin import Entry, draw_head, draw_panel
 from geomosaic.carto.draw.names import draw_heights, draw_names, place_heights, place_names
 from geomosaic.carto.draw.neighbours import draw_around
@@ -86,6 +86,9 @@ def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> li
             draw_overlay(canvas, page, layer)
         left, bottom, right, top = page.neatline
         placer = Placer((left + 0.8, bottom + 0.8, right - 0.8, top - 0.8), outline=page.outline_mm)
+        for grid, part in zip(parts.grids, (layout.grid, layout.graticule), strict=True):
+            if grid is not None and part.style == "lines" and part.labels:
+                placer.take(around_pole(page, grid, part.size))
         keep_free(page, parts.spots, placer)
         names, lost = place_names(page, parts.layers, placer)
         draw_spots(

@@ -36,6 +36,8 @@ GRID_MM, GRATICULE_MM = 40.0, 50.0
 """Least distance of lines on paper, for the intervals that are not given."""
 NODE_MM = 0.35
 """Distance on paper below which nodes of a DEM are averaged for contours."""
+AT_POLE = 89.9999
+"""Degrees of latitude beyond which the middle of a sheet is the pole, where north is no direction."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +204,7 @@ def _parts(
         shown.interval,
         shown.spots,
         texts,
-        place.convergence if place else None,
+        place.convergence if place and abs(place.latitude) < AT_POLE else None,
         magnetic=declination(layout.north, place),
     )
 
