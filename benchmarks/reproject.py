@@ -1,7 +1,7 @@
 """The job `reproject`: a map in Lambert-93 to UTM, beside GDAL's warper, all held against PROJ at every pixel.
 
 GDAL is told to use all cores and has more memory than its default; `gdalwarp`, where it is installed, is often an older
-GDAL than the one in rasterio, and slower. It runs as told, and as one would type it.
+GDAL than the one in rasterio, and slower. It runs as told, as one would type it, and without approximation.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from benchmarks.setting import BLOCKS, RAW, Setting, grid_of, once, peak
 
 UTM = "EPSG:32631"
 STEP = "0.3"
-OURS, WARPER, TOLD, TYPED = "geomosaic", "GDAL", "gdalwarp, all cores", "gdalwarp, as typed"
+OURS, WARPER = "geomosaic", "GDAL"
+TOLD, EXACT, TYPED = "gdalwarp, all cores", "gdalwarp, all cores, exact", "gdalwarp, as typed"
 
 
 def reproject(s: Setting) -> Result:
@@ -33,10 +34,9 @@ def reproject(s: Setting) -> Result:
         return (*s.programs.geomosaic, "reproject", source, *where, "-o", str(target), "--overwrite", *more)
 
     grid = grid_of(once((ours(raster, reference, "--json"),), s.work))
-    t, width, height = grid["transform"], grid["width"], grid["height"]
-    area = (t[2], t[5] + height * t[4], t[2] + width * t[0], t[5])
+    width, height = grid["width"], grid["height"]
     typed = (
-        s.programs.peer("gdalwarp") or "", "-q", "-overwrite", "-t_srs", UTM, "-te", *map(repr, area),
+        s.programs.peer("gdalwarp") or "", "-q", "-overwrite", "-t_srs", UTM, "-te", *map(repr, grid["bounds"]),
         "-ts", str(width), str(height), "-r", "bilinear", *(word for block in BLOCKS for word in ("-co", block)),
     )  # fmt: skip
     told = ("-multi", "-wo", "NUM_THREADS=ALL_CPUS", "-wm", "256", "--config", "GDAL_CACHEMAX", "256")
@@ -46,9 +46,10 @@ def reproject(s: Setting) -> Result:
             return ours(source, out), out
         if name == WARPER:
             return (s.python, script, source, str(reference), str(other), "bilinear", threads), other
-        return (*typed, *(told if name == TOLD else ()), source, str(other)), other
+        more = {TOLD: told, EXACT: (*told, "-et", "0"), TYPED: ()}[name]
+        return (*typed, *more, source, str(other)), other
 
-    names = (OURS, WARPER, TOLD, TYPED) if typed[0] else (OURS, WARPER)
+    names = (OURS, WARPER, TOLD, EXACT, TYPED) if typed[0] else (OURS, WARPER)
     tools = s.floors(reference, [raster])
     for name in names:
         words, target = command(name, raster)
@@ -57,7 +58,7 @@ def reproject(s: Setting) -> Result:
     result = Result("reproject", "Lambert-93 to UTM, RGB uint8, bilinear, uncompressed", times)
     result.megapixels = width * height / 1e6
     result.facts["output"] = f"{width} x {height}"
-    for name in names[:3]:
+    for name in names[:4]:
         result.accuracy[name] = {}
         for source, what in ((places, "places"), (raster, "errors")):
             words, target = command(name, source)
