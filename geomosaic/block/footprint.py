@@ -11,6 +11,7 @@ from pyproj import CRS
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic, horizontal
+from geomosaic.geo.domain import limits
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.turn import near, whole_turn
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 SIDE = 24
 """Points along each side of the image."""
+GREAT = 1e7
+"""Map units: an image that reaches so far may go around the map."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,10 +112,15 @@ def footprint(scene: Scene, surface: Surface | None, crs: CRS) -> Footprint:
 
 
 def _about_pole(scene: Scene, surface: Surface | None, crs: CRS, ring: FloatArray) -> FloatArray:
-    """In longitude and latitude, what an image with a pole in it shows: all longitudes, up to that pole."""
+    """What an image with a pole in it shows: in longitude and latitude all longitudes, up to that pole.
+
+    On a map of the globe the border of the image may lie within the map; its inner places are asked then, too.
+    """
     turn, model = whole_turn(crs), scene.model
-    if turn is None or surface is not None:
+    if surface is not None:
         return ring
+    if turn is None:
+        return _with_inner_places(scene, crs, ring) if np.ptp(ring, axis=0).max() > GREAT else ring
     places = Transform(horizontal(crs), horizontal(model.crs))(np.array([[0.0, turn / 4], [0.0, -turn / 4]]))
     colrow = model.ground_to_image(np.column_stack([places, np.zeros(2)]))
     with np.errstate(invalid="ignore"):
@@ -121,7 +129,26 @@ def _about_pole(scene: Scene, surface: Surface | None, crs: CRS, ring: FloatArra
         return ring
     low = -turn / 4 if south else float(ring[:, 1].min())
     high = turn / 4 if north else float(ring[:, 1].max())
-    return np.array([[-turn / 2, high], [turn / 2, high], [turn / 2, low], [-turn / 2, low]])
+    return _rectangle(-turn / 2, low, turn / 2, high)
+
+
+def _with_inner_places(scene: Scene, crs: CRS, ring: FloatArray) -> FloatArray:
+    """The ring, or the rectangle about all that the image shows where that reaches well beyond the ring."""
+    t = (np.arange(4 * SIDE) + 0.5) / (4 * SIDE)
+    inner = _ground(scene, np.stack(np.meshgrid(t, t), axis=-1).reshape(-1, 2) * scene.model.size, None, crs)
+    shown = np.vstack([ring, inner[np.isfinite(inner).all(axis=1)]])
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    if not (high - low > 1.02 * np.ptp(ring, axis=0)).any():
+        return ring
+    if crs.is_projected:  # an end of the map that is nearer than two of those places to each other is reached
+        ends, apart = np.array(limits(crs)).reshape(2, 2), (high - low) / (2 * SIDE)
+        low = np.where(low - apart < ends[0], np.minimum(low, ends[0]), low)
+        high = np.where(high + apart > ends[1], np.maximum(high, ends[1]), high)
+    return _rectangle(low[0], low[1], high[0], high[1])
+
+
+def _rectangle(left: float, low: float, right: float, high: float) -> FloatArray:
+    return np.array([[left, high], [right, high], [right, low], [left, low]])
 
 
 def _looks_down(scene: Scene, colrow: FloatArray, surface: Surface) -> bool:

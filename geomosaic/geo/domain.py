@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 from pyproj import CRS
+
+from geomosaic.geo.crs import longitude_latitude_crs
+from geomosaic.geo.grid import Bounds
+from geomosaic.geo.transform import Transform
 
 _CENTRE = (
     "Longitude of natural origin",
@@ -33,12 +38,20 @@ class Domain:
         Degrees of longitude shown on either side of it.
     south, north : float
         Latitudes shown.
+    folds : bool
+        Whether the map ends on a curve or in a wedge, beyond which its formulas give places that it shows already.
     """
 
     centre: float | None
     reach: float
     south: float
     north: float
+    folds: bool = False
+
+    @property
+    def torn(self) -> bool:
+        """Whether left and right show the same meridian, all along both sides: a cylindrical map."""
+        return self.centre is not None and self.reach == 180.0 and not self.folds
 
 
 def domain(crs: CRS) -> Domain:
@@ -65,9 +78,22 @@ def domain(crs: CRS) -> Domain:
     if "Transverse Mercator" in method or "Gauss" in method:
         return Domain(centre, FAR, -90.0, 90.0)
     if any(word in method for word in _AZIMUTHAL):
-        return Domain(None, 180.0, -90.0, 90.0)
+        return Domain(None, 180.0, -90.0, 90.0, folds=True)
     if "Mercator" in method:
         return Domain(centre, 180.0, -MERCATOR, MERCATOR)
     if any(word in method for word in ("Conic", "Albers", "Bonne")):
-        return Domain(centre, 180.0, -OTHER_POLE, 90.0) if latitude >= 0 else Domain(centre, 180.0, -90.0, OTHER_POLE)
-    return Domain(centre, 180.0, -90.0, 90.0)
+        south, north = (-OTHER_POLE, 90.0) if latitude >= 0 else (-90.0, OTHER_POLE)
+        return Domain(centre, 180.0, south, north, folds=True)
+    return Domain(centre, 180.0, -90.0, 90.0, folds="Cylindrical" not in method)
+
+
+def limits(crs: CRS) -> Bounds:
+    """Left, bottom, right and top of the part that a map in a projected CRS shows in one piece, in the CRS."""
+    shown = domain(crs)
+    lon = (shown.centre or 0.0) + np.linspace(-1.0, 1.0, 145) * (shown.reach - 1e-9)  # both sides of the seam
+    lat = np.linspace(shown.south, shown.north, 73)
+    degrees = np.stack(np.meshgrid((lon + 180.0) % 360.0 - 180.0, lat), axis=-1).reshape(-1, 2)
+    xy = Transform(longitude_latitude_crs(crs), crs)(degrees)
+    xy = xy[np.isfinite(xy).all(axis=1)]
+    (left, bottom), (right, top) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
+    return left, bottom, right, top

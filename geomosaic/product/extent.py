@@ -12,6 +12,7 @@ from geomosaic.block.scene import Scene
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.area import area_of_use, beyond, longitude_latitude
 from geomosaic.geo.crs import geographic, horizontal, longitude_latitude_crs
+from geomosaic.geo.domain import domain, limits
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.surface.model import Surface
@@ -20,6 +21,8 @@ from geomosaic.surface.model import Surface
 _MOST, _TILE = 1 << 31, 512 * 512
 TORN = 100.0
 """Times that a metre on the ground may grow in the output, or be longer in one direction than in the other."""
+GREAT = 1e7
+"""Map units beyond which an output may reach over the end of its map."""
 FAR = 6.0
 """Degrees beyond the area of use of the output CRS, a zone's width, that are told."""
 
@@ -83,7 +86,7 @@ def output_grid(
     if resolution is None:
         resolution = nice(float(np.median([outline.sampling for outline in outlines])))
     if bounds is None:
-        return Grid.from_bounds(crs, everything, resolution)
+        return Grid.from_bounds(crs, _within_the_map(crs, everything, resolution), resolution)
     grid = Grid.from_bounds(crs, bounds, resolution, snap=snap)
     a, b = everything, grid.bounds
     if not (a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]):
@@ -92,6 +95,29 @@ def output_grid(
             mend=f"give --bounds as left bottom right top in {crs.name}",
         )
     return grid
+
+
+def _within_the_map(crs: CRS, bounds: Bounds, resolution: float) -> Bounds:
+    """Leave out what lies beyond the end of a map, where a pole is infinitely far."""
+    if not crs.is_projected or max(bounds[2] - bounds[0], bounds[3] - bounds[1]) < GREAT:
+        return bounds
+    shown = domain(crs)
+    if shown.reach == 180.0 and (shown.south, shown.north) == (-90.0, 90.0):
+        return bounds
+    most = limits(crs)
+    left, bottom, right, top = (*map(max, bounds[:2], most[:2]), *map(min, bounds[2:], most[2:]))
+    if left >= right or bottom >= top:
+        return bounds
+    if max(abs(a - b) for a, b in zip(bounds, (left, bottom, right, top), strict=True)) > resolution:
+        reach = f"latitudes {shown.south:g} to {shown.north:g}"
+        if shown.reach < 180.0 and shown.centre is not None:
+            reach = f"{shown.reach:g} degrees on either side of longitude {shown.centre:g}"
+        warnings.warn(
+            f"the output ends where {crs.name} has no use ({reach}); --bounds takes it further",
+            GeomosaicWarning,
+            stacklevel=3,
+        )
+    return left, bottom, right, top
 
 
 def note_far_crs(crs: CRS, outlines: list[Footprint]) -> None:

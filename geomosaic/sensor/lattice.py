@@ -24,6 +24,9 @@ FIRST_STEP, CLOSE_STEP = 64, 4
 SMALLEST = 16
 ROUNDING = 1e-3
 """Pixels that nodes at every pixel may err without anything being wrong."""
+JUMP = 2.0
+"""Pixels by which nodes at every pixel err only where the image is torn; at the rim of a map of the globe, which may
+squeeze it endlessly, what errs less is left."""
 MOST_TORN = 8192
 """Pixels of a block that are put one by one."""
 
@@ -101,7 +104,8 @@ def build(mapper: MapToImage, grid: Grid, ground: BlockGround, tolerance: float)
     Returns
     -------
     list of Lattice
-        Disjoint parts of the block that may see the image; empty where it is not seen or no height is known.
+        Disjoint parts of the block that may see the image; empty where it is not seen or no height is known. Where the
+        two sides of a picture of the whole globe meet, the same part may come twice, once for each side.
     """
     return _build(mapper, grid, ground, ground.window, tolerance)
 
@@ -115,8 +119,18 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
     divisible = half > 0 and max(window.width, window.height) > SMALLEST
     while True:
         places, nodes, exact = _sampled(mapper, grid, window, step, middle, half)
+        if np.isinf(before) and mapper.branch == 0.0 and mapper.torn(places):
+            sides = mapper.beside()
+            if not any(side.torn(_sampled(side, grid, window, step, middle, half)[0]) for side in sides):
+                return [lattice for side in sides for lattice in _build(side, grid, ground, window, tolerance)]
+            if max(window.width, window.height) > FIRST_STEP:  # a pole is among them
+                return _parts(mapper, grid, ground, window, tolerance)
         levels = at_heights(nodes, (-1.0, 0.0, 1.0) if half else (0.0,))
         bounds = _bounds(levels)
+        least = CLOSE_STEP if max(window.width, window.height) <= FIRST_STEP else SMALLEST
+        if bounds is None and mapper.from_surface is not None and step > least:
+            step //= 2  # the rim of the globe may pass between the nodes
+            continue
         if bounds is None or _misses(bounds, mapper.model.size):
             return []
         scale, close = _scale(nodes, step), step <= CLOSE_STEP
@@ -131,7 +145,7 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
                 return _parts(mapper, grid, ground, window, tolerance)
         step, before = step // 2, miss.error
     made = Lattice(window, step, nodes, places[::2, ::2], middle, half, miss.error, bounds, scale, miss.seen, levels)
-    torn = miss.worst > max(tolerance / 2, ROUNDING)
+    torn = miss.worst > (max(tolerance / 2, ROUNDING) if np.isfinite(places).all() else JUMP)
     return _mended(made, places, exact[0], miss.worst, torn, mapper.model.size) if step == 1 and not half else [made]
 
 

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pyproj import CRS
 
 from geomosaic.geo.crs import has_heights, horizontal
+from geomosaic.geo.domain import domain, limits
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.turn import near, whole_turn
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import FloatArray
+
+BACK = 10.0
+"""Map units by which a place that is brought to degrees and back may miss itself; one beyond the rim is far away."""
+SLIVER = 1e-9
+"""Degrees along a seam that belong to neither side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,19 +37,35 @@ class MapToImage:
     turn : float, optional
         A whole turn of longitude, where the image lies in longitude and latitude: of places that are the same, the one
         nearest to its middle is meant.
+    from_surface : Transform, optional
+        The way back, where the output is a map of the globe and the image lies in longitude and latitude: a place
+        beyond the rim of the map, which some projections take for one on the other side, does not come back.
+    seam : tuple of float, optional
+        Of a cylindrical map, x in the middle and its longitude: a place beyond one side goes on from there.
+    branch : float
+        Longitudes are those near the image's middle and so much farther east: half a turn brings together what lies
+        on both sides of the seam of a picture of the whole globe.
     """
 
     model: SensorModel
     to_surface: Transform
     to_model: Transform
     turn: float | None = None
+    from_surface: Transform | None = None
+    seam: tuple[float, float] | None = None
+    branch: float = 0.0
 
     @classmethod
     def between(cls, output: CRS, surface: CRS | None, model: SensorModel) -> MapToImage:
         """Chain output map, surface (None: heights play no part) and model."""
         if surface is None or not has_heights(model.crs):
             flat = horizontal(model.crs)
-            return cls(model, Transform(horizontal(output), flat), Transform(flat, flat), whole_turn(flat))
+            there, turn = Transform(horizontal(output), flat), whole_turn(flat)
+            if turn is None or not output.is_projected:
+                return cls(model, there, Transform(flat, flat), turn)
+            map_, shown = horizontal(output), domain(horizontal(output))
+            back = there.inverse() if shown.folds else None
+            return cls(model, there, Transform(flat, flat), turn, back, _seam(map_, there) if shown.torn else None)
         return cls(model, Transform(horizontal(output), horizontal(surface)), Transform(surface, model.crs))
 
     @property
@@ -54,7 +76,37 @@ class MapToImage:
     def surface_xy(self, xy: FloatArray) -> FloatArray:
         """Output map (N, 2) to the surface's map (N, 2)."""
         found = self.to_surface(xy)
-        return found if self.turn is None else near(found, self.model.seed[0], self.turn)
+        if self.from_surface is not None:
+            away = np.abs(self.from_surface(found) - xy).max(axis=1)
+            found[~(away < BACK)] = np.nan
+        if self.turn is None:
+            return found
+        if self.seam is None:
+            return near(found, self.model.seed[0] + self.branch, self.turn)
+        return self._beside_the_seam(xy, found, self.turn, *self.seam)
+
+    def _beside_the_seam(self, xy: FloatArray, found: FloatArray, turn: float, x: float, middle: float) -> FloatArray:
+        """Longitudes that go on beyond the sides of a map, turned as those just within are."""
+        side = np.where(xy[:, 0] < x, -1.0, 1.0)
+        off = (found[:, 0] - middle + turn / 2) % turn - turn / 2
+        off += side * turn * (side * off < -turn / 4)
+        within = found.copy()
+        within[:, 0] = middle + np.clip(off, -turn / 2 + SLIVER, turn / 2 - SLIVER)
+        turned = near(within, self.model.seed[0] + self.branch, turn)
+        turned[:, 0] += middle + off - within[:, 0]
+        return turned
+
+    def beside(self) -> tuple[MapToImage, MapToImage]:
+        """The same with longitudes west and east of the image's seam, where this one has a turn."""
+        half = (self.turn or 0.0) / 2
+        return replace(self, branch=-half), replace(self, branch=half)
+
+    def torn(self, places: FloatArray) -> bool:
+        """Whether longitudes of neighbours in an array (rows, cols, 2) of surface places jump by a turn."""
+        if self.turn is None:
+            return False
+        with np.errstate(invalid="ignore"):
+            return any(bool((np.abs(np.diff(places[..., 0], axis=k)) > self.turn / 2).any()) for k in (0, 1))
 
     def image(self, surface_xy: FloatArray, z: FloatArray) -> FloatArray:
         """Surface map (N, 2) and heights (N,) to image (N, 2)."""
@@ -63,3 +115,11 @@ class MapToImage:
     def __call__(self, xy: FloatArray, z: FloatArray) -> FloatArray:
         """Output map (N, 2) and surface heights (N,) to image (N, 2)."""
         return self.image(self.surface_xy(xy), z)
+
+
+def _seam(output: CRS, there: Transform) -> tuple[float, float] | None:
+    """X in the middle of a cylindrical map, and its longitude."""
+    left, bottom, right, top = limits(output)
+    middle = (left + right) / 2
+    longitude = float(there(np.array([[middle, (bottom + top) / 2]]))[0, 0])
+    return (middle, longitude) if np.isfinite(longitude) else None
