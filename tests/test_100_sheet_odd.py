@@ -186,3 +186,118 @@ def test_facts_name_the_paper(raster: Path, tmp_path: Path, capsys: pytest.Captu
     out = tmp_path / "s.png"
     assert run(["sheet", str(raster), "--paper", "80x200", "--dpi", "72", "-o", str(out), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["paper_mm"] == [80.0, 200.0]
+
+
+def polygons(folder: Path, names: list[str | None]) -> Path:
+    """Areas side by side."""
+    boxes = [shapely.box(LEFT + 50 + 120 * k, TOP - 300, LEFT + 130 + 120 * k, TOP - 200) for k in range(len(names))]
+    path = folder / "areas.gpkg"
+    kinds = [("x", "y")[k % 2] for k in range(len(names))]
+    geopandas.GeoDataFrame({"name": names, "kind": kinds}, geometry=boxes, crs="EPSG:32633").to_file(path)
+    return path
+
+
+def test_what_a_rule_hides_has_no_name(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nor has what no rule draws; a style without a symbol for its objects says so."""
+    areas = polygons(tmp_path, ["Alpha", "Beta", "Gamma", "Delta"])
+    style = tmp_path / "style.toml"
+    rule = 'column = "kind"\n[label]\ncolumn = "name"\nsize = 5.0\n[[category]]\nvalue = "x"\n'
+    for more in (
+        "hide = true\n[[category]]\nvalue = 'y'\nline = { color = 'white' }\n",
+        "line = { color = 'white' }\n",
+    ):
+        style.write_text(rule + more)
+        text = made(raster, tmp_path, "", capsys, "--vector", f"{areas}:{style}", "--overwrite")[0].text
+        shown = {name for name in ("Alpha", "Beta", "Gamma", "Delta") if name in text}
+        assert shown == ({"Beta", "Delta"} if "hide" in more else {"Alpha", "Gamma"})
+    style.write_text("[marker]\nsize = 2.0\n")
+    assert (
+        "nothing for polygons" in made(raster, tmp_path, "", capsys, "--vector", f"{areas}:{style}", "--overwrite")[1]
+    )
+
+
+def test_names_that_fit_nowhere_are_counted(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A line that is too short for its name, and one that turns too sharply."""
+    t = np.radians(np.linspace(0, 300, 60))
+    lines = [
+        shapely.LineString([(LEFT + 100, TOP - 100), (LEFT + 120, TOP - 100)]),
+        shapely.LineString(np.column_stack([LEFT + 500 + 20 * np.cos(t), TOP - 400 + 20 * np.sin(t)])),
+        shapely.LineString([(LEFT + 100, TOP - 600), (LEFT + 1100, TOP - 600)]),
+    ]
+    path = tmp_path / "lines.gpkg"
+    names = ["Allee zu kurz", "Rund um den Platz", "Lange Gerade"]
+    geopandas.GeoDataFrame({"name": names}, geometry=lines, crs="EPSG:32633").to_file(path)
+    style = tmp_path / "style.toml"
+    style.write_text('[line]\ncolor = "red"\n[label]\ncolumn = "name"\n')
+    sheet, said = made(raster, tmp_path, "", capsys, "--vector", f"{path}:{style}")
+    assert "Lange Gerade" in sheet.text
+    assert "Rund" not in sheet.text
+    assert "2 of 3 names have no room" in said
+
+
+@pytest.mark.parametrize(
+    ("layout", "words", "told"),
+    [
+        ("[map]\nbounds = [399000, 5499000, 400000, 5500000]\ncentre = [399500, 5499500]\n", (), "bounds and a centre"),
+        ("[map]\nscale = 0.5\n", (), "scale"),
+        ("[scalebar]\nlength = 0.01\n", (), "too little for its figures"),
+        (
+            "",
+            ("--scale", "1:5000", "--paper", "A4", "--bounds", "LEFT", "BOTTOM", "RIGHT", "TOP"),
+            "the paper has room",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_told(
+    layout: str, words: tuple[str, ...], told: str, raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each by its own name, and nothing is written."""
+    places = {"L": LEFT - 4000, "B": TOP - 5000, "R": LEFT + 5000, "T": TOP + 4000}
+    (tmp_path / "layout.toml").write_text(layout)
+    flags = [str(places.get(word, word)) for word in words]
+    code = run(["sheet", str(raster), "--layout", str(tmp_path / "layout.toml"), *flags, "-o", str(tmp_path / "x.pdf")])
+    assert code != 0
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "x.pdf").exists()
+
+
+def test_a_picture_that_is_cut_is_told(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "of the picture's width" in made(raster, tmp_path, "", capsys, "--scale", "1:2500", "--paper", "A4")[1]
+
+
+def test_polygons_without_a_name_are_refused(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Empty and missing ones; before anything is made."""
+    for names in (["A", None], ["A", " "]):
+        areas = polygons(tmp_path, names)
+        words = [
+            "sheets",
+            "make",
+            str(raster),
+            "--polygons",
+            str(areas),
+            "--scale",
+            "1:25000",
+            "-o",
+            str(tmp_path / "out"),
+        ]
+        assert run(words) != 0
+        assert "polygon 2 has no name" in capsys.readouterr().err
+        areas.unlink()
+
+
+def test_a_map_of_the_globe_has_no_georeference(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its corners are no places: the PDF says nothing of them rather than what is not true."""
+    from affine import Affine
+
+    path = tmp_path / "globe.tif"
+    import rasterio
+
+    with rasterio.open(
+        path, "w", driver="GTiff", width=86, height=42, count=1, dtype="uint8", crs="EPSG:8857",
+        transform=Affine(4e5, 0, -1.72e7, 0, -4e5, 8.4e6),
+    ) as out:  # fmt: skip
+        out.write(np.full((1, 42, 86), 140, np.uint8))
+    sheet, said = made(path, tmp_path, '[graticule]\nstyle = "lines"\n', capsys)
+    assert "no georeference" in said
+    assert b"/GPTS" not in sheet.data
+    assert "Scale factors at the centre: 0.86" in sheet.text

@@ -100,3 +100,66 @@ def test_a_projected_grid_must_be_defined_everywhere() -> None:
 
     with pytest.raises(InputError, match="not defined on this sheet"):
         map_grid(CRS("EPSG:3035"), CRS("ESRI:54030"), (-1.75e7, -8.7e6, 1.75e7, 8.7e6), 5e6)
+
+
+def test_a_small_sheet_about_a_pole() -> None:
+    """An interval longer than the sheet: every meridian leaves it where PROJ says, none on the other side."""
+    crs, bounds = CRS("EPSG:3031"), (-5e3, -4e3, 6e3, 4e3)
+    back = Transformer.from_crs(crs, DEGREES, always_xy=True)
+    for interval in (10.0, 0.5, 0.01):
+        grid = map_grid(DEGREES, crs, bounds, 2e3, interval=interval)
+        ends = [(line.value, x, y) for line in grid.lines if line.axis == 0 for _, x, y in line.ends]
+        assert len(ends) >= 8
+        lon = back.transform(*np.array([(x, y) for _, x, y in ends]).T)[0]
+        off = (lon - np.array([value for value, _, _ in ends]) + 180.0) % 360.0 - 180.0
+        assert np.abs(off).max() < 1e-3
+
+
+@pytest.mark.parametrize("bounds", [(0.0, 0.0, 1e6, 8e5), (-5e5, 0.0, 5e5, 8e5)])
+def test_a_pole_on_the_neatline(bounds: tuple[float, float, float, float]) -> None:
+    """In a corner, or on a side: no line runs along the neatline, none ends at the pole, parallels are there."""
+    grid = map_grid(DEGREES, CRS("EPSG:3031"), bounds, 2e5)
+    assert grid.pole is not None
+    assert {line.axis for line in grid.lines} == {0, 1}
+    for line in grid.lines:
+        assert line.axis == 1 or len(line.ends) <= 2
+        assert all(math.hypot(x, y) > 1e3 for _, x, y in line.ends)
+
+
+@pytest.mark.parametrize(
+    ("code", "bounds", "spacing"),
+    [
+        ("EPSG:3031", (1e5, 1e5, 11e5, 9e5), 2.5e5),
+        ("EPSG:32633", (480_000.0, 8_680_000.0, 520_000.0, 8_710_000.0), 1e4),
+        ("EPSG:32633", (400_000.0, 5_500_000.0, 460_000.0, 5_501_000.0), 8e3),
+    ],
+)
+def test_lines_of_both_kinds(code: str, bounds: tuple[float, float, float, float], spacing: float) -> None:
+    """Near a pole, and on a sheet that is long and low: no sheet without latitudes or northings."""
+    for crs in (DEGREES, CRS(code)):
+        assert {line.axis for line in map_grid(crs, CRS(code), bounds, spacing).lines} == {0, 1}
+
+
+def test_equal_earth() -> None:
+    """Its corners come back as places on the other side: the whole graticule is drawn, each meridian once."""
+    grid = map_grid(DEGREES, CRS("EPSG:8857"), (-17_243_959.0, -8_392_927.0, 17_243_959.0, 8_392_927.0), 5e6)
+    values = [line.value for line in grid.lines if line.axis == 0]
+    assert values == sorted(set(values))
+    assert values[0] >= -180.0
+    assert values[-1] <= 180.0
+
+
+def test_sheets_about_a_pole() -> None:
+    """All sheets that places on the map lie on, the pole among them; none more."""
+    from geomosaic.carto.series.catalogue import scheme
+    from geomosaic.carto.series.neatline import sheets_on
+
+    for code, sign in (("EPSG:3995", 1.0), ("EPSG:3031", -1.0)):
+        series, crs = scheme("international", 1_000_000), CRS(code)
+        found = set(sheets_on(series, crs, (-1e6, -1e6, 1e6, 1e6)))
+        x, y = np.meshgrid(np.linspace(-9.99e5, 9.99e5, 61), np.linspace(-9.99e5, 9.99e5, 61))
+        lon, lat = Transformer.from_crs(crs, DEGREES, always_xy=True).transform(x.ravel(), y.ravel())
+        inside = np.abs(lat) < 88.0
+        wanted = {series.find(a, b) for a, b in zip(lon[inside], lat[inside], strict=True)}
+        assert wanted <= found, sign
+        assert len(found) <= 1.3 * len(wanted)

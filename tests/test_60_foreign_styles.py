@@ -243,3 +243,55 @@ def test_sld_either_or() -> None:
     made = overlay(shapes, {"c": cells}, map_crs, style, "x", map_crs, (0, 0, 10, 10), straight=1.0, where="x")
     assert [(group.title, len(group.geometries)) for group in made.groups] == [("Main", 2)]
     assert "1 of 3 objects" in made.notes[0]
+
+
+ONE_RULE = (
+    '<StyledLayerDescriptor version="1.0.0" xmlns="http://www.opengis.net/sld" xmlns:ogc="http://www.opengis.net/ogc">'
+    "<NamedLayer><UserStyle><FeatureTypeStyle><Rule>{}</Rule></FeatureTypeStyle></UserStyle></NamedLayer>"
+    "</StyledLayerDescriptor>"
+)
+
+
+def test_sld_literals_expressions_and_solid_lines() -> None:
+    """Literals are values, expressions are told, a dash of 0 is a line without gaps, and short colours are read."""
+    text = ONE_RULE.format(
+        '<PolygonSymbolizer><Fill><CssParameter name="fill"><ogc:Literal>#ff0000</ogc:Literal></CssParameter></Fill>'
+        '<Stroke><CssParameter name="stroke">#0a0</CssParameter><CssParameter name="stroke-dasharray">0</CssParameter>'
+        '<CssParameter name="stroke-width"><ogc:Mul><ogc:PropertyName>v</ogc:PropertyName><ogc:Literal>2</ogc:Literal>'
+        "</ogc:Mul></CssParameter></Stroke></PolygonSymbolizer>"
+    )
+    style, told = foreign_style(text, "x.sld")
+    symbol = style.symbol if style.symbol != Symbol() else Symbol(style.rules[0].line, style.rules[0].fill)
+    assert symbol.fill is not None
+    assert symbol.fill.color == "#ff0000"
+    assert symbol.line is not None
+    assert (symbol.line.color, symbol.line.dash) == ("#00aa00", ())
+    assert told == ["an expression as stroke-width"]
+    negative = text.replace(">0</CssParameter>", ">-1 2</CssParameter>")
+    assert any("drawn whole" in remark for remark in foreign_style(negative, "x.sld")[1])
+
+
+def test_qml_layers_that_are_left_out_are_told() -> None:
+    """A second fill, a third stroke, and what labels have beyond their font."""
+    fill = (
+        '<layer class="SimpleFill" enabled="1"><prop k="color" v="{},0,0,255"/><prop k="outline_color" v="1,2,3,255"/>'
+        '<prop k="outline_width" v="0.5"/><prop k="outline_style" v="{}"/></layer>'
+    )
+    two = f"""<qgis><renderer-v2 type="singleSymbol"><symbols><symbol type="fill" name="0" alpha="1">
+{fill.format(9, "solid")}{fill.format(200, "no")}</symbol></symbols></renderer-v2>
+<labeling type="simple"><settings><text-style fieldName="n" fontSize="8" capitalization="1"/>
+<background shapeDraw="1"/><rendering scaleVisibility="1"/></settings></labeling></qgis>"""
+    style, told = foreign_style(two, "x.qml")
+    assert style.symbol.fill is not None
+    assert style.symbol.fill.color == "#c80000"
+    assert style.symbol.line is not None  # the outline of the lower one
+    assert style.symbol.line.width == 0.5
+    assert set(told) == {
+        "more than one SimpleFill, the last one drawn",
+        "capitals of labels",
+        "backgrounds of labels",
+        "labels at some scales only, drawn at this one",
+    }
+    stroke = SINGLE[SINGLE.index(' <layer class="SimpleLine"') : SINGLE.index(' <layer class="SimpleLine" enabled="0"')]
+    three = SINGLE.replace(stroke, stroke + stroke)
+    assert "more than two strokes of a line" in foreign_style(three, "x.qml")[1]

@@ -21,7 +21,7 @@ from geomosaic.plan.coverage import coverage, raster_size
 from geomosaic.plan.product import requirements
 from geomosaic.plan.quantities import QUANTITIES, shown
 from geomosaic.plan.relations import TOPICS, Relation
-from geomosaic.plan.solve import derive
+from geomosaic.plan.solve import derive, limits
 from geomosaic.plan.units import in_unit
 
 MAPS, CONSTANTS = (2000, 5000, 10000), (150, 300)
@@ -351,3 +351,21 @@ def test_what_is_no_number_with_a_unit(text: str, unit: str) -> None:
     with pytest.raises(InputError) as caught:
         in_unit(text, unit)
     assert caught.value.mend
+
+
+def test_limits_are_kept_or_missed_and_contradict_nothing() -> None:
+    """A resolution above the least one of the guidelines is no contradiction; one below it misses the limit."""
+    relations = TOPICS["photo"]
+    for dpi, kept in ((2000.0, True), (1280.0, True), (300.0, False)):
+        given = {"scan_dpi": dpi, "photo_scale": 20000.0, "ortho_scale": 5000.0}
+        found = {item.name: item.value for item in derive(relations, given)}
+        (limit,) = limits(relations, given | found)
+        assert (limit.name, limit.kept) == ("scan_dpi", kept)
+        assert limit.limit == pytest.approx(1280.0)
+    # The pixel that is given says the resolution, not the limit.
+    given = {"scan_pixel": 14.0, "height": 3000.0, "camera_constant": 150.0, "ortho_scale": 5000.0}
+    found = {item.name: item.value for item in derive(relations, given)}
+    assert found["scan_dpi"] == pytest.approx(25400 / 14)
+    given = {"dem_limit": 1.0, "ortho_scale": 5000.0, "camera_constant": 150.0, "radius": 140.0}
+    assert derive(TOPICS["relief"], given) == []
+    assert [item.kept for item in limits(TOPICS["relief"], given)] == [True]

@@ -15,6 +15,9 @@ from geomosaic.types import FloatArray
 SAMPLES = 65
 """Points along each side of the neatline and each line: a graticule bends by less than 1e-3 of its sagitta between."""
 
+HAIR = 1e-6
+"""Part of a sheet's size within which places are one."""
+
 Move = Callable[[FloatArray], FloatArray]
 
 
@@ -23,13 +26,14 @@ class Extent:
     """Lowest and highest x and y (2,) of a grid on a sheet.
 
     Longitudes may go beyond 180 degrees. Where a pole lies inside the neatline, it stands in `pole`, in the map's CRS,
-    with the degrees of latitude that a unit of the map has there.
+    with the degrees of latitude that a unit of the map has there. `turns`: x are longitudes.
     """
 
     low: FloatArray
     high: FloatArray
     pole: FloatArray | None = None
     degrees_per_unit: float = 0.0
+    turns: bool = False
 
 
 def extent_of(crs: CRS, there: Move, back: Move, bounds: Bounds) -> Extent:
@@ -49,25 +53,36 @@ def extent_of(crs: CRS, there: Move, back: Move, bounds: Bounds) -> Extent:
     InputError
         The grid is not defined here.
     """
-    edge = there(outline(bounds))
-    whole = np.isfinite(edge).all()
+    ring = outline(bounds)
+    edge = there(ring)
     if not crs.is_geographic:
-        if not whole:
+        if not np.isfinite(edge).all():
             raise InputError(f"the grid of '{crs.name}' is not defined on this sheet", mend="choose another grid CRS")
         return Extent(edge.min(axis=0), edge.max(axis=0))
-    if not whole:  # a sheet that is wider than the globe
-        return Extent(np.array([-180.0, -90.0]), np.array([180.0, 90.0]))
-    turns = (np.diff(edge[:, 0], append=edge[:1, 0]) + 180.0) % 360.0 - 180.0
-    if abs(turns.sum()) < 180.0:
+    hair = HAIR * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
+    with np.errstate(invalid="ignore"):
+        whole = bool((np.abs(back(edge) - ring).max(axis=1) < 1e4 * hair).all())  # the ways may be two operations
+    poles = {sign: place for sign in (1.0, -1.0) if (place := _pole(back, sign, bounds, hair)) is not None}
+    if not whole or len(poles) == 2:  # a sheet that is wider than the globe
+        return Extent(np.array([-180.0, -90.0]), np.array([180.0, 90.0]), turns=True)
+    if not poles:
         # Steps from point to point: no jump where east becomes west.
-        edge[1:, 0] = edge[0, 0] + np.cumsum(turns[:-1])
+        turns = (np.diff(edge[:, 0]) + 180.0) % 360.0 - 180.0
+        edge[1:, 0] = edge[0, 0] + np.cumsum(turns)
         edge[:, 0] -= 360.0 * np.floor((edge[:, 0].min() + 180.0 + 1e-9) / 360.0)
-        return Extent(edge.min(axis=0), edge.max(axis=0))
-    sign = 1.0 if edge[:, 1].mean() > 0 else -1.0
-    pole, beside = back(np.array([[0.0, sign * 90.0], [0.0, sign * 89.0]]))
+        return Extent(edge.min(axis=0), edge.max(axis=0), turns=True)
+    ((sign, pole),) = poles.items()
     low, high = (float(edge[:, 1].min()), 90.0) if sign > 0 else (-90.0, float(edge[:, 1].max()))
-    per_unit = 1.0 / float(np.hypot(*(beside - pole)))
-    return Extent(np.array([-180.0, low]), np.array([180.0, high]), pole, per_unit)
+    per_unit = 1.0 / float(np.hypot(*(back(np.array([[0.0, sign * 89.0]]))[0] - pole)))
+    return Extent(np.array([-180.0, low]), np.array([180.0, high]), pole, per_unit, turns=True)
+
+
+def _pole(back: Move, sign: float, bounds: Bounds, hair: float) -> FloatArray | None:
+    """Where a pole is a point inside a neatline or on it."""
+    places = back(np.array([[0.0, sign * 90.0], [90.0, sign * 90.0]]))
+    x, y = places[0]
+    inside = bounds[0] - hair <= x <= bounds[2] + hair and bounds[1] - hair <= y <= bounds[3] + hair
+    return places[0] if inside and np.abs(places[1] - places[0]).max() < hair else None
 
 
 def outline(bounds: Bounds) -> FloatArray:

@@ -17,13 +17,19 @@ from pyproj.enums import WktVersion
 from geomosaic.carto.nice import metres_per_unit
 from geomosaic.carto.page import Box, Page
 from geomosaic.geo.area import longitude_latitude
-from geomosaic.geo.crs import horizontal, is_local
+from geomosaic.geo.crs import horizontal, is_local, longitude_latitude_crs
+from geomosaic.geo.transform import Transform
 
 _CORNERS = ((0, 0), (0, 1), (1, 1), (1, 0))
 
 
-def add_georeference(path: Path, page: Page) -> None:
+def add_georeference(path: Path, page: Page) -> bool:
     """Append the viewport of a map to the PDF of its sheet, a file of one page with a plain cross-reference table.
+
+    Returns
+    -------
+    bool
+        Whether the map has one.
 
     Raises
     ------
@@ -39,13 +45,15 @@ def add_georeference(path: Path, page: Page) -> None:
     if not start or trailer is None or len(pages) != 1:
         raise ValueError("not a plain PDF of one page")
     number, body = int(pages[0][1]), pages[0][2]
-    more = f"{boxes(page)}/VP [ {viewport(page)} ]"
+    view = viewport(page)
+    more = boxes(page) + (f"/VP [ {view} ]" if view else "")
     update = b"%d 0 obj\n<<%s\n%s\n>>\nendobj\n" % (number, body.rstrip(), more.encode("ascii"))
     offset = len(data)
     table = b"xref\n%d 1\n%010d 00000 n \n" % (number, offset)
     kept = re.sub(rb"/Prev\s+\d+", b"", trailer[1]).strip()
     end = b"trailer\n<< %s /Prev %s >>\nstartxref\n%d\n%%%%EOF\n" % (kept, start[0], offset + len(update))
     path.write_bytes(data + update + table + end)
+    return bool(view)
 
 
 def _points(page: Page, box: Box) -> list[float]:
@@ -67,7 +75,7 @@ def boxes(page: Page) -> str:
 
 
 def viewport(page: Page) -> str:
-    """Viewport dictionary of a map, in PDF's notation."""
+    """Viewport dictionary of a map, in PDF's notation; '' where its corners are no places, as on a map of the globe."""
     points = _points(page, page.neatline)
     head = f"<< /Type /Viewport /Name (Map) /BBox [ {' '.join(f'{v:.6f}' for v in points)} ] "
     if is_local(page.crs):
@@ -75,6 +83,9 @@ def viewport(page: Page) -> str:
     left, bottom, right, top = page.bounds
     xy = np.array([(left + u * (right - left), bottom + v * (top - bottom)) for u, v in _CORNERS])
     places = longitude_latitude(xy, page.crs)
+    back = Transform(longitude_latitude_crs(horizontal(page.crs)), horizontal(page.crs))(places)
+    if not (np.abs(back - xy).max(axis=1) < 1e-3 * max(right - left, top - bottom)).all():
+        return ""
     gpts = " ".join(f"{lat:.10f} {lon:.10f}" for lon, lat in places)
     lpts = " ".join(f"{u} {v}" for u, v in _CORNERS)
     flat = horizontal(page.crs)

@@ -37,7 +37,7 @@ class SheetPart:
 class MapPart:
     """`[map]`: scale and area."""
 
-    scale: float | None = a_number(None, above=0.0)
+    scale: float | None = a_number(None, least=1.0)
     bounds: tuple[float, float, float, float] | None = None
     centre: tuple[float, float] | None = None
     background: str = a_color("#ffffff")

@@ -8,13 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.carto.extent import SAMPLES, Extent, extent_of
+from geomosaic.carto.extent import HAIR, SAMPLES, Extent, extent_of
 from geomosaic.carto.nice import angle_text, decimals, grouped, multiples, nice_step
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.transform import Transform
 from geomosaic.types import BoolArray, FloatArray
+
+MOST_MERIDIANS = 72
+"""Around a pole: more of them would crowd there."""
 
 
 @dataclass(frozen=True)
@@ -117,9 +120,9 @@ def map_grid(crs: CRS, map_crs: CRS, bounds: Bounds, spacing: float, interval: f
     extent = extent_of(flat, there, back, bounds)
     low, high, pole = extent.low, extent.high, extent.pole
     size = np.array([bounds[2] - bounds[0], bounds[3] - bounds[1]])
-    steps = _steps(extent, size, spacing, bool(flat.is_geographic)) if interval is None else (interval, interval)
+    steps = _steps(extent, size, spacing, bool(flat.is_geographic), interval)
     count = max((high - low) / steps)
-    if count > (200 if pole is None else 361):
+    if count > 200:
         raise InputError(
             f"an interval of {steps[1]:g} gives {count:.0f} lines on this sheet", mend="give a longer interval"
         )
@@ -132,7 +135,8 @@ def map_grid(crs: CRS, map_crs: CRS, bounds: Bounds, spacing: float, interval: f
             first, last = low[1 - axis], high[1 - axis]
             if pole is not None and axis == 0 and value % 90.0:
                 # Where meridians crowd only those of the four quarters go on to the pole.
-                first, last = max(first, steps[1] - 90.0), min(last, 90.0 - steps[1])
+                stop = 90.0 - min(steps[1], (last - first) / 2)
+                first, last = max(first, -stop), min(last, stop)
             points = SAMPLES * (max(1, round((last - first) / 90.0)) if flat.is_geographic else 1)
             path = np.empty((points, 2))
             path[:, axis], path[:, 1 - axis] = value, np.linspace(first, last, points)
@@ -142,25 +146,44 @@ def map_grid(crs: CRS, map_crs: CRS, bounds: Bounds, spacing: float, interval: f
                 end == limit and (pole is None or (axis == 0 and abs(end) < 90.0))
                 for end, limit in ((first, low[1 - axis]), (last, high[1 - axis]))
             ]
-            line = _inside(axis, float(path[0, axis]), _longer(back(path), ends), bounds)
+            line = _inside(axis, float(path[0, axis]), _longer(back(path), ends), bounds, pole)
             if line is not None:
                 lines.append(line)
     nodes = back(_whole(np.array([(x, y) for x in xs for y in ys]).reshape(-1, 2), flat))
     return MapGrid(flat, (float(steps[0]), float(steps[1])), tuple(lines), nodes[_within(nodes, bounds)], pole)
 
 
-def _steps(extent: Extent, size: FloatArray, spacing: float, degrees: bool) -> tuple[float, float]:
-    """Round intervals whose lines lie `spacing` apart at least; around a pole meridians half-way to the sides.
+def _steps(
+    extent: Extent, size: FloatArray, spacing: float, degrees: bool, interval: float | None
+) -> tuple[float, float]:
+    """Intervals of x and y: as given, or round ones whose lines lie `spacing` apart at least.
 
-    Parallels are then twice as close, since few of them are on the sheet.
+    Where no line of one kind would be on the sheet, those lie closer. Around a pole meridians are `spacing` apart
+    half-way to the sides, unless closer ones are given and are not too many, and parallels twice as close, since few
+    of them are on the sheet.
     """
     low, high = extent.low, extent.high
-    if extent.pole is None:
-        step = nice_step(float(spacing * np.max((high - low) / size)), degrees=degrees)
-        return step, step
-    reach = float(size.min()) / 2
-    parallels = nice_step(spacing / 2 * extent.degrees_per_unit, degrees=True)
-    return max(parallels, nice_step(360.0 * spacing / (np.pi * reach), degrees=True)), parallels
+    if extent.pole is not None:
+        reach = float(size.min()) / 2
+        parallels = interval or nice_step(spacing / 2 * extent.degrees_per_unit, degrees=True)
+        meridians = nice_step(360.0 * spacing / (np.pi * reach), degrees=True)
+        if interval is not None and 360.0 / interval <= MOST_MERIDIANS:
+            return interval, interval
+        return max(parallels, meridians), parallels
+    if interval is not None:
+        return interval, interval
+    step = nice_step(float(spacing * np.max((high - low) / size)), degrees=degrees)
+    x, y = (
+        step if _has_multiples(first, last, step) else nice_step((last - first) / 4, degrees=degrees)
+        for first, last in zip(low.tolist(), high.tolist(), strict=True)
+    )
+    return x, y
+
+
+def _has_multiples(low: float, high: float, step: float) -> bool:
+    """Whether a multiple lies between two values, and not on one of them."""
+    hair = HAIR * (high - low)
+    return bool(len(multiples(low + hair, high - hair, step)))
 
 
 def _whole(places: FloatArray, crs: CRS) -> FloatArray:
@@ -178,11 +201,13 @@ def _within(points: FloatArray, bounds: Bounds) -> BoolArray:
     return inside
 
 
-def _inside(axis: int, value: float, path: FloatArray, bounds: Bounds) -> GridLine | None:
-    """Cut a line at the neatline; None where nothing of it is inside."""
+def _inside(axis: int, value: float, path: FloatArray, bounds: Bounds, pole: FloatArray | None) -> GridLine | None:
+    """Cut a line at the neatline; None where nothing of it is inside, or where it is the neatline's side itself."""
     import shapely
 
-    if len(path) < 2:
+    hair = HAIR * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
+    sides = zip((0, 1, 0, 1), bounds, strict=True)
+    if len(path) < 2 or any(np.abs(path[:, k] - side).max() < hair for k, side in sides):
         return None
     cut = shapely.intersection(shapely.LineString(path), shapely.box(*bounds))
     parts = [p for p in shapely.get_parts(cut) if p.geom_type == "LineString" and p.length > 0]
@@ -193,7 +218,7 @@ def _inside(axis: int, value: float, path: FloatArray, bounds: Bounds) -> GridLi
     for piece in pieces:
         for x, y in (piece[0], piece[-1]):
             side = _side(float(x), float(y), bounds, axis)
-            if side:
+            if side and (pole is None or np.hypot(x - pole[0], y - pole[1]) > hair):
                 ends.append((side, float(x), float(y)))
     return GridLine(axis, value, pieces, tuple(ends))
 

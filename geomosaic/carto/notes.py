@@ -44,7 +44,11 @@ def crs_words(page: Page, place: MapPlace | None, heights: str | None) -> list[s
         lines.append(f"Datum: {flat.datum.name}")
     if flat.ellipsoid is not None:
         lines.append(f"Ellipsoid: {flat.ellipsoid.name}")
-    lines.append(f"Point scale factor at the centre: {place.scale:.6f}")
+    least, most = place.scales
+    if most - least < 1e-4:
+        lines.append(f"Point scale factor at the centre: {place.scale:.6f}")
+    else:
+        lines.append(f"Scale factors at the centre: {least:.4f} to {most:.4f} by direction")
     if heights:
         lines.append(f"Heights: {heights}")
     return lines

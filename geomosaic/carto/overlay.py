@@ -161,6 +161,7 @@ def overlay(
         column = style.ramp.column
         rules = ramp_rules(style.ramp, _numbers(columns, column, where), style.symbol)
     members: dict[int, list[Any]] = {}
+    hidden: set[int] = set()
     if rules:
         cells = _column(columns, column, where)
         lost = 0
@@ -168,6 +169,8 @@ def overlay(
             number = next((n for n, rule in enumerate(rules) if holds(rule, cells[i])), -1)
             lost += number < 0
             members.setdefault(number, []).append(cut[i])
+            if rules[number].hide if number >= 0 else style.symbol == Symbol():
+                hidden.add(i)
         if lost:
             what = "drawn as [line], [fill] and [marker] have it" if style.symbol != Symbol() else "not drawn"
             notes.append(f"{lost} of {len(here)} objects have a value of '{column}' that no rule names: {what}")
@@ -182,15 +185,25 @@ def overlay(
         if members.get(n) and not rule.hide:
             same.setdefault((rule.name, Symbol(rule.line, rule.fill, rule.marker)), []).extend(members[n])
     groups += [Features(title, symbol, tuple(found)) for (title, symbol), found in same.items()]
+    bare = sorted({kind for group in groups for kind in _without_symbol(group)}, key=KINDS.index)
+    if bare:
+        notes.append(f"the style has nothing for {' and '.join(f'{kind}s' for kind in bare)}: not drawn")
     names: list[Name] = []
     if style.label is not None:
         cells = _column(columns, style.label.column, where)
         for i in here:
             text = label_text(cells[i], style.label.decimals)
-            if text:
+            if text and i not in hidden:
                 names.append(Name(text, cut[i]))
         names.sort(key=lambda item: -shapely.length(item.geometry))
     return Overlay(name, tuple(groups), tuple(names), style, tuple(notes))
+
+
+def _without_symbol(group: Features) -> list[str]:
+    """Kinds of geometry of which a group has some and its symbol draws none."""
+    symbol = group.symbol
+    drawn = {"polygon": symbol.fill or symbol.line, "line": symbol.line, "point": symbol.marker}
+    return [kind for kind in KINDS if not drawn[kind] and parts_of(group.geometries, kind)]
 
 
 def _column(columns: Mapping[str, Sequence[Any]], name: str, where: str) -> Sequence[Any]:

@@ -157,7 +157,7 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
             where=where,
             mend='give a larger --paper, a smaller [sheet] margin, or panel = "none"',
         )
-    if not _meet(best.bounds, extent):
+    if layout.map.centre is not None and not _meet(best.bounds, extent):
         raise InputError(
             f"the map about {list(layout.map.centre or ())} lies beside the picture, which covers "
             f"{[round(v, 3) for v in extent]}",
@@ -181,6 +181,8 @@ def _area(layout: Layout, extent: Bounds, where: str | None) -> Bounds:
     bounds = layout.map.bounds
     if bounds is None:
         return extent
+    if layout.map.centre is not None:
+        raise InputError("[map] has bounds and a centre", where=where, mend="leave one of them out")
     if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
         raise InputError(f"[map] bounds {list(bounds)} enclose no area", where=where, mend="left, bottom, right, top")
     if not _meet(bounds, extent):

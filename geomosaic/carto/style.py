@@ -210,6 +210,18 @@ def parse_style(values: Mapping[str, Any], where: str) -> Style:
     for rule in file.class_:
         if rule.least is None and rule.below is None:
             raise InputError("a class has no limits", where=where, mend="write least = ..., below = ... or both")
+    if rules and file.graduated is not None:
+        raise InputError(
+            "the style has rules and [graduated]",
+            where=where,
+            mend="leave out [graduated], or the categories and classes",
+        )
+    for line in (file.line, *(rule.line for rule in rules)):
+        if line is not None and any(not part > 0 for part in line.dash):
+            raise InputError(
+                f"dash {list(line.dash)} has a part that is not above 0", where=where,
+                mend="write lengths of stroke and gap in mm, such as [1.4, 0.7], or leave dash out",
+            )  # fmt: skip
     symbol = Symbol(file.line, file.fill, file.marker)
     if symbol == Symbol() and not rules and file.label is None and file.graduated is None:
         raise InputError(

@@ -31,12 +31,15 @@ class MapPlace:
         Meridian convergence in degrees: the azimuth of grid north, clockwise from true north (PROJ's sign).
     scale : float
         Point scale factor of the projection (1 on the ellipsoid); the root of the scale of areas where not conformal.
+    scales : tuple of float
+        Least and greatest point scale factor over all directions.
     """
 
     longitude: float
     latitude: float
     convergence: float
     scale: float
+    scales: tuple[float, float] = (1.0, 1.0)
 
 
 def map_place(crs: CRS, x: float, y: float) -> MapPlace:
@@ -58,7 +61,9 @@ def map_place(crs: CRS, x: float, y: float) -> MapPlace:
     # The azimuth turns along the step; at its middle it is the mean of both ends.
     turn = (back + 180.0 - there + 180.0) % 360.0 - 180.0
     convergence = float(there + turn / 2)
-    return MapPlace(float(longitude), float(latitude), convergence - 360.0 * round(convergence / 360.0), scale)
+    convergence -= 360.0 * round(convergence / 360.0)
+    scales = float(factors.tissot_semiminor), float(factors.tissot_semimajor)
+    return MapPlace(float(longitude), float(latitude), convergence, scale, scales)
 
 
 def _on_ellipsoid(crs: CRS, xy: FloatArray) -> FloatArray:

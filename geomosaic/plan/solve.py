@@ -39,15 +39,17 @@ def derive(relations: Sequence[Relation], given: Mapping[str, float]) -> list[De
     """
     known = {name: checked(name, value) for name, value in given.items()}
     found: list[Derived] = []
+    ordered = sorted(relations, key=lambda relation: bound(relation) is not None)  # equations before limits
     while True:
-        new = next((made for relation in relations if (made := _next(relation, known)) is not None), None)
+        new = next((made for relation in ordered if (made := _next(relation, known)) is not None), None)
         if new is None:
             break
         known[new.name] = new.value
         found.append(new)
     for relation in relations:
-        _agree(relation, known)
-    if not found:
+        if bound(relation) is None:
+            _agree(relation, known)
+    if not found and not limits(relations, known):
         short = min(relations, key=lambda relation: len([n for n in relation.names if n not in known]))
         open_ = [name for name in short.names if name not in known]
         raise InputError(
@@ -55,6 +57,35 @@ def derive(relations: Sequence[Relation], given: Mapping[str, float]) -> list[De
             where=short.formula,
             mend=f"give all but one of {flags(short.names)}" if len(open_) > 1 else "give another quantity",
         )
+    return found
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A limit to a quantity that was given, and whether it is kept."""
+
+    name: str
+    limit: float
+    relation: Relation
+    kept: bool
+
+
+def bound(relation: Relation) -> str | None:
+    """'>=' or '<=' where a formula is a limit to its first quantity, None of an equation."""
+    return next((sign for sign in (">=", "<=") if f" {sign} " in relation.formula), None)
+
+
+def limits(relations: Sequence[Relation], known: Mapping[str, float]) -> list[Limit]:
+    """Limits to quantities that are all known, each with whether it is kept."""
+    found = []
+    for relation in relations:
+        sign, name = bound(relation), relation.names[0]
+        if sign is None or any(other not in known for other in relation.names):
+            continue
+        limit = relation.solve(name, known)
+        if limit is not None and math.isfinite(limit):
+            over = (known[name] - limit) * (1.0 if sign == ">=" else -1.0)
+            found.append(Limit(name, limit, relation, over >= -AGREES * abs(limit)))
     return found
 
 

@@ -162,9 +162,11 @@ def around_pole(page: Page, grid: MapGrid, size: float) -> list[Piece]:
     for line in grid.lines:
         if line.axis == 1 and not line.ends:
             path = page.to_page(np.concatenate(line.pieces)) - centre
-            # Below the pole, turned by less than a meridian's interval so that the text stands on no meridian.
-            turns = np.degrees(np.arctan2(path[:, 0], -path[:, 1]))
-            at = path[np.argmin(np.abs(turns - grid.intervals[0] / 2))] + centre
+            # Below the pole, half-way between two meridians.
+            longitude = np.linspace(-180.0, 180.0, len(path))
+            from_meridian = np.abs(longitude / grid.intervals[0] % 1.0 - 0.5)
+            turns = np.abs(np.arctan2(path[:, 0], -path[:, 1])) + 10.0 * (from_meridian > from_meridian.min() + 0.03)
+            at = path[np.argmin(turns)] + centre
             text = grid.label(line)
             found.append(Piece(text, Spot(float(at[0]), float(at[1])), *text_size(text, size)))
     return found

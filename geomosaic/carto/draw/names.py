@@ -47,19 +47,22 @@ def place_names(page: Page, layers: Sequence[Overlay], placer: Placer) -> tuple[
             label = layer.style.label
             if label is None:
                 continue
+            wanted: set[str] = set()
             radius = (
                 max((g.symbol.marker.size / 2 for g in layer.groups if g.symbol.marker), default=0.0) + placer.gap + 0.2
             )
             for name in _merged(layer.names) if kind == "line" else layer.names:
                 for ways in _ways(page, name, kind, label, radius):
+                    wanted.add(name.text)
                     if kind != "point":
                         ways = [way for way in ways if not _said(found, name.text, label, way)]
-                    if not ways:
-                        continue
                     placed = placer.place_pieces(name.text, ways, kind == "line")
-                    left_out += placed is None
                     if placed is not None:
                         found.append((placed, label))
+                    elif kind == "point":
+                        left_out += 1
+            if kind != "point":  # objects of one name need it once
+                left_out += len(wanted - {item.text for item, lab in found if lab is label})
     return found, left_out
 
 

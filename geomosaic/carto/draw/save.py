@@ -102,7 +102,8 @@ def write_sheet(
     if suffix == ".pdf":
         with under_construction(path) as file:
             canvas.save_pdf(file, parts.layout.sheet.title or "Map sheet")
-            add_georeference(file, page)
+            if not add_georeference(file, page):
+                told.append("the PDF has no georeference: a corner of the map lies beyond the globe")
     else:
         with under_construction(path) as file:
             _png(file, canvas, dpi)

@@ -36,6 +36,10 @@ def bar_length(longest: float) -> float:
     return max(power * step for step in STEPS if power * step <= longest * (1 + 1e-9))
 
 
+SHORTEST = 10.0
+"""Length of a bar in mm that its figures need."""
+
+
 def scale_text(scale: float) -> str:
     """Write the scale as a fraction: '1 : 25 000'."""
     return f"1 : {grouped(scale, 0 if abs(scale - round(scale)) < 1e-6 else 1)}"
@@ -72,13 +76,19 @@ def draw_scale(canvas: Canvas, page: Page, layout: Layout, middle: float, top: f
             where="[scalebar] length",
             mend="give a shorter one",
         )
+    if wanted is not None and wanted * per_metre < SHORTEST:
+        raise InputError(
+            f"a scale bar of {wanted:g} m measures {wanted * per_metre:.2g} mm, too little for its figures",
+            where="[scalebar] length",
+            mend=f"give at least {bar_length(2.0 * SHORTEST / per_metre):g} m",
+        )
     length = wanted or bar_length(longest / per_metre)
     kilometres = length >= 2000.0
     _bar(canvas, middle - length * per_metre / 2, y, length * per_metre, length / (1000.0 if kilometres else 1.0),
          "km" if kilometres else "m", above=True)  # fmt: skip
     if not layout.scalebar.feet:
         return y - 2 * ROW
-    feet = bar_length(length / FOOT_M)
+    feet = bar_length(max(length, SHORTEST / per_metre) / FOOT_M)
     y -= 2 * ROW + 0.7
     _bar(canvas, middle - length * per_metre / 2, y, feet * FOOT_M * per_metre, feet, "ft", above=False)
     return y - 2 * ROW - 3.0

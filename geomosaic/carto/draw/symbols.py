@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.carto.contours import Contour
-from geomosaic.carto.contrast import halo_of
+from geomosaic.carto.contrast import halo_of, legend_line
 from geomosaic.carto.draw.canvas import Canvas
 from geomosaic.carto.layout import ContoursPart
 from geomosaic.carto.overlay import Overlay, parts_of
@@ -63,6 +63,8 @@ def draw_swatch(canvas: Canvas, symbol: Symbol, kinds: set[str], box: Box) -> No
             _line(canvas, [ring], symbol.line, casing=False)
     elif "line" in kinds and symbol.line is not None:
         path = np.array([(left, middle), (right, middle)])
+        if symbol.line.casing is None:  # light lines would not be seen on the paper
+            _line(canvas, [path], legend_line(symbol.line.color, symbol.line.width), casing=True)
         _line(canvas, [path], symbol.line, casing=True)
         _line(canvas, [path], symbol.line, casing=False)
     if "point" in kinds and symbol.marker is not None:

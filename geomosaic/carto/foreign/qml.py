@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from xml.etree.ElementTree import Element
 
-from geomosaic.carto.foreign.told import Told, mixed
+from geomosaic.carto.foreign.told import Told, dashes, mixed
 from geomosaic.carto.style import MARKERS, Fill, Label, Line, Marker, Rule, Style, Symbol
 
 UNITS = {"MM": 1.0, "Point": 25.4 / 72, "Inch": 25.4, "Pixel": 25.4 / 96}
@@ -94,6 +94,7 @@ def _symbol(node: Element, told: Told) -> Symbol:
     line: Line | None = None
     fill: Fill | None = None
     marker: Marker | None = None
+    seen: set[str] = set()
     for layer in node.findall("layer"):
         if layer.get("enabled", "1") == "0":
             continue
@@ -103,10 +104,15 @@ def _symbol(node: Element, told: Told) -> Symbol:
             told.say(f"values of {kind} that come from the data")
         if kind in _SAID:
             _moved(kind, said, told)
+        if kind in seen and kind != "SimpleLine":
+            told.say(f"more than one {kind}, the last one drawn")
+        seen.add(kind)
         if kind not in _SAID:
             told.say(f"symbol layer '{kind}'")
         elif kind == "SimpleLine":
             drawn = _line(said, "line_color", "line_width", "line_style", opacity, told)
+            if line is not None and line.casing is not None:
+                told.say("more than two strokes of a line")
             if line is not None and drawn is not None:
                 # Two strokes: the lower, wider one is the casing.
                 lower, upper = (line, drawn) if line.width >= drawn.width else (drawn, line)
@@ -119,7 +125,7 @@ def _symbol(node: Element, told: Told) -> Symbol:
                     told.say(f"fill pattern '{said['style']}', filled evenly")
                 color, alpha = _color(said.get("color", ""), told)
                 fill = Fill(color, alpha * opacity)
-            line = _line(said, "outline_color", "outline_width", "outline_style", opacity, told)
+            line = _line(said, "outline_color", "outline_width", "outline_style", opacity, told) or line
         else:
             shape = SHAPES.get(said.get("name", "circle"), said.get("name", "circle"))
             if shape not in MARKERS:
@@ -150,7 +156,7 @@ def _line(said: Mapping[str, str], color: str, width: str, style: str, opacity: 
     dash: tuple[float, ...] = ()
     if said.get("use_custom_dash") == "1":
         scale = _unit(said, "customdash", told)
-        dash = tuple(float(v) * scale for v in said.get("customdash", "").split(";") if v)
+        dash = dashes((float(v) * scale for v in said.get("customdash", "").split(";") if v), told)
     elif kind != "solid":
         # Dashes of Qt, in widths of the line.
         known = {"dash": (4, 2), "dot": (1, 2), "dash dot": (4, 2, 1, 2), "dash dot dot": (4, 2, 1, 2, 1, 2)}
@@ -202,6 +208,14 @@ def _label(node: Element | None, told: Told) -> Label | None:
     if unit not in UNITS:
         told.say(f"text sizes in '{unit}', taken as points")
     size *= UNITS.get(unit, UNITS["Point"]) / UNITS["Point"]
+    if style.get("capitalization", "0") != "0" or style.get("fontCapitals", "0") != "0":
+        told.say("capitals of labels")
+    drawn = node.find("settings/background")
+    if drawn is not None and drawn.get("shapeDraw") == "1":
+        told.say("backgrounds of labels")
+    scales = node.find("settings/rendering")
+    if scales is not None and scales.get("scaleVisibility") == "1":
+        told.say("labels at some scales only, drawn at this one")
     buffer = style.find("text-buffer")
     halo, wide = None, 0.5
     if buffer is not None and buffer.get("bufferDraw") == "1":

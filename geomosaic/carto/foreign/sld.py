@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from xml.etree.ElementTree import Element
 
-from geomosaic.carto.foreign.told import Told
+from geomosaic.carto.foreign.told import Told, dashes
 from geomosaic.carto.style import Fill, Label, Line, Marker, Rule, Style, Symbol
 
 PIXEL = 0.28
@@ -184,18 +184,32 @@ def _said(node: Element, told: Told) -> dict[str, str]:
     for child in node:
         if _tag(child) not in ("CssParameter", "SvgParameter"):
             told.say(f"{_tag(child)} in a {_tag(node).lower()}")
-    return {
-        child.get("name", ""): (child.text or "").strip()
-        for child in node
-        if _tag(child) in ("CssParameter", "SvgParameter") and not len(child)
-    }
+    found = {}
+    for child in node:
+        if _tag(child) in ("CssParameter", "SvgParameter"):
+            value = _value(child, told)
+            if value:
+                found[child.get("name", "")] = value
+    return found
+
+
+def _value(node: Element | None, told: Told) -> str:
+    """Text of a parameter, or of the one literal that it holds; '' of an expression, which is told."""
+    if node is None:
+        return ""
+    if not len(node):
+        return (node.text or "").strip()
+    if len(node) == 1 and _tag(node[0]) == "Literal" and not len(node[0]):
+        return (node[0].text or "").strip()
+    told.say(f"an expression as {node.get('name') or _tag(node)}")
+    return ""
 
 
 def _stroke(node: Element | None, unit: float, told: Told) -> Line | None:
     if node is None:
         return None
     said = _said(node, told)
-    dash = tuple(float(v) * unit for v in said.get("stroke-dasharray", "").replace(",", " ").split())
+    dash = dashes((float(v) * unit for v in said.get("stroke-dasharray", "").replace(",", " ").split()), told)
     return Line(
         _hex(said.get("stroke", "#000000"), told), float(said.get("stroke-width", "1")) * unit, dash,
         opacity=float(said.get("stroke-opacity", "1")),
@@ -218,7 +232,7 @@ def _mark(node: Element, unit: float, told: Told) -> Marker | None:
     said = {} if inside is None else _said(inside, told)
     color = _hex(said.get("fill", "#808080"), told)
     opacity = float(said.get("fill-opacity", "1")) * float(_own(graphic, "Opacity") or 1.0)
-    size = float(_text(graphic, "Size") or 6.0) * unit
+    size = float(_value(_find(graphic, "Size"), told) or 6.0) * unit
     edge, wide = ("#000000", 0.0) if stroke is None else (stroke.color, stroke.width)
     return Marker(SHAPES.get(name, "circle"), size, color, edge, wide, opacity)
 
@@ -247,6 +261,8 @@ def _label(node: Element, unit: float, told: Told) -> Label | None:
 
 
 def _hex(text: str, told: Told) -> str:
+    if len(text) == 4 and text.startswith("#"):
+        text = "#" + "".join(2 * c for c in text[1:])
     if len(text) == 7 and text.startswith("#") and all(c in "0123456789abcdefABCDEF" for c in text[1:]):
         return text.lower()
     told.say(f"colour '{text}', drawn black")

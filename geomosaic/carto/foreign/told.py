@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 
 class Told:
     """A list of remarks."""
@@ -12,6 +14,17 @@ class Told:
     def say(self, what: str) -> None:
         """Remember something."""
         self.remarks[what] = None
+
+
+def dashes(parts: Iterable[float], told: Told) -> tuple[float, ...]:
+    """Lengths of stroke and gap; none of what is no such thing."""
+    found = tuple(parts)
+    if not any(found):  # a line without gaps
+        return ()
+    if all(part > 0 for part in found):
+        return found
+    told.say(f"dashes {', '.join(f'{part:g}' for part in found)}, drawn whole")
+    return ()
 
 
 def mixed(color: str, opacity: float) -> str:

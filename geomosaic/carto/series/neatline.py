@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
+from geomosaic.carto.extent import Extent, extent_of
+from geomosaic.carto.extent import outline as around
 from geomosaic.carto.series.mgrs import outline
 from geomosaic.carto.series.scheme import Scheme
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import parse_crs
+from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.transform import Transform
 from geomosaic.types import FloatArray
@@ -95,23 +97,22 @@ def sheets_on(scheme: Scheme, map_crs: CRS, bounds: Bounds) -> Iterator[str]:
     """
     from shapely import Polygon, box
 
-    left, bottom, right, top = bounds
-    corners = np.array([(left, bottom), (right, bottom), (right, top), (left, top)])
-    seen = Transform(map_crs, parse_crs(scheme.crs))(outline(corners, PARTS))
-    if not np.isfinite(seen).all():
+    crs = parse_crs(scheme.crs)
+    there = Transform(map_crs, crs)
+    if not np.isfinite(there(around(bounds))).all():
         raise InputError(f"the area has no coordinates in {scheme.crs}", mend="use another scheme")
+    extent = extent_of(horizontal(crs), there, Transform(crs, map_crs), bounds)
     area = box(*bounds)
-    names = dict.fromkeys(name for around in _around(seen, parse_crs(scheme.crs)) for name in scheme.within(around))
+    names = dict.fromkeys(name for part in _boxes(extent) for name in scheme.within(part))
     for name in names:
         part = Polygon(sheet_place(scheme, name, map_crs).ring).intersection(area)
         if part.area > 1e-9 * area.area:
             yield name
 
 
-def _around(places: FloatArray, crs: CRS) -> list[Bounds]:
-    """Smallest box around places (N, 2), or one on each side of the 180th meridian where they lie across it."""
-    (left, bottom), (right, top) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
-    x = places[:, 0]
-    if crs.is_geographic and right - left > 180.0 and np.ptp(x % 360.0) < 180.0:
-        return [(float(x[x > 0].min()), bottom, 180.0, top), (-180.0, bottom, float(x[x <= 0].max()), top)]
+def _boxes(extent: Extent) -> list[Bounds]:
+    """The box of an extent, or one on each side of the 180th meridian where it lies across it."""
+    (left, bottom), (right, top) = extent.low.tolist(), extent.high.tolist()
+    if extent.turns and right > 180.0:
+        return [(left, bottom, 180.0, top), (-180.0, bottom, right - 360.0, top)]
     return [(left, bottom, right, top)]

@@ -54,19 +54,30 @@ def _topic(name: str, relations: Sequence[Relation]) -> click.Command:
     formulas = "\n".join(f"  {relation.formula}\n      {relation.source}" for relation in relations)
 
     def call(as_json: bool, **given: float | None) -> None:
-        from geomosaic.plan.solve import derive
+        from geomosaic.plan.solve import bound, derive, limits
 
         known = {key: value for key, value in given.items() if value is not None}
         found = derive(relations, known)
-        facts = {
+        derived = {item.name: item.value for item in found}
+        facts: dict[str, object] = {
             "given": known,
-            "derived": {item.name: item.value for item in found},
+            "derived": derived,
             "formulas": {item.name: item.relation.formula for item in found},
         }
-        width = max(len(QUANTITIES[item.name].text) for item in found)
+        used = [item.relation for item in found]
+        kept = [item for item in limits(relations, known | derived) if item.relation not in used]
+        if kept:
+            facts["limits"] = {item.name: {"limit": item.limit, "kept": item.kept} for item in kept}
+        width = max(len(QUANTITIES[name].text) for name in [*derived, *(item.name for item in kept)])
         lines = [
             f"{QUANTITIES[item.name].text:<{width}}  {shown(item.name, item.value):>12}   {item.relation.formula}"
             for item in found
+        ]
+        lines += [
+            f"{QUANTITIES[item.name].text:<{width}}  {shown(item.name, (known | derived)[item.name]):>12}   "
+            f"{'keeps' if item.kept else 'MISSES'} {bound(item.relation)} {shown(item.name, item.limit)}: "
+            f"{item.relation.formula}"
+            for item in kept
         ]
         answer(facts, "\n".join(lines), as_json)
 

@@ -18,7 +18,7 @@ from geomosaic.carto.layout import Layout
 from geomosaic.carto.picture import raster_grid
 from geomosaic.carto.series.neatline import SheetPlace, sheet_place, sheets_on
 from geomosaic.carto.series.scheme import Scheme
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Bounds
 from geomosaic.product.maps.series_folder import (
@@ -34,7 +34,6 @@ from geomosaic.product.maps.series_folder import (
 )
 from geomosaic.product.maps.sheet import VectorInput, make_sheet
 from geomosaic.raster.checksum import Hashes, sha256
-from geomosaic.raster.output import check_output
 from geomosaic.raster.source import Source
 
 MOST_SHEETS = 5000
@@ -135,7 +134,11 @@ def make_series(
         order.append((place, path))
         state = state_of(path, record["sheets"].get(path.name), key)
         if state == "foreign":
-            check_output(path, overwrite=False)
+            raise OutputExistsError(
+                "a file stands where a sheet of the series belongs, and was not made with it",
+                where=str(path),
+                mend="move it away, or give another folder",
+            )
         entry = {
             "key": key,
             "name": name,

@@ -24,6 +24,7 @@ from geomosaic.carto.picture import picture, raster_grid
 from geomosaic.carto.series.neatline import SheetPlace
 from geomosaic.errors import GeomosaicWarning
 from geomosaic.geo.crs import geographic, is_local, parse_crs
+from geomosaic.geo.grid import Bounds
 from geomosaic.geo.local import map_place
 from geomosaic.product.maps.enhance import band_curves, finishing, shown_bands
 from geomosaic.product.maps.layer import VectorInput, read_overlay
@@ -127,6 +128,8 @@ def make_sheet(
         if series is not None:
             layout = of_series(layout, series)
         page = lay_out(layout, grid.crs, grid.bounds, str(raster))
+        if series is None and layout.map.bounds is None:
+            _warn_of_what_is_cut(page, grid.bounds)
         if series is not None and len(series.ring) > 4:
             page = replace(page, outline=tuple((float(x), float(y)) for x, y in series.ring))
         dpi = layout.sheet.dpi
@@ -222,6 +225,18 @@ def _grid(part: GridPart, page: Page, spacing: float) -> MapGrid | None:
     else:
         crs = geographic(page.crs)
     return map_grid(crs, page.crs, page.bounds, spacing / page.mm_per_unit, part.interval)
+
+
+def _warn_of_what_is_cut(page: Page, whole: Bounds) -> None:
+    """Say so where the paper shows a part of the picture only, which nobody asked for by its bounds."""
+    shown = [(page.bounds[k + 2] - page.bounds[k]) / (whole[k + 2] - whole[k]) for k in (0, 1)]
+    if min(shown) < 1.0 - 1e-6:
+        warnings.warn(
+            f"at 1:{page.scale:g} the paper shows {min(shown[0], 1.0):.0%} of the picture's width and "
+            f"{min(shown[1], 1.0):.0%} of its height; a smaller scale or a larger paper shows all",
+            GeomosaicWarning,
+            stacklevel=3,
+        )
 
 
 def _warn_of_glyphs(parts: SheetParts) -> None:

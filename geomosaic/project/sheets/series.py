@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.carto.draw.save import FileOptions
+from geomosaic.carto.overlay import missing
 from geomosaic.carto.series.catalogue import scheme as by_name
 from geomosaic.carto.series.neatline import sheet_place
 from geomosaic.carto.series.regular import Polygons
@@ -48,7 +49,11 @@ def read_scheme(
             mend=f"--name-column: {', '.join(map(str, frame.columns))}",
         )
     rings: dict[str, Any] = {}
-    for name, geometry in zip(frame[name_column], frame.geometry, strict=True):
+    for number, (name, geometry) in enumerate(zip(frame[name_column], frame.geometry, strict=True), start=1):
+        if missing(name):
+            raise InputError(
+                f"polygon {number} has no name in column '{name_column}'", where=polygons, mend="give each a name"
+            )
         if geometry is None or geometry.geom_type != "Polygon" or not geometry.is_valid or len(geometry.interiors):
             raise InputError(
                 f"sheet '{name}' is no simple polygon", where=polygons, mend="one outer ring each, no holes"
