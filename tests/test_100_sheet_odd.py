@@ -243,7 +243,7 @@ def test_names_that_fit_nowhere_are_counted(raster: Path, tmp_path: Path, capsys
         ("[scalebar]\nlength = 0.01\n", (), "too little for its figures"),
         (
             "",
-            ("--scale", "1:5000", "--paper", "A4", "--bounds", "LEFT", "BOTTOM", "RIGHT", "TOP"),
+            ("--scale", "1:5000", "--paper", "A4", "--bounds", "L", "B", "R", "T"),
             "the paper has room",
         ),
     ],
