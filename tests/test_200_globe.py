@@ -101,3 +101,53 @@ def test_limits_of_maps() -> None:
     assert not domain(CRS("EPSG:3857")).folds
     assert domain(CRS("EPSG:8857")).folds
     assert not domain(CRS("EPSG:32633")).torn
+
+
+@pytest.mark.parametrize(
+    ("code", "place", "step"),
+    [("EPSG:26791", (-93.62, 49.28), "80"), ("EPSG:5513", (14.4, 50.1), "30"), ("EPSG:2964", (-150.0, 64.0), "80")],
+)
+def test_what_two_operations_join_is_whole(
+    code: str, place: tuple[float, float], step: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """PROJ may go to another datum and back by two operations that differ by metres: no place is lost by that."""
+    path, out = tmp_path / "small.tif", tmp_path / "out.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", width=100, height=100, count=1, dtype="uint8", crs="EPSG:4326",
+        transform=Affine(0.001, 0, place[0], 0, -0.001, place[1]),
+    ) as file:  # fmt: skip
+        file.write(np.full((1, 100, 100), 7, np.uint8))
+    assert run(["reproject", str(path), "--dst-crs", code, "--res", step, "-o", str(out), "--json"]) == 0
+    capsys.readouterr()
+    with rasterio.open(out) as file:
+        row, col = np.mgrid[0 : file.height, 0 : file.width]
+        x, y = file.transform @ (col + 0.5, row + 0.5)
+        lon, lat = Transformer.from_crs(file.crs, "EPSG:4326", always_xy=True).transform(x, y)
+        inside = (np.abs(lon - place[0] - 0.05) < 0.049) & (np.abs(lat - place[1] + 0.05) < 0.049)
+        assert inside.sum() > 1000
+        assert (file.read_masks(1)[inside] > 0).all()
+
+
+def test_a_small_sheet_of_two_datums_is_no_globe() -> None:
+    """Its graticule on another datum has lines of its own size."""
+    from geomosaic.carto.lines import map_grid
+
+    bounds = (1889390.67 - 150, 994393.7 - 150, 1889390.67 + 150, 994393.7 + 150)
+    grid = map_grid(CRS("EPSG:4326"), CRS("EPSG:26791"), bounds, 60.0)
+    assert grid.interval < 0.01
+    assert {line.axis for line in grid.lines} == {0, 1}
+
+
+def test_axes_that_go_west(globe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A cylinder whose x grows westwards shows each place once, too."""
+    crs, out = "+proj=eqc +axis=wnu +datum=WGS84 +type=crs", tmp_path / "west.tif"
+    assert run(["reproject", str(globe), "--dst-crs", crs, "--res", "100000", "-o", str(out), "--json"]) == 0
+    capsys.readouterr()
+    with rasterio.open(out) as file:
+        assert (file.read_masks(1) > 0).mean() > 0.98
+
+
+def test_cones_of_the_south() -> None:
+    """The hemisphere of a cone is that of its standard parallels, wherever its coordinates begin."""
+    assert domain(CRS("EPSG:3577")).south == -90.0
+    assert domain(CRS("EPSG:2154")).north == 90.0

@@ -137,7 +137,7 @@ def cut_evenly(path: FloatArray, most: float) -> list[FloatArray]:
 
 
 def letters_of(text: str) -> list[str]:
-    """Letters of a text, each with its marks; the text whole where its script joins letters or runs left."""
+    """Letters of a text, each with its marks; the text whole where its script runs from right to left."""
     if any(unicodedata.bidirectional(c) in ("R", "AL") for c in text):
         return [text]
     found: list[str] = []

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
+from geomosaic.geo.crs import horizontal
+from geomosaic.geo.domain import Rim, domain
 from geomosaic.geo.grid import Bounds
+from geomosaic.geo.transform import Transform
 from geomosaic.types import FloatArray
 
 SAMPLES = 65
@@ -17,8 +19,6 @@ SAMPLES = 65
 
 HAIR = 1e-6
 """Part of a sheet's size within which places are one."""
-
-Move = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -36,14 +36,14 @@ class Extent:
     turns: bool = False
 
 
-def extent_of(crs: CRS, there: Move, back: Move, bounds: Bounds) -> Extent:
+def extent_of(crs: CRS, there: Transform, back: Transform, bounds: Bounds) -> Extent:
     """Find what a sheet shows of a grid.
 
     Parameters
     ----------
     crs : CRS
         Of the grid, horizontal.
-    there, back : callable
+    there, back : Transform
         From the map to the grid, and from the grid to the map.
     bounds : Bounds
         Neatline in the map's CRS.
@@ -51,7 +51,8 @@ def extent_of(crs: CRS, there: Move, back: Move, bounds: Bounds) -> Extent:
     Raises
     ------
     InputError
-        The grid is not defined here.
+        A projected grid is not defined here. Of longitude and latitude the whole globe is taken where the sheet
+        reaches beyond it.
     """
     ring = outline(bounds)
     edge = there(ring)
@@ -60,8 +61,9 @@ def extent_of(crs: CRS, there: Move, back: Move, bounds: Bounds) -> Extent:
             raise InputError(f"the grid of '{crs.name}' is not defined on this sheet", mend="choose another grid CRS")
         return Extent(edge.min(axis=0), edge.max(axis=0))
     hair = HAIR * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
-    with np.errstate(invalid="ignore"):
-        whole = bool((np.abs(back(edge) - ring).max(axis=1) < 1e4 * hair).all())  # the ways may be two operations
+    own = horizontal(there.source)
+    folded = own.is_projected and domain(own).folds and bool(Rim.of(own).beyond(ring).any())
+    whole = bool(np.isfinite(edge).all()) and not folded
     poles = {sign: place for sign in (1.0, -1.0) if (place := _pole(back, sign, bounds, hair)) is not None}
     if not whole or len(poles) == 2:  # a sheet that is wider than the globe
         return Extent(np.array([-180.0, -90.0]), np.array([180.0, 90.0]), turns=True)
@@ -77,7 +79,7 @@ def extent_of(crs: CRS, there: Move, back: Move, bounds: Bounds) -> Extent:
     return Extent(np.array([-180.0, low]), np.array([180.0, high]), pole, per_unit, turns=True)
 
 
-def _pole(back: Move, sign: float, bounds: Bounds, hair: float) -> FloatArray | None:
+def _pole(back: Transform, sign: float, bounds: Bounds, hair: float) -> FloatArray | None:
     """Where a pole is a point inside a neatline or on it."""
     places = back(np.array([[0.0, sign * 90.0], [90.0, sign * 90.0]]))
     x, y = places[0]

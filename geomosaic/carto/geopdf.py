@@ -17,8 +17,8 @@ from pyproj.enums import WktVersion
 from geomosaic.carto.nice import metres_per_unit
 from geomosaic.carto.page import Box, Page
 from geomosaic.geo.area import longitude_latitude
-from geomosaic.geo.crs import horizontal, is_local, longitude_latitude_crs
-from geomosaic.geo.transform import Transform
+from geomosaic.geo.crs import horizontal, is_local
+from geomosaic.geo.domain import Rim
 
 _CORNERS = ((0, 0), (0, 1), (1, 1), (1, 0))
 
@@ -83,8 +83,7 @@ def viewport(page: Page) -> str:
     left, bottom, right, top = page.bounds
     xy = np.array([(left + u * (right - left), bottom + v * (top - bottom)) for u, v in _CORNERS])
     places = longitude_latitude(xy, page.crs)
-    back = Transform(longitude_latitude_crs(horizontal(page.crs)), horizontal(page.crs))(places)
-    if not (np.abs(back - xy).max(axis=1) < 1e-3 * max(right - left, top - bottom)).all():
+    if not np.isfinite(places).all() or Rim.of(page.crs).beyond(xy).any():
         return ""
     gpts = " ".join(f"{lat:.10f} {lon:.10f}" for lon, lat in places)
     lpts = " ".join(f"{u} {v}" for u, v in _CORNERS)

@@ -91,7 +91,7 @@ class MapGrid:
             if not line.axis and abs(abs(line.value) - 180.0) < 1e-9:
                 return angle_text(180.0, self.intervals[0])  # east and west are one there
             return angle_text(line.value, self.intervals[line.axis], signs=signs)
-        return grouped(line.value, decimals(self.interval, 3))
+        return grouped(line.value, decimals(self.intervals[line.axis], 3))
 
 
 def map_grid(crs: CRS, map_crs: CRS, bounds: Bounds, spacing: float, interval: float | None = None) -> MapGrid:

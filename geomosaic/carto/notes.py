@@ -10,7 +10,7 @@ from pyproj import CRS
 
 from geomosaic.carto.layout import Layout
 from geomosaic.carto.lines import MapGrid
-from geomosaic.carto.nice import angle_text, grouped
+from geomosaic.carto.nice import angle_text, decimals, grouped
 from geomosaic.carto.page import Page
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.local import MapPlace
@@ -45,7 +45,7 @@ def crs_words(page: Page, place: MapPlace | None, heights: str | None) -> list[s
     if flat.ellipsoid is not None:
         lines.append(f"Ellipsoid: {flat.ellipsoid.name}")
     least, most = place.scales
-    if most - least < 1e-4:
+    if not most - least >= 1e-4:  # or where they are no numbers
         lines.append(f"Point scale factor at the centre: {place.scale:.6f}")
     else:
         lines.append(f"Scale factors at the centre: {least:.4f} to {most:.4f} by direction")
@@ -63,7 +63,9 @@ def grid_words(grid: MapGrid) -> str:
         more = "" if meridians == parallels else f", meridians every {meridians}"
         return f"{grid.crs.name}, every {parallels}{more}"
     unit = grid.crs.axis_info[0].unit_name if grid.crs.axis_info else "units"
-    return f"{grid.crs.name}, every {grouped(grid.interval)}\u00a0{'m' if unit == 'metre' else unit}"
+    unit = "m" if unit == "metre" else unit
+    across, up = (f"{grouped(step, decimals(step, 3))}\u00a0{unit}" for step in grid.intervals)
+    return f"{grid.crs.name}, every {up}" + ("" if across == up else f", from west to east every {across}")
 
 
 def _short(step: str) -> str:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.geo.crs import longitude_latitude_crs
+from geomosaic.geo.crs import horizontal, longitude_latitude_crs
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.transform import Transform
+from geomosaic.types import BoolArray, FloatArray
 
 _CENTRE = (
     "Longitude of natural origin",
@@ -24,6 +25,9 @@ MERCATOR = 85.06
 """Latitude at which web maps end; the poles are infinitely far."""
 OTHER_POLE = 60.0
 """Latitude beyond the equator at which a conic or polar map ends: the other pole is infinitely far, or the rim."""
+
+APART = 1000.0
+"""Metres between a place and its copy beyond the rim of a map, at least."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,10 @@ def domain(crs: CRS) -> Domain:
     method = operation.method_name
     # Longitudes of a map count from its own prime meridian, in the units of its geographic CRS.
     centre = next((float(values[name]) for name in _CENTRE if name in values), 0.0)
-    latitude = next((float(v) for name, v in values.items() if name.startswith("Latitude of ")), 0.0)
+    # A cone is made for the hemisphere of its standard parallels, wherever its coordinates begin.
+    parallels = [float(v) for name, v in values.items() if "standard parallel" in name and name.startswith("Latitude")]
+    begins = next((float(v) for name, v in values.items() if name.startswith("Latitude of ")), 0.0)
+    latitude = sum(parallels) / len(parallels) if parallels else begins
     if "Polar" in method or abs(latitude) == 90.0:
         return Domain(None, 180.0, -OTHER_POLE, 90.0) if latitude > 0 else Domain(None, 180.0, -90.0, OTHER_POLE)
     if "Transverse Mercator" in method or "Gauss" in method:
@@ -87,13 +94,47 @@ def domain(crs: CRS) -> Domain:
     return Domain(centre, 180.0, -90.0, 90.0, folds="Cylindrical" not in method)
 
 
+@dataclass(frozen=True)
+class Rim:
+    """The curve or wedge in which a map of the globe ends, beyond which its formulas show places once more.
+
+    Attributes
+    ----------
+    to_degrees, to_map : Transform
+        Between the map and longitude and latitude on its own datum: one conversion both ways.
+    apart : float
+        Map units by which a place may miss itself on the way there and back; one beyond the rim misses by much more.
+    """
+
+    to_degrees: Transform
+    to_map: Transform
+    apart: float
+
+    @classmethod
+    def of(cls, crs: CRS) -> Rim:
+        """Rim of a projected CRS."""
+        flat = horizontal(crs)
+        there = Transform(flat, longitude_latitude_crs(flat))
+        return cls(there, there.inverse(), APART / float(flat.axis_info[0].unit_conversion_factor))
+
+    def beyond(self, xy: FloatArray) -> BoolArray:
+        """Which places (N, 2) of the map lie beyond its end."""
+        with np.errstate(invalid="ignore"):
+            within = np.abs(self.to_map(self.to_degrees(xy)) - xy).max(axis=1) < self.apart
+        missed: BoolArray = ~within
+        return missed
+
+
 def limits(crs: CRS) -> Bounds:
     """Left, bottom, right and top of the part that a map in a projected CRS shows in one piece, in the CRS."""
+    crs = horizontal(crs)
     shown = domain(crs)
     lon = (shown.centre or 0.0) + np.linspace(-1.0, 1.0, 145) * (shown.reach - 1e-9)  # both sides of the seam
     lat = np.linspace(shown.south, shown.north, 73)
     degrees = np.stack(np.meshgrid((lon + 180.0) % 360.0 - 180.0, lat), axis=-1).reshape(-1, 2)
     xy = Transform(longitude_latitude_crs(crs), crs)(degrees)
     xy = xy[np.isfinite(xy).all(axis=1)]
+    if not len(xy):
+        return -np.inf, -np.inf, np.inf, np.inf
     (left, bottom), (right, top) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
     return left, bottom, right, top

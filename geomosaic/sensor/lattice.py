@@ -119,21 +119,25 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
     divisible = half > 0 and max(window.width, window.height) > SMALLEST
     while True:
         places, nodes, exact = _sampled(mapper, grid, window, step, middle, half)
+        small = max(window.width, window.height) <= FIRST_STEP
         if np.isinf(before) and mapper.branch == 0.0 and mapper.torn(places):
             sides = mapper.beside()
             if not any(side.torn(_sampled(side, grid, window, step, middle, half)[0]) for side in sides):
                 return [lattice for side in sides for lattice in _build(side, grid, ground, window, tolerance)]
-            if max(window.width, window.height) > FIRST_STEP:  # a pole is among them
+            if not small:  # a pole is among them
                 return _parts(mapper, grid, ground, window, tolerance)
+        shown = np.isfinite(places).all(axis=-1)
+        if mapper.rim is not None and np.isinf(before) and not small and shown.any() and not shown.all():
+            return _parts(mapper, grid, ground, window, tolerance)  # only those at the rim are worth closer nodes
         levels = at_heights(nodes, (-1.0, 0.0, 1.0) if half else (0.0,))
         bounds = _bounds(levels)
-        least = CLOSE_STEP if max(window.width, window.height) <= FIRST_STEP else SMALLEST
-        if bounds is None and mapper.from_surface is not None and step > least:
+        if bounds is None and mapper.rim is not None and step > (CLOSE_STEP if small else SMALLEST):
             step //= 2  # the rim of the globe may pass between the nodes
             continue
         if bounds is None or _misses(bounds, mapper.model.size):
             return []
-        scale, close = _scale(nodes, step), step <= CLOSE_STEP
+        at_rim = mapper.rim is not None and not shown.all()
+        scale, close = _scale(nodes, step), step <= (1 if at_rim else CLOSE_STEP)
         cells = Cells(mapper, grid, window, step, middle, half, places, nodes, levels[::2], exact, scale)
         miss = cells.measure(tolerance / 2, thorough=close)
         good = not miss.error > tolerance / 2
@@ -145,7 +149,7 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
                 return _parts(mapper, grid, ground, window, tolerance)
         step, before = step // 2, miss.error
     made = Lattice(window, step, nodes, places[::2, ::2], middle, half, miss.error, bounds, scale, miss.seen, levels)
-    torn = miss.worst > (max(tolerance / 2, ROUNDING) if np.isfinite(places).all() else JUMP)
+    torn = miss.worst > max(tolerance / 2, ROUNDING if np.isfinite(places).all() else JUMP)
     return _mended(made, places, exact[0], miss.worst, torn, mapper.model.size) if step == 1 and not half else [made]
 
 

@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.geo.crs import has_heights, horizontal
-from geomosaic.geo.domain import domain, limits
+from geomosaic.geo.crs import has_heights, horizontal, longitude_latitude_crs
+from geomosaic.geo.domain import Domain, Rim, domain
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.turn import near, whole_turn
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import FloatArray
 
-BACK = 10.0
-"""Map units by which a place that is brought to degrees and back may miss itself; one beyond the rim is far away."""
 SLIVER = 1e-9
 """Degrees along a seam that belong to neither side."""
 
@@ -37,11 +35,12 @@ class MapToImage:
     turn : float, optional
         A whole turn of longitude, where the image lies in longitude and latitude: of places that are the same, the one
         nearest to its middle is meant.
-    from_surface : Transform, optional
-        The way back, where the output is a map of the globe and the image lies in longitude and latitude: a place
-        beyond the rim of the map, which some projections take for one on the other side, does not come back.
-    seam : tuple of float, optional
-        Of a cylindrical map, x in the middle and its longitude: a place beyond one side goes on from there.
+    rim : Rim, optional
+        End of the output's map, where that has one and the image lies in longitude and latitude: places beyond it are
+        none.
+    axis : tuple of float, optional
+        Of a cylindrical map, x in the middle, its longitude, and whether longitudes grow (1) or fall (-1) with x: a
+        place beyond one side goes on from there.
     branch : float
         Longitudes are those near the image's middle and so much farther east: half a turn brings together what lies
         on both sides of the seam of a picture of the whole globe.
@@ -51,8 +50,8 @@ class MapToImage:
     to_surface: Transform
     to_model: Transform
     turn: float | None = None
-    from_surface: Transform | None = None
-    seam: tuple[float, float] | None = None
+    rim: Rim | None = None
+    axis: tuple[float, float, float] | None = None
     branch: float = 0.0
 
     @classmethod
@@ -63,9 +62,10 @@ class MapToImage:
             there, turn = Transform(horizontal(output), flat), whole_turn(flat)
             if turn is None or not output.is_projected:
                 return cls(model, there, Transform(flat, flat), turn)
-            map_, shown = horizontal(output), domain(horizontal(output))
-            back = there.inverse() if shown.folds else None
-            return cls(model, there, Transform(flat, flat), turn, back, _seam(map_, there) if shown.torn else None)
+            shown = domain(horizontal(output))
+            rim = Rim.of(output) if shown.folds else None
+            axis = _axis(horizontal(output), there, shown) if shown.torn else None
+            return cls(model, there, Transform(flat, flat), turn, rim, axis)
         return cls(model, Transform(horizontal(output), horizontal(surface)), Transform(surface, model.crs))
 
     @property
@@ -76,18 +76,19 @@ class MapToImage:
     def surface_xy(self, xy: FloatArray) -> FloatArray:
         """Output map (N, 2) to the surface's map (N, 2)."""
         found = self.to_surface(xy)
-        if self.from_surface is not None:
-            away = np.abs(self.from_surface(found) - xy).max(axis=1)
-            found[~(away < BACK)] = np.nan
+        if self.rim is not None:
+            found[self.rim.beyond(xy)] = np.nan
         if self.turn is None:
             return found
-        if self.seam is None:
+        if self.axis is None:
             return near(found, self.model.seed[0] + self.branch, self.turn)
-        return self._beside_the_seam(xy, found, self.turn, *self.seam)
+        return self._beside_the_seam(xy, found, self.turn, *self.axis)
 
-    def _beside_the_seam(self, xy: FloatArray, found: FloatArray, turn: float, x: float, middle: float) -> FloatArray:
+    def _beside_the_seam(
+        self, xy: FloatArray, found: FloatArray, turn: float, x: float, middle: float, way: float
+    ) -> FloatArray:
         """Longitudes that go on beyond the sides of a map, turned as those just within are."""
-        side = np.where(xy[:, 0] < x, -1.0, 1.0)
+        side = np.where(xy[:, 0] < x, -way, way)
         off = (found[:, 0] - middle + turn / 2) % turn - turn / 2
         off += side * turn * (side * off < -turn / 4)
         within = found.copy()
@@ -117,9 +118,10 @@ class MapToImage:
         return self.image(self.surface_xy(xy), z)
 
 
-def _seam(output: CRS, there: Transform) -> tuple[float, float] | None:
-    """X in the middle of a cylindrical map, and its longitude."""
-    left, bottom, right, top = limits(output)
-    middle = (left + right) / 2
-    longitude = float(there(np.array([[middle, (bottom + top) / 2]]))[0, 0])
-    return (middle, longitude) if np.isfinite(longitude) else None
+def _axis(output: CRS, there: Transform, shown: Domain) -> tuple[float, float, float] | None:
+    """X in the middle of a cylindrical map, its longitude there, and the sign with which longitudes go along x."""
+    degrees = np.array([[shown.centre or 0.0, 0.0], [(shown.centre or 0.0) + 1.0, 0.0]])
+    middle, beside = Transform(longitude_latitude_crs(output), output)(degrees)
+    longitude = float(there(middle[None])[0, 0])
+    way = float(np.sign(beside[0] - middle[0]))
+    return (float(middle[0]), longitude, way) if way and np.isfinite(longitude) else None

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomosaic.carto.draw.fonts import CAP, FAMILY, families, lend, properties
+from geomosaic.carto.draw.fonts import CAP, FAMILY, lend, properties
+from geomosaic.carto.draw.letters import BREAKS, POINT, advance, outline, text_size
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
 if TYPE_CHECKING:
     from geomosaic.carto.page import Box
     from geomosaic.carto.place import Piece
-
-POINT = 25.4 / 72.0
-"""Millimetres in a point."""
 
 
 @contextmanager
@@ -42,45 +38,6 @@ def drawing(fonts: Sequence[str] = ()) -> Iterator[None]:
             yield
         finally:
             lend(())
-
-
-_BREAKS = dict.fromkeys((*range(32), 0x7F, 0x85, 0x2028, 0x2029), " ")
-"""Characters that would break a line, or have no form: one line of text has blanks in their place."""
-
-
-def text_size(text: str, size: float, bold: bool = False, italic: bool = False) -> tuple[float, float]:
-    """Width and height in mm of one line of text at a size in points; the height is that of capitals."""
-    return _text_size(text, size, bold, italic, families())
-
-
-@lru_cache(maxsize=4096)
-def _text_size(text: str, size: float, bold: bool, italic: bool, fonts: tuple[str, ...]) -> tuple[float, float]:
-    if not text.strip():
-        return 0.0, size * CAP * POINT
-    # Control points of the outline's curves reach a little beyond it, which is on the safe side.
-    return float(_outline(text, size, bold, italic).vertices[:, 0].max()) * POINT, size * CAP * POINT
-
-
-def advances(letters: Sequence[str], size: float, bold: bool = False, italic: bool = False) -> list[float]:
-    """How far each letter takes the pen, in mm: to the next one, kerned, or past its own ink at the end."""
-    found = []
-    for letter, after in itertools.pairwise([*letters, ""]):
-        if not after:
-            found.append(_advance(letter, size, bold, italic))
-        else:
-            found.append(_advance(letter + after, size, bold, italic) - _advance(after, size, bold, italic))
-    return found
-
-
-def _advance(text: str, size: float, bold: bool, italic: bool) -> float:
-    """Width with the room that the font leaves before what comes next, mm."""
-    return text_size(text + "|", size, bold, italic)[0] - text_size("|", size, bold, italic)[0]
-
-
-def _outline(text: str, size: float, bold: bool, italic: bool) -> Any:
-    from matplotlib.textpath import TextPath
-
-    return TextPath((0, 0), text.translate(_BREAKS).replace("$", r"\$"), size=size, prop=properties(bold, italic))
 
 
 class Canvas:
@@ -255,7 +212,7 @@ class Canvas:
         self, x: float, y: float, text: str, size: float, angle: float, color: str, bold: bool, italic: bool
     ) -> None:
         drawn = self.axes.text(
-            x, y, text.translate(_BREAKS), fontproperties=properties(bold, italic), fontsize=size, color=color,
+            x, y, text.translate(BREAKS), fontproperties=properties(bold, italic), fontsize=size, color=color,
             rotation=angle, rotation_mode="anchor", ha="left", va="baseline", parse_math=False,
         )  # fmt: skip
         self._add(drawn)
@@ -269,9 +226,9 @@ class Canvas:
         from matplotlib.transforms import Affine2D
 
         place = Affine2D().scale(POINT).rotate_deg(angle).translate(x, y)
-        shapes = [_outline(text, size, bold, italic)] if text.strip() else []
+        shapes = [outline(text, size, bold, italic)] if text.strip() else []
         if bridge:
-            end, low, high = _advance(text, size, bold, italic) / POINT, 0.3 * size * CAP, 0.7 * size * CAP
+            end, low, high = advance(text, size, bold, italic) / POINT, 0.3 * size * CAP, 0.7 * size * CAP
             shapes.append(Shape([(0, low), (end, low), (end, high), (0, high), (0, low)], closed=True))
         for shape in shapes:
             patch = PathPatch(

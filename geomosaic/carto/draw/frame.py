@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from geomosaic.carto.contrast import halo_of, on_paper
-from geomosaic.carto.draw.canvas import POINT, Canvas, text_size
+from geomosaic.carto.draw.canvas import Canvas
 from geomosaic.carto.draw.fonts import CAP
+from geomosaic.carto.draw.letters import POINT, text_size
 from geomosaic.carto.layout import GridPart
 from geomosaic.carto.lines import GridLine, MapGrid
 from geomosaic.carto.page import Page

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from geomosaic.carto.declination import Declination
-from geomosaic.carto.draw.canvas import POINT, Canvas, text_size
+from geomosaic.carto.draw.canvas import Canvas
 from geomosaic.carto.draw.fonts import CAP
+from geomosaic.carto.draw.letters import POINT, text_size
 from geomosaic.carto.draw.neighbours import INDEX, draw_index
 from geomosaic.carto.draw.north import BLOCK, draw_north, north_words
 from geomosaic.carto.draw.scale import draw_scale

@@ -11,7 +11,8 @@ import numpy as np
 from geomosaic.carto.along import along_bend, along_line, cut_evenly, letters_of
 from geomosaic.carto.contours import Contour
 from geomosaic.carto.contrast import halo_of
-from geomosaic.carto.draw.canvas import Canvas, advances, text_size
+from geomosaic.carto.draw.canvas import Canvas
+from geomosaic.carto.draw.letters import advances, text_size
 from geomosaic.carto.layout import ContoursPart
 from geomosaic.carto.overlay import Name, Overlay, parts_of
 from geomosaic.carto.page import Page

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from geomosaic.carto.draw.canvas import POINT, Canvas, text_size
+from geomosaic.carto.draw.canvas import Canvas
 from geomosaic.carto.draw.fonts import CAP
+from geomosaic.carto.draw.letters import POINT, text_size
 from geomosaic.carto.layout import Layout
 from geomosaic.carto.nice import grouped
 from geomosaic.carto.page import Page

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from geomosaic.carto.contrast import halo_of
-from geomosaic.carto.draw.canvas import Canvas, text_size
+from geomosaic.carto.draw.canvas import Canvas
+from geomosaic.carto.draw.letters import text_size
 from geomosaic.carto.layout import ContoursPart
 from geomosaic.carto.page import Page
 from geomosaic.carto.place import Placed, Placer, around_point
