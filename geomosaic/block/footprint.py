@@ -11,7 +11,7 @@ from pyproj import CRS
 from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic, horizontal
-from geomosaic.geo.domain import limits
+from geomosaic.geo.domain import GREAT, limits
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.turn import near, whole_turn
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 SIDE = 24
 """Points along each side of the image."""
-GREAT = 1e7
-"""Map units: an image that reaches so far may go around the map."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,6 +26,8 @@ MERCATOR = 85.06
 OTHER_POLE = 60.0
 """Latitude beyond the equator at which a conic or polar map ends: the other pole is infinitely far, or the rim."""
 
+GREAT = 1e7
+"""Map units: what reaches so far may go around a map of the globe, or over its end."""
 APART = 1000.0
 """Metres between a place and its copy beyond the rim of a map, at least."""
 

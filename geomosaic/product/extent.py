@@ -12,7 +12,7 @@ from geomosaic.block.scene import Scene
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.area import area_of_use, beyond, longitude_latitude
 from geomosaic.geo.crs import geographic, horizontal, longitude_latitude_crs
-from geomosaic.geo.domain import domain, limits
+from geomosaic.geo.domain import GREAT, domain, limits
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.surface.model import Surface
@@ -21,8 +21,6 @@ from geomosaic.surface.model import Surface
 _MOST, _TILE = 1 << 31, 512 * 512
 TORN = 100.0
 """Times that a metre on the ground may grow in the output, or be longer in one direction than in the other."""
-GREAT = 1e7
-"""Map units beyond which an output may reach over the end of its map."""
 FAR = 6.0
 """Degrees beyond the area of use of the output CRS, a zone's width, that are told."""
 
