@@ -54,7 +54,7 @@ def extent_of(crs: CRS, there: Transform, back: Transform, bounds: Bounds) -> Ex
         A projected grid is not defined here. Of longitude and latitude the whole globe is taken where the sheet
         reaches beyond it.
     """
-    ring = outline(bounds)
+    ring = around(bounds)
     edge = there(ring)
     if not crs.is_geographic:
         if not np.isfinite(edge).all():
@@ -87,15 +87,15 @@ def _pole(back: Transform, sign: float, bounds: Bounds, hair: float) -> FloatArr
     return places[0] if inside and np.abs(places[1] - places[0]).max() < hair else None
 
 
-def outline(bounds: Bounds) -> FloatArray:
+def around(bounds: Bounds) -> FloatArray:
     """Points around the neatline, counter-clockwise from the lower left corner."""
     left, bottom, right, top = bounds
-    t = np.arange(SAMPLES - 1) / (SAMPLES - 1)
-    xs, ys = left + t * (right - left), bottom + t * (top - bottom)
-    sides = [
-        (xs, np.full_like(xs, bottom)),
-        (np.full_like(ys, right), ys),
-        (right + left - xs, np.full_like(xs, top)),
-        (np.full_like(ys, left), top + bottom - ys),
-    ]
-    return np.concatenate([np.column_stack(side) for side in sides])
+    return outline(np.array([(left, bottom), (right, bottom), (right, top), (left, top)]), SAMPLES - 1)
+
+
+def outline(ring: FloatArray, parts: int) -> FloatArray:
+    """A ring with every side divided into parts, not closed."""
+    ahead = np.roll(ring, -1, axis=0)
+    share = np.arange(parts)[None, :, None] / parts
+    dense: FloatArray = (ring[:, None] * (1 - share) + ahead[:, None] * share).reshape(-1, 2)
+    return dense

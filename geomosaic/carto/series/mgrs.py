@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomosaic.carto.extent import outline
 from geomosaic.carto.series.scheme import DIRECTIONS, Cell, corners
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
@@ -188,11 +189,3 @@ class Mgrs:
 def utm(zone: int, band: str) -> str:
     """EPSG code of WGS 84 / UTM."""
     return f"EPSG:{(32600 if band >= 'N' else 32700) + zone}"
-
-
-def outline(ring: FloatArray, parts: int) -> FloatArray:
-    """A ring with every side divided into parts, not closed."""
-    ahead = np.roll(ring, -1, axis=0)
-    share = np.arange(parts)[None, :, None] / parts
-    dense: FloatArray = (ring[:, None] * (1 - share) + ahead[:, None] * share).reshape(-1, 2)
-    return dense

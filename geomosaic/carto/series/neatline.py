@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.carto.extent import Extent, extent_of
-from geomosaic.carto.extent import outline as around
-from geomosaic.carto.series.mgrs import outline
+from geomosaic.carto.extent import Extent, around, extent_of, outline
 from geomosaic.carto.series.scheme import Scheme
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_crs
