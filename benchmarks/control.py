@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ImageControl, Origin
-from geomosaic.control.reading import Reading
 from geomosaic.errors import SolveError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.product.georeference.examine import BadControlError
-from geomosaic.product.georeference.request import FitRequest
-from geomosaic.product.georeference.solution import solve
+from geomosaic.georeference.examination import BadControlError
+from geomosaic.georeference.request import FitRequest
+from geomosaic.georeference.solution import solve
 from geomosaic.types import FloatArray
 
 SIZE = np.array([4000, 3000])

@@ -11,12 +11,12 @@ from affine import Affine
 from PIL import Image, ImageDraw
 
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.product.blend.options import Blending, Width
-from geomosaic.product.mosaic_options import MosaicOptions
-from geomosaic.product.options import RenderOptions
-from geomosaic.project.area import Area
-from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import make_mosaic
+from geomosaic.inputs.area import Area
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.mosaic.blending.options import Blending, Width
+from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.render.options import RenderOptions
 from geomosaic.testing.synthetic import AnalyticGround
 
 SIZE, SHIFT, PIXEL = (360, 520), 240, 1.0

@@ -55,7 +55,7 @@ def head_of_report(folder: Path) -> Image.Image | None:
 
 def map_sheet(folder: Path) -> Image.Image:
     """The sheet of `docs/sheet/layout.toml`, of the demo's mosaic, as pixels."""
-    from geomosaic.project.sheets.sheet import sheet_from_files
+    from geomosaic.sheets.inputs import sheet_from_files
 
     sys.path.insert(0, str(SHEET))
     from make_map import make

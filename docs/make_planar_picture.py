@@ -10,11 +10,11 @@ import rasterio
 from PIL import Image, ImageDraw, ImageOps
 
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.product.mosaic_options import MosaicOptions
-from geomosaic.product.options import RenderOptions
-from geomosaic.project.area import Area
-from geomosaic.project.inputs import BlockInputs, PlanarInputs
-from geomosaic.project.make import make_planar_mosaic
+from geomosaic.inputs.area import Area
+from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
+from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.products.from_inputs import make_planar_mosaic
+from geomosaic.render.options import RenderOptions
 from geomosaic.testing.synthetic import AnalyticGround, render, synthetic_block
 
 CRS = "EPSG:32633"

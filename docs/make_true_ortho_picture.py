@@ -16,11 +16,11 @@ import rasterio
 sys.path.insert(0, "tests")
 from city_rig import CORNER, FOCAL, GROUND_CLASS, PIXEL, SIDE, WALL_CLASS, City, photograph
 
-from geomosaic.product.mosaic_options import MosaicOptions
-from geomosaic.product.options import RenderOptions
-from geomosaic.project.area import Area
-from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import make_mosaic
+from geomosaic.inputs.area import Area
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.render.options import RenderOptions
 
 PART = np.s_[230:470, 250:490]
 BOUNDS = (CORNER[0], CORNER[1], CORNER[0] + SIDE, CORNER[1] + SIDE)

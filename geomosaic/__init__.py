@@ -16,7 +16,7 @@ _HOMES = {
     "parse_crs": "geomosaic.geo.crs",
     "with_heights": "geomosaic.geo.crs",
     "Transform": "geomosaic.geo.transform",
-    "Parameters": "geomosaic.sensor.parameters",
+    "Parameters": "geomosaic.sensor.model",
     "SensorModel": "geomosaic.sensor.model",
     "SensorRequest": "geomosaic.sensor.plugin",
     "GeomosaicError": "geomosaic.errors",

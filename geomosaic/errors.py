@@ -1,6 +1,6 @@
-"""What can go wrong, said so that the reader can mend it.
+"""What can go wrong, said with a hint how to go on.
 
-GeomosaicError                what, where, mend; exit code 1
+GeomosaicError                what, where, hint; exit code 1
 ├── InputError                the user's files or values
 │   ├── HeightDatumError      heights whose vertical datum is missing, unknown or has no grid
 │   ├── RasterReadError       an image or DEM is missing, truncated or damaged
@@ -18,7 +18,7 @@ from collections.abc import Iterable
 
 
 class GeomosaicError(Exception):
-    """A failure with its place and its mend.
+    """A failure with its place and a hint.
 
     Parameters
     ----------
@@ -26,21 +26,21 @@ class GeomosaicError(Exception):
         What is wrong, in one sentence.
     where : str, optional
         File, line, image, point or option.
-    mend : str, optional
+    hint : str, optional
         What the reader can do about it.
     """
 
     exit_code = 1
 
-    def __init__(self, what: str, *, where: str | None = None, mend: str | None = None) -> None:
+    def __init__(self, what: str, *, where: str | None = None, hint: str | None = None) -> None:
         super().__init__(what)
         self.what = what
         self.where = where
-        self.mend = mend
+        self.hint = hint
 
     def __str__(self) -> str:
         text = f"{self.where}: {self.what}" if self.where else self.what
-        return f"{text}\n  mend: {self.mend}" if self.mend else text
+        return f"{text}\n  hint: {self.hint}" if self.hint else text
 
 
 class InputError(GeomosaicError):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.adjust.problem import Build, registry_build
+from geomosaic.orientation.single.problem import Build, registry_build
 from geomosaic.sensor.plugin import SensorRequest
 
 UTM = CRS.from_epsg(32633)

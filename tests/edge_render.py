@@ -12,10 +12,10 @@ from edge_rig import CORNER, SIZE, Rig, seam
 from scipy.interpolate import RectBivariateSpline
 
 from geomosaic.block.block import Block
-from geomosaic.product.mosaic import mosaic
-from geomosaic.product.mosaic_options import MosaicOptions
-from geomosaic.product.options import RenderOptions
-from geomosaic.project.area import Area, plan
+from geomosaic.inputs.area import Area, plan
+from geomosaic.mosaic.mosaic import mosaic
+from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.render.options import RenderOptions
 
 HALF_WIDTH = 2.5
 """Metres of a road, and pixels."""

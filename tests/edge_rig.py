@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.adjust.edges import CommonPoint
-from geomosaic.block.block import ControlPoint
-from geomosaic.block.scene import Scene
+from geomosaic.block.block import ControlPoint, Scene
+from geomosaic.orientation.edges import CommonPoint
 from geomosaic_planar import PlanarModel, fit_planar
 
 UTM = CRS.from_epsg(32633)

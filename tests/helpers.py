@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.grid import Window
-from geomosaic.sensor.parameters import Parameters
+from geomosaic.sensor.model import Parameters
 from geomosaic.surface.model import HeightPatch
 
 MAP = parse_crs("EPSG:32633")

@@ -9,12 +9,12 @@ import numpy as np
 import rasterio
 from affine import Affine
 
-from geomosaic.product.mosaic_options import MosaicOptions
-from geomosaic.product.mosaic_result import MosaicResult
-from geomosaic.product.options import RenderOptions
-from geomosaic.project.area import Area
-from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import make_mosaic
+from geomosaic.inputs.area import Area
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.mosaic.result import MosaicResult
+from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.render.options import RenderOptions
 
 LEFT, TOP = 500_000.37, 5_500_300.11
 

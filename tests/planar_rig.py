@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.adjust.planar.values import Control, PlanarBlock, PlanarPhoto, Tie
 from geomosaic.geo.crs import parse_crs, with_heights
+from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
 from geomosaic.testing.synthetic import AnalyticGround, PlainCamera, synthetic_block
 
 # --- Table 9-3 ------------------------------------------------------------------------------------------------------

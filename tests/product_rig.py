@@ -12,17 +12,16 @@ import numpy as np
 import rasterio
 from affine import Affine
 
-from geomosaic.block.block import Block
+from geomosaic.block.block import Block, Scene
 from geomosaic.block.footprint import Footprint
-from geomosaic.block.scene import Scene
 from geomosaic.geo.crs import horizontal, parse_crs, with_heights
 from geomosaic.geo.grid import Grid
-from geomosaic.product.extent import footprints, output_grid
-from geomosaic.product.mosaic import mosaic
-from geomosaic.product.mosaic_options import MosaicOptions
-from geomosaic.product.mosaic_result import MosaicResult
-from geomosaic.product.options import RenderOptions
-from geomosaic.product.ortho import OrthoResult, ortho
+from geomosaic.mosaic.mosaic import mosaic
+from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.mosaic.result import MosaicResult
+from geomosaic.render.extent import footprints, output_grid
+from geomosaic.render.options import RenderOptions
+from geomosaic.render.ortho import OrthoResult, ortho
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build
 from geomosaic.surface.dem import Dem

@@ -97,7 +97,7 @@ def test_bad_input(tell, block, tmp_path, kind):
     assert not list(out.iterdir())
     code, printed, err = tell(*words, "--json")
     assert code == 1
-    assert set(json.loads(printed)["error"]) == {"what", "where", "mend"}
+    assert set(json.loads(printed)["error"]) == {"what", "where", "hint"}
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no file size limits")

@@ -170,7 +170,7 @@ def test_sizes_are_read():
 
 
 def test_a_bug_is_told_as_one_and_ctrl_c_is_130(tell, monkeypatch):
-    import geomosaic.project.make as make
+    import geomosaic.products.from_inputs as make
 
     def fail(*_: object) -> None:
         raise RuntimeError("boom")

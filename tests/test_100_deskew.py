@@ -16,14 +16,14 @@ from rasterio.errors import NotGeoreferencedWarning
 
 from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning
-from geomosaic.product.options import RenderOptions
-from geomosaic.project.area import Area
-from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import make_ortho
+from geomosaic.inputs.area import Area
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.products.from_inputs import make_ortho
+from geomosaic.render.options import RenderOptions
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground
-from geomosaic.surface.plane import Plane
+from geomosaic.surface.reference_surfaces import Plane
 from geomosaic.types import FloatArray
 
 SIZE = (500, 400)

@@ -135,7 +135,7 @@ def test_errors_of_the_system_are_told_as_such(tmp_path):
     words = ["mosaic", str(image), "-o", str(tmp_path / "o.tif")]
     done = subprocess.run([*COMMAND, *words], check=False, capture_output=True, text=True)
     assert done.returncode == 1
-    assert done.stderr == f"error: {image}: the name is too long for this disk\n  mend: give a shorter name\n"
+    assert done.stderr == f"error: {image}: the name is too long for this disk\n  hint: give a shorter name\n"
 
 
 def wait_for(what: Callable[[], bool]) -> None:

@@ -103,7 +103,7 @@ def test_wrong_control_says_what_to_do(work, capsys):
         assert georeference("--gcps", name, "--crs", crs, "--model", model, "-o", "map.tif") == 1, name
         told = capsys.readouterr().err
         assert said in told, (name, told)
-        assert "mend: " in told
+        assert "hint: " in told
     assert not list(work.glob("map*"))
     # Insisting draws what can be drawn, and says the same.
     assert georeference("--gcps", blunder, "--crs", CRS, "--model", "affine", "--insist", "-o", "map.tif") == 0

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 from geomosaic.cli.commands.plan import command
 from geomosaic.cli.main import run
-from geomosaic.plan.relations import TOPICS
+from geomosaic.planning.relations import TOPICS
 
 
 def told(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
@@ -91,7 +91,7 @@ def test_words(capsys: pytest.CaptureFixture[str]) -> None:
     for words in (["control"], ["area", "--area", "1", "1", "--photo-scale", "1:1"], ["photo", "--scan-dpi", "254"]):
         assert run(["plan", *words]) == 0
     assert run(["plan", "photo", "--height", "3"]) == 1
-    assert "mend" in capsys.readouterr().err
+    assert "hint" in capsys.readouterr().err
     assert run(["plan", "photo", "--photo-scale", "2:5"]) == 2
     assert run(["plan", "photo", "--photo-scale", "1:0"]) == 2
 

@@ -43,7 +43,7 @@ def test_new_tells_what_does_not_fit_together(tell, block, tmp_path):
     code, out, _ = tell("new", file, *photos(block), *flags(block, exterior=far))
     assert code == 0
     assert "does not fit together" in out
-    assert "mend that first" in out
+    assert "correct that first" in out
     assert "run it" not in out
 
 

@@ -14,8 +14,8 @@ from pyproj import Transformer
 from spot_rig import SIZE, TO_LLH, Satellite, with_places
 
 from geomosaic.cli.main import run
-from geomosaic.project.build import build_block
-from geomosaic.project.inputs import BlockInputs
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.declarations import BlockInputs
 
 TOLD = Satellite(attitude=(0.0, 0.0, 0.0), rate=(0.0, 0.0, 0.0))
 BIASED = Satellite()

@@ -9,7 +9,7 @@ import numpy as np
 from cli_rig import PHOTOS
 from PIL import Image
 
-from geomosaic.jobs.facts import read_json
+from geomosaic.jobs.manifest import read_json
 
 
 class Page(HTMLParser):
@@ -49,7 +49,7 @@ def test_the_report_is_one_file_with_its_numbers(project):
 
 
 def test_what_files_are_called_cannot_become_part_of_the_page(project):
-    from geomosaic.product.report.report import render_html
+    from geomosaic.report.report import render_html
 
     output = project.parent / "output"
     data = read_json(output / "report.json")
@@ -64,8 +64,8 @@ def test_what_files_are_called_cannot_become_part_of_the_page(project):
 
 def test_numbers_of_the_report_have_the_decimals_their_units_ask_for(project):
     """A map in degrees and values between 0 and 1 are not rounded to nothing."""
-    from geomosaic.product.report.numbers import decimals
-    from geomosaic.product.report.report import render_html
+    from geomosaic.report.page import decimals
+    from geomosaic.report.report import render_html
 
     assert [decimals(scale) for scale in (500.0, 0.5, 9e-6, 0.0, None)] == [0, 3, 8, 0, 0]
     assert decimals(500.0, 2) == 2

@@ -14,8 +14,8 @@ from spot_rig import SIZE, Satellite
 
 from geomosaic.cli.main import run
 from geomosaic.geo.transform import Transform
-from geomosaic.project.build import build_block
-from geomosaic.project.inputs import BlockInputs
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.declarations import BlockInputs
 from geomosaic.sensor import registry
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.plugin import SensorRequest

@@ -22,7 +22,7 @@ from PIL import Image
 from pyproj import Transformer
 
 from geomosaic.cli.main import run
-from geomosaic.product.maps import series
+from geomosaic.sheets.series import make as series
 
 POLISH = ("--scheme", "puwg1992", "--scale", "1:10000")
 SHEET = "M-34-64-D-c-3"

@@ -29,7 +29,7 @@ from geomosaic.geo.crs import (
     with_heights,
 )
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.geo.local import LocalFrame, enu_axes, map_place
+from geomosaic.geo.local_frames import LocalFrame, enu_axes, map_place
 from geomosaic.geo.rotation import angle_axis, angles_of, omega_phi_kappa, r1, r2, r3
 from geomosaic.geo.transform import Transform
 
@@ -242,7 +242,7 @@ def test_a_geoid_grid_whose_name_proj_cannot_read(tmp_path, mark):
     with pytest.raises(HeightDatumError, match="cannot open a geoid grid") as caught:
         with_heights(CRS.from_epsg(32632), str(file), "exterior.csv")
     assert caught.value.where == "exterior.csv"
-    assert "rename" in str(caught.value.mend)
+    assert "rename" in str(caught.value.hint)
 
 
 @pytest.mark.parametrize("text", ["EPSG:4978", "EPSG:5773"])

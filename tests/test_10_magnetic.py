@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import InputError
-from geomosaic.geo.local import enu_axes
-from geomosaic.geo.magnetic import decimal_year, magnetic_field
+from geomosaic.geo.local_frames import enu_axes
+from geomosaic.geo.magnetic_declination import decimal_year, magnetic_field
 
 # Test values of the World Magnetic Model 2025 (NOAA NCEI, WMM2025_TEST_VALUES): year, height in km, latitude,
 # longitude, north, east and down in nT, declination in degrees.

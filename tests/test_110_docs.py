@@ -201,8 +201,8 @@ def test_every_key_of_a_camera_is_documented() -> None:
 
 def test_every_column_of_the_tables_is_documented() -> None:
     """The page has the columns of orientation and control point tables, and the angle systems."""
-    from geomosaic.project.control import COLUMNS
-    from geomosaic.project.orientation.exterior import SYSTEM_NAMES
+    from geomosaic.inputs.control_points import COLUMNS
+    from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
     from geomosaic_frame.orientation import SYSTEMS
 
     shown = tables(DOCS / "projects.md")

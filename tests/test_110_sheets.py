@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from geomosaic.carto.layout import Layout
-from geomosaic.carto.style import BUILT_IN, MARKERS, parse_style
-from geomosaic.project.sheets.sheet import read_layout
+from geomosaic.sheets.inputs import read_layout
+from geomosaic.sheets.layout import Layout
+from geomosaic.sheets.styles.style import BUILT_IN, MARKERS, parse_style
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGE = (DOCS / "sheets.md").read_text(encoding="utf-8")
@@ -30,7 +30,7 @@ def test_every_key_is_documented() -> None:
         for name in names:
             part = {item.name: item for item in fields(Layout)}[name]
             kind = type(getattr(Layout(), name)) if name != "layer" else None
-            from geomosaic.carto.layout import LayerPart
+            from geomosaic.sheets.layout import LayerPart
 
             known |= {item.name for item in fields(kind or LayerPart)}
             seen.add(part.name)

@@ -14,15 +14,15 @@ import rasterio
 from affine import Affine
 from rasterio.warp import Resampling, reproject
 
+from geomosaic.accuracy.check_points import check_map
 from geomosaic.control.read import read_control
 from geomosaic.errors import InputError
+from geomosaic.georeference.examination import BadControlError
+from geomosaic.georeference.request import ControlInput, FitRequest, Place
+from geomosaic.georeference.run import fit_crs, georeference
+from geomosaic.georeference.solution import Solution, solve
 from geomosaic.match.shift import shifts
-from geomosaic.product.checks.accuracy import check_map
-from geomosaic.product.georeference.examine import BadControlError
-from geomosaic.product.georeference.request import ControlInput, FitRequest, Place
-from geomosaic.product.georeference.run import fit_crs, georeference
-from geomosaic.product.georeference.solution import Solution, solve
-from geomosaic.product.options import RenderOptions
+from geomosaic.render.options import RenderOptions
 
 RealData = Callable[[str], Path]
 PLAIN = RenderOptions(threads=2, driver="GTiff", overwrite=True)
@@ -257,4 +257,4 @@ def test_toulouse_ties(real_data, tmp_path):
     wrong = fitted(ties(folder, tmp_path / "wrong.csv", swapped=True), "EPSG:4326", (2600, 2600), "affine")
     assert wrong.fit.mirrored
     advice = next(a for a in wrong.advice if a.code == "latitude-longitude-swapped")
-    assert "exchange col and row" in advice.mend
+    assert "exchange col and row" in advice.hint

@@ -12,7 +12,7 @@ from affine import Affine
 from pyproj import CRS, Transformer
 
 from geomosaic.cli.main import run
-from geomosaic.geo.domain import domain, limits
+from geomosaic.geo.projection_domain import domain, limits
 
 STEP = 0.5
 
@@ -130,7 +130,7 @@ def test_what_two_operations_join_is_whole(
 
 def test_a_small_sheet_of_two_datums_is_no_globe() -> None:
     """Its graticule on another datum has lines of its own size."""
-    from geomosaic.carto.lines import map_grid
+    from geomosaic.sheets.grid_lines import map_grid
 
     bounds = (1889390.67 - 150, 994393.7 - 150, 1889390.67 + 150, 994393.7 + 150)
     grid = map_grid(CRS("EPSG:4326"), CRS("EPSG:26791"), bounds, 60.0)

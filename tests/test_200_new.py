@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from geomosaic.project.draft.carried import Carried, carried_by, images_of, write_tables
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.exterior_orientation import read_exterior
+from geomosaic.inputs.photos import photos_of
+from geomosaic.project.draft.image_metadata import Carried, carried_by, images_of, write_tables
 from geomosaic.project.draft.write import Draft, draft_project
-from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.orientation.exterior import read_exterior
-from geomosaic.project.photos import photos_of
 
 RealData = Callable[[str], Path]
 

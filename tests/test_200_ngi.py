@@ -12,13 +12,13 @@ from typing import Any
 
 import pytest
 
-from geomosaic.product.checks.check import against_reference
-from geomosaic.product.mosaic_options import MosaicOptions
-from geomosaic.product.mosaic_result import MosaicResult
-from geomosaic.product.options import RenderOptions
-from geomosaic.project.area import Area
-from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import make_mosaic, make_ortho
+from geomosaic.accuracy.product_check import against_reference
+from geomosaic.inputs.area import Area
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.mosaic.result import MosaicResult
+from geomosaic.products.from_inputs import make_mosaic, make_ortho
+from geomosaic.render.options import RenderOptions
 
 RealData = Callable[[str], Path]
 

@@ -20,15 +20,15 @@ import rasterio
 from geomosaic.block.block import Block
 from geomosaic.errors import InputError
 from geomosaic.geo.transform import Transform
+from geomosaic.inputs.area import Area, plan
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.declarations import BlockInputs
 from geomosaic.match.shift import Shifts, shifts
-from geomosaic.product.mosaic import beside
-from geomosaic.product.mosaic_options import MosaicOptions
-from geomosaic.product.options import RenderOptions
-from geomosaic.product.ortho import ortho
-from geomosaic.project.area import Area, plan
-from geomosaic.project.build import build_block
-from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import make_mosaic
+from geomosaic.mosaic.mosaic import beside
+from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.render.options import RenderOptions
+from geomosaic.render.ortho import ortho
 
 RealData = Callable[[str], Path]
 RESOLUTION = 0.15
@@ -136,7 +136,7 @@ def test_table_and_reconstruction_say_the_same(real_data: RealData) -> None:
     one, other = (build_block(inputs(base, reading)) for reading in ("odm", "opk"))
     rim = np.array([[0.0, 0.0], [1368.0, 0.0], [684.0, 456.0], [0.0, 912.0], [1368.0, 912.0]])
     from geomosaic.sensor.solve import image_to_ground
-    from geomosaic.surface.plane import Plane
+    from geomosaic.surface.reference_surfaces import Plane
 
     assert one.surface is not None
     flat = Plane(one.surface.crs, 95.0)

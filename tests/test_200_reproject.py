@@ -67,7 +67,7 @@ def test_the_malformed_tags_of_the_ortho_are_told(real_data, tmp_path, capsys):
     assert run(["reproject", str(path), "--dst-crs", UTM, "-o", str(tmp_path / "o.tif")]) == 1
     said = capsys.readouterr().err
     assert "calls its CRS 'EPSG:2154'" in said
-    assert "mend: if that is what is meant, give --src-crs EPSG:2154" in said
+    assert "hint: if that is what is meant, give --src-crs EPSG:2154" in said
     assert list(tmp_path.iterdir()) == []
 
 

@@ -13,18 +13,27 @@ import rasterio
 from rasterio.fill import fillnodata
 from rasterio.transform import RPCTransformer
 
+from geomosaic.accuracy.product_check import against_reference
 from geomosaic.errors import InputError
 from geomosaic.geo.transform import Transform
-from geomosaic.product.checks.check import against_reference
-from geomosaic.product.options import RenderOptions
-from geomosaic.project.area import Area
-from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import make_ortho
+from geomosaic.inputs.area import Area
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.products.from_inputs import make_ortho
+from geomosaic.render.options import RenderOptions
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground
 from geomosaic.surface.dem import Dem
-from geomosaic_rpc import Rpc, RpcModel, Sights, fit_rpc, read_rpc, refine, relate, write_tags
+from geomosaic_rpc import (
+    Rpc,
+    RpcModel,
+    Sights,
+    fit_rpc,
+    read_rpc,
+    refine,
+    relate,
+    write_tags,
+)
 from geomosaic_rpc.model import WGS84
 
 RealData = Callable[[str], Path]

@@ -14,8 +14,8 @@ from rasterio.transform import RPCTransformer
 
 from geomosaic.cli.main import run
 from geomosaic.geo.transform import Transform
-from geomosaic.product.locate import Certainty, View, locate
-from geomosaic.product.locate.view import SEEN
+from geomosaic.monoplotting import Certainty, View, locate
+from geomosaic.monoplotting.drape import SEEN
 from geomosaic.sensor import registry
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.plugin import SensorRequest

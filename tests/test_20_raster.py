@@ -18,7 +18,7 @@ from raster_rig import NORTH_UP, holes, picture, whole
 from geomosaic.errors import InputError, RasterReadError
 from geomosaic.geo.grid import Window
 from geomosaic.raster import source as source_module
-from geomosaic.raster.shrink import block_mean
+from geomosaic.raster.preview import block_mean
 from geomosaic.raster.source import Source, inspect
 
 
@@ -260,7 +260,7 @@ def test_truncated_files_say_so(tmp_path, kind):
         image.read(Window(0, 600, 900, 100))
     text = str(caught.value)
     assert str(path) in text
-    assert "mend" in text
+    assert "hint" in text
     assert "truncated" in text
     assert "columns" in text
 

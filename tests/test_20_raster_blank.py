@@ -10,11 +10,11 @@ from affine import Affine
 from pyproj import CRS
 
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.raster.cog import codec
+from geomosaic.raster.cog.overviews import levels
+from geomosaic.raster.cog.writer import TileFile
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
-from geomosaic.raster.tiles import codec
-from geomosaic.raster.tiles.file import TileFile
-from geomosaic.raster.tiles.pyramid import levels
 
 WIDTH, HEIGHT = 6300, 2900
 GRID = Grid(CRS.from_epsg(32633), Affine(1, 0, 0, 0, -1, 0), WIDTH, HEIGHT)

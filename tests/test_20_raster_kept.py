@@ -11,8 +11,8 @@ from affine import Affine
 from pyproj import CRS
 
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.raster.cog.reused_tiles import EarlierTiles
 from geomosaic.raster.sink import RasterSink
-from geomosaic.raster.tiles.earlier import EarlierTiles
 
 WIDTH, HEIGHT = 2300, 1300
 GRID = Grid(CRS.from_epsg(32633), Affine(1, 0, 0, 0, -1, 0), WIDTH, HEIGHT)

@@ -16,7 +16,7 @@ import rasterio
 from geomosaic.errors import RasterReadError
 from geomosaic.geo.grid import Window
 from geomosaic.raster.environment import environment
-from geomosaic.raster.local import named_files
+from geomosaic.raster.local_files import named_files
 from geomosaic.raster.preview import preview
 from geomosaic.raster.source import Source, inspect
 
@@ -99,7 +99,7 @@ def test_a_tif_that_is_a_vrt_of_an_address(tmp_path, monkeypatch, listener, kind
         with pytest.raises(RasterReadError, match="no file of this machine") as caught:
             look(path)
         assert caught.value.where == str(path)
-        assert "copy" in str(caught.value.mend)
+        assert "copy" in str(caught.value.hint)
     assert asked == []
 
 

@@ -13,11 +13,11 @@ from raster_rig import NORTH_UP, digest, grid_of, holes, picture, whole, write_r
 
 from geomosaic.errors import InputError, OutputError, OutputExistsError
 from geomosaic.geo.grid import Window
-from geomosaic.raster.option_values import METHODS
+from geomosaic.raster.cog import tiff
+from geomosaic.raster.cog.overviews import halve
+from geomosaic.raster.creation_options import METHODS
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source, inspect
-from geomosaic.raster.tiles import tiff
-from geomosaic.raster.tiles.pyramid import halve
 
 
 @pytest.mark.parametrize("driver", ["GTiff", "COG"])
@@ -282,8 +282,8 @@ def test_a_folder_that_may_not_be_written_to(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "open", refused)
     with pytest.raises(OutputError, match="Permission denied") as caught:
         RasterSink(tmp_path / "o.tif", grid_of(100, 100), 3, "uint8")
-    assert "rights" in str(caught.value.mend)
-    assert "space" not in str(caught.value.mend)
+    assert "rights" in str(caught.value.hint)
+    assert "space" not in str(caught.value.hint)
 
 
 def test_full_disk_is_foreseen(tmp_path, monkeypatch):
@@ -302,7 +302,7 @@ def test_full_disk_is_foreseen(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("creation", "bands", "dtype", "mend"),
+    ("creation", "bands", "dtype", "hint"),
     [
         ({"COMPRESS": "foo"}, 1, "uint8", "DEFLATE, ZSTD, LZW"),
         ({"COMPRESS": "JXL"}, 3, "uint8", "DEFLATE, ZSTD, LZW"),
@@ -327,11 +327,11 @@ def test_full_disk_is_foreseen(tmp_path, monkeypatch):
         ({"GEOTIFF_VERSION": "2"}, 1, "uint8", "1.1"),
     ],
 )
-def test_values_that_gdal_would_ignore_are_refused(tmp_path, creation, bands, dtype, mend):
+def test_values_that_gdal_would_ignore_are_refused(tmp_path, creation, bands, dtype, hint):
     name, value = next(iter(creation.items()))
     with pytest.raises(InputError, match=f"{name}={value} cannot be had") as caught:
         RasterSink(tmp_path / "a.tif", grid_of(10, 10), bands, dtype, creation=creation)
-    assert mend in str(caught.value.mend)
+    assert hint in str(caught.value.hint)
     assert not list(tmp_path.iterdir())
 
 

@@ -9,13 +9,10 @@ import pytest
 from scipy.integrate import quad
 
 from geomosaic.errors import InputError
-from geomosaic.surface.developed.body import Axes, Body
-from geomosaic.surface.developed.cone import Cone
-from geomosaic.surface.developed.cylinder import Cylinder
-from geomosaic.surface.developed.developed import Developed
-from geomosaic.surface.developed.ellipsoid import Ellipsoid
-from geomosaic.surface.developed.flat import Flat
-from geomosaic.surface.developed.meridian import arc, area, latitude_of_arc, sine_of_area
+from geomosaic.surface.developed.base import Axes, Body
+from geomosaic.surface.developed.developable import Cone, Cylinder, Flat
+from geomosaic.surface.developed.ellipsoid import Ellipsoid, arc, area, latitude_of_arc, sine_of_area
+from geomosaic.surface.developed.placement import Developed
 from geomosaic.surface.developed.triaxial import Triaxial
 from geomosaic.types import FloatArray
 

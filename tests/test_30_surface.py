@@ -15,12 +15,11 @@ from scipy.interpolate import RegularGridInterpolator
 
 from geomosaic.errors import HeightDatumError, InputError, RasterReadError
 from geomosaic.geo.crs import with_heights
-from geomosaic.geo.local import LocalFrame
+from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.surface.dem import Dem
-from geomosaic.surface.ellipsoid import Ellipsoid
 from geomosaic.surface.model import HeightPatch, Surface
-from geomosaic.surface.plane import Plane
-from geomosaic.surface.rays import intersect
+from geomosaic.surface.ray_intersection import intersect
+from geomosaic.surface.reference_surfaces import Ellipsoid, Plane
 
 UTM = CRS.from_epsg(32633)
 UTM3 = with_heights(UTM, "ellipsoidal")
@@ -161,7 +160,7 @@ def test_a_coarse_patch_holds_means(tmp_path, monkeypatch):
     xy = np.array([[bounds[0] + 25.0, bounds[3] - 25.0]])
     np.testing.assert_allclose(apply(patch.transform, xy), [[0.5, 0.5]])
     # However it is read, and whatever part of it.
-    monkeypatch.setattr("geomosaic.surface.nodes._STRIP_NODES", 2000)
+    monkeypatch.setattr("geomosaic.surface.dem_nodes._STRIP_NODES", 2000)
     again = Dem.open(tmp_path / "d.tif", heights="ellipsoidal").patch(bounds, 59.0)
     np.testing.assert_array_equal(again.heights, patch.heights)
     part = dem.patch((500_205.0, 5_299_010.0, 500_480.0, 5_299_490.0), 50.0)

@@ -11,19 +11,18 @@ import pytest
 from helpers import PinholeOverMap
 from pyproj import CRS, Transformer
 
-from geomosaic.block.scene import Scene
+from geomosaic.block.block import Scene
+from geomosaic.developed.outlines import developed_footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.geo.engineering import is_free, local_frame_crs
-from geomosaic.geo.local import LocalFrame
-from geomosaic.product.developed import developed_footprint
+from geomosaic.geo.local_frames import LocalFrame, is_free, local_frame_crs
 from geomosaic.sensor import registry
 from geomosaic.sensor.developed import DevelopedModel
 from geomosaic.sensor.model import HasRays, SensorModel
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.surface.developed.body import Axes
-from geomosaic.surface.developed.cylinder import Cylinder
-from geomosaic.surface.developed.developed import Developed
+from geomosaic.surface.developed.base import Axes
+from geomosaic.surface.developed.developable import Cylinder
+from geomosaic.surface.developed.placement import Developed
 from geomosaic.testing import SensorModelTests
 from geomosaic.types import FloatArray
 

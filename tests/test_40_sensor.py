@@ -9,7 +9,7 @@ import pytest
 from solve_rig import Camera, CameraWithRays, camera, control, scanner
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.parameters import Parameters
+from geomosaic.sensor.model import Parameters
 from geomosaic.sensor.plugin import SensorInput, SensorRequest
 from geomosaic.testing import SensorModelTests, check_plugin, failures
 from geomosaic.types import FloatArray

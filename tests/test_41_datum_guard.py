@@ -16,11 +16,11 @@ from pyproj import CRS
 from solve_rig import PLACE
 
 from geomosaic.errors import HeightDatumError
-from geomosaic.project.build import build_block
-from geomosaic.project.inputs import BlockInputs
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.declarations import BlockInputs
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.surface.undeclared import undulation
+from geomosaic.surface.vertical_datum import undulation
 from geomosaic_rpc.write import text_of
 
 FLAT = CRS.from_epsg(32633)
@@ -31,7 +31,7 @@ def at_stake(error: HeightDatumError) -> tuple[float, float]:
     """Metres and pixels of a message."""
     found = re.search(r"differ by ([\d.]+) m (?:here|there).*?up to ([\d.e+]+) px", error.what)
     assert found, error.what
-    assert "ellipsoidal" in str(error.mend)
+    assert "ellipsoidal" in str(error.hint)
     return float(found[1]), float(found[2])
 
 

@@ -19,10 +19,10 @@ from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.types import FloatArray
 from geomosaic_frame import plugin
 from geomosaic_frame.calibration import read_certificate
-from geomosaic_frame.filmlens import FilmLens
-from geomosaic_frame.interior import apply, fit_interior
+from geomosaic_frame.film import FilmLens
+from geomosaic_frame.interior_orientation import apply, fit_interior
 from geomosaic_frame.model import FrameModel
-from geomosaic_frame.radial import RadialPolynomial, RadialTable
+from geomosaic_frame.radial_tables import RadialPolynomial, RadialTable
 
 CRS = with_heights(parse_crs("EPSG:32633"), "ellipsoidal")
 CENTRE = np.array([500_000.0, 5_500_000.0, 2600.0])

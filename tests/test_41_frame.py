@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.geo.local import enu_axes
+from geomosaic.geo.local_frames import enu_axes
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
 from geomosaic.sensor import state as state_of

@@ -13,9 +13,9 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
-from geomosaic_frame.bending import Bending, curvature_shift, refraction_constant, refraction_shift
 from geomosaic_frame.corrections import earth_radius
 from geomosaic_frame.model import FrameModel
+from geomosaic_frame.refraction import Bending, curvature_shift, refraction_constant, refraction_shift
 
 
 def density(height: FloatArray) -> FloatArray:

@@ -240,7 +240,7 @@ def test_colmap_binary_model_is_told(tmp_path: Path) -> None:
     (tmp_path / "images.bin").write_bytes(b"\0\1")
     with pytest.raises(InputError, match="binary model") as caught:
         build(tmp_path / "images.bin", "colmap", "one.jpg", MAP, world="map")
-    assert "--output_type TXT" in str(caught.value.mend)
+    assert "--output_type TXT" in str(caught.value.hint)
 
 
 def test_pix4d_projection_matrices(tmp_path: Path) -> None:

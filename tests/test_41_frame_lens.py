@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.sensor.options import choice, known_keys
+from geomosaic.sensor.inputs import choice, known_keys
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import Camera
-from geomosaic_frame.certificate import Corrections
-from geomosaic_frame.distortion import Lens, NoDistortion
+from geomosaic_frame.distortion import LEAST_SLOPE, Lens, NoDistortion, fold_radius
 from geomosaic_frame.fisheye import Fisheye
-from geomosaic_frame.fold import LEAST_SLOPE, fold_radius
 from geomosaic_frame.lenses import lens_from_dict, lens_from_table
-from geomosaic_frame.polynomial import Brown
-from geomosaic_frame.rational import Rational
+from geomosaic_frame.polynomial import Brown, Rational
+from geomosaic_frame.radial_tables import Corrections
 
 BROWN = Brown(k1=-0.264, k2=0.1019, k3=-0.0258, p1=7.3e-4, p2=-2.6e-4)
 BARREL = Brown(k1=-0.3, p1=0.01, p2=-0.02)
@@ -299,10 +297,10 @@ def test_names_are_suggested_whatever_their_case() -> None:
     for word, meant in (("K1", "k1"), ("P2", "p2"), ("Convention", "convention")):
         with pytest.raises(InputError, match=f"unknown key '{word}'") as caught:
             known_keys({word: 0.1}, ("model", "p1", "p2", "k1", "k2", "convention"), "photo")
-        assert f"did you mean '{meant}'?" in str(caught.value.mend)
+        assert f"did you mean '{meant}'?" in str(caught.value.hint)
     with pytest.raises(InputError, match="'BROWN'") as caught:
         choice("BROWN", ("none", "brown", "opencv"), "model", "photo")
-    assert "did you mean 'brown'?" in str(caught.value.mend)
+    assert "did you mean 'brown'?" in str(caught.value.hint)
     with pytest.raises(InputError) as caught:
         known_keys({"zzz": 1}, ("k1",), "photo")
-    assert "did you mean" not in str(caught.value.mend)
+    assert "did you mean" not in str(caught.value.hint)

@@ -11,11 +11,11 @@ import pytest
 
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.geo.engineering import local_frame_crs
+from geomosaic.geo.local_frames import local_frame_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
+from geomosaic.sensor.plausibility import centre_dip
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.sensor.sanity import centre_dip
 from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
 from geomosaic_frame.model import FrameModel

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from geomosaic.sensor.sanity import unit_suspicion
+from geomosaic.sensor.plausibility import unit_suspicion
 from geomosaic.types import FloatArray
 
 

@@ -15,15 +15,15 @@ from rasterio.errors import NotGeoreferencedWarning
 from solve_rig import MAP, PLACE, control
 
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, HeightDatumError, InputError
-from geomosaic.geo.local import LocalFrame, map_place
-from geomosaic.product.options import RenderOptions
-from geomosaic.project.area import Area
-from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import make_ortho
+from geomosaic.geo.local_frames import LocalFrame, map_place
+from geomosaic.inputs.area import Area
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.products.from_inputs import make_ortho
+from geomosaic.render.options import RenderOptions
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground, resect
-from geomosaic.surface.plane import Plane
+from geomosaic.surface.reference_surfaces import Plane
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.types import FloatArray
 from geomosaic_panoramic.model import PanoramicModel
@@ -216,7 +216,7 @@ def test_cells_far_from_square_are_doubted() -> None:
 def test_a_scanner_that_does_not_advance() -> None:
     with pytest.raises(InputError) as caught:
         made({name: value for name, value in SCANNER.items() if name != "advance"})
-    assert caught.value.mend == "give advance or v_over_h"
+    assert caught.value.hint == "give advance or v_over_h"
 
 
 def test_heights_are_declared() -> None:

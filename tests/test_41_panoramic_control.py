@@ -14,8 +14,8 @@ from solve_rig import MAP, PLACE, control
 
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.transform import Transform
-from geomosaic.project.build import build_block
-from geomosaic.project.inputs import BlockInputs
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.declarations import BlockInputs
 from geomosaic.sensor import registry
 from geomosaic.sensor import state as state_of
 from geomosaic.sensor.plugin import SensorRequest

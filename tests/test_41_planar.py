@@ -279,7 +279,7 @@ POINT = {"x": 1, "y": 2, "col": 3, "row": 4}
 def test_what_was_meant_is_suggested_whatever_its_case(options: dict[str, Any], says: str) -> None:
     with pytest.raises(InputError) as caught:
         plugin.build(SensorRequest("photo 12", SIZE, options, UTM))
-    assert says in str(caught.value.mend)
+    assert says in str(caught.value.hint)
 
 
 def test_no_crs() -> None:

@@ -118,7 +118,7 @@ def test_what_determines_no_spline_is_refused(xy: list[list[float]], says: str) 
     with pytest.raises(SolveError, match=says) as caught:
         fit_planar("tps", ground, ground * 3.0 + 1.0, where="scan 7")
     assert caught.value.where == "scan 7"
-    assert caught.value.mend
+    assert caught.value.hint
 
 
 def test_at_the_door() -> None:

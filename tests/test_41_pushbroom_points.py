@@ -12,16 +12,16 @@ from spot_rig import SIZE, Satellite, with_places
 
 from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.geo.local import LocalFrame
+from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.assemble import ECEF, assemble
-from geomosaic_pushbroom.look import Look
+from geomosaic_pushbroom.look_angles import Look
 from geomosaic_pushbroom.model import PushbroomModel
-from geomosaic_pushbroom.straight import ADDITIONAL, Straight
+from geomosaic_pushbroom.straight_flight import ADDITIONAL, Straight
 
 MAP = with_heights(parse_crs("EPSG:32633"), "egm96")
 FRAME = LocalFrame.at(MAP, np.array([510_000.0, 5_400_000.0, 300.0]))

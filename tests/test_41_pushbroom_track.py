@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.geo.local import enu_axes, map_place
+from geomosaic.geo.local_frames import enu_axes, map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest

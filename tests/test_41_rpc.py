@@ -15,13 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.raster.rpc import read_rpc_tags
+from geomosaic.raster.rpc_tags import read_rpc_tags
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic_rpc import RpcModel, plugin, write_tags, write_text
 from geomosaic_rpc.fields import FIRST_PIXEL
-from geomosaic_rpc.read import recognise
+from geomosaic_rpc.find import recognise
 
 FORMATS: dict[str, Callable[[], str]] = {
     "RPC.TXT": rig.rpc_txt,

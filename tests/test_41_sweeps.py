@@ -12,12 +12,12 @@ from pyproj import CRS
 from solve_rig import MAP, PLACE
 
 from geomosaic.errors import GeomosaicError
-from geomosaic.geo.local import LocalFrame, map_place
+from geomosaic.geo.local_frames import LocalFrame, map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground
-from geomosaic.surface.plane import Plane
+from geomosaic.surface.reference_surfaces import Plane
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.types import FloatArray
 from geomosaic_panoramic.model import PanoramicModel

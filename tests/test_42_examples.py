@@ -12,7 +12,7 @@ import pytest
 import rasterio
 
 from geomosaic.cli.main import run
-from geomosaic.project.build import build_block
+from geomosaic.inputs.build import build_block
 from geomosaic.project.load import load_project
 from geomosaic.sensor.registry import installed
 from geomosaic.sensor.solve.inverse import image_to_ground

@@ -7,14 +7,13 @@ import pytest
 from helpers import GROUND, MAP, Hills, PinholeOverMap
 from pyproj import Transformer
 
-from geomosaic.block.block import Block
+from geomosaic.block.block import Block, Scene
 from geomosaic.block.footprint import footprint
-from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Grid
 from geomosaic.surface.model import Surface
-from geomosaic.surface.plane import Plane
+from geomosaic.surface.reference_surfaces import Plane
 
 X, Y, Z = PinholeOverMap().centre
 GROUND_HEIGHT = 40.0
@@ -172,7 +171,7 @@ def test_a_dem_elsewhere() -> None:
         footprint(scene("stray"), _at((X + 5000, Y)), MAP)
     assert caught.value.where == "stray"
     assert "DEM" in caught.value.what
-    assert caught.value.mend
+    assert caught.value.hint
 
 
 def test_a_hole_of_the_dem_under_the_camera_is_no_dem_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,14 +200,14 @@ def test_a_camera_below_the_ground(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("geomosaic.block.footprint._nadir", lambda scene, crs: (X, Y))
     with pytest.raises(InputError, match=r"below the ground: at 30\.0 m, where the ground is at 40\.0 m") as caught:
         footprint(scene("mole", centre=tuple(buried[0])), PLANE, MAP)
-    assert "feet" in str(caught.value.mend)
+    assert "feet" in str(caught.value.hint)
 
 
 def test_an_image_of_the_sky() -> None:
     with pytest.raises(InputError, match="sky") as caught:
         footprint(scene("up", tilt=(2.8, 0.0, 0.0)), PLANE, MAP)
     assert caught.value.where == "up"
-    assert "angle" in str(caught.value.mend)
+    assert "angle" in str(caught.value.hint)
 
 
 def test_blocks() -> None:

@@ -12,8 +12,7 @@ from pyproj import CRS
 from rasterio.control import GroundControlPoint
 
 from geomosaic.control.points import ImageControl, Origin
-from geomosaic.control.read import read_control, recognise
-from geomosaic.control.world import read_world_transform
+from geomosaic.control.read import read_control, read_world_transform, recognise
 from geomosaic.errors import GeomosaicError, InputError
 
 UTM = "EPSG:32633"
@@ -172,7 +171,7 @@ def test_table_errors(write: Write, text: str, crs: str | None, message: str) ->
     path = write(text)
     with pytest.raises(InputError, match=message) as caught:
         read_control(path, crs=crs)
-    assert caught.value.mend
+    assert caught.value.hint
     assert str(path) in str(caught.value)
 
 

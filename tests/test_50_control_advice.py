@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from geomosaic.control.advice import advise
-from geomosaic.control.finding import Advice
+from geomosaic.control.diagnostics import advise
+from geomosaic.control.distribution import hull_area, needed
+from geomosaic.control.findings import Advice
 from geomosaic.control.points import ImageControl, Origin
 from geomosaic.control.read import read_control
-from geomosaic.control.spread import hull_area, needed
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
 
@@ -245,7 +245,7 @@ def test_bad_control(
     found = advise(make(), **{"size": SIZE, **options})
     assert codes(found) == expected
     assert re.search(message, found[0].what), found[0].what
-    assert all(advice.mend for advice in found)
+    assert all(advice.hint for advice in found)
 
 
 def table_rows() -> list[str]:
@@ -253,7 +253,7 @@ def table_rows() -> list[str]:
     lines = []
     for case, (make, _, _, options) in CASES.items():
         for advice in advise(make(), **{"size": SIZE, **options})[:1]:
-            lines.append(f"| {case} | `{advice.code}` ({advice.severity}) | {advice.what} | {advice.mend} |")
+            lines.append(f"| {case} | `{advice.code}` ({advice.severity}) | {advice.what} | {advice.hint} |")
     return lines
 
 
@@ -346,4 +346,4 @@ def test_real_ties_have_no_advice(real_data: Callable[[str], Path]) -> None:
     as_headed = moved(ties, colrow=ties.colrow[:, ::-1])
     found = advise(as_headed, kind="poly3", near=(1.42, 43.61))
     assert codes(found) == ["latitude-longitude-swapped"]
-    assert "exchange col and row" in found[0].mend
+    assert "exchange col and row" in found[0].hint

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from adjust_rig import CENTRE, SIZE, UTM, builder, names, noisy, places, spoil, truth
 
-from geomosaic.adjust.checkpoints import check_errors, check_model
-from geomosaic.adjust.choose import choose_model, planar_builds
-from geomosaic.adjust.deletion import delete_points
-from geomosaic.adjust.fit import fit_control
 from geomosaic.errors import InputError, SolveError
+from geomosaic.orientation.single.check_points import check_errors, check_model
+from geomosaic.orientation.single.fit import fit_control
+from geomosaic.orientation.single.model_selection import choose_model, planar_builds
+from geomosaic.orientation.single.point_deletion import delete_points
 from geomosaic.sensor.plugin import SensorRequest
 
 

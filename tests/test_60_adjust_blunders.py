@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from adjust_rig import CENTRE, builder, names, noisy, places, spoil, truth
 
-from geomosaic.adjust.explanation import KINDS, _choices, _fit, explain
-from geomosaic.adjust.fit import fit_control
-from geomosaic.adjust.neighbours import search_neighbours
-from geomosaic.adjust.odd_checks import odd_checks
-from geomosaic.adjust.perspective import without_perspective
-from geomosaic.adjust.polyharmonic import predictions
 from geomosaic.errors import SolveError
+from geomosaic.orientation.single.blunder_hypotheses import KINDS, _choices, _fit, explain
+from geomosaic.orientation.single.check_points import odd_checks
+from geomosaic.orientation.single.fit import fit_control
+from geomosaic.orientation.single.local_prediction import predictions, without_perspective
+from geomosaic.orientation.single.neighbour_tests import search_neighbours
 
 
 def spread(count: int, seed: int) -> np.ndarray:

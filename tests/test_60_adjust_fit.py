@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from adjust_rig import CENTRE, OPTIONS, SIZE, UTM, builder, names, noisy, places, truth
 
-from geomosaic.adjust.fit import fit_control
-from geomosaic.adjust.problem import Problem, registry_build
 from geomosaic.errors import InputError, SolveError
+from geomosaic.orientation.single.fit import fit_control
+from geomosaic.orientation.single.problem import Problem, registry_build
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground
 
@@ -109,7 +109,7 @@ def test_rms_by_hand() -> None:
 
 def test_the_textbook_radius_holds_95_percent_and_its_rms_40() -> None:
     """Section 9-3: 40 % within the RMS and 95 % within 2.5 of it; so its RMS is that of one axis."""
-    from geomosaic.adjust.fit import textbook95, total_rms
+    from geomosaic.orientation.single.fit import textbook95, total_rms
 
     errors = np.random.default_rng(1).normal(0.0, 3.0, (200_000, 2))
     lengths = np.hypot(*errors.T)
@@ -178,7 +178,7 @@ def test_a_spline_through_points_that_need_one_of_them() -> None:
 
 
 def test_many_points_hold_the_linearisation(monkeypatch: pytest.MonkeyPatch) -> None:
-    from geomosaic.adjust import omission
+    from geomosaic.orientation.single import leave_one_out as omission
 
     xy, colrow = noisy("projective", 41, 3)
     closed = fit_control(builder("projective", xy, colrow), names(41), xy, colrow).leave_one_out
@@ -192,7 +192,7 @@ def test_refits_of_many_points_are_a_sample(monkeypatch: pytest.MonkeyPatch) -> 
     """A model that passes through its points and has no closed form."""
     from types import SimpleNamespace
 
-    from geomosaic.adjust import omission
+    from geomosaic.orientation.single import leave_one_out as omission
 
     monkeypatch.setattr(omission, "MOST_REFITS", 30)
     monkeypatch.setattr(omission, "SAMPLE", 10)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from adjust_rig import CENTRE, SIZE, builder, names, noisy, places, spoil, truth
 
-from geomosaic.adjust.robust import m_estimate, search_blunders
-from geomosaic.adjust.snooping import snoop
 from geomosaic.errors import InputError, SolveError
+from geomosaic.orientation.single.blunders import m_estimate, search_blunders
+from geomosaic.orientation.single.data_snooping import snoop
 
 COUNTS = {"conformal": 12, "affine": 16, "projective": 20, "poly2": 25, "poly3": 40}
 
@@ -154,7 +154,7 @@ def test_what_cannot_be_searched_is_refused() -> None:
 def test_signed_ranks_as_an_independent_implementation_has_them() -> None:
     from scipy.stats import wilcoxon
 
-    from geomosaic.adjust.signed_rank import signed_rank_probability
+    from geomosaic.orientation.single.model_selection import signed_rank_probability
 
     random = np.random.default_rng(5)
     for count in (6, 7, 20, 50, 51, 200):
@@ -171,7 +171,7 @@ def test_signed_ranks_as_an_independent_implementation_has_them() -> None:
 def test_tails_as_an_independent_implementation_has_them() -> None:
     from scipy.stats import chi2, f
 
-    from geomosaic.adjust.judge import probabilities
+    from geomosaic.orientation.single.fit import probabilities
 
     told = np.array([0.0, 0.5, 3.0, 20.0, 400.0, np.inf])
     assert probabilities(told, 1.3, 17.0) == pytest.approx(f.sf(told / 1.3**2 / 2.0, 2, 17), rel=1e-9)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.adjust.bodies.fit import FittedBody, fit_body
-from geomosaic.adjust.bodies.shape import LEAST, Shape, basis
 from geomosaic.errors import SolveError
+from geomosaic.surface.developed.fit import FittedBody, fit_body
+from geomosaic.surface.developed.fit_shapes import LEAST, Shape, basis
 from geomosaic.types import FloatArray
 
 ORIGIN = np.array([512.3, -210.7, 48.2])

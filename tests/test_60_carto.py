@@ -10,19 +10,18 @@ import pytest
 import shapely
 from pyproj import CRS, Geod, Proj, Transformer
 
-from geomosaic.carto.draw.north import magnetic_north, shown, true_north
-from geomosaic.carto.draw.scale import bar_divisions, bar_length
-from geomosaic.carto.entries import build
-from geomosaic.carto.layout import Layout, MapPart, SheetPart, paper_size, parse_scale
-from geomosaic.carto.lines import map_grid
-from geomosaic.carto.nice import angle_text, grouped, multiples, nice_scale, nice_step
-from geomosaic.carto.notes import accuracy_words
-from geomosaic.carto.overlay import holds, overlay, parts_of, to_map
-from geomosaic.carto.page import lay_out
-from geomosaic.carto.place import Placer, Spot, around_point, corners, overlap, spread
-from geomosaic.carto.style import Line, Rule, Style, Symbol, built_in, parse_style
 from geomosaic.errors import InputError
-from geomosaic.geo.local import map_place
+from geomosaic.geo.local_frames import map_place
+from geomosaic.numbers import angle_text, grouped, multiples, nice_scale, nice_step
+from geomosaic.options.toml_tables import build
+from geomosaic.sheets.drawing.scale_and_north import bar_divisions, bar_length, magnetic_north, shown, true_north
+from geomosaic.sheets.grid_lines import map_grid
+from geomosaic.sheets.label_placement import Placer, Spot, around_point, corners, overlap, spread
+from geomosaic.sheets.layout import Layout, MapPart, SheetPart, paper_size, parse_scale
+from geomosaic.sheets.notes import accuracy_words
+from geomosaic.sheets.page import lay_out
+from geomosaic.sheets.styles.style import Line, Rule, Style, Symbol, built_in, parse_style
+from geomosaic.sheets.vector_layers import holds, overlay, parts_of, to_map
 
 UTM33 = CRS("EPSG:32633")
 AREA = (399_100.0, 5_499_300.0, 400_800.0, 5_500_700.0)
@@ -219,11 +218,11 @@ def test_scale_and_paper_follow() -> None:
 def test_layouts_that_do_not_fit(layout: Layout, crs: str, words: str) -> None:
     with pytest.raises(InputError, match=words) as failed:
         lay_out(layout, CRS(crs), (398_986.0, 5_499_220.0, 400_982.0, 5_500_783.0))
-    assert failed.value.mend
+    assert failed.value.hint
 
 
 @pytest.mark.parametrize(
-    ("values", "words", "mend"),
+    ("values", "words", "hint"),
     [
         ({"sheet": {"tittle": "x"}}, "unknown key 'tittle'", "did you mean 'title'"),
         ({"grids": {}}, "unknown key 'grids'", "did you mean 'grid'"),
@@ -238,11 +237,11 @@ def test_layouts_that_do_not_fit(layout: Layout, crs: str, words: str) -> None:
         ({"grid": {"labels": 1}}, "not true or false", "true or false"),
     ],
 )
-def test_wrong_layouts_are_told_kindly(values: dict[str, object], words: str, mend: str) -> None:
+def test_wrong_layouts_are_told_kindly(values: dict[str, object], words: str, hint: str) -> None:
     with pytest.raises(InputError) as failed:
         build(Layout, values, "layout.toml")
     assert words in failed.value.what
-    assert mend in (failed.value.mend or "")
+    assert hint in (failed.value.hint or "")
     assert "layout.toml" in (failed.value.where or "")
 
 
@@ -340,7 +339,7 @@ def test_categories() -> None:
     assert "2 of 5 objects" in made.notes[0]
     with pytest.raises(InputError, match="no column 'class'") as failed:
         overlay(lines, {"clas": [1] * 5}, UTM33, style, "", UTM33, (0, 0, 9, 9), straight=9.0, where="r")
-    assert failed.value.mend == "did you mean 'clas'?"
+    assert failed.value.hint == "did you mean 'clas'?"
 
 
 def test_graduated_classes() -> None:
@@ -376,7 +375,7 @@ def test_wrong_styles_are_told_kindly(values: dict[str, object], words: str) -> 
 def test_unknown_style_names_the_nearest() -> None:
     with pytest.raises(InputError) as failed:
         built_in("raod")
-    assert failed.value.mend == "did you mean 'road'?"
+    assert failed.value.hint == "did you mean 'road'?"
 
 
 def test_long_sides_bend_with_the_map() -> None:

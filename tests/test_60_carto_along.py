@@ -9,8 +9,8 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from geomosaic.carto.along import LEAN, TURN, along_bend, along_line, cut_evenly, letters_of, upright
-from geomosaic.carto.place import Piece, Placer
+from geomosaic.sheets.label_placement import Piece, Placer
+from geomosaic.sheets.line_labels import LEAN, TURN, along_bend, along_line, cut_evenly, letters_of, upright
 
 LETTERS = list("La Garonne")
 ADVANCES = [1.3, 1.4, 0.8, 1.9, 1.5, 1.0, 1.5, 1.5, 1.5, 1.5]

@@ -9,11 +9,11 @@ import pytest
 import shapely
 from affine import Affine
 
-from geomosaic.carto.along import along_line
-from geomosaic.carto.contours import Contour, Heights, nice_interval, trace
-from geomosaic.carto.draw.names import uphill
-from geomosaic.carto.smooth import bilinear_at, smooth
 from geomosaic.errors import InputError
+from geomosaic.relief.contour_smoothing import bilinear_at, smooth
+from geomosaic.relief.contours import Contour, Heights, nice_interval, trace
+from geomosaic.sheets.drawing.labels import uphill
+from geomosaic.sheets.line_labels import along_line
 
 CELL = 2.0
 PLACE = Affine(CELL, 0.0, 1000.0, 0.0, -CELL, 2000.0)

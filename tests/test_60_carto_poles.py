@@ -9,8 +9,8 @@ import pytest
 import shapely
 from pyproj import CRS, Transformer
 
-from geomosaic.carto.lines import map_grid
-from geomosaic.carto.notes import grid_words
+from geomosaic.sheets.grid_lines import map_grid
+from geomosaic.sheets.notes import grid_words
 
 DEGREES = CRS("EPSG:4326")
 SHEETS = {
@@ -151,8 +151,8 @@ def test_equal_earth() -> None:
 
 def test_sheets_about_a_pole() -> None:
     """All sheets that places on the map lie on, the pole among them; none more."""
-    from geomosaic.carto.series.catalogue import scheme
-    from geomosaic.carto.series.neatline import sheets_on
+    from geomosaic.sheets.series.catalogue import scheme
+    from geomosaic.sheets.series.neatline import sheets_on
 
     for code, sign in (("EPSG:3995", 1.0), ("EPSG:3031", -1.0)):
         series, crs = scheme("international", 1_000_000), CRS(code)

@@ -6,13 +6,13 @@ import warnings
 
 import pytest
 
-from geomosaic.carto.declination import declination
-from geomosaic.carto.draw.north import magnetic_words, north_words
-from geomosaic.carto.layout import NorthPart
-from geomosaic.carto.lines import map_grid
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.geo.local import map_place
+from geomosaic.geo.local_frames import map_place
+from geomosaic.sheets.declination import declination
+from geomosaic.sheets.drawing.scale_and_north import magnetic_words, north_words
+from geomosaic.sheets.grid_lines import map_grid
+from geomosaic.sheets.layout import NorthPart
 
 PLACE = map_place(parse_crs("EPSG:32633"), 400_000.0, 5_500_000.0)
 
@@ -44,7 +44,7 @@ def test_dates_beyond_the_model_are_refused() -> None:
     for date in ("1987", "2024-12-31", "2030-01-02"):
         with pytest.raises(InputError, match="holds from 2025 to 2030") as told:
             declination(NorthPart(magnetic_date=date), PLACE)
-        assert "magnetic" in str(told.value.mend)
+        assert "magnetic" in str(told.value.hint)
 
 
 def test_no_arrow_at_the_magnetic_pole() -> None:

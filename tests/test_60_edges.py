@@ -9,10 +9,9 @@ import pytest
 from edge_rig import SIZE, Rig, along_the_seam, rig, start, xyz
 from scipy.optimize import least_squares
 
-from geomosaic.adjust.edges import CommonPoint, EdgeMatch, match_edges
-from geomosaic.block.block import ControlPoint
-from geomosaic.block.scene import Scene
+from geomosaic.block.block import ControlPoint, Scene
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
+from geomosaic.orientation.edges import CommonPoint, EdgeMatch, match_edges
 from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.solve import image_to_height
 

@@ -7,8 +7,8 @@ import warnings
 import numpy as np
 import pytest
 
-from geomosaic.adjust.edges import spread
 from geomosaic.errors import GeomosaicWarning
+from geomosaic.orientation.edges import spread
 
 
 def names(count: int) -> tuple[str, ...]:

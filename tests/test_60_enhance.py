@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.enhance.curves import equalised, linear, percentile_limits
-from geomosaic.enhance.local import Clahe, luminance, sharpened, toned
-from geomosaic.enhance.pan import magnified, pan_model, pan_sharpened
-from geomosaic.enhance.shade import hillshade, shaded
+from geomosaic.enhancement.contrast import Clahe, equalised, linear, luminance, percentile_limits, sharpened, toned
+from geomosaic.enhancement.hillshade import hillshade, shaded
+from geomosaic.enhancement.pan_sharpening import magnified, pan_model, pan_sharpened
 from geomosaic.errors import InputError
 
 RANDOM = np.random.default_rng(5)

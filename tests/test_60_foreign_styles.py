@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from shapely import Point
 
-from geomosaic.carto.foreign.read import foreign_style
-from geomosaic.carto.overlay import overlay
-from geomosaic.carto.style import Fill, Label, Line, Marker, Symbol
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.project.sheets.sheet import read_style, vector_input
+from geomosaic.sheets.inputs import read_style, vector_input
+from geomosaic.sheets.styles.foreign import foreign_style
+from geomosaic.sheets.styles.style import Fill, Label, Line, Marker, Symbol
+from geomosaic.sheets.vector_layers import overlay
 
 SINGLE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
 <qgis version="3.34"><renderer-v2 type="singleSymbol"><symbols>

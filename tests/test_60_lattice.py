@@ -12,11 +12,10 @@ from helpers import GROUND, MAP, ArrayReader, PinholeOverMap
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.resample.engine import numpy_engine
 from geomosaic.resample.warp import Colour, warp
-from geomosaic.sensor.ground import BlockGround, Ground
 from geomosaic.sensor.lattice import Lattice, blocks, build
-from geomosaic.sensor.mapper import MapToImage
+from geomosaic.sensor.map_to_image import BlockGround, Ground, MapToImage
 from geomosaic.surface.model import HeightPatch
-from geomosaic.surface.plane import Plane
+from geomosaic.surface.reference_surfaces import Plane
 
 
 @dataclass(frozen=True)

@@ -9,20 +9,13 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import InputError
-from geomosaic.plan import k28
-from geomosaic.plan.control import (
-    COEFFICIENTS,
-    block_balance,
-    control_layout,
-    control_number,
-    models_of,
-)
-from geomosaic.plan.coverage import coverage, raster_size
-from geomosaic.plan.product import requirements
-from geomosaic.plan.quantities import QUANTITIES, shown
-from geomosaic.plan.relations import TOPICS, Relation
-from geomosaic.plan.solve import derive, limits
-from geomosaic.plan.units import in_unit
+from geomosaic.planning import k28
+from geomosaic.planning.control_points import COEFFICIENTS, block_balance, control_layout, control_number, models_of
+from geomosaic.planning.coverage import coverage, raster_size
+from geomosaic.planning.product_quality import requirements
+from geomosaic.planning.quantities import QUANTITIES, in_unit, shown
+from geomosaic.planning.relations import TOPICS, Relation
+from geomosaic.planning.solve import derive, limits
 
 MAPS, CONSTANTS = (2000, 5000, 10000), (150, 300)
 COLUMNS = [(scale, c) for scale in MAPS for c in CONSTANTS]
@@ -213,7 +206,7 @@ def test_everything_follows_backwards() -> None:
 def test_what_makes_no_sense(topic: str, given: dict[str, float], part: str) -> None:
     with pytest.raises(InputError, match=part) as caught:
         derive(TOPICS[topic], given)
-    assert caught.value.mend
+    assert caught.value.hint
 
 
 def test_no_error_of_height_moves_nothing() -> None:
@@ -350,7 +343,7 @@ def test_units(text: str, unit: str, value: float) -> None:
 def test_what_is_no_number_with_a_unit(text: str, unit: str) -> None:
     with pytest.raises(InputError) as caught:
         in_unit(text, unit)
-    assert caught.value.mend
+    assert caught.value.hint
 
 
 def test_limits_are_kept_or_missed_and_contradict_nothing() -> None:

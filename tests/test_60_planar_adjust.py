@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from planar_rig import CONNECTIONS, GSD, PHOTOS, SIZE, centre, textbook_block
 
-from geomosaic.adjust.planar import kinds
-from geomosaic.adjust.planar.equations import GROUND, views_of
-from geomosaic.adjust.planar.simultaneous import adjust
-from geomosaic.adjust.planar.transform import Frame, PlanarTransform, half
-from geomosaic.adjust.planar.values import Control, PlanarBlock, PlanarPhoto, Tie
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
+from geomosaic.orientation.planar import transformations as kinds
+from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
+from geomosaic.orientation.planar.observation_equations import GROUND, views_of
+from geomosaic.orientation.planar.simultaneous import adjust
+from geomosaic.orientation.planar.transformations import Frame, PlanarTransform, half
 
 KINDS = ("conformal", "affine", "projective")
 
@@ -334,4 +334,4 @@ def test_relief_makes_the_projective_adjustment_ill_conditioned(seed: int) -> No
         for relief in (0.02, 0.1, 0.3):
             with pytest.raises(SolveError, match=r"ill-conditioned: condition number \d") as told:
                 adjust(frame_photos(relief, seed), "projective")
-            assert "rectify each photo singly" in str(told.value.mend)
+            assert "rectify each photo singly" in str(told.value.hint)

@@ -9,16 +9,14 @@ import numpy as np
 import pytest
 from planar_rig import GSD, PHOTOS, SIZE, centre, textbook_block, to_pixels
 
-from geomosaic.adjust.planar.attach import LONGEST, fit_single
-from geomosaic.adjust.planar.check import elongation
-from geomosaic.adjust.planar.compare import compare, reference
-from geomosaic.adjust.planar.grow import grow
-from geomosaic.adjust.planar.joins import joins
-from geomosaic.adjust.planar.simultaneous import adjust
-from geomosaic.adjust.planar.single import rectify_singly
-from geomosaic.adjust.planar.uncontrolled import chain, middle
-from geomosaic.adjust.planar.values import Control, PlanarBlock, PlanarPhoto, Tie
 from geomosaic.errors import GeomosaicWarning, SolveError
+from geomosaic.orientation.planar.accumulated_errors import compare, reference
+from geomosaic.orientation.planar.determinacy import elongation
+from geomosaic.orientation.planar.joins import joins
+from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
+from geomosaic.orientation.planar.sequential import LONGEST, fit_single, grow
+from geomosaic.orientation.planar.simultaneous import adjust
+from geomosaic.orientation.planar.uncontrolled import chain, middle, rectify_singly
 
 
 def azimuth_and_scale(transform: object) -> tuple[float, float]:
@@ -96,7 +94,7 @@ def test_the_refusal_is_earned() -> None:
         ]
         with pytest.raises(SolveError, match=r"nearly on a line: their condition number is \d+") as told:
             fit_single(block.photo("right"), points, "affine")
-        assert "choose conformal" in str(told.value.mend)
+        assert "choose conformal" in str(told.value.hint)
         for kind, found in worst.items():
             model = fit_single(block.photo("right"), points, kind, {}).transforms["right"]
             found.append(float(np.hypot(*(model.to_ground(far)[0] - place))))

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from planar_rig import flight, textbook_block
 
-from geomosaic.adjust.planar import tilt
-from geomosaic.adjust.planar.kinds import from_matrix, matrix, reverse
-from geomosaic.adjust.planar.linearised import shifts_of, tilt_shifts
-from geomosaic.adjust.planar.simultaneous import adjust
-from geomosaic.adjust.planar.tilt import lacking_terms
-from geomosaic.adjust.planar.values import Control, PlanarBlock, PlanarPhoto, Tie
-from geomosaic.adjust.planar.wrong import look
+from geomosaic.orientation.planar import tilt
+from geomosaic.orientation.planar.blunders import look, shifts_of, tilt_shifts
+from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
+from geomosaic.orientation.planar.simultaneous import adjust
+from geomosaic.orientation.planar.tilt import lacking_terms
+from geomosaic.orientation.planar.transformations import from_matrix, matrix, reverse
 
 NOISE = 0.1
 

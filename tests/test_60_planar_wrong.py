@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from planar_rig import PHOTOS, textbook_block
 
-from geomosaic.adjust.network.shifts import Shifts
-from geomosaic.adjust.planar.linearised import shifts_of
-from geomosaic.adjust.planar.simultaneous import adjust
-from geomosaic.adjust.planar.values import Control, PlanarBlock
-from geomosaic.adjust.planar.wrong import adjust_checked, look, look_singly, look_somehow, without
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
+from geomosaic.estimation.mean_shift import Shifts
+from geomosaic.orientation.planar.blunders import adjust_checked, look, look_singly, look_somehow, shifts_of, without
+from geomosaic.orientation.planar.measurements import Control, PlanarBlock
+from geomosaic.orientation.planar.simultaneous import adjust
 
 
 def moved(block: PlanarBlock, point: str, photo: str, by: tuple[float, float]) -> PlanarBlock:
@@ -88,7 +87,7 @@ def test_one_is_named_with_photo_size_and_line(kind: str, point: str, photo: str
     assert wrong.label.where == ("points.csv, line 7",)
     with pytest.raises(InputError, match=r"1 of \d+ measurements contradicts the others, .*line 7") as told:
         adjust_checked(bad, kind)
-    assert "--robust" in str(told.value.mend)
+    assert "--robust" in str(told.value.hint)
     with pytest.warns(GeomosaicWarning, match="left out"):
         solution, _ = adjust_checked(bad, kind, policy="leave")
     good = adjust(block, kind)

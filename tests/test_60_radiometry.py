@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomosaic.radiometry.gain_offset import Balance, solve
-from geomosaic.radiometry.overlaps import Overlap
+from geomosaic.radiometry.overlap_samples import Overlap
 
 IMAGES = 6
 CHAIN = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (0, 3), (1, 4)]
@@ -144,7 +144,7 @@ def test_a_small_block_does_not_load_scipy() -> None:
     code = """
 import sys
 import numpy as np
-from geomosaic.radiometry.overlaps import Overlap
+from geomosaic.radiometry.overlap_samples import Overlap
 from geomosaic.radiometry.gain_offset import solve
 values = np.arange(100.0)[:, None]
 assert solve(3, 1, [Overlap(0, 1, values, 0.8 * values)]).gain[1, 0] > 1.1

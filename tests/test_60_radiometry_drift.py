@@ -7,7 +7,7 @@ import pytest
 
 from geomosaic.radiometry import drift
 from geomosaic.radiometry.gain_offset import LEAST_SIGMA, solve
-from geomosaic.radiometry.overlaps import Overlap
+from geomosaic.radiometry.overlap_samples import Overlap
 
 PHOTOS = 50
 

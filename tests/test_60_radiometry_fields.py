@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.radiometry.choose import choose, solve_terms
 from geomosaic.radiometry.fields import Fields, solve_fields
 from geomosaic.radiometry.gain_offset import solve
-from geomosaic.radiometry.overlaps import Overlap
-from geomosaic.radiometry.steps import Setting
-from geomosaic.radiometry.views import Views, gather
+from geomosaic.radiometry.model_selection import choose, solve_terms
+from geomosaic.radiometry.normal_equations import Setting
+from geomosaic.radiometry.overlap_samples import Overlap, Views, gather
 
 ROWS, COLS = 3, 5
 HALF = np.array([0.8, 0.6])  # of a footprint, in half diagonals

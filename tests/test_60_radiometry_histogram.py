@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from geomosaic.geo.grid import Window
-from geomosaic.radiometry.curve import Curve
-from geomosaic.radiometry.histogram import match, match_overlaps, match_whole
-from geomosaic.radiometry.overlaps import Thumbnail
+from geomosaic.radiometry.histogram_matching import Curve, match, match_overlaps, match_whole
+from geomosaic.radiometry.overlap_samples import Thumbnail
 
 SIZE = 120
 

@@ -10,8 +10,8 @@ import pytest
 from geomosaic.errors import SolveError
 from geomosaic.radiometry import gain_offset
 from geomosaic.radiometry.gain_offset import solve
-from geomosaic.radiometry.overlaps import Overlap
-from geomosaic.radiometry.relation import relate
+from geomosaic.radiometry.overlap_samples import Overlap
+from geomosaic.radiometry.regression import relate
 
 
 def strip(count: int, gain: np.ndarray, noise: float, samples: int, seed: int) -> list[Overlap]:

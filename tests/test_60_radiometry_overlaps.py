@@ -7,7 +7,7 @@ import pytest
 
 from geomosaic.geo.grid import Window
 from geomosaic.radiometry.gain_offset import solve
-from geomosaic.radiometry.overlaps import LEAST_CELLS, MOST_CELLS, Overlaps, Thumbnail, compare, spread_out
+from geomosaic.radiometry.overlap_samples import LEAST_CELLS, MOST_CELLS, Overlaps, Thumbnail, compare, spread_out
 
 
 def place(window: Window, bands: int = 2, valid: np.ndarray | None = None) -> Thumbnail:

@@ -9,9 +9,8 @@ from helpers import GROUND, MAP, ArrayReader, Hills, PinholeOverMap
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.resample.engine import numba_engine, numpy_engine
 from geomosaic.resample.warp import RESAMPLING, Colour, supersampling, warp
-from geomosaic.sensor.ground import Ground
 from geomosaic.sensor.lattice import build
-from geomosaic.sensor.mapper import MapToImage
+from geomosaic.sensor.map_to_image import Ground, MapToImage
 
 MODEL = PinholeOverMap()
 SMALL = PinholeOverMap(size=(250, 200), focal=250.0)

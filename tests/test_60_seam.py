@@ -8,8 +8,8 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geomosaic.seam.feather import halo, reduction, signed_distance, weights
-from geomosaic.seam.voronoi import regions
+from geomosaic.mosaic.blending.weights import halo, reduction, signed_distance, weights
+from geomosaic.mosaic.seams.voronoi import regions
 
 CORNER = np.array([4e5, 5.5e6])
 

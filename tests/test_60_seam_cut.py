@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import InputError
-from geomosaic.seam.candidates import nearest
-from geomosaic.seam.cost import SeamWeights, disagreement, features, nearness_of_edge, standing_out
-from geomosaic.seam.cut import Graph, divide, energy, graph
-from geomosaic.seam.tidy import without_spurs
+from geomosaic.mosaic.seams.cost_terms import SeamWeights, disagreement, features, nearness_of_edge, standing_out
+from geomosaic.mosaic.seams.graph_cut import Graph, divide, energy, graph
+from geomosaic.mosaic.seams.partition import without_spurs
+from geomosaic.mosaic.seams.voronoi import nearest
 
 ROWS, COLS = 80, 120
 LENGTH = SeamWeights().length

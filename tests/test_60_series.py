@@ -9,13 +9,12 @@ import pytest
 import shapely
 from pyproj import CRS, Geod, Transformer
 
-from geomosaic.carto.series.catalogue import SCHEMES, scheme
-from geomosaic.carto.series.international import DIVISIONS, from_roman, roman
-from geomosaic.carto.series.mgrs import Mgrs
-from geomosaic.carto.series.neatline import sheet_place, sheets_on
-from geomosaic.carto.series.regular import Polygons, regular
-from geomosaic.carto.series.scheme import DIRECTIONS, GridScheme, Scheme
 from geomosaic.errors import InputError
+from geomosaic.sheets.series.catalogue import SCHEMES, scheme
+from geomosaic.sheets.series.mgrs import Mgrs
+from geomosaic.sheets.series.national import DIVISIONS, from_roman, roman
+from geomosaic.sheets.series.neatline import sheet_place, sheets_on
+from geomosaic.sheets.series.regular import DIRECTIONS, GridScheme, Polygons, Scheme, regular
 
 
 def dms(degrees: float, minutes: float = 0.0, seconds: float = 0.0) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geomosaic.resample.kernels.sight import hidden as compiled
-from geomosaic.resample.sight import STEP, Field, Relief, hidden
+from geomosaic.resample.occlusion import STEP, Field, Relief, hidden
 from geomosaic.types import ByteArray, Float32Array
 
 SHAPE = (90, 110)

@@ -7,10 +7,10 @@ import pytest
 from affine import Affine
 from scipy.ndimage import label
 
-from geomosaic.carto.contours import Heights
-from geomosaic.carto.prominence import prominences
-from geomosaic.carto.spots import find_spots
 from geomosaic.errors import InputError
+from geomosaic.relief.contours import Heights
+from geomosaic.relief.prominence import prominences
+from geomosaic.relief.spot_heights import find_spots
 
 
 def defined(values: np.ndarray, row: int, col: int) -> float:

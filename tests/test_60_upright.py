@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geomosaic.resample.kernels.upright import upright as compiled
-from geomosaic.resample.upright import Way, upright
+from geomosaic.resample.vertical_walls import Way, upright
 from geomosaic.types import Float32Array
 
 

@@ -13,20 +13,19 @@ import pytest
 import rasterio
 from helpers import MAP, Hills, PinholeOverMap
 
-from geomosaic.block.block import Block
-from geomosaic.block.scene import Scene
+from geomosaic.block.block import Block, Scene
 from geomosaic.geo.grid import Bounds, Window
-from geomosaic.product import photos as photos_module
-from geomosaic.product.aligned import cell_means
-from geomosaic.product.colour.balance import balance
-from geomosaic.product.extent import footprints, output_grid
-from geomosaic.product.mosaic import mosaic
-from geomosaic.product.mosaic_options import MosaicOptions
-from geomosaic.product.options import RenderOptions
-from geomosaic.product.photos import Photos
-from geomosaic.project.build import build_block
-from geomosaic.project.inputs import BlockInputs
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.mosaic.colour.balance import balance
+from geomosaic.mosaic.mosaic import mosaic
+from geomosaic.mosaic.options import MosaicOptions
 from geomosaic.raster.source import Source
+from geomosaic.render import photos as photos_module
+from geomosaic.render.aligned import cell_means
+from geomosaic.render.extent import footprints, output_grid
+from geomosaic.render.options import RenderOptions
+from geomosaic.render.photos import Photos
 from geomosaic.surface.model import HeightPatch, Surface
 
 SIZE = (96, 64)

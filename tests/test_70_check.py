@@ -10,9 +10,9 @@ import pytest
 import rasterio
 from affine import Affine
 
+from geomosaic.accuracy import product_check as check
+from geomosaic.accuracy.product_check import against_reference
 from geomosaic.errors import InputError
-from geomosaic.product.checks import check
-from geomosaic.product.checks.check import against_reference
 
 
 def picture(path: Path, left: float, top: float, size: int, brighter: float = 0.0, **profile: Any) -> Path:

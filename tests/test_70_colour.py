@@ -13,13 +13,13 @@ import shapely
 from affine import Affine
 
 from geomosaic.errors import InputError
-from geomosaic.product.colour.stretch import read
-from geomosaic.product.mosaic_options import MosaicOptions
-from geomosaic.product.mosaic_result import MosaicResult
-from geomosaic.product.options import RenderOptions
-from geomosaic.project.area import Area
-from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import make_mosaic, reference_scene
+from geomosaic.inputs.area import Area
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.mosaic.colour.stretch import read
+from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.mosaic.result import MosaicResult
+from geomosaic.products.from_inputs import make_mosaic, reference_scene
+from geomosaic.render.options import RenderOptions
 from geomosaic.resample.engine import numba_engine, numpy_engine
 
 SIZE = (240, 180)

@@ -11,11 +11,11 @@ from affine import Affine
 from city_rig import CORNER, FOCAL, SIZE, write_image
 
 from geomosaic.errors import InputError
-from geomosaic.product.mosaic_options import MosaicOptions
-from geomosaic.product.options import RenderOptions
-from geomosaic.project.area import Area
-from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import make_mosaic
+from geomosaic.inputs.area import Area
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.render.options import RenderOptions
 
 CENTRES = np.array([[120.0, 160.0, 420.0], [220.0, 160.0, 420.0]])
 LEVEL, PIXEL = 5.0, 2.0

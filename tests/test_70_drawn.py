@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import shapely
 
-from geomosaic.cli.words import mosaic_words
+from geomosaic.cli.results import mosaic_words
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.product.blend.options import Blending
+from geomosaic.mosaic.blending.options import Blending
 
 L, T = rig.LEFT, rig.TOP
 CROSSING = [(L, T), (L + 200, T - 100), (L + 200, T), (L, T - 100)]
@@ -58,8 +58,8 @@ def test_an_outline_that_does_not_close_or_crosses_itself(files: list[Path], tmp
     path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": features}))
     with pytest.raises(InputError, match="row 2 is no geometry") as told:
         rig.run(files, tmp_path / "out.tif", **given(way, path))
-    assert told.value.mend is not None
-    assert "close" in told.value.mend
+    assert told.value.hint is not None
+    assert "close" in told.value.hint
     path = drawn(tmp_path, shapely.box(L, T - 50, L + 50, T), shapely.Polygon(CROSSING))
     with pytest.raises(InputError, match="row 2 is no valid area"):
         rig.run(files, tmp_path / "out.tif", **given(way, path))

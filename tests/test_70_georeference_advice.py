@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from test_50_control_advice import table_rows
 
+from geomosaic.block.block import Scene
 from geomosaic.block.footprint import footprint
-from geomosaic.block.scene import Scene
-from geomosaic.control.finding import Advice
+from geomosaic.control.findings import Advice
+from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ImageControl, Origin
-from geomosaic.control.reading import Reading
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.product.extent import output_grid
-from geomosaic.product.georeference.examine import BadControlError, fold_advice
-from geomosaic.product.georeference.request import FitRequest
-from geomosaic.product.georeference.solution import Solution, solve
+from geomosaic.georeference.examination import BadControlError, fold_advice
+from geomosaic.georeference.request import FitRequest
+from geomosaic.georeference.solution import Solution, solve
+from geomosaic.render.extent import output_grid
 from geomosaic.types import FloatArray
 
 SIZE = (4000, 3000)
@@ -169,18 +169,18 @@ def row(name: str) -> str:
     try:
         advice = found(points, model, more)
     except GeomosaicError as error:
-        cells = ("refused", error.what, error.mend or "")
+        cells = ("refused", error.what, error.hint or "")
     else:
         seen = {f"`{a.code}` ({a.severity})": a for a in advice}
         assert wanted in seen, (name, list(seen))
-        cells = (wanted, seen[wanted].what, seen[wanted].mend)
+        cells = (wanted, seen[wanted].what, seen[wanted].hint)
     assert cells[0] == wanted, name
     return " | ".join(["| " + name, *cells]) + " |"
 
 
 def test_every_case_is_found_and_the_docs_show_what_is_said():
     """All bad control in one table: what is found before a fit, and what the fit shows."""
-    table = "\n".join(["| control | finding | said | mend |", "|---|---|---|---|", *table_rows(), *map(row, CASES)])
+    table = "\n".join(["| control | finding | said | hint |", "|---|---|---|---|", *table_rows(), *map(row, CASES)])
     page = (Path(__file__).resolve().parent.parent / "docs" / "control.md").read_text(encoding="utf-8")
     assert table in page, f"docs/control.md should have this table:\n{table}"
 

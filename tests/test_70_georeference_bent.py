@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from test_70_georeference_advice import few, lens, solved
 
-from geomosaic.product.georeference.examine import BadControlError
+from geomosaic.georeference.examination import BadControlError
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,13 @@ import pytest
 import rasterio
 from test_70_georeference import CRS, PLAIN, affine_map, image, places, table, texture
 
+from geomosaic.accuracy.check_points import check_map
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
-from geomosaic.product.checks.accuracy import check_map
-from geomosaic.product.georeference.examine import BadControlError
-from geomosaic.product.georeference.request import ControlInput, FitRequest, Place
-from geomosaic.product.georeference.run import georeference
+from geomosaic.georeference.examination import BadControlError
+from geomosaic.georeference.request import ControlInput, FitRequest, Place
+from geomosaic.georeference.run import georeference
 
 
 @pytest.mark.parametrize("crs", ["EPSG:2193", "EPSG:3031", "EPSG:32601"])
@@ -80,10 +80,10 @@ def test_what_has_no_place_on_the_earth_is_refused_whoever_insists(tmp_path: Pat
             given = ControlInput(path, "EPSG:4326")
             with pytest.raises(BadControlError, match=code) as refused:
                 georeference(scan, tmp_path / "map.tif", given, FitRequest("affine", insist=insist), options=PLAIN)
-            assert "--insist" not in (refused.value.mend or "")
+            assert "--insist" not in (refused.value.hint or "")
             with pytest.raises(InputError, match=code) as refused_check:
                 check_map(drawn, path, crs="EPSG:4326", insist=insist)
-            assert "--insist" not in (refused_check.value.mend or "")
+            assert "--insist" not in (refused_check.value.hint or "")
     # Left out as told, the others are drawn: the point has no place, and needs none.
     given = ControlInput(typed, "EPSG:4326", without=("P4",))
     made = georeference(scan, tmp_path / "map.tif", given, FitRequest("affine"), options=PLAIN)
@@ -108,7 +108,7 @@ def test_who_insists_passes_every_check_that_leaves_something_to_draw(tmp_path: 
         given = ControlInput(path, crs)
         with pytest.raises(BadControlError, match=code) as refused:
             georeference(scan, tmp_path / "map.tif", given, FitRequest("auto"), options=PLAIN)
-        assert "--insist" in (refused.value.mend or "")
+        assert "--insist" in (refused.value.hint or "")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", GeomosaicWarning)
             made = georeference(scan, tmp_path / "map.tif", given, FitRequest("auto", insist=True), options=PLAIN)

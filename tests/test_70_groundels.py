@@ -10,11 +10,11 @@ import rasterio
 from affine import Affine
 from pyproj import CRS
 
-from geomosaic.block.scene import Scene
+from geomosaic.block.block import Scene
 from geomosaic.geo.grid import Grid
-from geomosaic.product.extent import footprints
-from geomosaic.product.options import RenderOptions
-from geomosaic.product.ortho import ortho
+from geomosaic.render.extent import footprints
+from geomosaic.render.options import RenderOptions
+from geomosaic.render.ortho import ortho
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build
 

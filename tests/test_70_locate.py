@@ -15,13 +15,13 @@ from geomosaic.block.block import ControlPoint
 from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import geographic, has_heights, height_name, parse_crs, with_heights
 from geomosaic.geo.transform import Transform
-from geomosaic.product.locate import Certainty, View, draw, ellipses, ground_crs, locate, orientation
-from geomosaic.product.locate.draw import trace
-from geomosaic.product.locate.view import HIDDEN, SEEN
+from geomosaic.monoplotting import Certainty, View, draw, ellipses, ground_crs, locate, orientation
+from geomosaic.monoplotting.drape import HIDDEN, SEEN
+from geomosaic.monoplotting.line_drawing import trace
 from geomosaic.sensor import registry
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.surface.plane import Plane
+from geomosaic.surface.reference_surfaces import Plane
 from geomosaic_rpc import fit_rpc
 
 SIZE = (1000, 800)

@@ -13,7 +13,7 @@ import pytest
 from rasterio.merge import merge
 
 from geomosaic.errors import InputError
-from geomosaic.project.area import Area
+from geomosaic.inputs.area import Area
 
 PLACES = [(0, 0), (700, 90), (300, 430), (320, 200)]
 SIZE = (620, 900)
@@ -173,10 +173,10 @@ def test_many_files_are_not_open_at_once(tmp_path: Path) -> None:
         nonlocal most
         most = max(most, len(os.listdir("/proc/self/fd")))  # noqa: PTH208
 
-    from geomosaic.product.mosaic_options import MosaicOptions
-    from geomosaic.product.options import RenderOptions
-    from geomosaic.project.inputs import BlockInputs
-    from geomosaic.project.make import make_mosaic
+    from geomosaic.inputs.declarations import BlockInputs
+    from geomosaic.mosaic.options import MosaicOptions
+    from geomosaic.products.from_inputs import make_mosaic
+    from geomosaic.render.options import RenderOptions
 
     before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208
     options = MosaicOptions(RenderOptions(threads=1, progress=count), balance=False, stac=False, rule="first")

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.product.blend.options import Blending
-from geomosaic.product.depth import Depth
-from geomosaic.product.mosaic_options import MosaicOptions
-from geomosaic.product.options import RenderOptions
-from geomosaic.project.area import Area
-from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import make_mosaic
+from geomosaic.inputs.area import Area
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.mosaic.blending.options import Blending
+from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.render.options import RenderOptions
+from geomosaic.render.sample_types import Depth
 
 
 def two(folder: Path, one: np.ndarray, other: np.ndarray, **more: object) -> list[Path]:
@@ -112,8 +112,8 @@ def test_empty_images(tmp_path: Path) -> None:
 def test_copies_leave_alone_what_is_not_wanted_or_missing(tmp_path: Path) -> None:
     """Compiled and plain copies write the same pixels and no others, blank ones and cells not asked for."""
     from geomosaic.geo.grid import Window
-    from geomosaic.product.aligned import copied
     from geomosaic.raster.source import Source
+    from geomosaic.render.aligned import copied
 
     values = np.random.default_rng(4).integers(1, 255, (150, 200, 3)).astype(np.uint8)
     values[20:40, 30:90] = 0  # missing
@@ -137,9 +137,9 @@ def test_copies_leave_alone_what_is_not_wanted_or_missing(tmp_path: Path) -> Non
 def test_corrected_copies_are_what_resampling_gives(tmp_path: Path, dtype: str) -> None:
     """Values by table are those that the kernels compute, to the bit; the curve is applied once and rounded once."""
     from geomosaic.geo.grid import Window
-    from geomosaic.product.aligned import copied, table_of
-    from geomosaic.radiometry.curve import Curve
+    from geomosaic.radiometry.histogram_matching import Curve
     from geomosaic.raster.source import Source
+    from geomosaic.render.aligned import copied, table_of
     from geomosaic.resample.warp import Colour
 
     values = np.random.default_rng(1).integers(0, np.iinfo(dtype).max + 1, (70, 90, 2)).astype(dtype)

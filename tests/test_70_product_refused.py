@@ -13,9 +13,9 @@ import pytest
 from product_rig import GROUND, GSD, MAP, SMALL, Strip, job, make_strip, write
 
 from geomosaic.errors import GeomosaicError, InputError, OutputExistsError, RasterReadError
-from geomosaic.product.extent import output_grid
-from geomosaic.product.mosaic import mosaic
-from geomosaic.product.ortho import ortho
+from geomosaic.mosaic.mosaic import mosaic
+from geomosaic.render.extent import output_grid
+from geomosaic.render.ortho import ortho
 from geomosaic.testing.synthetic import CAMERA, SyntheticPhoto
 
 
@@ -31,7 +31,7 @@ def refused(call: Callable[[], object], folder: Path, kind: type[GeomosaicError]
         call()
     assert {path.name for path in folder.iterdir()} == before
     assert caught.value.what
-    assert caught.value.mend
+    assert caught.value.hint
     return caught.value
 
 
@@ -47,7 +47,7 @@ def test_an_image_of_the_sky(strip: Strip, tmp_path: Path) -> None:
     up = replace(strip.photos[0], angles=(180.0, 0.0, 0.0))
     error = refused(lambda: job(strip.dem, strip.files[:1], [up], GSD), tmp_path)
     assert "sky" in error.what
-    assert "angle" in str(error.mend)
+    assert "angle" in str(error.hint)
 
 
 def test_an_image_that_is_not_the_models(strip: Strip, tmp_path: Path) -> None:
@@ -143,6 +143,6 @@ def test_a_full_disk(sample: Path, tmp_path: Path, command: str, driver: str) ->
     )
     assert done.returncode == 1, done.stderr
     assert "out" in done.stderr
-    assert "mend" in done.stderr
+    assert "hint" in done.stderr
     assert "fault of geomosaic" not in done.stderr
     assert not list(tmp_path.iterdir())

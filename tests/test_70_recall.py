@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from geomosaic.product.reruns.recall import Recall, decode, digest_of, encode
-from geomosaic.radiometry.choose import Trial
-from geomosaic.radiometry.curve import Curve
+from geomosaic.mosaic.reruns.earlier_results import Recall, decode, digest_of, encode
 from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.radiometry.shade import Shade
+from geomosaic.radiometry.histogram_matching import Curve
+from geomosaic.radiometry.local_gains import Shade
+from geomosaic.radiometry.model_selection import Trial
 
 
 def balance(curves) -> Balance:

@@ -18,12 +18,12 @@ from pyproj import CRS, Geod
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import OutputError, OutputExistsError
 from geomosaic.geo.grid import Grid
-from geomosaic.product.ortho import GeometryRecord
-from geomosaic.product.records.files import write_item, write_vectors
-from geomosaic.product.records.taken import time_span
+from geomosaic.mosaic.records.files import write_item, write_vectors
+from geomosaic.mosaic.records.provenance import time_span
 from geomosaic.radiometry.gain_offset import solve
-from geomosaic.raster.output import partial, remove
 from geomosaic.raster.vector import read_layer
+from geomosaic.render.ortho import GeometryRecord
+from geomosaic.whole_files import partial, remove
 
 METRES = Grid(CRS.from_epsg(32633), Affine(0.5, 0, 4e5, 0, -0.5, 5.5e6), 100, 100)
 FEET = Grid(CRS.from_epsg(2263), Affine(2.0, 0, 9.8e5, 0, -2.0, 2e5), 100, 100)
@@ -170,7 +170,7 @@ def test_vectors(tmp_path: Path) -> None:
 CHILD = """
 import sys, time
 from pathlib import Path
-from geomosaic.raster.output import partial
+from geomosaic.raster.output_files import partial
 name = partial(Path(sys.argv[1]), ".gpkg")
 name.write_bytes(b"half")
 Path(f"{name}-journal").write_bytes(b"half")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import threading
 
-from geomosaic.product.room import Room
+from geomosaic.render.workers import Room
 
 
 def test_no_more_is_held_than_there_is_but_by_one_alone() -> None:

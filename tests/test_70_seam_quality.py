@@ -12,8 +12,8 @@ import rasterio
 from affine import Affine
 from scipy.ndimage import gaussian_filter
 
-from geomosaic.product.report.seams import seam_limit, strip
 from geomosaic.raster.vector import read_layer
+from geomosaic.report.report import seam_limit, strip
 
 LEFT, TOP, SIDE, STEP = 500_000.0, 5_500_000.0, 500, 250
 SHIFT, OFFSET = (2.0, -1.0), 12

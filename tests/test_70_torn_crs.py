@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from geomosaic.block.scene import Scene
+from geomosaic.block.block import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.product.extent import refuse_torn_crs
+from geomosaic.render.extent import refuse_torn_crs
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 
@@ -43,7 +43,7 @@ def test_the_other_side_of_the_earth(kind: str, other_side: str, said: str) -> N
     with pytest.raises(InputError, match=said) as caught:
         refuse_torn_crs(parse_crs(other_side), scenes(kind))
     assert "longitude 15.0" in caught.value.what
-    assert "EPSG:32633" in str(caught.value.mend)
+    assert "EPSG:32633" in str(caught.value.hint)
     assert caught.value.where == "it"
 
 

@@ -17,16 +17,15 @@ from rpc_rig import SIZE as RPC_SIZE
 from geomosaic.geo.crs import with_heights
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
-from geomosaic.product.mosaic_options import MosaicOptions
-from geomosaic.product.options import RenderOptions
-from geomosaic.product.visibility import Visibility
-from geomosaic.project.area import Area
-from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.make import make_mosaic, make_ortho
+from geomosaic.inputs.area import Area
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.products.from_inputs import make_mosaic, make_ortho
 from geomosaic.raster.vector import read_layer
+from geomosaic.render.occlusion import Visibility
+from geomosaic.render.options import RenderOptions
 from geomosaic.sensor import registry
-from geomosaic.sensor.ground import Ground
-from geomosaic.sensor.mapper import MapToImage
+from geomosaic.sensor.map_to_image import Ground, MapToImage
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.surface.dem import Dem

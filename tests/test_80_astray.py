@@ -17,9 +17,9 @@ from pyproj import Transformer
 from geomosaic.block.block import Block
 from geomosaic.cli.main import run
 from geomosaic.errors import InputError, SolveError
-from geomosaic.project.astray.control import astray
-from geomosaic.project.build import build_block
-from geomosaic.project.inputs import BlockInputs
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.control_diagnostics import astray
+from geomosaic.inputs.declarations import BlockInputs
 from geomosaic.project.sample import sample_folder
 from geomosaic_rpc.write import text_of
 
@@ -70,13 +70,13 @@ SLIPS: dict[str, tuple[Callable[[Row], dict[str, object]], str]] = {
 
 @pytest.mark.parametrize("slip", SLIPS)
 def test_slips_are_told_with_their_mend(tmp_path: Path, slip: str) -> None:
-    change, mend = SLIPS[slip]
+    change, hint = SLIPS[slip]
     inputs = sample(changed(tmp_path / "gcps.csv", change))
     control, check = astray(inputs, build_block(inputs))
     assert (control.role, check.role) == ("control", "check")
     assert control.median > 30.0
     assert "it would be 0." in control.cause
-    assert mend in control.mend
+    assert hint in control.hint
 
 
 def test_nothing_usual_explains_it(tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ def test_coordinates_that_cannot_be_in_the_crs_are_refused(
     inputs = sample(changed(tmp_path / "gcps.csv", change))
     with pytest.raises(InputError) as caught:
         build_block(inputs)
-    assert said in str(caught.value.mend)
+    assert said in str(caught.value.hint)
     assert caught.value.where == str(tmp_path / "gcps.csv")
     build_block(replace(inputs, trusted=True))
 
@@ -137,10 +137,10 @@ def test_a_scene_whose_control_has_latitude_first(tmp_path: Path) -> None:
     inputs, block = scene(tmp_path, lambda xyz: xyz[:, [1, 0, 2]], "none")
     (control,) = astray(inputs, block)
     assert "with x and y exchanged it would be 0 px" in control.cause or "e-" in control.cause
-    assert "x is longitude, y is latitude" in control.mend
+    assert "x is longitude, y is latitude" in control.hint
     with pytest.raises(SolveError, match="with x and y exchanged") as caught:  # nothing could be corrected with it
         scene(tmp_path, lambda xyz: xyz[:, [1, 0, 2]], "shift")
-    assert "x is longitude, y is latitude" in str(caught.value.mend)
+    assert "x is longitude, y is latitude" in str(caught.value.hint)
 
 
 def test_what_a_correction_has_made_of_control_does_not_hide_the_cause(tmp_path: Path) -> None:
@@ -179,7 +179,7 @@ def test_a_run_does_not_succeed_and_says_it_everywhere(tmp_path: Path, capsys: p
     assert run(["run", str(tmp_path / "project.toml"), "--json"]) == 3
     told = json.loads(capsys.readouterr().out)
     assert "control points, median distance" in told["quality"]
-    assert told["orient"]["astray"][0]["mend"] == "write row = height of the image - row"
+    assert told["orient"]["astray"][0]["hint"] == "write row = height of the image - row"
     assert any("rows counted from the bottom" in note for note in told["orient"]["warnings"])
     page = (tmp_path / "output" / "report.html").read_text()
     assert "rows counted from the bottom" in page

@@ -15,20 +15,20 @@ import rasterio
 from helpers import PinholeOverMap
 from pyproj import CRS, Transformer
 
-from geomosaic.block.scene import Scene
+from geomosaic.block.block import Scene
 from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
-from geomosaic.project.build import build_block
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, SYSTEM_NAMES
+from geomosaic.inputs.ground import height_below
+from geomosaic.inputs.usable_area import with_usable
 from geomosaic.project.draft.write import draft_project
-from geomosaic.project.ground import height_below
-from geomosaic.project.inputs import BlockInputs
-from geomosaic.project.orientation.exterior import RECONSTRUCTIONS, SYSTEM_NAMES
-from geomosaic.project.usable import with_usable
 from geomosaic.sensor import registry
-from geomosaic.surface.plane import Plane
-from geomosaic.surface.undeclared import undulation
+from geomosaic.surface.reference_surfaces import Plane
+from geomosaic.surface.vertical_datum import undulation
 
 UTM = "EPSG:32633"
 CAMERA = {"projection_type": "brown", "width": 1200, "height": 900, "focal_x": 1.25, "focal_y": 1.25, "k1": -0.1}
@@ -129,7 +129,7 @@ def test_a_draft_tells_reconstructions_apart(sample: Path, tmp_path: Path) -> No
     assert any("NEEDED" in line for line in draft_project(tmp_path / "p.toml", framed, None).text.splitlines())
     with pytest.raises(InputError, match="angle system is not declared") as caught:
         build_block(framed)
-    assert "opensfm" in str(caught.value.mend)
+    assert "opensfm" in str(caught.value.hint)
     assert not draft_project(tmp_path / "p.toml", replace(given, angles="opensfm"), "opensfm").needed
     own = reconstruction(tmp_path, "reconstruction.topocentric.json")
     draft = draft_project(tmp_path / "p.toml", given, None)

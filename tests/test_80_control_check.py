@@ -8,7 +8,7 @@ import pytest
 from geomosaic.block.block import ControlPoint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.project.planar.control_check import examine
+from geomosaic.inputs.planar.tables import examine
 
 UTM = parse_crs("EPSG:32633")
 
@@ -35,7 +35,7 @@ def test_good_control_passes() -> None:
 def test_coordinates_that_do_not_fit_their_crs(wrong: list[ControlPoint], said: str) -> None:
     with pytest.raises(InputError, match=said) as caught:
         examine(wrong, UTM, None)
-    assert caught.value.mend
+    assert caught.value.hint
 
 
 def test_one_place_with_two_grounds_is_named() -> None:

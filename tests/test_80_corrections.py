@@ -10,8 +10,8 @@ from test_42_corrected import smooth
 from test_80_build import inputs
 
 from geomosaic.errors import InputError, OutputExistsError
-from geomosaic.project.build import build_block
-from geomosaic.project.corrections import read_corrections, write_corrections
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.correction_grids import read_corrections, write_corrections
 from geomosaic.project.load import load_project
 from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.correction_grid import CorrectionGrid

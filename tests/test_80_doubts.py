@@ -1,4 +1,4 @@
-"""Orientations that cannot be meant: every wrong reading is found with its mend, and right data never trips."""
+"""Orientations that cannot be meant: every wrong reading is found with its hint, and right data never trips."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ import pytest
 
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.rotation import omega_phi_kappa
-from geomosaic.project.build import build_block
-from geomosaic.project.inputs import BlockInputs
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.declarations import BlockInputs
 from geomosaic.project.sample import sample_folder
 
 Rows = list[dict[str, Any]]
@@ -107,12 +107,12 @@ SEEN = ("exchanged", "about", "all senses", "gons for degrees", "matrix turned")
     ("case", "witness"), [*((case, "control") for case in WRONG), *((case, "pictures") for case in SEEN)]
 )
 def test_a_wrong_reading_is_found_with_its_mend(tmp_path: Path, case: str, witness: str) -> None:
-    table, more, mend = WRONG[case]
+    table, more, hint = WRONG[case]
     control = {"control": sample_folder() / "gcps.csv"} if witness == "control" else {}
     inputs = sample(exterior=write(tmp_path / "table.csv", table), **more, **control)
     with pytest.raises(InputError) as caught:
         build_block(inputs)
-    assert mend in str(caught.value.mend), str(caught.value)
+    assert hint in str(caught.value.hint), str(caught.value)
     assert caught.value.where == str(tmp_path / "table.csv")
     assert ("control points" if control else "neighbouring photos") in caught.value.what
     build_block(replace(inputs, trusted=True))  # said to be right, it goes on
@@ -143,7 +143,7 @@ def test_heights_off_by_the_geoid_are_found_by_the_pictures() -> None:
     """46.8 m at 1000 m above ground: neighbours meet at the wrong height."""
     with pytest.raises(InputError, match="heights of the positions from the geoid") as caught:
         build_block(sample(heights="ellipsoidal"))
-    assert "set heights = 'egm96' under [exterior]" in str(caught.value.mend)
+    assert "set heights = 'egm96' under [exterior]" in str(caught.value.hint)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -151,11 +151,11 @@ def test_flying_heights_off_by_the_geoid_are_found_by_control(tmp_path: Path, si
     path = write(tmp_path / "table.csv", change(z=lambda r: r["z"] + sign * 46.8))
     with pytest.raises(InputError, match=f"flying heights {'lowered' if sign > 0 else 'raised'}") as caught:
         build_block(sample(exterior=path, control=sample_folder() / "gcps.csv"))
-    assert f"add {-sign * 46.8:+.1f} m to z in table.csv" in str(caught.value.mend)
+    assert f"add {-sign * 46.8:+.1f} m to z in table.csv" in str(caught.value.hint)
 
 
 @pytest.mark.parametrize(
-    ("table", "more", "mend"),
+    ("table", "more", "hint"),
     [
         (change(omega=lambda r: r["omega"] + 180 - 360 * (r["omega"] > 0)), {}, "add half a circle to omega"),
         (
@@ -170,10 +170,10 @@ def test_flying_heights_off_by_the_geoid_are_found_by_control(tmp_path: Path, si
         ),
     ],
 )
-def test_photos_that_look_at_the_sky(tmp_path: Path, table: Rows, more: dict[str, Any], mend: str) -> None:
+def test_photos_that_look_at_the_sky(tmp_path: Path, table: Rows, more: dict[str, Any], hint: str) -> None:
     with pytest.raises(InputError, match="looks at the sky") as caught:
         build_block(sample(exterior=write(tmp_path / "table.csv", table), **more))
-    assert f"all photos would look down if you {mend}" in str(caught.value.mend)
+    assert f"all photos would look down if you {hint}" in str(caught.value.hint)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("rad", math.pi / 180), ("gon", 1 / 0.9)])
@@ -185,4 +185,4 @@ def test_another_unit_than_degrees(tmp_path: Path, unit: str, factor: float) -> 
         build_block(inputs)
     with pytest.warns(UserWarning, match="declared as 'deg'"), pytest.raises(InputError) as caught:
         build_block(replace(inputs, angle_unit="deg"))
-    assert f"set angle_unit = '{unit}'" in str(caught.value.mend)
+    assert f"set angle_unit = '{unit}'" in str(caught.value.hint)

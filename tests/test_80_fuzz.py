@@ -16,22 +16,20 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from geomosaic.control.read import read_control as read_image_control
+from geomosaic.developed.surface_file import read_surface
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.project.camera import read_camera
-from geomosaic.project.control import read_control
-from geomosaic.project.corrections import read_corrections
+from geomosaic.inputs.control_points import read_control
+from geomosaic.inputs.correction_grids import read_corrections
+from geomosaic.inputs.exterior_orientation import program_of, read_exterior
+from geomosaic.inputs.photos import Photo, read_camera
+from geomosaic.inputs.planar.tables import read_block
+from geomosaic.inputs.printed_orientation import Printed, read_printed
+from geomosaic.inputs.tables import read_fiducials
 from geomosaic.project.draft.exif import photo_facts
-from geomosaic.project.draft.programs import program_of
-from geomosaic.project.fiducials import read_fiducials
 from geomosaic.project.load import load_project
-from geomosaic.project.orientation.exterior import read_exterior
-from geomosaic.project.orientation.printed import Printed, read_printed
-from geomosaic.project.photos import Photo
-from geomosaic.project.planar.tables import read_block
-from geomosaic.project.rpc.ties import read_ties
-from geomosaic.project.things.surface_file import read_surface
-from geomosaic.raster.photo_tags import PhotoTags
+from geomosaic.raster.photo_metadata import PhotoTags
+from geomosaic.rpc.refine import read_ties
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 

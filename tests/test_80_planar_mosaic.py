@@ -15,13 +15,13 @@ from planar_rig import FLAT, Flight, flight
 from scipy.ndimage import binary_erosion
 
 from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
-from geomosaic.product.mosaic_options import MosaicOptions
-from geomosaic.product.options import RenderOptions
-from geomosaic.project.area import Area
-from geomosaic.project.build import build_block
-from geomosaic.project.draft.needs import needs
-from geomosaic.project.inputs import BlockInputs, PlanarInputs
-from geomosaic.project.make import make_planar_mosaic
+from geomosaic.inputs.area import Area
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
+from geomosaic.inputs.missing_inputs import needs
+from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.products.from_inputs import make_planar_mosaic
+from geomosaic.render.options import RenderOptions
 from geomosaic.testing.synthetic import coordinates, render
 
 CRS = "EPSG:32633"

@@ -11,10 +11,10 @@ import pytest
 
 from geomosaic.errors import InputError
 from geomosaic.geo.rotation import omega_phi_kappa
-from geomosaic.project.build import build_block
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.exterior_orientation import MATRIX
+from geomosaic.inputs.printed_orientation import Printed, read_printed
 from geomosaic.project.load import load_project
-from geomosaic.project.orientation.exterior import MATRIX
-from geomosaic.project.orientation.printed import Printed, read_printed
 from geomosaic.project.sample import copy_sample
 from geomosaic.types import FloatArray
 
@@ -87,7 +87,7 @@ def test_angles_are_held_against_the_matrix(tmp_path: Path) -> None:
     columns = (*ANGLES, *MATRIX)
     right = {"columns": columns, "sequence": ("phi", "omega", "kappa")}
     read(tmp_path / "list", both(), "deg", "ground_to_image", **right)
-    for how, unit, direction, mend in (
+    for how, unit, direction, hint in (
         (
             {**right, "sequence": ("omega", "phi", "kappa")},
             "deg",
@@ -99,10 +99,10 @@ def test_angles_are_held_against_the_matrix(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match="disagree") as caught:
             read(tmp_path / "list", both(), unit, direction, **how)
-        assert mend in str(caught.value.mend)
+        assert hint in str(caught.value.hint)
     with pytest.raises(InputError, match="disagree") as caught:
         read(tmp_path / "list", both(-1.0), "deg", "ground_to_image", **right)
-    assert "other sense" in str(caught.value.mend)
+    assert "other sense" in str(caught.value.hint)
 
 
 @pytest.mark.parametrize(
@@ -159,8 +159,8 @@ def test_a_project_with_a_printed_list_is_the_same_block(tmp_path: Path) -> None
     other.write_text(text.replace('axes = "right up"', 'axes = "left down"'))
     with pytest.raises(InputError, match="cannot be meant: control points") as caught:
         build_block(load_project(other).inputs)
-    assert "set axes = 'right up' under [exterior.printed]" in str(caught.value.mend)
+    assert "set axes = 'right up' under [exterior.printed]" in str(caught.value.hint)
     other.write_text(text.replace('axes = "right up"', 'axes = "right down"'))
     with pytest.raises(InputError, match="looks at the sky") as caught:
         build_block(load_project(other).inputs)
-    assert "set axes = 'right up' under [exterior.printed]" in str(caught.value.mend)
+    assert "set axes = 'right up' under [exterior.printed]" in str(caught.value.hint)

@@ -9,14 +9,12 @@ import pytest
 
 from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.crs import height_name, parse_crs
-from geomosaic.project.control import read_control
-from geomosaic.project.frames import describe, named, undeclared
+from geomosaic.inputs.control_points import read_control
+from geomosaic.inputs.exterior_orientation import check_units, read_exterior
+from geomosaic.inputs.frames import describe, named, undeclared
+from geomosaic.inputs.tables import find_by_name, read_table, stem
 from geomosaic.project.load import load_project
-from geomosaic.project.names import find_by_name, stem
-from geomosaic.project.orientation.exterior import read_exterior
-from geomosaic.project.orientation.units import check_units
-from geomosaic.project.tables import read_table
-from geomosaic.surface.undeclared import undulation
+from geomosaic.surface.vertical_datum import undulation
 
 ROWS = [("DSC_01.tif", 1.5, -2.0, 300.25, 0.5, -0.25, 91.0), ("DSC_02.tif", 11.5, -2.0, 301.0, 0.0, 0.125, 90.0)]
 HEADER = ["image", "x", "y", "z", "omega", "phi", "kappa"]
@@ -80,37 +78,37 @@ def test_errors_name_file_and_line(tmp_path, body, line, words):
     with pytest.raises(InputError, match=words) as caught:
         read_exterior(file, "opk")
     assert caught.value.where == f"{file}, line {line}"
-    assert caught.value.mend or "already" in words or "empty" in words
+    assert caught.value.hint or "already" in words or "empty" in words
 
 
 def test_decimal_commas_are_refused_with_advice(tmp_path):
     file = write(tmp_path / "e.csv", ";".join(HEADER) + "\na.tif;1,5;2;3;4;5;6\n")
     with pytest.raises(InputError, match="'1,5'") as caught:
         read_exterior(file, "opk")
-    assert "decimal point" in str(caught.value.mend)
+    assert "decimal point" in str(caught.value.hint)
 
 
 def test_no_header_wrong_columns_and_no_table(tmp_path):
     with pytest.raises(InputError, match="no header") as caught:
         read_exterior(write(tmp_path / "n.txt", "a 1 2 3 4 5 6\n"), "opk")
-    assert "image,x,y,z,omega,phi,kappa" in str(caught.value.mend)
+    assert "image,x,y,z,omega,phi,kappa" in str(caught.value.hint)
     with pytest.raises(InputError, match="omega, phi, kappa") as caught:
         read_exterior(write(tmp_path / "r.csv", "image,x,y,z,roll,pitch,yaw\na,1,2,3,4,5,6\n"), "opk")
-    assert "'rpy'" in str(caught.value.mend)
+    assert "'rpy'" in str(caught.value.hint)
     with pytest.raises(InputError, match="does not exist"):
         read_exterior(tmp_path / "none.csv", "opk")
     with pytest.raises(InputError, match="not UTF-8"):
         read_exterior(write(tmp_path / "l.csv", "é", "latin-1"), "opk")
     with pytest.raises(InputError, match="no angle system named 'opks'") as caught:
         read_exterior(tmp_path / "none.csv", "opks")
-    assert "'opk'" in str(caught.value.mend)
+    assert "'opk'" in str(caught.value.hint)
 
 
 def test_a_missing_row_suggests_what_was_meant(tmp_path):
     file = write(tmp_path / "e.csv", ",".join(HEADER) + "\nDSC_01,1,2,3,4,5,6\n")
     with pytest.raises(InputError, match=r"no row for DSC_O1.tif") as caught:
         read_exterior(file, "opk").row("DSC_O1.tif")
-    assert "did you mean 'DSC_01'" in str(caught.value.mend)
+    assert "did you mean 'DSC_01'" in str(caught.value.hint)
 
 
 def test_names_match_with_or_without_extension_and_never_by_prefix():
@@ -152,7 +150,7 @@ def test_deviations_of_control_points_can_be(tmp_path):
         with pytest.raises(InputError, match=words) as caught:
             read_control(write(tmp_path / "g.csv", f"{head}P1,1,2,3,a,1,1,{bad}\n"), ["a.tif"])
         assert str(caught.value.where).endswith("line 2")
-        assert caught.value.mend
+        assert caught.value.hint
     (point,) = read_control(write(tmp_path / "g.csv", f"{head}P1,1,2,3,a,1,1,0,\n"), ["a.tif"])
     assert (point.sigma_xy, point.sigma_px) == (0.0, 1.0)
 
@@ -254,7 +252,7 @@ def test_radians_and_gons_are_suspected_and_declaring_settles_it(tmp_path):
     check_units(*_split(table(math.pi / 180), "rad"))
     with pytest.raises(InputError, match="radians") as caught:
         check_units(*_split(table(math.pi / 180), None))
-    assert "angle_unit" in str(caught.value.mend)
+    assert "angle_unit" in str(caught.value.hint)
     with pytest.warns(GeomosaicWarning, match="radians"):
         check_units(*_split(table(math.pi / 180), "deg"))
     with pytest.raises(InputError, match="no angle unit"):
@@ -280,13 +278,13 @@ def test_undeclared_heights_name_metres_pixels_and_option():
     assert isinstance(error, HeightDatumError)
     assert "45.5 m" in error.what
     assert "22.8 px" in error.what
-    assert "--heights" in str(error.mend)
+    assert "--heights" in str(error.hint)
 
 
 def test_one_photo_of_a_table_in_radians_is_found_out(sample, tmp_path):
     """One image tells nothing of the unit; the rest of its table does."""
-    from geomosaic.project.inputs import BlockInputs
-    from geomosaic.project.photos import photos_of
+    from geomosaic.inputs.declarations import BlockInputs
+    from geomosaic.inputs.photos import photos_of
 
     lines = (sample / "exterior.csv").read_text().splitlines()
     turned = [lines[0]]

@@ -18,10 +18,10 @@ import pytest
 
 from geomosaic.errors import InputError, Interrupted, OutputError, OutputExistsError
 from geomosaic.jobs.engine import run, status
-from geomosaic.jobs.lock import project_lock
 from geomosaic.jobs.manifest import Manifest
+from geomosaic.jobs.run_control import project_lock
 from geomosaic.jobs.step import Job, Step
-from geomosaic.project.atomic import write_atomic
+from geomosaic.whole_files import write_atomic
 
 CALLS: list[str] = []
 
@@ -105,7 +105,7 @@ def test_a_wanted_step_brings_what_it_reads_from(job):
     assert ran(job, only=["b"]) == ["a.txt", "b.txt"]
     with pytest.raises(InputError, match="no step named 'x'") as caught:
         run(job, only=["x"])
-    assert "a, b, c" in str(caught.value.mend)
+    assert "a, b, c" in str(caught.value.hint)
 
 
 def test_moving_the_folder_keeps_everything_fresh(job, tmp_path_factory):

@@ -13,9 +13,9 @@ import rpc_rig as rig
 from geomosaic.cli.main import run
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.missing_inputs import needs
 from geomosaic.jobs.project import run_project, status_of
-from geomosaic.project.draft.needs import needs
-from geomosaic.project.inputs import BlockInputs
 from geomosaic.project.load import load_project
 from geomosaic_rpc import write_tags
 from geomosaic_rpc.model import WGS84

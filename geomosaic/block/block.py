@@ -1,4 +1,4 @@
-"""All images of a job with their common ground: surface and observations."""
+"""Scenes and blocks: images with their sensor models, their common ground and observations."""
 
 from __future__ import annotations
 
@@ -6,9 +6,39 @@ from dataclasses import dataclass, field
 
 from pyproj import CRS
 
-from geomosaic.block.scene import Scene
 from geomosaic.errors import InputError
+from geomosaic.sensor.model import SensorModel
 from geomosaic.surface.model import Surface
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """An image file and the model that says where its pixels lie.
+
+    Attributes
+    ----------
+    name : str
+        Unique in its block.
+    path : str
+        The image file.
+    sensor : str
+        Name of the sensor plugin the model comes from.
+    model : SensorModel
+    nodata : float, optional
+        Value of missing pixels, in place of what the file says.
+    bands : tuple of int, optional
+        Bands to use, counted from 1, in this order; all but alpha unless given.
+    usable : tuple of (col, row), optional
+        Corners of the part of the image that may be used, in order: no fiducial marks, no border of the film.
+    """
+
+    name: str
+    path: str
+    sensor: str
+    model: SensorModel
+    nodata: float | None = None
+    bands: tuple[int, ...] | None = None
+    usable: tuple[tuple[float, float], ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -71,7 +101,7 @@ class Block:
         doubled = sorted({name for name in names if names.count(name) > 1})
         if doubled:
             raise InputError(
-                f"two images share the name '{doubled[0]}'", mend="rename one, or list the files one by one"
+                f"two images share the name '{doubled[0]}'", hint="rename one, or list the files one by one"
             )
 
     def scene(self, name: str) -> Scene:

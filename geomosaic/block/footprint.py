@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.scene import Scene
+from geomosaic.block.block import Scene
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic, horizontal
-from geomosaic.geo.domain import GREAT, limits
 from geomosaic.geo.grid import Grid
+from geomosaic.geo.projection_domain import GREAT, limits, near, whole_turn
 from geomosaic.geo.transform import Transform
-from geomosaic.geo.turn import near, whole_turn
 from geomosaic.sensor.model import HasRays
 from geomosaic.sensor.solve import image_to_ground
 from geomosaic.surface.model import Surface
-from geomosaic.surface.plane import Plane
+from geomosaic.surface.reference_surfaces import Plane
 from geomosaic.types import FloatArray
 
 if TYPE_CHECKING:
@@ -273,13 +272,13 @@ def _no_ground(scene: Scene, surface: Surface | None, crs: CRS) -> InputError:
                     f"the image sees nothing but a hole of the DEM: there is no height at x {nadir[0]:.1f}, "
                     f"y {nadir[1]:.1f} ({horizontal(crs).name}), though the DEM reaches farther",
                     where=where,
-                    mend="fill the hole (for example with gdal_fillnodata), or leave the image out",
+                    hint="fill the hole (for example with gdal_fillnodata), or leave the image out",
                 )
             return InputError(
                 f"the image lies outside the DEM: there is no height under the camera at x {nadir[0]:.1f}, "
                 f"y {nadir[1]:.1f} ({horizontal(crs).name}){_reach(grid)}",
                 where=where,
-                mend="check the CRS of the positions and of the DEM, or give a DEM that covers the image",
+                hint="check the CRS of the positions and of the DEM, or give a DEM that covers the image",
             )
     origin = _origin(scene)
     if surface is not None and origin is not None:
@@ -289,10 +288,10 @@ def _no_ground(scene: Scene, surface: Surface | None, crs: CRS) -> InputError:
             return InputError(
                 f"the camera lies below the ground: at {camera[2]:.1f} m, where the ground is at {ground:.1f} m",
                 where=where,
-                mend="check the heights of the positions and of the ground: units (feet for metres) and columns",
+                hint="check the heights of the positions and of the ground: units (feet for metres) and columns",
             )
     return InputError(
         "the middle of the image sees no ground: it looks at the sky, or past the edge of the DEM",
         where=where,
-        mend="check the angle system and unit (a roll turned by 180°, radians for degrees) and the DEM's extent",
+        hint="check the angle system and unit (a roll turned by 180°, radians for degrees) and the DEM's extent",
     )

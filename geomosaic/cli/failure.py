@@ -1,4 +1,4 @@
-"""How a failure is told: what, where and how to mend it, for people or as JSON."""
+"""How a failure is told: what, where and how to correct it, for people or as JSON."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ OF_THE_SYSTEM = {
     errno.EIO: ("the disk cannot be read or written", "check the disk, or copy the file elsewhere"),
     errno.EMFILE: ("too many files are open", "raise the limit (ulimit -n), or give fewer --threads"),
 }
-"""Errors of the operating system that are no fault of ours: what, and how to mend it."""
+"""Errors of the operating system that are no fault of ours: what, and how to correct it."""
 
 
 def stopped(by: BaseException, as_json: bool, *, resumes: bool = False) -> int:
     """Tell what stopped the command; the exit code is that of the signal, as shells have it: 130 for Ctrl-C."""
     number = by.number if isinstance(by, Stopped) else signal.SIGINT
     name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
-    mend = {"mend": "the same command resumes: what is done stays done"} if resumes else {}
-    _tell({"what": f"stopped by {name}", **mend}, as_json)
+    hint = {"hint": "the same command resumes: what is done stays done"} if resumes else {}
+    _tell({"what": f"stopped by {name}", **hint}, as_json)
     return 128 + number
 
 
@@ -49,25 +49,25 @@ def failed(error: Exception, *, as_json: bool, debug: bool) -> int:
     if isinstance(error, click.ClickException):
         if as_json:
             where = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else None
-            _tell({"what": error.format_message(), "where": where, "mend": "see --help"}, as_json)
+            _tell({"what": error.format_message(), "where": where, "hint": "see --help"}, as_json)
         else:
             error.show()
         return int(error.exit_code)
     if debug:
         traceback.print_exception(error)
     if isinstance(error, OSError) and error.errno in OF_THE_SYSTEM:
-        what, mend = OF_THE_SYSTEM[error.errno]
-        error = OutputError(what, where=str(error.filename or ""), mend=mend)
+        what, hint = OF_THE_SYSTEM[error.errno]
+        error = OutputError(what, where=str(error.filename or ""), hint=hint)
     if isinstance(error, GeomosaicError):
-        _tell({"what": error.what, "where": error.where, "mend": error.mend}, as_json, error)
+        _tell({"what": error.what, "where": error.where, "hint": error.hint}, as_json, error)
         return error.exit_code
     if isinstance(error, MemoryError):
-        _tell({"what": "out of memory", "mend": "lower --mem-limit or --threads"}, as_json)
+        _tell({"what": "out of memory", "hint": "lower --mem-limit or --threads"}, as_json)
         return 1
     _tell(
         {
             "what": f"unexpected {type(error).__name__}: {error}",
-            "mend": "this is a fault of geomosaic: please report it with what --debug shows",
+            "hint": "this is a fault of geomosaic: please report it with what --debug shows",
         },
         as_json,
     )
@@ -75,7 +75,7 @@ def failed(error: Exception, *, as_json: bool, debug: bool) -> int:
 
 
 def _tell(parts: dict[str, str | None], as_json: bool, error: GeomosaicError | None = None) -> None:
-    parts = {"what": parts["what"], "where": parts.get("where"), "mend": parts.get("mend")}
+    parts = {"what": parts["what"], "where": parts.get("where"), "hint": parts.get("hint")}
     if as_json:
         try:
             print(json.dumps({"error": parts}, ensure_ascii=False), flush=True)
@@ -87,8 +87,8 @@ def _tell(parts: dict[str, str | None], as_json: bool, error: GeomosaicError | N
         head, colour = ("quality" if isinstance(error, QualityError) else "interrupted"), "yellow"
     where = f"{parts['where']}: " if parts["where"] else ""
     click.echo(f"{click.style(head, fg=colour, bold=True)}: {where}{parts['what']}", err=True, color=_color())
-    if parts["mend"]:
-        click.echo(f"  {click.style('mend', bold=True)}: {parts['mend']}", err=True, color=_color())
+    if parts["hint"]:
+        click.echo(f"  {click.style('hint', bold=True)}: {parts['hint']}", err=True, color=_color())
 
 
 def _color() -> bool | None:

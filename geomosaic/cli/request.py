@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 from geomosaic.cli.talk import Progress
 
 if TYPE_CHECKING:
-    from geomosaic.product.mosaic_options import MosaicOptions
-    from geomosaic.product.options import RenderOptions
-    from geomosaic.project.area import Area
-    from geomosaic.project.inputs import BlockInputs, PlanarInputs
-    from geomosaic.seam.cost import SeamWeights
+    from geomosaic.inputs.area import Area
+    from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
+    from geomosaic.mosaic.options import MosaicOptions
+    from geomosaic.mosaic.seams.cost_terms import SeamWeights
+    from geomosaic.render.options import RenderOptions
 
 
 def block_inputs(
@@ -26,10 +26,10 @@ def block_inputs(
 ) -> BlockInputs:
     """Make the description of a block."""
     from geomosaic.errors import InputError
-    from geomosaic.project.inputs import BlockInputs
+    from geomosaic.inputs.declarations import BlockInputs
 
     if flags["sensor"] is None and (flags["exterior"] or flags["camera"] or flags["fiducials"]):
-        raise InputError("--exterior, --camera or --fiducials is given without a sensor", mend="add --sensor frame")
+        raise InputError("--exterior, --camera or --fiducials is given without a sensor", hint="add --sensor frame")
     return BlockInputs(
         images=images,
         sensor=flags["sensor"] or "planar",
@@ -60,36 +60,36 @@ def block_inputs(
 def planar_inputs(flags: Mapping[str, Any]) -> PlanarInputs | None:
     """How photos are placed together by plane transformations; None where nothing asks for it."""
     from geomosaic.errors import InputError
-    from geomosaic.project.inputs import PlanarInputs, wrong_policy
+    from geomosaic.inputs.declarations import PlanarInputs, wrong_policy
 
     own = [name for name in ("model", "ties", "gcps", "scale", "azimuth", "rectify") if flags[name] is not None]
     own += [name for name in ("robust", "insist") if flags[name]]
     if flags["kind"] is None:
         if own and flags["sensor"] not in (None, "planar"):
             what = f"--{own[0]} places photos without a rigorous model, and --sensor {flags['sensor']} names one"
-            mend = "leave one of them out"
+            hint = "leave one of them out"
             if own == ["gcps"]:
                 what = f"control points of images of --sensor {flags['sensor']} need a project, which reports on them"
-                mend = (
+                hint = (
                     f"geomosaic new block.toml IMAGE... --sensor {flags['sensor']} --gcps FILE with the other inputs, "
                     "then geomosaic run block.toml"
                 )
-            raise InputError(what, where=f"--{own[0]}", mend=mend)
+            raise InputError(what, where=f"--{own[0]}", hint=hint)
         if own:
             raise InputError(
                 f"--{own[0]} is given without a kind of mosaic",
-                mend="add --kind uncontrolled, semicontrolled, controlled or grown",
+                hint="add --kind uncontrolled, semicontrolled, controlled or grown",
             )
         return None
     if flags["sensor"] not in (None, "planar"):
         raise InputError(
             f"--kind {flags['kind']} places photos without a rigorous model, and --sensor {flags['sensor']} names one",
-            mend="leave one of them out",
+            hint="leave one of them out",
         )
     scale = 1.0 if flags["scale"] is None else flags["scale"]
     azimuth = flags["azimuth"] or 0.0
     if not (math.isfinite(scale) and math.isfinite(azimuth)):
-        raise InputError("--scale and --azimuth are finite numbers", mend="give map units per pixel, and degrees")
+        raise InputError("--scale and --azimuth are finite numbers", hint="give map units per pixel, and degrees")
     wrong = wrong_policy(flags["robust"], flags["insist"])
     return PlanarInputs(flags["kind"], flags["model"], flags["ties"], scale, azimuth, flags["rectify"], wrong)
 
@@ -104,14 +104,14 @@ def value(text: str) -> Any:
 
 def area(flags: Mapping[str, Any]) -> Area:
     """Make the description of the output's place."""
-    from geomosaic.project.area import Area
+    from geomosaic.inputs.area import Area
 
     return Area(flags["dst_crs"], flags["res"], flags["bounds"], like=flags.get("like"))
 
 
 def render_options(flags: Mapping[str, Any], progress: Progress | None) -> RenderOptions:
     """Make the options of a raster product."""
-    from geomosaic.product.options import RenderOptions
+    from geomosaic.render.options import RenderOptions
 
     machine = {"threads": flags["threads"], "memory_limit": flags["mem_limit"]}
     return RenderOptions(
@@ -130,23 +130,23 @@ def render_options(flags: Mapping[str, Any], progress: Progress | None) -> Rende
 def seam_weights(given: Mapping[str, str]) -> SeamWeights:
     """Make the weights of seams, where some are given."""
     from geomosaic.errors import InputError, did_you_mean
-    from geomosaic.seam.cost import SeamWeights
+    from geomosaic.mosaic.seams.cost_terms import SeamWeights
 
     known = SeamWeights.__dataclass_fields__
     for name, text in given.items():
         if name not in known:
             hint = did_you_mean(name, list(known)) or f"one of {', '.join(known)}"
-            raise InputError(f"no seam weight is named '{name}'", mend=hint)
+            raise InputError(f"no seam weight is named '{name}'", hint=hint)
         if not isinstance(value(text), int | float):
-            raise InputError(f"the seam weight '{name}' is '{text}'", mend="give a number")
+            raise InputError(f"the seam weight '{name}' is '{text}'", hint="give a number")
     return SeamWeights(**{name: float(value(text)) for name, text in given.items()})
 
 
 def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> MosaicOptions:
     """Make the options of a mosaic."""
-    from geomosaic.cli.merging import balanced, merging
-    from geomosaic.product.mosaic_options import MosaicOptions, terms_of
-    from geomosaic.project.make import reference_scene
+    from geomosaic.cli.mosaic_flags import balanced, merging
+    from geomosaic.mosaic.options import MosaicOptions, terms_of
+    from geomosaic.products.from_inputs import reference_scene
 
     reference = flags["reference"]
     return MosaicOptions(

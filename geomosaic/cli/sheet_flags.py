@@ -1,25 +1,52 @@
-"""Options that a sheet and the sheets of a series share."""
+"""Options of sheets, print enhancement and point files."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from typing import Any
 
 import click
 
-from geomosaic.cli.looks import look_options
-from geomosaic.cli.options import FILE, dem_heights_option, stack
+from geomosaic.cli.options import FILE, band_option, dem_heights_option, stack
+
+stretch_options = stack(
+    band_option,
+    click.option(
+        "--stretch",
+        type=click.Choice(["none", "percentile", "linear", "equalise"]),
+        help="Stretch of the values, from the whole raster.  [default: percentile for other than 8 bits]",
+    ),
+    click.option(
+        "--limits", nargs=2, type=float, metavar="LOW HIGH", help="Values that become black and white: linear."
+    ),
+    click.option(
+        "--percentiles",
+        nargs=2,
+        type=click.FloatRange(0, 100),
+        metavar="LOW HIGH",
+        help="Percentiles that do.  [default: 2 98]",
+    ),
+    click.option("--gamma", type=click.FloatRange(0, 10, min_open=True), help="Above 1 brightens the middle."),
+    click.option("--clahe", type=click.FloatRange(1, 100), metavar="LIMIT", help="Local contrast; 2 is moderate."),
+    click.option("--sharpen", type=click.FloatRange(0, 10), metavar="AMOUNT", help="Unsharp mask; 0.5 is moderate."),
+)
+look_options = stack(
+    stretch_options,
+    click.option("--hillshade", type=FILE, metavar="DEM", help="Blend with the hillshade of this DEM."),
+)
 
 
 def scale_value(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
     """Check that a scale is one; it stays text."""
-    from geomosaic.carto.layout import parse_scale
+    from geomosaic.sheets.layout import parse_scale
 
     return _checked(parse_scale, value)
 
 
 def paper_value(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
     """Check that a paper is one; it stays text."""
-    from geomosaic.carto.layout import paper_size
+    from geomosaic.sheets.layout import paper_size
 
     return _checked(paper_size, value)
 
@@ -31,7 +58,7 @@ def _checked(read: Callable[[str], object], value: str | None) -> str | None:
         try:
             read(value)
         except InputError as error:
-            raise click.BadParameter(f"{error.what}; {error.mend}") from None
+            raise click.BadParameter(f"{error.what}; {error.hint}") from None
     return value
 
 
@@ -65,4 +92,42 @@ file_options = stack(
     ),
     click.option("--collar", is_flag=True, help="Write the whole page to .tif or a raster GeoPDF, not the map alone."),
     click.option("--world-file", is_flag=True, help="Write a world file beside .tif and .png."),
+)
+
+
+def longitude_latitude(
+    ctx: click.Context, param: click.Parameter, value: tuple[float, float] | None
+) -> tuple[float, float] | None:
+    """Check a place in degrees."""
+    if value is None:
+        return None
+    if not (all(map(math.isfinite, value)) and abs(value[0]) <= 360.0 and abs(value[1]) <= 90.0):
+        raise click.BadParameter("write longitude and latitude in degrees, such as 16.5 48.8")
+    return value
+
+
+control_options = stack(
+    click.option("--crs", metavar="CRS", help="CRS of the points' ground coordinates, where the file names none."),
+    click.option(
+        "--pixels",
+        type=click.Choice(["corner", "centre"]),
+        help="What (0, 0) is in a table: the corner of the upper-left pixel, or its centre.  "
+        "[default: corner; centre for gcp_list.txt]",
+    ),
+    click.option("--rows", type=click.Choice(["up", "down"]), help="Way rows count in a QGIS file of unusual sign."),
+    click.option("--insist", is_flag=True, help="Go on where points look wrong (advice of severity error)."),
+)
+
+near_option: Any = click.option(
+    "--near",
+    type=float,
+    nargs=2,
+    callback=longitude_latitude,
+    metavar="LON LAT",
+    help="A place near the image, degrees: tells a wrong zone from the right one.",
+)
+
+wrong_point_options = stack(
+    click.option("--robust", is_flag=True, help="Leave out tie and control points that contradict the others."),
+    click.option("--insist", is_flag=True, help="Go on with points that are grossly wrong."),
 )

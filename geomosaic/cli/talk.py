@@ -32,7 +32,7 @@ def answer(result: Mapping[str, Any], words: str, as_json: bool) -> None:
         raise OutputError(
             f"the work is done, but its result cannot be printed: {error.strerror}",
             where="standard output",
-            mend="free some space, or send the output elsewhere",
+            hint="free some space, or send the output elsewhere",
         ) from error
 
 

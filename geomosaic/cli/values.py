@@ -1,4 +1,4 @@
-"""Values of options, read and checked: what cannot be meant is wrong usage, told with an example."""
+"""Values of options: read, checked, with an example where they are wrong."""
 
 from __future__ import annotations
 
@@ -99,3 +99,47 @@ def number(text: str) -> float:
     except ValueError:
         return math.nan
     return value if math.isfinite(value) else math.nan
+
+
+class Scale(click.types.FloatParamType):
+    """Denominator of '1:5000', or the plain number."""
+
+    name = "1:N"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Read it."""
+        if isinstance(value, float):
+            return value
+        head, mark, tail = str(value).rpartition(":")
+        try:
+            found = float(tail.replace(" ", "").replace("\u202f", ""))
+        except ValueError:
+            found = 0.0
+        if (mark and head.strip() != "1") or not 0 < found < float("inf"):
+            self.fail(f"'{value}' is no scale; write 1:5000", param, ctx)
+        return found
+
+
+class Measure(click.types.FloatParamType):
+    """A number in `unit`, or with a unit of its own: 6000, 6km, 20000ft.
+
+    Parameters
+    ----------
+    unit : str
+        As in `geomosaic.planning.quantities`.
+    """
+
+    def __init__(self, unit: str) -> None:
+        self.unit = unit
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Read it."""
+        if isinstance(value, int | float):
+            return float(value)
+        from geomosaic.errors import InputError
+        from geomosaic.planning.quantities import in_unit
+
+        try:
+            return in_unit(str(value), self.unit)
+        except InputError as error:
+            self.fail(f"{error.what}; {error.hint}", param, ctx)

@@ -1,4 +1,4 @@
-"""Control of one image as a value."""
+"""Control points of one image as values, and check points measured on a map."""
 
 from __future__ import annotations
 
@@ -93,23 +93,23 @@ class ImageControl:
         for index, (name, origin) in enumerate(zip(self.names, self.origins, strict=True)):
             if not np.isfinite([*self.colrow[index], *self.ground[index, :2]]).all():
                 raise InputError(
-                    f"point '{name}' has a coordinate that is not finite", where=str(origin), mend="give a number"
+                    f"point '{name}' has a coordinate that is not finite", where=str(origin), hint="give a number"
                 )
             if not (np.isfinite(self.sigma[index]) and self.sigma[index] > 0):
                 raise InputError(
-                    f"point '{name}' has the sigma {self.sigma[index]:g}", where=str(origin), mend="above 0, pixels"
+                    f"point '{name}' has the sigma {self.sigma[index]:g}", where=str(origin), hint="above 0, pixels"
                 )
             if self.roles[index] not in ROLES:
                 raise InputError(
                     f"point '{name}' has the role '{self.roles[index]}'",
                     where=str(origin),
-                    mend=f"write {' or '.join(ROLES)}",
+                    hint=f"write {' or '.join(ROLES)}",
                 )
             if name in first:
                 raise InputError(
                     f"two points are called '{name}': {first[name]} has the other",
                     where=str(origin),
-                    mend="rename one; one point is measured once in an image",
+                    hint="rename one; one point is measured once in an image",
                 )
             first[name] = origin
 
@@ -151,8 +151,8 @@ class ImageControl:
         if unknown:
             hint = did_you_mean(unknown[0], self.names)
             shown = ", ".join(self.names[:12]) + (" ..." if len(self) > 12 else "")
-            mend = f"{hint} there are {shown}".strip()
-            raise InputError(f"there is no point '{unknown[0]}'", where=where, mend=mend)
+            hint = f"{hint} there are {shown}".strip()
+            raise InputError(f"there is no point '{unknown[0]}'", where=where, hint=hint)
         return replace(self, enabled=self.enabled & ~np.isin(np.array(self.names), list(names)))
 
     def to_crs(self, crs: CRS) -> ImageControl:
@@ -176,7 +176,7 @@ class ImageControl:
                 raise InputError(
                     f"point '{self.names[at]}' has no height, which '{self.crs.name}' to '{crs.name}' needs",
                     where=str(self.origins[at]),
-                    mend="give its height, or CRS without heights",
+                    hint="give its height, or CRS without heights",
                 )
         moved = transform(ground)
         lost = np.flatnonzero(~np.isfinite(moved).all(axis=1))
@@ -185,7 +185,7 @@ class ImageControl:
                 f"point '{self.names[lost[0]]}' at {self.xy[lost[0]].tolist()} has no place in '{crs.name}'"
                 + (f"; nor have {len(lost) - 1} more" if len(lost) > 1 else ""),
                 where=str(self.origins[lost[0]]),
-                mend=f"check that the coordinates are in '{self.crs.name}', x before y",
+                hint=f"check that the coordinates are in '{self.crs.name}', x before y",
             )
         moved[unknown, 2:] = np.nan
         return replace(self, ground=moved, crs=crs)

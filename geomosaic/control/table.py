@@ -8,11 +8,22 @@ from dataclasses import replace
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.control.finding import plane
-from geomosaic.control.pairs import pixel_on_ground
+from geomosaic.control.diagnostics import pixel_on_ground
+from geomosaic.control.findings import plane
+from geomosaic.control.parsing import (
+    Line,
+    Measured,
+    Reading,
+    choose_image,
+    control_of,
+    delimiter_of,
+    ground_crs,
+    has_decimal_commas,
+    number,
+    read_lines,
+    split,
+)
 from geomosaic.control.points import ImageControl, Origin
-from geomosaic.control.reading import Measured, Reading, choose_image, control_of, ground_crs
-from geomosaic.control.text import Line, delimiter_of, has_decimal_commas, number, read_lines, split
 from geomosaic.errors import InputError, counted
 from geomosaic.types import FloatArray, PathLike
 
@@ -67,7 +78,7 @@ def rows(lines: Sequence[tuple[Origin, str]], path: str) -> tuple[tuple[str, ...
     """
     at = header_at(lines)
     if at is None:
-        raise InputError("the table is empty", where=path, mend=f"its first line should read: {EXAMPLE}")
+        raise InputError("the table is empty", where=path, hint=f"its first line should read: {EXAMPLE}")
     delimiter = delimiter_of(lines[at][1])
     header = tuple(field.casefold() for field in split(lines[at][1], delimiter))
     body = []
@@ -80,7 +91,7 @@ def rows(lines: Sequence[tuple[Origin, str]], path: str) -> tuple[tuple[str, ...
             raise InputError(
                 f"{len(fields)} values for {len(header)} columns",
                 where=str(origin),
-                mend="if these are decimal commas, part the columns by semicolons"
+                hint="if these are decimal commas, part the columns by semicolons"
                 if delimiter == ","
                 else "every line needs one value per column",
             )
@@ -123,7 +134,7 @@ def read_table_control(
         at = column["image"]
         empty = next((line for line in body if not line.fields[at]), None)
         if empty is not None:
-            raise InputError("column 'image' is empty", where=str(empty.origin), mend="name the image of every point")
+            raise InputError("column 'image' is empty", where=str(empty.origin), hint="name the image of every point")
         chosen = choose_image([line.fields[at] for line in body], image, where)
         others = sum(line.fields[at] not in chosen for line in body)
         notes += [f"{counted(others, 'point')} of other images left out"] * bool(others)
@@ -140,7 +151,7 @@ def read_table_control(
 def _ground_sigma(line: Line, text: str, commas: bool) -> float:
     sigma = number(text, "sigma_xy", line.origin, commas=commas) if text else 0.0
     if not sigma >= 0.0:
-        raise InputError(f"column 'sigma_xy' has {text}", where=str(line.origin), mend="give metres, 0 or more")
+        raise InputError(f"column 'sigma_xy' has {text}", where=str(line.origin), hint="give metres, 0 or more")
     return sigma
 
 
@@ -169,7 +180,7 @@ def _columns(header: Sequence[str], where: str) -> dict[str, int]:
             continue
         if word in found:
             raise InputError(
-                f"columns '{header[found[word]]}' and '{name}' both mean {word}", where=where, mend="keep one of them"
+                f"columns '{header[found[word]]}' and '{name}' both mean {word}", where=where, hint="keep one of them"
             )
         found[word] = index
     missing = [name for name in NEEDED if name not in found]
@@ -178,7 +189,7 @@ def _columns(header: Sequence[str], where: str) -> dict[str, int]:
             f"control needs the column{'s' * (len(missing) > 1)} {', '.join(missing)}; the header has "
             f"{', '.join(header)}",
             where=where,
-            mend=f"the header should read: {EXAMPLE}",
+            hint=f"the header should read: {EXAMPLE}",
         )
     return found
 
@@ -192,7 +203,7 @@ def _point(index: int, line: Line, column: Mapping[str, int], commas: bool, half
     }
     flag = text.get("enabled", "").casefold()
     if flag not in _FLAGS:
-        raise InputError(f"column 'enabled' has '{flag}'", where=str(line.origin), mend="write 1 or 0")
+        raise InputError(f"column 'enabled' has '{flag}'", where=str(line.origin), hint="write 1 or 0")
     return Measured(
         text.get("id") or str(index),
         (get["col"] + half, get["row"] + half),

@@ -1,4 +1,4 @@
-"""Coordinate reference systems, horizontal and vertical, always named, never guessed.
+"""Coordinate reference systems, horizontal and vertical: always named, never guessed; their areas of use.
 
 A 3-D CRS here is a geocentric CRS, a CRS with ellipsoidal heights (`to_3d`), or a compound of a horizontal
 CRS and a vertical one whose heights are reached through a geoid grid. EGM96 comes with the package.
@@ -50,7 +50,7 @@ def parse_crs(text: str | CRS, where: str | None = None) -> CRS:
     if isinstance(text, CRS):
         return text
     if not text or not text.strip():
-        raise InputError("no CRS given", where=where, mend="name one, for example EPSG:32633")
+        raise InputError("no CRS given", where=where, hint="name one, for example EPSG:32633")
     try:
         if text.lower().endswith(".prj"):
             text = Path(text).read_text()
@@ -59,7 +59,7 @@ def parse_crs(text: str | CRS, where: str | None = None) -> CRS:
         raise InputError(
             f"'{text[:80]}' is not a coordinate reference system ({error})",
             where=where,
-            mend="give an EPSG code such as EPSG:32633, a PROJ string, WKT, or the path of a .prj file",
+            hint="give an EPSG code such as EPSG:32633, a PROJ string, WKT, or the path of a .prj file",
         ) from error
 
 
@@ -76,7 +76,7 @@ def parse_map(text: str, where: str | None = None) -> CRS:
         raise InputError(
             f"'{text[:80]}' ({crs.name}) has not two axes, so no map can be drawn in it",
             where=where,
-            mend="give a projected or a geographic CRS, such as EPSG:32633",
+            hint="give a projected or a geographic CRS, such as EPSG:32633",
         )
     return crs
 
@@ -152,7 +152,7 @@ def with_heights(crs: CRS, heights: str, where: str | None = None) -> CRS:
         raise HeightDatumError(
             f"'{heights}' is not a vertical datum",
             where=where,
-            mend="give 'ellipsoidal', 'egm96', an EPSG code of a vertical CRS, or the path of a geoid grid",
+            hint="give 'ellipsoidal', 'egm96', an EPSG code of a vertical CRS, or the path of a geoid grid",
         ) from error
     if not vertical.is_vertical:
         raise HeightDatumError(f"'{heights}' ({vertical.name}) is not a vertical CRS", where=where)
@@ -172,7 +172,7 @@ def _geoid_grid(path: PathLike, where: str | None) -> CRS:
         raise HeightDatumError(
             f"PROJ cannot open a geoid grid whose path has {odd!r} in it",
             where=where or str(path),
-            mend="rename the file or its folder, or copy it to a path without such marks",
+            hint="rename the file or its folder, or copy it to a path without such marks",
         )
     return _bound_vertical(str(file.resolve()))
 
@@ -203,7 +203,7 @@ def geocentric(crs: CRS) -> CRS:
     if geodetic is None:
         raise InputError(
             f"'{crs.name}' is not tied to the Earth",
-            mend="use a geodetic or projected CRS, or the planar treatment of the camera",
+            hint="use a geodetic or projected CRS, or the planar treatment of the camera",
         )
     if geodetic.is_geocentric:
         return geodetic
@@ -217,7 +217,7 @@ def _with_axes(geodetic: CRS, name: str, axes: str) -> str:
     end = wkt.find(",CS[")
     if start is None or end < 0:
         raise InputError(
-            f"'{geodetic.name}' is no plain geodetic CRS", mend="use a CRS without an embedded transformation"
+            f"'{geodetic.name}' is no plain geodetic CRS", hint="use a CRS without an embedded transformation"
         )
     quoted = name.replace('"', '""')
     return f'GEODCRS["{quoted}"{wkt[start.end() : end]},{axes}]'

@@ -92,9 +92,9 @@ class Grid:
         """
         left, bottom, right, top = bounds
         if not (resolution > 0 and math.isfinite(resolution)):
-            raise InputError(f"resolution {resolution} is not a positive number", mend="give --res in map units")
+            raise InputError(f"resolution {resolution} is not a positive number", hint="give --res in map units")
         if not all(map(math.isfinite, bounds)) or left >= right or bottom >= top:
-            raise InputError(f"bounds {bounds} enclose no area", mend="give left bottom right top in the output CRS")
+            raise InputError(f"bounds {bounds} enclose no area", hint="give left bottom right top in the output CRS")
         if snap:
             # A hair of tolerance keeps 12.000000001 from costing a column of empty pixels.
             left = math.floor(left / resolution + 1e-6) * resolution

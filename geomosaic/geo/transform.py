@@ -53,7 +53,7 @@ class Transform:
             flat = self.target if self.source.is_geocentric else self.source
             raise HeightDatumError(
                 f"the heights of '{flat.name}' have no vertical datum, so they cannot meet an Earth-centred model",
-                mend="declare the heights: 'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid",
+                hint="declare the heights: 'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid",
             )
         return _operation(_key(horizontal(self.source)), _key(horizontal(self.target)))
 
@@ -172,11 +172,11 @@ def _no_operation(source: CRS, target: CRS) -> InputError:
     if grids and not (has_heights(source) or has_heights(target)):
         return InputError(
             f"{what}: grid {' or '.join(grids)} of the shift between their datums is not installed",
-            mend=_GET_GRID,
+            hint=_GET_GRID,
         )
     if grids:
         return HeightDatumError(
             f"{what}: grid {' or '.join(grids)} is not installed",
-            mend="give the path of that geoid grid as the vertical datum, or name another where that is true",
+            hint="give the path of that geoid grid as the vertical datum, or name another where that is true",
         )
-    return InputError(what, mend="check both coordinate reference systems, or give a geoid grid file")
+    return InputError(what, hint="check both coordinate reference systems, or give a geoid grid file")

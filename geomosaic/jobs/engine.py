@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError, OutputError, OutputExistsError
-from geomosaic.jobs.digest import ingredients
-from geomosaic.jobs.lock import project_lock
 from geomosaic.jobs.manifest import Manifest, Record
+from geomosaic.jobs.run_control import Stop, on_sigterm, project_lock
 from geomosaic.jobs.step import Context, Job, Progress, State, Step
-from geomosaic.jobs.stop import Stop, on_sigterm
+from geomosaic.jobs.step_keys import ingredients
 from geomosaic.raster.checksum import Hashes
 
 MANIFEST, LOCK = "manifest.json", "lock"
@@ -117,7 +116,7 @@ def _refuse_foreign(job: Job, steps: Sequence[Step], manifest: Manifest) -> None
                 raise OutputExistsError(
                     f"step '{step.name}' would write over a file that this project has not made",
                     where=str(path),
-                    mend="move it away, or give the project another output folder",
+                    hint="move it away, or give the project another output folder",
                 )
 
 
@@ -150,7 +149,7 @@ def _wanted(steps: Sequence[Step], only: Sequence[str]) -> list[Step]:
     names = [step.name for step in steps]
     for name in only:
         if name not in names:
-            raise InputError(f"no step named '{name}'", mend=f"steps of this project are: {', '.join(names)}")
+            raise InputError(f"no step named '{name}'", hint=f"steps of this project are: {', '.join(names)}")
     if not only:
         return list(steps)
     maker = {path: step for step in steps for path in step.outputs}

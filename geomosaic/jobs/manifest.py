@@ -1,14 +1,18 @@
-"""What the last run of each step read and wrote; a JSON file that is whole or absent."""
+"""Manifest of the last run: what steps read, wrote, found and warned of, as whole JSON files."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from geomosaic.project.atomic import write_atomic
+from geomosaic.errors import GeomosaicWarning
+from geomosaic.whole_files import write_atomic
 
 FORMAT = 1
 
@@ -67,3 +71,51 @@ class Manifest:
             "hashes": self.hashes,
         }
         write_atomic(self.path, json.dumps(values, indent=1, ensure_ascii=False))
+
+
+def write_json(path: Path, values: Any) -> None:
+    """Write JSON; NaN and infinity, which JSON does not know, become null."""
+    write_atomic(path, json.dumps(plain(values), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def read_json(path: Path) -> Any:
+    """Read JSON that a step has written."""
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def plain(value: Any) -> Any:
+    """Values that JSON knows."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, bool) or value is None or isinstance(value, int | str):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    return str(value)
+
+
+@contextmanager
+def heard() -> Iterator[list[str]]:
+    """List the texts of GeomosaicWarnings raised within, each once; all go on to whoever showed them before."""
+    texts: list[str] = []
+    before = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **how: Any) -> None:
+        if issubclass(category, GeomosaicWarning) and str(message) not in texts:
+            texts.append(str(message))
+        before(message, category, *where, **how)
+
+    warnings.showwarning = show
+    try:
+        yield texts
+    finally:
+        warnings.showwarning = before
+
+
+def tell(text: str) -> None:
+    """Show a note that is a result, not a doubt: filters that make errors of warnings leave it alone."""
+    warnings.showwarning(GeomosaicWarning(text), GeomosaicWarning, __file__, 0)

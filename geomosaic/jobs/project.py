@@ -10,15 +10,14 @@ from typing import Any
 
 from geomosaic.errors import QualityError
 from geomosaic.jobs import engine
-from geomosaic.jobs.depends import plugin_versions, sensor_files, with_companions
-from geomosaic.jobs.facts import read_json
 from geomosaic.jobs.layout import Layout
+from geomosaic.jobs.manifest import read_json
 from geomosaic.jobs.step import Job, Machine, Progress, State, Step
-from geomosaic.jobs.steps.check import check, failure
+from geomosaic.jobs.step_keys import plugin_versions, sensor_files, with_companions
 from geomosaic.jobs.steps.mosaic import mosaic, orthos
 from geomosaic.jobs.steps.orient import orient
-from geomosaic.jobs.steps.report import report
-from geomosaic.product.blend.rules import LABELLED
+from geomosaic.jobs.steps.report import check, failure, report
+from geomosaic.mosaic.blending.rules import LABELLED
 from geomosaic.project.load import Project
 
 

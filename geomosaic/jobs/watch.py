@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from geomosaic.jobs.step import Job
-from geomosaic.raster.journal import journal_of
+from geomosaic.raster.file_dependencies import journal_of
 
 PAUSE = 0.1
 """Seconds from one look to the next."""

@@ -11,11 +11,11 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.project.camera import read_toml
-from geomosaic.project.inputs import BlockInputs, PlanarInputs, wrong_policy
-from geomosaic.project.orientation.printed import Printed
+from geomosaic.inputs.declarations import BlockInputs, PlanarInputs, wrong_policy
+from geomosaic.inputs.photos import read_toml
+from geomosaic.inputs.printed_orientation import Printed
+from geomosaic.inputs.tables import read_text
 from geomosaic.project.schema import ProjectFile
-from geomosaic.project.tables import read_text
 from geomosaic.types import PathLike
 
 LARGEST = 16 << 20
@@ -141,7 +141,7 @@ def load_project(path: PathLike) -> Project:
     values = read_toml(path, "project file", LARGEST)
     if "format" not in values:
         raise InputError(
-            "this is no project file: it has no 'format'", where=str(path), mend="write format = 1 on its first line"
+            "this is no project file: it has no 'format'", where=str(path), hint="write format = 1 on its first line"
         )
     try:
         settings = ProjectFile.model_validate(values)
@@ -154,7 +154,7 @@ def load_project(path: PathLike) -> Project:
         raise InputError(
             f"the output folder holds an image, {mixed.name}: what is written would mix with what is read",
             where=f"{path}, [output] folder",
-            mend="give a folder of its own",
+            hint="give a folder of its own",
         )
     return project
 
@@ -181,18 +181,18 @@ def find_images(folder: Path, patterns: list[str], where: str) -> tuple[Path, ..
             )
             matches = sorted(match for match in root.glob(rest) if match.is_file() and not match.name.startswith("."))
             if not matches:
-                raise InputError(f"'{pattern}' matches no file in {root}", where=where, mend="check the pattern")
+                raise InputError(f"'{pattern}' matches no file in {root}", where=where, hint="check the pattern")
         else:
             matches = [folder / pattern]
             if not matches[0].is_file():
                 near = [entry.name for entry in matches[0].parent.glob("*")] if matches[0].parent.is_dir() else []
                 hint = did_you_mean(matches[0].name, near)
-                raise InputError(f"image '{pattern}' does not exist", where=where, mend=hint or "check the path")
+                raise InputError(f"image '{pattern}' does not exist", where=where, hint=hint or "check the path")
         for match in matches:
             shown = str(match).encode(errors="backslashreplace").decode()
             if shown != str(match):
                 raise InputError(
-                    f"the name of image '{shown}' has bytes that are not UTF-8", where=where, mend="rename it"
+                    f"the name of image '{shown}' has bytes that are not UTF-8", where=where, hint="rename it"
                 )
         found.update(dict.fromkeys(matches))
     return tuple(found)
@@ -207,9 +207,9 @@ def _all_errors(error: ValidationError, path: str, text: str) -> InputError:
         shown = f"[{place[0]}] {'.'.join(place[1:])}" if len(place) > 1 else (place[0] if place else "file")
         lines.append(f"{f'line {at}: ' if at else ''}{shown}: {_words(item, place)}")
     if len(lines) == 1:
-        return InputError(lines[0], where=path, mend="mend it in the project file")
+        return InputError(lines[0], where=path, hint="correct it in the project file")
     return InputError(
-        f"{len(lines)} errors\n    " + "\n    ".join(lines), where=path, mend="mend them in the project file"
+        f"{len(lines)} errors\n    " + "\n    ".join(lines), where=path, hint="correct them in the project file"
     )
 
 

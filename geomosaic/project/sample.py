@@ -25,7 +25,7 @@ def sample_folder() -> Path:
     for folder in (package / "sample", package.parent / "data" / "sample"):
         if (folder / PROJECT).is_file():
             return folder
-    raise InputError("this installation has no sample block", mend="reinstall geomosaic, or run from its repository")
+    raise InputError("this installation has no sample block", hint="reinstall geomosaic, or run from its repository")
 
 
 def copy_sample(target: Path) -> Path:
@@ -43,7 +43,7 @@ def copy_sample(target: Path) -> Path:
     if project.is_file() and project.read_bytes() == (source / PROJECT).read_bytes():
         return project
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise InputError("the folder exists and is not empty", where=str(target), mend="name another folder")
+        raise InputError("the folder exists and is not empty", where=str(target), hint="name another folder")
     partial = target / f".partial-{os.getpid()}"
     made = not target.exists()
     try:
@@ -54,7 +54,7 @@ def copy_sample(target: Path) -> Path:
         # copytree goes on after a failure and lists them all as source, target, reason; they have one cause.
         reason = error.args[0][0][2] if isinstance(error, shutil.Error) else error.strerror
         raise OutputError(
-            f"the sample cannot be copied: {reason}", where=str(target), mend="check free space and permissions"
+            f"the sample cannot be copied: {reason}", where=str(target), hint="check free space and permissions"
         ) from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)

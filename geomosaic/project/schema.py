@@ -19,12 +19,12 @@ def _plain_path(text: str) -> str:
 def _width(text: str) -> str:
     """Refuse what is no width with a unit."""
     from geomosaic.errors import InputError
-    from geomosaic.product.blend.options import Width
+    from geomosaic.mosaic.blending.options import Width
 
     try:
         Width.parse(text)
     except InputError as error:
-        raise ValueError(f"{error.what}: {error.mend}") from None
+        raise ValueError(f"{error.what}: {error.hint}") from None
     return text
 
 

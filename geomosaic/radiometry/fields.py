@@ -22,9 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.radiometry import bases, drift
-from geomosaic.radiometry.relation import BIWEIGHT, TO_SIGMA
-from geomosaic.radiometry.steps import LEAST_LIGHT, LEAST_SIGMA, Band, Prior, Setting, change_of, levels_of
-from geomosaic.radiometry.views import Views
+from geomosaic.radiometry.normal_equations import LEAST_LIGHT, LEAST_SIGMA, Band, Prior, Setting, change_of, levels_of
+from geomosaic.radiometry.overlap_samples import Views
+from geomosaic.radiometry.regression import BIWEIGHT, TO_SIGMA
 from geomosaic.types import BoolArray, FloatArray
 
 CLOSE_ENOUGH = 2e-5

@@ -19,15 +19,15 @@ import numpy as np
 
 from geomosaic.errors import SolveError
 from geomosaic.radiometry import drift
-from geomosaic.radiometry.curve import Curve
-from geomosaic.radiometry.overlaps import Overlap
-from geomosaic.radiometry.relation import Relation, relate
+from geomosaic.radiometry.histogram_matching import Curve
+from geomosaic.radiometry.overlap_samples import Overlap
+from geomosaic.radiometry.regression import Relation, relate
 from geomosaic.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from geomosaic.radiometry.choose import Trial
     from geomosaic.radiometry.fields import Fields
-    from geomosaic.radiometry.shade import Shade
+    from geomosaic.radiometry.local_gains import Shade
+    from geomosaic.radiometry.model_selection import Trial
 
 PRIOR_SIGMA = 1.0
 """Of the logarithm of a gain, and of an offset in mean grey values: a hint where overlaps say nothing, no more."""
@@ -98,7 +98,7 @@ def solve(images: int, bands: int, overlaps: Sequence[Overlap], *, hold: bool = 
     for band in range(bands):
         gain[:, band], offset[:, band] = _solve_band(graph, relations, band)
     if not (np.isfinite(gain).all() and np.isfinite(offset).all()):
-        raise SolveError("the colour balance has no solution", mend="run with --no-balance")
+        raise SolveError("the colour balance has no solution", hint="run with --no-balance")
     before, after, count = np.zeros(bands), np.zeros(bands), 0
     for pair in used:
         a, b = pair.a.astype(np.float64), pair.b.astype(np.float64)

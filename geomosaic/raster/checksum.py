@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
-from geomosaic.raster.journal import holds, journal_of
+from geomosaic.raster.file_dependencies import holds, journal_of
 from geomosaic.types import PathLike
 
 
@@ -61,7 +61,7 @@ class Hashes:
         try:
             stat = path.stat()
         except OSError:
-            raise InputError("the file does not exist", where=str(path), mend="check the path") from None
+            raise InputError("the file does not exist", where=str(path), hint="check the path") from None
         entry = self.known.get(str(path))
         if entry and entry[0] == stat.st_size and entry[1] == stat.st_mtime_ns:
             return str(entry[2])

@@ -18,7 +18,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geomosaic.errors import InputError, RasterReadError
 from geomosaic.raster.environment import READ_DRIVERS, environment
-from geomosaic.raster.local import check_files, named_files
+from geomosaic.raster.local_files import check_files, named_files
 from geomosaic.types import PathLike
 
 DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
@@ -117,9 +117,9 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
     """
     file = Path(path)
     if not file.exists():
-        raise RasterReadError("the file does not exist", where=str(path), mend="check the path")
+        raise RasterReadError("the file does not exist", where=str(path), hint="check the path")
     if file.is_dir():
-        raise RasterReadError("this is a folder, not a raster", where=str(path), mend="name the file in it")
+        raise RasterReadError("this is a folder, not a raster", where=str(path), hint="name the file in it")
     named_files(file)
     reason: Exception | None = None
     with environment(GTIFF_DIRECT_IO="YES" if direct else "NO"), warnings.catch_warnings():
@@ -137,7 +137,7 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
     raise RasterReadError(
         f"this is not a raster that can be read ({_short(reason or OSError('empty'))})",
         where=str(path),
-        mend=f"check that the file is whole and of a known format ({', '.join(READ_DRIVERS)}), or convert it to "
+        hint=f"check that the file is whole and of a known format ({', '.join(READ_DRIVERS)}), or convert it to "
         "GeoTIFF with gdal_translate",
     ) from reason
 
@@ -163,7 +163,7 @@ def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> Sou
         raise RasterReadError(
             f"the file has no band of its own{f' but subdatasets: {found}' if found else ''}",
             where=path,
-            mend="extract one image with gdal_translate",
+            hint="extract one image with gdal_translate",
         )
     colors = dataset.colorinterp
     numbers = [i for i, color in enumerate(colors) if color != ColorInterp.alpha] or [0]
@@ -175,7 +175,7 @@ def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> Sou
         raise RasterReadError(
             f"samples of type {', '.join(sorted(types - set(DTYPES)))} are not supported",
             where=path,
-            mend="convert to uint8, uint16, int16 or float32 (for complex radar data: the amplitude)",
+            hint="convert to uint8, uint16, int16 or float32 (for complex radar data: the amplitude)",
         )
     nodatas = tuple(dataset.nodatavals[i] for i in numbers)
     flags = dataset.mask_flag_enums[numbers[0]]
@@ -217,7 +217,7 @@ def check_bands(bands: Sequence[int], count: int, path: str) -> tuple[int, ...]:
             if absent
             else "no band is chosen",
             where=path,
-            mend="name bands of the file, counted from 1",
+            hint="name bands of the file, counted from 1",
         )
     return tuple(bands)
 
@@ -232,7 +232,7 @@ def _crs(dataset: Any, path: str) -> CRS | None:
         raise RasterReadError(
             f"the CRS of the file cannot be understood ({_short(error)})",
             where=path,
-            mend="assign one with gdal_edit -a_srs",
+            hint="assign one with gdal_edit -a_srs",
         ) from error
 
 

@@ -16,9 +16,9 @@ from rasterio.io import MemoryFile
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.raster.environment import environment
-from geomosaic.raster.output import check_output
-from geomosaic.raster.unfinished import under_construction
+from geomosaic.raster.output_files import check_output
 from geomosaic.types import ByteArray, PathLike
+from geomosaic.whole_files import under_construction
 
 
 def write_raster_pdf(
@@ -51,7 +51,7 @@ def write_raster_pdf(
             raise InputError(
                 "this GDAL cannot write PDF",
                 where=str(path),
-                mend="leave out --driver PDF: the page is written then",
+                hint="leave out --driver PDF: the page is written then",
             )
         # rasterio multiplies affines in a way that the affine library wants to end.
         warnings.simplefilter("ignore", PendingDeprecationWarning)

@@ -12,11 +12,12 @@ from rasterio.errors import RasterioError
 
 from geomosaic.errors import OutputError
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.raster.options import check_nodata, check_type, creation_options
-from geomosaic.raster.output import check_geotiff, partial, remove, sync
-from geomosaic.raster.tiles.codec import BLOCK, Meaning
-from geomosaic.raster.tiles.file import TileFile
+from geomosaic.raster.cog.codec import BLOCK, Meaning
+from geomosaic.raster.cog.writer import TileFile
+from geomosaic.raster.creation_options import check_nodata, check_type, creation_options
+from geomosaic.raster.output_files import check_geotiff
 from geomosaic.types import AnyArray, ByteArray, PathLike
+from geomosaic.whole_files import partial, remove, sync
 
 _SIDECARS = (".aux.xml", ".ovr", ".msk")
 
@@ -246,7 +247,7 @@ class RasterSink:
             raise OutputError(
                 f"the raster needs {_size(self._bytes)}, {_size(free)} are free in {self.path.parent}",
                 where=str(self.path),
-                mend="free some space, write to another disk, or leave out COMPRESS=NONE",
+                hint="free some space, write to another disk, or leave out COMPRESS=NONE",
             )
 
     def _failed(self, error: Exception) -> OutputError:
@@ -256,13 +257,13 @@ class RasterSink:
         cause = error.__cause__ or error
         reason = getattr(cause, "strerror", None) or str(cause)
         if getattr(cause, "errno", None) in (errno.EACCES, errno.EPERM, errno.EROFS):
-            mend = "check the rights of the folder, or write to another one"
-            return OutputError(f"writing failed ({reason})", where=str(self.path), mend=mend)
+            hint = "check the rights of the folder, or write to another one"
+            return OutputError(f"writing failed ({reason})", where=str(self.path), hint=hint)
         return OutputError(
             f"writing failed ({reason}); uncompressed the raster has {_size(self._bytes)}, {_size(free)} are free in "
             f"{self.path.parent.resolve()}",
             where=str(self.path),
-            mend="free some space, write to another disk, or choose a stronger compression (--co COMPRESS=...)",
+            hint="free some space, write to another disk, or choose a stronger compression (--co COMPRESS=...)",
         )
 
     def _name(self) -> Path:
@@ -270,7 +271,7 @@ class RasterSink:
             return partial(self.path)
         except OSError as error:
             raise OutputError(
-                f"the folder cannot be read ({error.strerror})", where=str(self.path), mend="check its rights"
+                f"the folder cannot be read ({error.strerror})", where=str(self.path), hint="check its rights"
             ) from error
 
     def _remove(self) -> None:

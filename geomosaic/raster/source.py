@@ -13,12 +13,11 @@ from rasterio.errors import RasterioError
 
 from geomosaic.errors import RasterReadError
 from geomosaic.geo.grid import Window
+from geomosaic.raster.decoded_images import InMemory, OnDisk
 from geomosaic.raster.environment import environment
 from geomosaic.raster.info import SourceInfo, describe, inspect, open_raster
-from geomosaic.raster.shrink import block_mean
-from geomosaic.raster.usable import Usable
-from geomosaic.raster.validity import combine, missing_by_value, usable_nodata
-from geomosaic.raster.whole import InMemory, OnDisk
+from geomosaic.raster.preview import block_mean
+from geomosaic.raster.validity import Usable, combine, missing_by_value, usable_nodata
 from geomosaic.types import AnyArray, ByteArray, PathLike
 
 __all__ = ["Source", "SourceInfo", "inspect"]
@@ -233,7 +232,7 @@ class Source:
                 f"columns {window.col} to {window.stop_col}, rows {window.row} to {window.stop_row} cannot be read "
                 f"({cause[0] if cause else error}); the file is truncated or damaged",
                 where=self._path,
-                mend="copy the file again from where it came, or leave the image out",
+                hint="copy the file again from where it came, or leave the image out",
             ) from error
         if self._usable is not None:
             mask = self._usable.mask(window, mask)

@@ -1,4 +1,4 @@
-"""Which pixels hold a measurement: nodata values, alpha, NaN. A mask of its own, so true black stays valid."""
+"""Validity masks: nodata, alpha, NaN, usable areas; polygons to pixels. A mask of its own keeps true black valid."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from affine import Affine
+from rasterio.features import rasterize, shapes
 
+from geomosaic.geo.grid import Grid, Window
 from geomosaic.types import AnyArray, BoolArray, ByteArray
 
 
@@ -99,3 +102,63 @@ def combine(missing: BoolArray | None, mask: AnyArray | None) -> ByteArray | Non
     if missing is not None:
         valid &= ~missing
     return None if valid.all() else valid.view(np.uint8)
+
+
+class Usable:
+    """The part of an image that may be used.
+
+    Parameters
+    ----------
+    ring : sequence of (col, row)
+        Its corners, in order.
+    """
+
+    def __init__(self, ring: Sequence[tuple[float, float]]) -> None:
+        import shapely
+
+        self._area = shapely.Polygon(ring)
+        shapely.prepare(self._area)
+
+    def mask(self, window: Window, mask: AnyArray | None) -> AnyArray | None:
+        """Mask (rows, cols) of a window, 0 where not valid, with what lies outside added; None where all is valid."""
+        import shapely
+
+        if self._area.covers(shapely.box(window.col, window.row, window.stop_col, window.stop_row)):
+            return mask
+        shape, place = (window.height, window.width), Affine.translation(window.col, window.row)
+        inside: AnyArray = rasterize([(self._area, 1)], out_shape=shape, transform=place, fill=0, dtype="uint8")
+        return inside if mask is None else np.where(inside > 0, mask, 0)
+
+
+def burn(shapes: Sequence[tuple[Any, int]], grid: Grid, fill: int = -1) -> AnyArray:
+    """Give each pixel whose centre lies in a polygon the polygon's number; later ones win.
+
+    Parameters
+    ----------
+    shapes : sequence of (geometry, number)
+        In the grid's CRS.
+    grid : Grid
+    fill : int
+        Number of pixels in no polygon.
+
+    Returns
+    -------
+    int32 array (rows, cols)
+    """
+    kept = [(shape, number) for shape, number in shapes if not shape.is_empty]
+    if not kept:
+        return np.full(grid.shape, fill, dtype=np.int32)
+    burnt: AnyArray = rasterize(kept, out_shape=grid.shape, transform=grid.transform, fill=fill, dtype="int32")
+    return burnt
+
+
+def traced(label: AnyArray, grid: Grid) -> list[tuple[Any, int]]:
+    """Polygons around cells of equal number (rows, cols), and their numbers; cells below 0 are left out.
+
+    Their borders follow the edges of cells, and neighbours have common vertices.
+    """
+    from shapely.geometry import shape
+
+    wanted = np.ascontiguousarray(label, dtype=np.int32)
+    found = shapes(wanted, mask=wanted >= 0, connectivity=4, transform=grid.transform)
+    return [(shape(geometry), int(number)) for geometry, number in found]

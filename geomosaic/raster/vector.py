@@ -15,9 +15,9 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError, OutputError
-from geomosaic.raster.output import check_output
-from geomosaic.raster.unfinished import under_construction
+from geomosaic.raster.output_files import check_output
 from geomosaic.types import PathLike
+from geomosaic.whole_files import under_construction
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -153,7 +153,7 @@ def append_layer(path: Path, frame: Any, name: str, driver: str) -> list[str]:
         raise OutputError(
             f"writing failed ({error})",
             where=str(path),
-            mend="check the space on the disk and the rights of the folder",
+            hint="check the space on the disk and the rights of the folder",
         ) from error
 
 
@@ -169,12 +169,12 @@ def layer_names(path: PathLike) -> list[str]:
     from pyogrio.errors import DataLayerError, DataSourceError
 
     if not Path(path).exists():
-        raise InputError("the file does not exist", where=str(path), mend="check the path")
+        raise InputError("the file does not exist", where=str(path), hint="check the path")
     try:
         return [str(name) for name in pyogrio.list_layers(path)[:, 0]]
     except (DataSourceError, DataLayerError, IndexError) as error:
         raise InputError(
-            f"this is not a vector file that can be read ({error})", where=str(path), mend="convert it to GeoPackage"
+            f"this is not a vector file that can be read ({error})", where=str(path), hint="convert it to GeoPackage"
         ) from error
 
 
@@ -222,7 +222,7 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
     names = layer_names(path)
     if layer is not None and layer not in names:
         raise InputError(
-            f"there is no layer '{layer}'", where=str(path), mend=f"the file has: {', '.join(names) or 'none'}"
+            f"there is no layer '{layer}'", where=str(path), hint=f"the file has: {', '.join(names) or 'none'}"
         )
     try:
         with warnings.catch_warnings():
@@ -233,7 +233,7 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
         raise _no_geometry(path, layer or names[0], str(error)) from error
     except (DataSourceError, DataLayerError, IndexError) as error:
         raise InputError(
-            f"this is not a vector file that can be read ({error})", where=str(path), mend="convert it to GeoPackage"
+            f"this is not a vector file that can be read ({error})", where=str(path), hint="convert it to GeoPackage"
         ) from error
     if not isinstance(frame, geopandas.GeoDataFrame):
         raise InputError("the layer has no geometry", where=str(path))
@@ -253,5 +253,5 @@ def _no_geometry(path: PathLike, layer: str, cause: str) -> InputError:
     return InputError(
         f"row {row} is no geometry: {cause.partition(': ')[2] or cause}",
         where=f"{path}, layer {layer}",
-        mend="close the outline of each area, with three corners or more, for example by drawing it anew in QGIS",
+        hint="close the outline of each area, with three corners or more, for example by drawing it anew in QGIS",
     )

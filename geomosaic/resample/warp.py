@@ -12,7 +12,7 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.resample.engine import Engine
-from geomosaic.resample.quick import fill_rgb
+from geomosaic.resample.fast_paths import fill_rgb
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
 from geomosaic.surface.model import HeightPatch
 from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
@@ -120,7 +120,7 @@ def warp(
         Pixels that are wanted; others of the cells may be filled too.
     """
     if resampling not in RESAMPLING:
-        raise InputError(f"no resampling named '{resampling}'", mend=f"use one of {', '.join(RESAMPLING)}")
+        raise InputError(f"no resampling named '{resampling}'", hint=f"use one of {', '.join(RESAMPLING)}")
     n, shrink = supersampling(resampling, lattice.scale, most_samples or MOST_SAMPLES)
     wanted = _cells(lattice) if need is None else need & _cells(lattice)
     if not wanted.any():
@@ -151,7 +151,7 @@ def warp(
         here = np.ascontiguousarray(wanted[rows, cols])
         few = None
         if only is not None:
-            from geomosaic.resample.few import few_of
+            from geomosaic.resample.fast_paths import few_of
 
             few = few_of(engine, only[inside], here, n)
         _fill(engine, reader, shape, geometry, here, window, colour, out[inside], out_valid[inside], few)
@@ -199,7 +199,7 @@ def _fill(
         return (float(here.col), float(here.row), float(shape.shrink), *shape.size), pixels, known
 
     if few is not None:
-        from geomosaic.resample.few import fill_few
+        from geomosaic.resample.fast_paths import fill_few
 
         fill_few(engine, shape.kernel, geometry, shape.size, few, pixels_for, ending, out, out_valid)
         return

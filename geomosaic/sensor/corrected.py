@@ -18,8 +18,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.sensor.correction_grid import CorrectionGrid
-from geomosaic.sensor.model import HasRays, SensorModel
-from geomosaic.sensor.parameters import Parameters
+from geomosaic.sensor.model import HasRays, Parameters, SensorModel
 from geomosaic.sensor.registry import plugin
 from geomosaic.sensor.solve.derivatives import jacobian
 from geomosaic.types import FloatArray

@@ -62,17 +62,17 @@ class CorrectionGrid:
         for name, known in (("method", METHODS), ("beyond", BEYOND)):
             if getattr(self, name) not in known:
                 raise InputError(
-                    f"a correction grid has no {name} '{getattr(self, name)}'", mend=f"choose {' or '.join(known)}"
+                    f"a correction grid has no {name} '{getattr(self, name)}'", hint=f"choose {' or '.join(known)}"
                 )
         if not self.nodes.size or not all(np.isfinite(a).all() for a in (self.origin, self.spacing, self.nodes)):
-            raise InputError("a correction grid has a number that is not finite, or no node", mend="give every node")
+            raise InputError("a correction grid has a number that is not finite, or no node", hint="give every node")
         if not (self.spacing > 0.0).all():
-            raise InputError("the spacing of a correction grid is not positive", mend="give pixels greater than 0")
+            raise InputError("the spacing of a correction grid is not positive", hint="give pixels greater than 0")
         if self.steepest > STEEPEST:
             raise InputError(
                 f"the corrections change by {self.steepest:.2g} pixels per pixel between neighbouring nodes: more than "
                 f"{STEEPEST} may fold the image",
-                mend="look for a wrong node, or points that contradict each other, and for corrections in other units",
+                hint="look for a wrong node, or points that contradict each other, and for corrections in other units",
             )
 
     @property

@@ -17,13 +17,12 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geocentric, geographic, has_heights
-from geomosaic.geo.engineering import is_free
+from geomosaic.geo.local_frames import is_free
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import state as state_of
-from geomosaic.sensor.model import HasRays, SensorModel
-from geomosaic.sensor.parameters import Parameters
+from geomosaic.sensor.model import HasRays, Parameters, SensorModel
 from geomosaic.sensor.solve.inverse import image_to_height
-from geomosaic.surface.developed.developed import Developed
+from geomosaic.surface.developed.placement import Developed
 from geomosaic.types import FloatArray
 
 OBLIQUE = 80.0
@@ -93,16 +92,16 @@ class DevelopedModel:
         if not has_heights(crs):
             raise InputError(
                 f"sensor '{self.sensor}' is a plane transformation, which sees no surface in space",
-                mend="give a sensor with a projection centre, such as frame; a plane thing alone can be rectified by "
+                hint="give a sensor with a projection centre, such as frame; a plane thing alone can be rectified by "
                 "`geomosaic georeference` with control points in its plane",
             )
         if (frame is None) != is_free(crs):
-            mend = "give crs (and heights) in the surface file, and point, apex or centre in it"
+            hint = "give crs (and heights) in the surface file, and point, apex or centre in it"
             what = f"the surface stands in a local frame, the camera in '{crs.name}'"
             if frame is not None:
                 what = f"the surface stands in '{frame.crs.name}', the camera in a local frame that is nowhere on Earth"
-                mend = "leave crs out of the surface file, or give the CRS of the positions"
-            raise InputError(what, mend=mend)
+                hint = "leave crs out of the surface file, or give the CRS of the positions"
+            raise InputError(what, hint=hint)
         return None if frame is None else Transform(frame.crs, crs)
 
     def _of_local(self, xyz: FloatArray) -> FloatArray:
@@ -167,7 +166,7 @@ class DevelopedModel:
             frame = self.surface.frame
             if frame is None:
                 raise InputError(
-                    "this sensor has no lines of sight in a local frame", mend="give crs in the surface file"
+                    "this sensor has no lines of sight in a local frame", hint="give crs in the surface file"
                 )
             level = geographic(frame.crs)
             down = Transform(level, geocentric(frame.crs))

@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.sensor.ground import BlockGround
 from geomosaic.sensor.lattice_error import ENDS, Cells, at_heights
-from geomosaic.sensor.mapper import MapToImage
+from geomosaic.sensor.map_to_image import BlockGround, MapToImage
 from geomosaic.types import BoolArray, FloatArray
 
 BLOCK_WIDTH, BLOCK_HEIGHT = 1024, 512

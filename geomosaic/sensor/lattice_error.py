@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.sensor.mapper import MapToImage
+from geomosaic.sensor.map_to_image import MapToImage
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 ENDS = np.array([-1.0, 1.0])

@@ -1,13 +1,54 @@
-"""The contract of a sensor: one pure map from ground to image, with its parameters and its state."""
+"""Sensor contract: one pure map from ground to image, with its adjustable parameters and its state."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, Self, runtime_checkable
 
+import numpy as np
 from pyproj import CRS
 
-from geomosaic.sensor.parameters import Parameters
 from geomosaic.types import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Parameters:
+    """Named parameters.
+
+    Attributes
+    ----------
+    names, units : tuple of str
+        One per parameter, for example 'omega' and 'deg'.
+    values : array (P,)
+        Current values in their units.
+    sigmas : array (P,)
+        A-priori standard deviations: 0 holds a parameter fixed, inf leaves it free.
+    steps : array (P,)
+        A change that moves the image by about one pixel; scales differences and normal equations.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: FloatArray
+    sigmas: FloatArray
+    steps: FloatArray
+
+    def __post_init__(self) -> None:
+        for field in ("values", "sigmas", "steps"):
+            array = np.array(getattr(self, field), dtype=np.float64)
+            if array.shape != (len(self.names),):
+                raise ValueError(f"{field} has shape {array.shape} for {len(self.names)} names")
+            array.setflags(write=False)
+            object.__setattr__(self, field, array)
+        if len(self.units) != len(self.names):
+            raise ValueError("names and units differ in number")
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def with_values(self, values: FloatArray) -> Parameters:
+        """Return the same parameters with new values (P,)."""
+        return replace(self, values=np.asarray(values, dtype=np.float64))
 
 
 @runtime_checkable

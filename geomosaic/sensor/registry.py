@@ -52,11 +52,11 @@ def plugin(name: str) -> SensorPlugin:
         names = [entry.name for entry in installed()]
         close = difflib.get_close_matches(name, names, 1)
         hint = f"did you mean '{close[0]}'? " if close else ""
-        raise SensorError(f"no sensor named '{name}'", mend=f"{hint}installed are: {', '.join(names) or 'none'}")
+        raise SensorError(f"no sensor named '{name}'", hint=f"{hint}installed are: {', '.join(names) or 'none'}")
     if len({point.value for point in found}) > 1:
         entries = sorted(map(_entry, found), key=lambda entry: entry.distribution)
         owners = " and ".join(f"{e.distribution} {e.version} ({e.target})" for e in entries)
-        raise SensorError(f"two sensors are named '{name}': {owners}", mend="uninstall one of them")
+        raise SensorError(f"two sensors are named '{name}': {owners}", hint="uninstall one of them")
     try:
         loaded: SensorPlugin = found[0].load()
     except Exception as error:
@@ -64,7 +64,7 @@ def plugin(name: str) -> SensorPlugin:
         raise SensorError(
             f"sensor '{name}' of {entry.distribution} {entry.version} cannot be loaded: "
             f"{type(error).__name__}: {error}",
-            mend="reinstall or uninstall that distribution",
+            hint="reinstall or uninstall that distribution",
         ) from error
     missing = [part for part in ("name", "summary", "inputs", "model", "build") if not hasattr(loaded, part)]
     if missing:
@@ -83,7 +83,7 @@ def build(name: str, request: SensorRequest) -> SensorModel:
     tool = plugin(name)
     model = tool.build(request)
     if not has_heights(model.crs) and _depends_on_heights(model):
-        from geomosaic.sensor.datum import need_heights
+        from geomosaic.sensor.vertical_datum import need_heights
 
         positions = f"the positions of sensor '{name}'"
         need_heights(model.crs, positions, request.image, lambda crs: tool.build(replace(request, crs=crs)))

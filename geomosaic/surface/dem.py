@@ -9,9 +9,9 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import has_heights, height_name, horizontal, parse_crs, with_heights
 from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.raster.source import Source
+from geomosaic.surface.dem_nodes import BLOCK, Nodes
 from geomosaic.surface.model import HeightPatch
-from geomosaic.surface.nodes import BLOCK, Nodes
-from geomosaic.surface.undeclared import undeclared_heights
+from geomosaic.surface.vertical_datum import undeclared_heights
 from geomosaic.types import BoolArray, Float32Array, FloatArray, IntArray, PathLike
 
 _UNITS = {
@@ -116,7 +116,7 @@ class Dem:
             raise InputError(
                 f"the DEM has no {'CRS' if info.transform is not None else 'geo-reference'}",
                 where=place,
-                mend="assign it with gdal_edit -a_srs (or a .prj file), or -a_ullr",
+                hint="assign it with gdal_edit -a_srs (or a .prj file), or -a_ullr",
             )
         grid = Grid(horizontal(file_crs), info.transform, info.width, info.height)
         own = has_heights(file_crs)
@@ -251,7 +251,7 @@ def _metres(source: Source, band: int, crs: CRS, where: str) -> tuple[float, flo
         raise InputError(
             f"the vertical CRS counts in {axis.unit_name}, only metres are supported",
             where=where,
-            mend="convert the DEM to metres, or declare a datum in metres with --dem-heights",
+            hint="convert the DEM to metres, or declare a datum in metres with --dem-heights",
         )
     unit = (info.units[index] or "m").strip()
     factor = _UNITS.get(unit.lower())
@@ -259,7 +259,7 @@ def _metres(source: Source, band: int, crs: CRS, where: str) -> tuple[float, flo
         raise InputError(
             f"the heights are in '{unit}', which is not known",
             where=where,
-            mend="convert the DEM to metres",
+            hint="convert the DEM to metres",
         )
     if factor != 1.0:
         notes.append(f"heights in {unit} × {factor:.9g} = metres")

@@ -7,7 +7,7 @@ from typing import Any
 
 _HOMES = {
     "SensorModelTests": "geomosaic.testing.conformance",
-    "check_plugin": "geomosaic.testing.door",
+    "check_plugin": "geomosaic.testing.plugin_tests",
     "failures": "geomosaic.testing.conformance",
 }
 

@@ -24,7 +24,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import HasJacobian, HasRays, SensorModel
 from geomosaic.sensor.solve import image_to_ground, image_to_height, resect
 from geomosaic.sensor.solve.derivatives import difference_jacobian
-from geomosaic.testing.parts import adjustable, level, near, require
+from geomosaic.testing.plugin_tests import adjustable, level, near, require
 from geomosaic.types import FloatArray
 
 

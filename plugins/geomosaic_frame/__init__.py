@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from geomosaic_frame.example import EXAMPLE
-from geomosaic_frame.inputs import INPUTS
+from geomosaic_frame.inputs import EXAMPLE, INPUTS
 
 if TYPE_CHECKING:
     from geomosaic.sensor.plugin import SensorInput, SensorRequest

@@ -10,17 +10,18 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import has_heights, with_heights
-from geomosaic.geo.engineering import is_free
-from geomosaic.sensor.options import choice, flag, known_keys, need, number, numbers
+from geomosaic.geo.local_frames import is_free
+from geomosaic.sensor.inputs import choice, flag, known_keys, need, number, numbers
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
+from geomosaic_frame.camera_capabilities import Inside
 from geomosaic_frame.cameras import camera_of, tables
 from geomosaic_frame.corrections import bending_of, untold
+from geomosaic_frame.initial_model import looks_anywhere, model_at
 from geomosaic_frame.inputs import OPTIONS
-from geomosaic_frame.inside import Inside
 from geomosaic_frame.model import FrameModel
 from geomosaic_frame.orientation import FULL_CIRCLE, Attitude, read_attitude
-from geomosaic_frame.place import (
+from geomosaic_frame.placement import (
     from_geocentric,
     from_offset,
     from_topocentric,
@@ -30,7 +31,6 @@ from geomosaic_frame.place import (
     rigorous,
     undo_linear_alteration,
 )
-from geomosaic_frame.start import looks_anywhere, model_at
 
 TREATMENTS = ("rigorous", "planar")
 
@@ -64,7 +64,7 @@ def build_frame(request: SensorRequest) -> FrameModel:
         raise InputError(
             f"the camera, at height {position[2]:.2f}, is not above the ground at {ground:.2f}",
             where=where,
-            mend="check z, ground_height and their vertical datum",
+            hint="check z, ground_height and their vertical datum",
         )
     if flag(options, "scale_correction", where):
         position, note = _unscaled(crs, position, ground, treatment, where)
@@ -90,7 +90,7 @@ def _position(
         need_heights(crs, position, _reach(camera), where)
         return position, attitude
     if options.get("position") is not None:
-        raise InputError("position is given, but the orientation has its own", where=where, mend="leave it out")
+        raise InputError("position is given, but the orientation has its own", where=where, hint="leave it out")
     if attitude.frame == "geocentric":
         return from_geocentric(crs, attitude, where)
     if attitude.frame == "map":
@@ -126,7 +126,7 @@ def _named(request: SensorRequest) -> CRS:
     if request.crs is not None:
         return request.crs
     raise InputError(
-        "the positions have no CRS", where=request.image, mend="name one with a vertical datum, for example EPSG:32633"
+        "the positions have no CRS", where=request.image, hint="name one with a vertical datum, for example EPSG:32633"
     )
 
 
@@ -135,13 +135,13 @@ def _unscaled(
 ) -> tuple[FloatArray, str]:
     if treatment == "planar":
         raise InputError(
-            "scale_correction undoes what the planar treatment needs", where=where, mend="use treatment = 'rigorous'"
+            "scale_correction undoes what the planar treatment needs", where=where, hint="use treatment = 'rigorous'"
         )
     if ground is None:
         raise InputError(
             "scale_correction needs to know the height of the ground",
             where=where,
-            mend="give ground_height, the mean height of the ground under the photo in the vertical datum of the "
+            hint="give ground_height, the mean height of the ground under the photo in the vertical datum of the "
             "positions",
         )
     true = undo_linear_alteration(crs, position, ground, where)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.options import choice, known_keys, need, number, numbers, positive, table_of
-from geomosaic_frame.filmlens import FilmLens
-from geomosaic_frame.radial import Radial, RadialPolynomial, RadialTable
+from geomosaic.sensor.inputs import choice, known_keys, need, number, numbers, positive, table_of
+from geomosaic_frame.film import FilmLens
+from geomosaic_frame.radial_tables import Radial, RadialPolynomial, RadialTable
 
 KEYS = (
     "name",
@@ -84,7 +84,7 @@ def read_certificate(table: Mapping[str, Any], where: str) -> Certificate:
         x, y = numbers(place, 2, f"fiducials.{name}", where)
         fiducials[str(name)] = (x, y)
     if len(fiducials) < 2:
-        raise InputError(f"{len(fiducials)} fiducials are no interior orientation", where=where, mend="give all marks")
+        raise InputError(f"{len(fiducials)} fiducials are no interior orientation", where=where, hint="give all marks")
     reach = float(np.hypot(*np.array(list(fiducials.values())).T).max())
     for words, x, y in (("autocollimation", ax, ay), ("symmetry", sx, sy)):
         if np.hypot(x, y) > 0.2 * reach:
@@ -92,7 +92,7 @@ def read_certificate(table: Mapping[str, Any], where: str) -> Certificate:
                 f"principal_point_{words} = [{x:g}, {y:g}] is far from the middle of the fiducials, which reach "
                 f"{reach:.1f}",
                 where=where,
-                mend="give both in mm, in the axes of the fiducials",
+                hint="give both in mm, in the axes of the fiducials",
             )
     given = table_of(table.get("distortion", {"model": "none"}), "distortion", where)
     radial, tangential = _lens(given, constant, f"{where}, distortion")
@@ -120,7 +120,7 @@ def _lens(table: Mapping[str, Any], constant: float, where: str) -> tuple[Radial
         raise InputError(
             f"the polynomial distorts by {worst:.0f} µm at a radius of {0.6 * constant:.0f} mm",
             where=where,
-            mend="give the coefficients in mm (k1 in mm^-2, k2 in mm^-4, ...), as certificates print them",
+            hint="give the coefficients in mm (k1 in mm^-2, k2 in mm^-4, ...), as certificates print them",
         )
     return RadialPolynomial(tuple(k)), (p1, p2)
 
@@ -136,7 +136,7 @@ def _table(table: Mapping[str, Any], constant: float, where: str) -> RadialTable
                 f"{'both' if first in table else 'neither'} '{first}' {'and' if first in table else 'nor'} '{second}' "
                 "are given",
                 where=where,
-                mend=f"give one: {first}: {text}",
+                hint=f"give one: {first}: {text}",
             )
     places, sign = ("radius" if "radius" in table else "angle"), -1.0 if "distortion" in table else 1.0
     values = "distortion" if "distortion" in table else "correction"
@@ -156,7 +156,7 @@ def _table(table: Mapping[str, Any], constant: float, where: str) -> RadialTable
             raise InputError(
                 f"the table has {shift[0]:g} µm at the principal point, where a radial distortion is 0",
                 where=where,
-                mend="give it about the principal point of symmetry",
+                hint="give it about the principal point of symmetry",
             )
         at, shift = at[1:], shift[1:]
     if not len(at):
@@ -165,6 +165,6 @@ def _table(table: Mapping[str, Any], constant: float, where: str) -> RadialTable
         raise InputError(
             f"the table has {np.abs(shift).max():g} µm, which no mapping camera has",
             where=where,
-            mend="give micrometres",
+            hint="give micrometres",
         )
     return RadialTable(tuple(at.tolist()), tuple((sign * shift / 1000.0).tolist()))

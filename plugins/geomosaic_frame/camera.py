@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.sensor.options import known_keys, need, numbers, pair, positive, table_of
+from geomosaic.sensor.inputs import known_keys, need, numbers, pair, positive, table_of
 from geomosaic.types import FloatArray
 from geomosaic_frame.distortion import Lens, NoDistortion
 from geomosaic_frame.lenses import lens_from_dict, lens_from_table
@@ -121,7 +121,7 @@ class Camera:
             raise InputError(
                 f"the image has {new_w} x {new_h} pixels, the camera {w} x {h}: not the same shape",
                 where=where,
-                mend=f"give the image as the camera took it (is it {hint}?), or the camera that fits it",
+                hint=f"give the image as the camera took it (is it {hint}?), or the camera that fits it",
             )
         sx, sy = new_w / w, new_h / h
         return replace(
@@ -184,7 +184,7 @@ class Camera:
 
 def _one_of(table: Mapping[str, Any], first: str, second: str, where: str) -> None:
     if first in table and second in table:
-        raise InputError(f"both '{first}' and '{second}' are given", where=where, mend="give one of them")
+        raise InputError(f"both '{first}' and '{second}' are given", where=where, hint="give one of them")
 
 
 def _pixel_size(table: Mapping[str, Any], size: tuple[int, int], where: str) -> tuple[float, float] | None:
@@ -198,7 +198,7 @@ def _pixel_size(table: Mapping[str, Any], size: tuple[int, int], where: str) -> 
                 f"sensor_size = {w} x {h} mm on {size[0]} x {size[1]} px makes pixels of {pixel[0] * 1000:.3f} x "
                 f"{pixel[1] * 1000:.3f} µm, not square",
                 where=where,
-                mend="check the order (width, height) of size and sensor_size, or give pixel_size = [x, y] in µm",
+                hint="check the order (width, height) of size and sensor_size, or give pixel_size = [x, y] in µm",
             )
         return pixel
     if "pixel_size" in table:
@@ -220,7 +220,7 @@ def _focal(
         raise InputError(
             "focal_length is in mm, but the size of a pixel is not known",
             where=where,
-            mend="give sensor_size (width, height in mm) or pixel_size (µm), or focal_length_px",
+            hint="give sensor_size (width, height in mm) or pixel_size (µm), or focal_length_px",
         )
     return focal_mm / pixel[0], focal_mm / pixel[1]
 
@@ -233,7 +233,7 @@ def _check_field(focal: tuple[float, float], size: tuple[int, int], lens: Lens, 
     raise InputError(
         f"the focal length gives a field of view of {angle:.3g}° across the corners",
         where=where,
-        mend="check the units: focal_length and sensor_size are in mm, pixel_size in µm, focal_length_px in pixels",
+        hint="check the units: focal_length and sensor_size are in mm, pixel_size in µm, focal_length_px in pixels",
     )
 
 
@@ -250,13 +250,13 @@ def _principal_point(
             raise InputError(
                 "principal_point is in mm, but the size of a pixel is not known",
                 where=where,
-                mend="give sensor_size or pixel_size, or principal_point_px",
+                hint="give sensor_size or pixel_size, or principal_point_px",
             )
         return size[0] / 2, size[1] / 2
     if abs(x) > size[0] * pixel[0] / 2 or abs(y) > size[1] * pixel[1] / 2:
         raise InputError(
             f"principal_point = [{x}, {y}] mm lies outside the image",
             where=where,
-            mend="it is the offset from the image's centre in mm; for pixels use principal_point_px",
+            hint="it is the offset from the image's centre in mm; for pixels use principal_point_px",
         )
     return size[0] / 2 + x / pixel[0], size[1] / 2 - y / pixel[1]

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.options import choice, known_keys, need, numbers, table_of
+from geomosaic.sensor.inputs import choice, known_keys, need, numbers, table_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic_frame.camera import Camera
-from geomosaic_frame.foreign import READERS, read_foreign
-from geomosaic_frame.inside import Inside
+from geomosaic_frame.camera_capabilities import Inside
 from geomosaic_frame.orientation import DIRECTIONS, FRAMES
+from geomosaic_frame.other_programs import READERS, read_foreign
 from geomosaic_frame.pose import WORLDS
 
 FILM_OPTIONS = ("fiducials", "interior", "mirrored")
@@ -37,7 +37,7 @@ def tables(request: SensorRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]
         table = _toml(Path(request.base) / table, f"{where}, camera")
     if table is None:
         raise InputError(
-            "'camera' is missing", where=where, mend="give the camera's table or the name of a camera.toml file"
+            "'camera' is missing", where=where, hint="give the camera's table or the name of a camera.toml file"
         )
     for option, key, words in (("matrix", "matrix", DIRECTIONS), ("angle_frame", "frame", FRAMES)):
         if options.get(option) is not None and row:
@@ -56,7 +56,7 @@ def _place_world(row: dict[str, Any], options: Mapping[str, Any], where: str) ->
         raise InputError(
             "COLMAP's files do not say what their world is",
             where=where,
-            mend="say it under [sensor]: world = 'map' (the CRS that is named), 'geocentric', or 'local' with "
+            hint="say it under [sensor]: world = 'map' (the CRS that is named), 'geocentric', or 'local' with "
             "reference = [longitude, latitude, altitude]",
         )
     row.setdefault("world", "map")
@@ -80,7 +80,7 @@ def camera_of(table: Mapping[str, Any], request: SensorRequest) -> tuple[Inside,
     """Camera for the image at hand, and what was done to it."""
     where = f"{request.image}, camera"
     if "fiducials" in table:
-        from geomosaic_frame.filmscan import film_of
+        from geomosaic_frame.fiducials import film_of
 
         return film_of(table, request, where)
     for key in FILM_OPTIONS:
@@ -88,7 +88,7 @@ def camera_of(table: Mapping[str, Any], request: SensorRequest) -> tuple[Inside,
             raise InputError(
                 f"'{key}' is about film, but the camera has no fiducials",
                 where=request.image,
-                mend="give the camera's calibration certificate, with the table [fiducials] in mm",
+                hint="give the camera's calibration certificate, with the table [fiducials] in mm",
             )
     full = Camera.from_table(table, request.size, where)
     camera = full.scaled(request.size, where)

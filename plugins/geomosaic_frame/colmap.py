@@ -68,7 +68,7 @@ def _cameras(text: str, path: str) -> dict[str, dict[str, Any]]:
         where = f"{path}, line {number}"
         if len(words) < 4 or words[1] not in MODELS:
             kind = words[1] if len(words) > 1 else line[:40]
-            raise InputError(f"no camera model '{kind}' is known", where=where, mend=f"known are: {', '.join(MODELS)}")
+            raise InputError(f"no camera model '{kind}' is known", where=where, hint=f"known are: {', '.join(MODELS)}")
         lens, names = MODELS[words[1]]
         if len(words) != 4 + len(names):
             raise InputError(
@@ -105,7 +105,7 @@ def _images(text: str, path: str) -> dict[str, Pose]:
             raise InputError(
                 f"{len(words)} words where an image has 10: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
                 where=where,
-                mend="each image has two lines, the second of them for its points, which may be empty",
+                hint="each image has two lines, the second of them for its points, which may be empty",
             )
         values = _numbers(words[1:8], where)
         rotation = _rotation(np.array(values[:4]), where)

@@ -10,14 +10,13 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic, horizontal
-from geomosaic.geo.engineering import is_free
-from geomosaic.geo.local import map_place
+from geomosaic.geo.local_frames import is_free, map_place
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.options import flag
+from geomosaic.sensor.inputs import flag
 from geomosaic.types import FloatArray
-from geomosaic_frame.bending import Bending, curvature_shift, refraction_constant, refraction_shift
 from geomosaic_frame.camera import Camera
-from geomosaic_frame.inside import Inside
+from geomosaic_frame.camera_capabilities import Inside
+from geomosaic_frame.refraction import Bending, curvature_shift, refraction_constant, refraction_shift
 
 HIGHEST = 20_000.0
 """Metres up to which the standard atmosphere's formula is used."""
@@ -51,19 +50,19 @@ def bending_of(
         raise InputError(
             "refraction and curvature are about photos from above, not about things in front of the camera",
             where=where,
-            mend="leave them out",
+            hint="leave them out",
         )
     if curvature and treatment != "planar":
         raise InputError(
             "curvature corrects the planar treatment; the rigorous one has the Earth's curvature in its coordinates",
             where=where,
-            mend="leave it out, or set treatment = 'planar'",
+            hint="leave it out, or set treatment = 'planar'",
         )
     if ground is None:
         raise InputError(
             f"{'refraction' if refraction else 'curvature'} depends on the height of the ground, which is not known",
             where=where,
-            mend="give ground_height, the mean height of the ground under the photo in the vertical datum of the "
+            hint="give ground_height, the mean height of the ground under the photo in the vertical datum of the "
             "positions",
         )
     top, bottom = _metres(crs, position, ground)
@@ -71,7 +70,7 @@ def bending_of(
         raise InputError(
             f"a camera at {top:.0f} m above ground at {bottom:.0f} m is outside the standard atmosphere's formula",
             where=where,
-            mend=f"it holds up to {HIGHEST:.0f} m; check the heights and their unit",
+            hint=f"it holds up to {HIGHEST:.0f} m; check the heights and their unit",
         )
     k = refraction_constant(top, bottom) if refraction else 0.0
     a = (top - bottom) / (2.0 * earth_radius(crs, position)) if curvature else 0.0

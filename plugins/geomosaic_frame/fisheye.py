@@ -15,8 +15,7 @@ from typing import Any, Self
 import numpy as np
 
 from geomosaic.types import BoolArray, FloatArray
-from geomosaic_frame.distortion import Columns
-from geomosaic_frame.fold import fold_radius
+from geomosaic_frame.distortion import Columns, fold_radius
 
 WIDEST = float(np.radians(179.0))
 ROUNDS = 50

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.options import choice, known_keys, need, number, numbers
+from geomosaic.sensor.inputs import choice, known_keys, need, number, numbers
 from geomosaic_frame.distortion import Lens, NoDistortion
 from geomosaic_frame.polynomial import Brown
 
@@ -45,13 +45,13 @@ def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -
             raise InputError(
                 "photogrammetric distortion is in millimetres, but the focal length is not",
                 where=where,
-                mend="give focal_length in mm with sensor_size or pixel_size, or use convention = 'opencv'",
+                hint="give focal_length in mm with sensor_size or pixel_size, or use convention = 'opencv'",
             )
         k1, k2, k3, p1, p2, k4 = (values.get(key, 0.0) for key in COEFFICIENTS["brown"])
         if k4 or table.get("shear") or table.get("centre"):
             what = "k4, shear and centre belong to the convention 'opencv'"
-            raise InputError(what, where=where, mend="leave them out")
-        from geomosaic_frame.certificate import Corrections
+            raise InputError(what, where=where, hint="leave them out")
+        from geomosaic_frame.radial_tables import Corrections
 
         return Corrections.photogrammetric((k1, k2, k3), (p1, p2), focal)
     centre = numbers(table.get("centre", (0.0, 0.0)), 2, "centre", where)
@@ -62,7 +62,7 @@ def lens_from_dict(state: Mapping[str, Any]) -> Lens:
     """Lens of a saved state."""
     if state["model"] == "corrections":
         formula = {key: value for key, value in state["formula"].items() if key != "model"}
-        from geomosaic_frame.certificate import Corrections
+        from geomosaic_frame.radial_tables import Corrections
 
         return Corrections(Brown(**formula))
     values = {key: value for key, value in state.items() if key not in ("model", "shear", "centre")}
@@ -75,7 +75,7 @@ def _make(model: str, values: dict[str, float]) -> Lens:
     if model == "brown":
         return Brown(**values)
     if model == "opencv":
-        from geomosaic_frame.rational import Rational
+        from geomosaic_frame.polynomial import Rational
 
         return Rational(**values)
     from geomosaic_frame.fisheye import Fisheye
@@ -86,7 +86,7 @@ def _make(model: str, values: dict[str, float]) -> Lens:
 def _moved(lens: Lens, centre: Sequence[float]) -> Lens:
     if not any(centre):
         return lens
-    from geomosaic_frame.offcentre import OffCentre
+    from geomosaic_frame.lens_modifiers import OffCentre
 
     return OffCentre(lens, (float(centre[0]), float(centre[1])))
 
@@ -94,6 +94,6 @@ def _moved(lens: Lens, centre: Sequence[float]) -> Lens:
 def _sheared(lens: Lens, shear: float) -> Lens:
     if shear == 0.0:
         return lens
-    from geomosaic_frame.shear import Sheared
+    from geomosaic_frame.lens_modifiers import Sheared
 
     return Sheared(lens, shear)

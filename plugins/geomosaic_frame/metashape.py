@@ -1,4 +1,4 @@
-"""Cameras exported from Agisoft Metashape as XML: sensors with their calibration, cameras with their transforms.
+"""Metashape exports: XML cameras, and tables of omega, phi, kappa.
 
 A camera's transform (4 × 4, row by row) takes camera axes (x right, y down, z forward) to the chunk or component; the
 transform of the component, else of the chunk (rotation, translation, scale), takes that to geocentric coordinates of
@@ -10,6 +10,11 @@ the datum of the chunk's CRS, or to the local coordinates of a chunk without one
     col = w/2 + cx + x'·(f + B1) + y'·B2,   row = h/2 + cy + y'·f
 
 For fisheye cameras x, y are replaced by θ/r·(x, y), θ = arctan r, which is the equidistant lens of `fisheye.py`.
+
+    # Cameras (2)
+    # PhotoID, X, Y, Z, Omega, Phi, Kappa, r11, r12, r13, r21, r22, r23, r31, r32, r33
+
+X, Y, Z are in the CRS of the export, and angles refer to its axes. The camera is not in the file.
 """
 
 from __future__ import annotations
@@ -23,7 +28,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.plain_xml import parse
+from geomosaic.geo.rotation import omega_phi_kappa
+from geomosaic.sensor.safe_xml import parse
 from geomosaic.types import FloatArray
 
 Cameras = dict[str, tuple[dict[str, Any], dict[str, Any]]]
@@ -47,7 +53,7 @@ def read_metashape(data: bytes, where: str) -> Cameras:
     root = parse(data, where)
     chunks = [root] if root.tag == "chunk" else root.findall("chunk")
     if not chunks:
-        raise InputError("the XML has no <chunk>", where=where, mend="export the cameras from Metashape as XML")
+        raise InputError("the XML has no <chunk>", where=where, hint="export the cameras from Metashape as XML")
     found: Cameras = {}
     for chunk in chunks:
         sensors = {sensor.get("id"): sensor for sensor in chunk.iterfind("sensors//sensor")}
@@ -65,7 +71,7 @@ def read_metashape(data: bytes, where: str) -> Cameras:
             transform = chunk.find("transform") if transform is None else transform
             found[label] = (_camera(sensor, here), _row(camera, transform, world, here))
     if not found:
-        raise InputError("the file has no oriented camera", where=where, mend="align the photos first")
+        raise InputError("the file has no oriented camera", where=where, hint="align the photos first")
     return found
 
 
@@ -74,7 +80,7 @@ def _row(camera: Element, transform: Element | None, world: str, where: str) -> 
         raise InputError(
             "the chunk has no transform: it is not georeferenced",
             where=where,
-            mend="give it coordinates of the cameras or markers in Metashape, and export again",
+            hint="give it coordinates of the cameras or markers in Metashape, and export again",
         )
     local = _numbers(camera.findtext("transform"), 16, "transform", where).reshape(4, 4)
     turn = _numbers(transform.findtext("rotation"), 9, "rotation", where).reshape(3, 3)
@@ -94,7 +100,7 @@ def _camera(sensor: Element, where: str) -> dict[str, Any]:
     calibrations = sensor.findall("calibration")
     best = [item for item in calibrations if item.get("class") == "adjusted"] or calibrations
     if not best:
-        raise InputError("the sensor has no calibration", where=where, mend="export the cameras after alignment")
+        raise InputError("the sensor has no calibration", where=where, hint="export the cameras after alignment")
     size = best[0].find("resolution")
     size = sensor.find("resolution") if size is None else size
     if size is None:
@@ -104,7 +110,7 @@ def _camera(sensor: Element, where: str) -> dict[str, Any]:
         raise InputError(
             "the calibration has fx and fy, as versions before 1.2 wrote it, with another principal point",
             where=where,
-            mend="open the project in a newer version and export again",
+            hint="open the project in a newer version and export again",
         )
     value = {
         name: float(_numbers(best[0].findtext(name), 1, name, where)[0]) if best[0].find(name) is not None else 0.0
@@ -131,7 +137,7 @@ def _lens(kind: str, value: Mapping[str, float], where: str) -> dict[str, Any]:
         if value["p1"] or value["p2"]:
             raise InputError("tangential distortion of a fisheye is not supported", where=where)
         return {"model": "fisheye", **radial, "shear": shear}
-    raise InputError(f"cameras of the type '{kind}' are not supported", where=where, mend="frame and fisheye are")
+    raise InputError(f"cameras of the type '{kind}' are not supported", where=where, hint="frame and fisheye are")
 
 
 def _numbers(text: str | None, count: int, what: str, where: str) -> FloatArray:
@@ -142,3 +148,51 @@ def _numbers(text: str | None, count: int, what: str, where: str) -> FloatArray:
     if len(values) != count or not all(map(math.isfinite, values)):
         raise InputError(f"<{what}> is '{(text or '')[:60]}', not {count} finite numbers", where=where)
     return np.array(values)
+
+
+AGREE = 1e-4
+"""Largest difference of an element of the printed matrix, which has few digits, from that of the angles."""
+
+
+@lru_cache(maxsize=4)
+def read_metashape_text(text: str, where: str) -> dict[str, dict[str, Any]]:
+    """Read all cameras: label → orientation row.
+
+    Raises
+    ------
+    InputError
+        It is no such list, or the printed matrix is not that of the angles; names the line.
+    """
+    if "omega, phi, kappa" not in text[:400].lower():
+        raise InputError(
+            "this is not Metashape's list of omega, phi, kappa: its header is missing",
+            where=where,
+            hint="export the cameras as 'Omega Phi Kappa' text or as XML; other tables are read with angles = 'opk'",
+        )
+    found: dict[str, dict[str, Any]] = {}
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        here = f"{where}, line {number}"
+        words = line.strip().split("\t") if "\t" in line else line.rsplit(maxsplit=15)
+        if len(words) not in (7, 16):
+            raise InputError(f"{len(words)} values where a camera has 7 or 16", where=here)
+        try:
+            values = [float(word) for word in words[1:]]
+        except ValueError:
+            values = [math.nan]
+        if not all(map(math.isfinite, values)):
+            raise InputError("a value is no finite number", where=here)
+        m = omega_phi_kappa(*np.radians(values[3:6]))
+        if len(values) == 15:
+            printed = np.array(values[6:]).reshape(3, 3)
+            off = min(float(np.abs(m - printed).max()), float(np.abs(m - printed.T).max()))
+            if off > AGREE:
+                raise InputError(
+                    f"the printed matrix is not that of omega, phi, kappa: an element is off by {off:.1e}",
+                    where=here,
+                    hint="the export has other angles, or another unit: export omega, phi, kappa in degrees",
+                )
+        flipped = np.diag([1.0, -1.0, -1.0]) @ m
+        found[words[0]] = {"system": "metashape", "rotation": flipped.ravel().tolist(), "position": values[:3]}
+    return found

@@ -18,13 +18,13 @@ from typing import Any, Self
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.geo.local import LocalFrame
+from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.rotation import omega_phi_kappa, r1, r2, r3
-from geomosaic.sensor.parameters import Parameters
+from geomosaic.sensor.model import Parameters
 from geomosaic.types import FloatArray
-from geomosaic_frame.bending import Bending, Columns
-from geomosaic_frame.inside import Inside, inside_from_dict
+from geomosaic_frame.camera_capabilities import Inside, inside_from_dict
 from geomosaic_frame.orientation import FLIP
+from geomosaic_frame.refraction import Bending, Columns
 
 NAMES = ("east", "north", "up", "omega", "phi", "kappa")
 

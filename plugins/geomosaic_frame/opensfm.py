@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.options import need, number, numbers, table_of
+from geomosaic.sensor.inputs import need, number, numbers, table_of
 
 _COEFFICIENTS = {
     "perspective": ("brown", ("k1", "k2")),
@@ -31,7 +31,7 @@ def camera_table(camera: Mapping[str, Any], where: str) -> dict[str, Any]:
         raise InputError(
             f"OpenSfM cameras of the type '{kind}' are not supported",
             where=where,
-            mend=f"supported are: {', '.join(_COEFFICIENTS)}",
+            hint=f"supported are: {', '.join(_COEFFICIENTS)}",
         )
     model, names = _COEFFICIENTS[kind]
     w, h = numbers([need(camera, key, where, "pixels") for key in ("width", "height")], 2, "width, height", where)
@@ -39,7 +39,7 @@ def camera_table(camera: Mapping[str, Any], where: str) -> dict[str, Any]:
     focal = camera.get("focal")
     fx, fy = camera.get("focal_x", focal), camera.get("focal_y", focal)
     if fx is None:
-        raise InputError("the camera has no focal length", where=where, mend="give focal, or focal_x and focal_y")
+        raise InputError("the camera has no focal length", where=where, hint="give focal, or focal_x and focal_y")
     fy = fx if fy is None else fy
     cx, cy = (number(camera.get(key, 0.0), key, where) for key in ("c_x", "c_y"))
     return {
@@ -100,5 +100,5 @@ def read_shot(path: Path, image: str, system: str, where: str) -> tuple[dict[str
         }
         return camera_table(table_of(camera, "camera", where), where), row
     raise InputError(
-        f"{path} has no shot named '{image}'", where=where, mend="check the name; it may not be in the block"
+        f"{path} has no shot named '{image}'", where=where, hint="check the name; it may not be in the block"
     )

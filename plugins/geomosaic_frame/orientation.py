@@ -15,7 +15,7 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.rotation import angle_axis, omega_phi_kappa, r1, r2, r3
-from geomosaic.sensor.options import choice, known_keys, need, number, numbers
+from geomosaic.sensor.inputs import choice, known_keys, need, number, numbers
 from geomosaic.types import FloatArray
 from geomosaic_frame.pose import read_pose
 
@@ -97,7 +97,7 @@ def angles(row: Mapping[str, Any], names: tuple[str, ...], unit: str, where: str
             raise InputError(
                 f"{name} = {value:g} is more than a full circle in {unit} ({limit:g})",
                 where=where,
-                mend=_unit(value, unit),
+                hint=_unit(value, unit),
             )
     return [2.0 * np.pi * value / limit for value in values.values()]
 
@@ -134,13 +134,13 @@ def _matrix(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
         raise InputError(
             f"r11 to r33 are not a rotation: rows are off orthonormal by {worst:.1e}, more than 1e-6",
             where=where,
-            mend="give the elements row by row with at least 7 decimals",
+            hint="give the elements row by row with at least 7 decimals",
         )
     if np.linalg.det(printed) < 0.0:
         raise InputError(
             "r11 to r33 mirror the image (determinant -1)",
             where=where,
-            mend="the axes of ground or image are left-handed: check the order of rows and columns and the signs",
+            hint="the axes of ground or image are left-handed: check the order of rows and columns and the signs",
         )
     left, _, right = np.linalg.svd(printed)  # the nearest rotation takes away the rounding of the print
     rotation = left @ right if direction == "ground_to_image" else (left @ right).T
@@ -151,7 +151,7 @@ def _matrix(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
             raise InputError(
                 f"the matrix and omega, phi, kappa disagree by {off:.1e} in an element",
                 where=where,
-                mend="check matrix = 'ground_to_image' or 'image_to_ground' and the angle system, or leave the angles "
+                hint="check matrix = 'ground_to_image' or 'image_to_ground' and the angle system, or leave the angles "
                 "out",
             )
     return Attitude(rotation, "grid")

@@ -77,7 +77,7 @@ def read_pix4d(text: str, offset: tuple[float, ...] | None, where: str) -> Camer
         raise InputError(
             "this is not Pix4D's list of calibrated camera parameters: its header is missing",
             where=where,
-            mend=f"give the file PROJECT{PARAMETERS}; the list of omega, phi, kappa is read with angles = 'opk'",
+            hint=f"give the file PROJECT{PARAMETERS}; the list of omega, phi, kappa is read with angles = 'opk'",
         )
     body = lines[last + 1 :]
     count = 1 + sum(rows for _, rows, _ in LAYOUT)

@@ -1,4 +1,4 @@
-"""Polynomial distortion of a perspective image: what Brown's model and OpenCV's rational one share, and Brown's.
+"""Polynomial lens distortion: Brown's model and OpenCV's rational one.
 
     u = x·N/D + 2·p1·x·y + p2·(r² + 2x²) + s1·r² + s2·r⁴
     v = y·N/D + p1·(r² + 2y²) + 2·p2·x·y + s3·r² + s4·r⁴
@@ -18,8 +18,7 @@ from typing import Any, Self
 import numpy as np
 
 from geomosaic.types import BoolArray, FloatArray
-from geomosaic_frame.distortion import Columns, Perspective
-from geomosaic_frame.fold import fold_radius
+from geomosaic_frame.distortion import Columns, Perspective, fold_radius
 
 ROUNDS = 50
 TABLE = 257
@@ -228,3 +227,46 @@ class Brown(PolynomialLens):
         if not self.k4:
             values.pop("k4")
         return {"model": "brown", **values}
+
+
+@dataclass(frozen=True)
+class Rational(PolynomialLens):
+    """OpenCV's rational model with thin prism terms; see `geomosaic_frame.polynomial` for the formula.
+
+    Attributes
+    ----------
+    k1, k2, k3 : float
+        Radial numerator, of r², r⁴, r⁶.
+    p1, p2 : float
+        Tangential; p1 goes with 2xy in u.
+    k4, k5, k6 : float
+        Radial denominator.
+    s1, s2, s3, s4 : float
+        Thin prism.
+    fold : float
+        Ideal radius beyond which the distortion goes on linearly.
+    """
+
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+    s1: float = 0.0
+    s2: float = 0.0
+    s3: float = 0.0
+    s4: float = 0.0
+    fold: float = field(init=False, repr=False, compare=False, default=np.inf)
+
+    def __post_init__(self) -> None:
+        prism = (self.s1, self.s2, self.s3, self.s4)
+        self._prepare((self.k1, self.k2, self.k3), (self.k4, self.k5, self.k6), (self.p1, self.p2), prism)
+
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values."""
+        values = asdict(self)
+        values.pop("fold")
+        return {"model": "opencv", **values}

@@ -1,4 +1,4 @@
-"""A pose in the coordinates of another program, and what these are."""
+"""Pose in the coordinates of another program, and what these are."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pyproj.exceptions import CRSError
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geocentric
-from geomosaic.sensor.options import need, numbers
+from geomosaic.sensor.inputs import need, numbers
 from geomosaic.types import FloatArray
 
 WORLDS = ("map", "geocentric", "local")
@@ -57,7 +57,7 @@ def _world(world: str, where: str) -> tuple[str, CRS | None]:
         raise InputError(
             "the file counts in local coordinates and does not say where these are",
             where=where,
-            mend="say it: world = 'map' (they are those of the CRS that is named), 'geocentric', or 'local' with "
+            hint="say it: world = 'map' (they are those of the CRS that is named), 'geocentric', or 'local' with "
             "reference = [longitude, latitude, altitude]",
         )
     try:
@@ -66,5 +66,5 @@ def _world(world: str, where: str) -> tuple[str, CRS | None]:
         raise InputError(
             f"what the world is cannot be understood: '{world[:60]}'",
             where=where,
-            mend=f"say it: world = {', '.join(WORLDS)}",
+            hint=f"say it: world = {', '.join(WORLDS)}",
         ) from error

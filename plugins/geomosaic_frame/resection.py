@@ -16,15 +16,15 @@ from pyproj import CRS
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.crs import geocentric
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.options import flag, known_keys, need, number, numbers, positive, table_of
+from geomosaic.sensor.inputs import flag, known_keys, need, number, numbers, positive, table_of
 from geomosaic.sensor.solve import Pose, Resection, correlations, dangerous_cylinder, poses, resect
 from geomosaic.types import FloatArray
+from geomosaic_frame.camera_capabilities import Inside
 from geomosaic_frame.corrections import bending_of, untold
-from geomosaic_frame.inside import Inside
+from geomosaic_frame.initial_model import looks_anywhere, model_at
 from geomosaic_frame.model import NAMES, FrameModel
 from geomosaic_frame.orientation import FLIP, Attitude
-from geomosaic_frame.place import local_frame, need_heights, planar, rigorous
-from geomosaic_frame.start import looks_anywhere, model_at
+from geomosaic_frame.placement import local_frame, need_heights, planar, rigorous
 
 COLUMNS = ("x", "y", "z", "col", "row")
 WEAK = 50.0
@@ -45,7 +45,7 @@ def read_points(given: Any, where: str) -> tuple[FloatArray, FloatArray, FloatAr
         rows.append([*row, positive(table.get("sigma", 1.0), "sigma", here)])
     if len(rows) < 3:
         raise InputError(
-            f"{len(rows)} control points do not place a photo", where=where, mend="give three; a fourth is a check"
+            f"{len(rows)} control points do not place a photo", where=where, hint="give three; a fourth is a check"
         )
     values = np.array(rows)
     return values[:, :3], values[:, 3:5], values[:, 5]
@@ -84,10 +84,10 @@ def resect_photo(
         Points are missing or no numbers, or they do not place the photo; says why.
     """
     if options.get("orientation") is not None:
-        raise InputError("both 'points' and 'orientation' are given", where=where, mend="give one of them")
+        raise InputError("both 'points' and 'orientation' are given", where=where, hint="give one of them")
     if flag(options, "scale_correction", where):
         raise InputError(
-            "scale_correction is about given positions, not about points", where=where, mend="leave it out"
+            "scale_correction is about given positions, not about points", where=where, hint="leave it out"
         )
     known, image, sigmas = read_points(options["points"], where)
     near = options.get("position")
@@ -96,14 +96,14 @@ def resect_photo(
             raise InputError(
                 "position chooses among the places that three points allow, and more points allow one",
                 where=where,
-                mend="leave position out",
+                hint="leave position out",
             )
         near = np.array(numbers(near, 3, "position", where))
     need_heights(crs, known[0], float(np.hypot(*camera.size)) / 2, where)
     ground = float(known[:, 2].mean()) if ground is None else ground
     xyz = known if treatment == "planar" else Transform(crs, geocentric(crs))(known)
     if not np.isfinite(xyz).all():
-        raise InputError("a control point has no place in the CRS", where=where, mend="check x, y, z and the CRS")
+        raise InputError("a control point has no place in the CRS", where=where, hint="check x, y, z and the CRS")
 
     def photo(pose: Pose) -> FrameModel:
         """The model at a pose, in a frame of its own."""
@@ -125,7 +125,7 @@ def resect_photo(
         raise InputError(
             "the control points do not place the photo" + (f": {refused.what}" if refused else ": they are in line"),
             where=where,
-            mend="check that the points are the ones measured, (col, row) in pixels, and their CRS",
+            hint="check that the points are the ones measured, (col, row) in pixels, and their CRS",
         )
     best = _choose(solved, xyz, crs, near, where)
     _warn_of_weakness(best, xyz, sigmas, where)
@@ -184,7 +184,7 @@ def _choose(
         raise InputError(
             f"three points fit {len(distinct)} places of the camera: {listed}",
             where=where,
-            mend="give a fourth point, or position, roughly, to choose the nearest of them",
+            hint="give a fourth point, or position, roughly, to choose the nearest of them",
         )
     return distinct[0]
 

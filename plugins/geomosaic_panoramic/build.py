@@ -1,4 +1,4 @@
-"""The plugin's door: numbers of a flight to a model."""
+"""Panoramic plugin: numbers of a flight to a model, with an example."""
 
 from __future__ import annotations
 
@@ -13,23 +13,51 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
-from geomosaic.geo.local import LocalFrame, map_place
+from geomosaic.geo.local_frames import LocalFrame, map_place
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.datum import need_heights
-from geomosaic.sensor.options import known_inputs
-from geomosaic.sensor.parameters import Parameters
-from geomosaic.sensor.plugin import SensorInput, SensorRequest
+from geomosaic.sensor.inputs import known_inputs
+from geomosaic.sensor.model import Parameters
+from geomosaic.sensor.plugin import SensorExample, SensorInput, SensorRequest
+from geomosaic.sensor.vertical_datum import need_heights
 from geomosaic_panoramic.control import INPUTS as CONTROL
 from geomosaic_panoramic.control import adjusted
-from geomosaic_panoramic.curve import Poses
-from geomosaic_panoramic.example import EXAMPLE
-from geomosaic_panoramic.flight import cover, declared_orbit, read_table, table_poses
-from geomosaic_panoramic.geometry import KINDS, Scan
-from geomosaic_panoramic.model import NAMES, PanoramicModel
-from geomosaic_panoramic.read import number, numbers, word
-from geomosaic_panoramic.relative import RelativeStrip
-from geomosaic_panoramic.straight import PER_STEP, cells, straight
-from geomosaic_panoramic.sweeps import Sweeps
+from geomosaic_panoramic.flight import (
+    PER_STEP,
+    cells,
+    cover,
+    declared_orbit,
+    number,
+    numbers,
+    read_table,
+    straight,
+    table_poses,
+    word,
+)
+from geomosaic_panoramic.geometry import KINDS, Scan, Sweeps
+from geomosaic_panoramic.model import NAMES, PanoramicModel, RelativeStrip
+from geomosaic_panoramic.trajectory import Poses
+
+EXAMPLE = SensorExample(
+    (1000, 1200),
+    """\
+[sensor]
+name = "panoramic"
+kind = "scanner"
+position = [500000.0, 5500000.0, 3300.0]
+heading = 30.0
+advance = 6.0
+field_of_view = 90.0
+ground_height = 300.0
+
+[exterior]
+crs = "EPSG:32633"
+heights = "egm96"
+
+[dem]
+height = 300.0
+""",
+)
+
 
 STRAIGHT = ("heading", "course", "rates", "advance", "v_over_h", "climb")
 """Inputs of a straight flight, which a table or an orbit replaces."""
@@ -98,11 +126,11 @@ class PanoramicPlugin:
         known_inputs(request.options, self.inputs, self.name, where)
         relative = request.options.get("relative", False)
         if not isinstance(relative, bool):
-            raise InputError(f"input 'relative' is {relative!r}", where=where, mend="give true or false")
+            raise InputError(f"input 'relative' is {relative!r}", where=where, hint="give true or false")
         if not relative:
             extra = [name for name in ("height_above_ground", "latitude", "drift") if name in request.options]
             if extra:
-                raise InputError(f"input '{extra[0]}' is given without relative", where=where, mend="leave it out")
+                raise InputError(f"input '{extra[0]}' is given without relative", where=where, hint="leave it out")
             return _placed(request)
         options = _without_place(request)
         model = _placed(replace(request, options=options, crs=CRS.from_epsg(4979)))
@@ -114,16 +142,16 @@ def _without_place(request: SensorRequest) -> dict[str, Any]:
     where, options = request.image, dict(request.options)
     for name in (*PLACED, *(entry.name for entry in CONTROL)):
         if name in options:
-            raise InputError(f"input '{name}' is given together with relative", where=where, mend="leave one out")
+            raise InputError(f"input '{name}' is given together with relative", where=where, hint="leave one out")
     above = number(options, "height_above_ground", where)
     latitude = number(options, "latitude", where, None if "orbit" in options else 0.0)
     if above <= 0.0 or not -90.0 < latitude < 90.0:
         raise InputError(
-            f"height_above_ground is {above:g}, latitude {latitude:g}", where=where, mend="give metres and degrees"
+            f"height_above_ground is {above:g}, latitude {latitude:g}", where=where, hint="give metres and degrees"
         )
     drift = number(options, "drift", where, 0.0)
     if "orbit" in options and "drift" in options:
-        raise InputError("input 'drift' is given together with 'orbit'", where=where, mend="leave one out")
+        raise InputError("input 'drift' is given together with 'orbit'", where=where, hint="leave one out")
     for name in ("relative", "height_above_ground", "latitude", "drift"):
         options.pop(name, None)
     options |= {"position": [0.0, latitude, above], "ground_height": 0.0}
@@ -136,9 +164,9 @@ def _placed(request: SensorRequest) -> PanoramicModel:
     kind = word(options, "kind", KINDS, where)
     for name, kinds in OF_KIND.items():
         if name in options and kind not in kinds:
-            raise InputError(f"{name} has no meaning for a {kind.removesuffix('s')}", where=where, mend="leave it out")
+            raise InputError(f"{name} has no meaning for a {kind.removesuffix('s')}", where=where, hint="leave it out")
     if request.crs is None:
-        raise InputError("sensor 'panoramic' needs the CRS of the position", where=where, mend="give --exterior-crs")
+        raise InputError("sensor 'panoramic' needs the CRS of the position", where=where, hint="give --exterior-crs")
     need_heights(request.crs, "the position", where, lambda crs: _placed(replace(request, crs=crs)))
     scan = _scan(kind, request)
     table, tau = _table(request, scan.periods)
@@ -152,7 +180,7 @@ def _placed(request: SensorRequest) -> PanoramicModel:
     ground = number(options, "ground_height", where, 0.0)
     above = float(position[2] - ground)
     if above <= 0.0:
-        raise InputError(f"the position is {-above:g} m below ground_height", where=where, mend="check both heights")
+        raise InputError(f"the position is {-above:g} m below ground_height", where=where, hint="check both heights")
     grid = word(options, "north", ("grid", "true"), where, "grid") == "grid"
     poses: Poses | None = None
     motion = np.zeros(12)
@@ -188,7 +216,7 @@ def _scan(kind: str, request: SensorRequest) -> Scan:
         raise InputError(
             f"lines_per_sweep is {lines:g}, active {active:g}",
             where=where,
-            mend="give a whole number of lines, and a share above 0, up to 1",
+            hint="give a whole number of lines, and a share above 0, up to 1",
         )
     return Scan(kind, request.size, side, Sweeps(int(lines), both, active))
 
@@ -200,13 +228,13 @@ def _table(request: SensorRequest, periods: float) -> tuple[np.ndarray | None, n
     if not curved:
         for name in ("start_time", "period"):
             if name in options:
-                raise InputError(f"input '{name}' needs a track or an orbit", where=where, mend="leave it out")
+                raise InputError(f"input '{name}' needs a track or an orbit", where=where, hint="leave it out")
         return None, np.zeros(0)
     taken = [name for name in (*curved[1:], *STRAIGHT) if name in options]
     taken += [name for name in ("position",) if curved[0] == "track" and name in options]
     if taken:
         raise InputError(
-            f"input '{taken[0]}' is given together with '{curved[0]}'", where=where, mend="leave one of them out"
+            f"input '{taken[0]}' is given together with '{curved[0]}'", where=where, hint="leave one of them out"
         )
     if curved[0] == "orbit":
         return None, np.zeros(0)
@@ -214,7 +242,7 @@ def _table(request: SensorRequest, periods: float) -> tuple[np.ndarray | None, n
         raise InputError(f"track = {options['track']!r} is not a file name", where=where)
     start, period = number(options, "start_time", where), number(options, "period", where)
     if period <= 0.0:
-        raise InputError(f"period is {period:g} s", where=where, mend="give the seconds of one line or sweep")
+        raise InputError(f"period is {period:g} s", where=where, hint="give the seconds of one line or sweep")
     file = Path(request.base) / options["track"]
     table = read_table(file, where)
     tau = (table[:, 0] - start) / period - periods / 2
@@ -226,7 +254,7 @@ def _field(options: Mapping[str, Any], kind: str, where: str) -> float:
     field = number(options, "field_of_view", where)
     limit = 180.0 if kind == "panoramic" else 170.0
     if not 0.0 < field < limit:
-        raise InputError(f"field_of_view is {field:g}", where=where, mend=f"give degrees between 0 and {limit:g}")
+        raise InputError(f"field_of_view is {field:g}", where=where, hint=f"give degrees between 0 and {limit:g}")
     return field
 
 
@@ -238,11 +266,11 @@ def _inner(options: Mapping[str, Any], kind: str, beta: float, where: str) -> li
     if kind == "sweeps":
         angle = number(options, "line_angle", where, beta)
         if angle <= 0.0:
-            raise InputError(f"line_angle is {angle:g}", where=where, mend="give degrees above 0")
+            raise InputError(f"line_angle is {angle:g}", where=where, hint="give degrees above 0")
         return [1.0 / math.radians(angle), motion]
     focal, pixel = number(options, "focal_length", where), number(options, "pixel_size", where)
     if focal <= 0.0 or pixel <= 0.0:
-        raise InputError("focal_length and pixel_size must be greater than 0", where=where, mend="give both in mm")
+        raise InputError("focal_length and pixel_size must be greater than 0", where=where, hint="give both in mm")
     return [focal / pixel, motion]
 
 
@@ -255,7 +283,7 @@ def _seen(model: PanoramicModel, above: float) -> PanoramicModel:
     origins, directions = model.rays(middle)
     down = -(directions @ model.frame.axes.T)[0, 2]
     if down <= 0.05:
-        raise InputError("the middle of the image looks at the sky", mend="check roll and pitch, in degrees")
+        raise InputError("the middle of the image looks at the sky", hint="check roll and pitch, in degrees")
     x, y, z = (origins + directions * above / down)[0].tolist()
     return replace(model, seed=(x, y, z))
 

@@ -16,12 +16,12 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.options import known_keys, number, point_rows
+from geomosaic.sensor.inputs import known_keys, number, point_rows
 from geomosaic.sensor.plugin import SensorInput, SensorRequest
 from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
+from geomosaic_panoramic.flight import word
 from geomosaic_panoramic.model import PanoramicModel
-from geomosaic_panoramic.read import word
 
 INPUTS = (
     SensorInput(
@@ -94,7 +94,7 @@ def _sigmas(model: PanoramicModel, request: SensorRequest, above: float) -> Floa
     """A-priori sigmas: those of what is known of the flight, then of groups, then of single parameters."""
     where, table = request.image, request.options.get("sigmas", {})
     if not isinstance(table, Mapping):
-        raise InputError(f"sigmas = {table!r} is not a table", where=where, mend=f"give {', '.join(GROUPS)}")
+        raise InputError(f"sigmas = {table!r} is not a table", where=where, hint=f"give {', '.join(GROUPS)}")
     names = model.parameters.names
     known_keys(table, (*GROUPS, *names), f"{where}, sigmas")
     units = {"position": above, "speed": model.track.pace, "angles": 1.0, "rates": 1.0}
@@ -106,7 +106,7 @@ def _sigmas(model: PanoramicModel, request: SensorRequest, above: float) -> Floa
     values.update({name: number(table[name], f"sigmas, {name}", where) for name in names if name in table})
     negative = [name for name, value in values.items() if value < 0.0]
     if negative:
-        raise InputError(f"the sigma of {negative[0]} is negative", where=where, mend="0 holds it fixed")
+        raise InputError(f"the sigma of {negative[0]} is negative", where=where, hint="0 holds it fixed")
     return np.array(list(values.values()))
 
 

@@ -1,24 +1,44 @@
-"""Curved flights as they are declared: a table of positions and attitudes over time, or an orbit."""
+"""Flights as they are declared: straight, by a table over time, or an orbit."""
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
 from geomosaic.geo.crs import geographic, horizontal
-from geomosaic.geo.local import LocalFrame, enu_axes, map_place
+from geomosaic.geo.local_frames import LocalFrame, enu_axes, map_place
 from geomosaic.geo.transform import Transform
-from geomosaic_panoramic.curve import Poses
+from geomosaic.sensor import inputs as read
 from geomosaic_panoramic.orbit import orbit_poses
-from geomosaic_panoramic.read import number, word
-from geomosaic_panoramic.track import Turn
+from geomosaic_panoramic.trajectory import Poses, Turn
+
+TEXT = "see `geomosaic sensors panoramic`"
+
+
+def word(options: Mapping[str, Any], name: str, words: Sequence[str], where: str, default: str | None = None) -> str:
+    """One of some words."""
+    return read.choice(read.need({name: default, **options}, name, where, " or ".join(words)), words, name, where)
+
+
+def number(options: Mapping[str, Any], name: str, where: str, default: float | None = None) -> float:
+    """A finite number."""
+    return read.number(read.need({name: default, **options}, name, where, TEXT), name, where)
+
+
+def numbers(
+    options: Mapping[str, Any], name: str, count: int, where: str, default: Sequence[float] | None = None
+) -> tuple[float, ...]:
+    """So many finite numbers."""
+    return read.numbers(read.need({name: default, **options}, name, where, TEXT), count, name, where)
+
 
 COLUMNS = ("time", "x", "y", "z", "heading", "pitch", "roll")
 ORBIT = ("inclination", "pass")
@@ -39,21 +59,21 @@ def read_table(file: Path, where: str) -> np.ndarray:
         with file.open(newline="", encoding="utf-8-sig") as stream:
             lines = [row for row in csv.reader(stream) if row and not row[0].lstrip().startswith("#")]
     except (OSError, ValueError, csv.Error) as error:
-        raise InputError(f"the track cannot be read ({error})", where=place, mend="check the name") from error
+        raise InputError(f"the track cannot be read ({error})", where=place, hint="check the name") from error
     header = [name.strip().lower() for name in lines[0]] if lines else []
     missing = [name for name in COLUMNS if name not in header]
     if missing:
         raise InputError(
-            f"the track has no column {missing[0]}", where=place, mend=f"give {', '.join(COLUMNS)}, parted by commas"
+            f"the track has no column {missing[0]}", where=place, hint=f"give {', '.join(COLUMNS)}, parted by commas"
         )
     order = [header.index(name) for name in COLUMNS]
     try:
         table = np.array([[float(row[i]) for i in order] for row in lines[1:]]).reshape(-1, len(COLUMNS))
     except (ValueError, IndexError) as error:
-        raise InputError(f"a row of the track is not whole ({error})", where=place, mend="complete it") from error
+        raise InputError(f"a row of the track is not whole ({error})", where=place, hint="complete it") from error
     if len(table) < 2 or not np.isfinite(table).all() or not (np.diff(table[:, 0]) > 0.0).all():
         raise InputError(
-            "the times of the track do not grow from row to row", where=place, mend="two rows or more, in order of time"
+            "the times of the track do not grow from row to row", where=place, hint="two rows or more, in order of time"
         )
     return table
 
@@ -65,7 +85,7 @@ def cover(tau: np.ndarray, half: float, where: str) -> None:
             f"the track covers {tau[0]:.1f} to {tau[-1]:.1f} lines or sweeps about the middle of the image, which "
             f"takes {-half:.1f} to {half:.1f}",
             where=where,
-            mend="check start_time, period and the clock of the track",
+            hint="check start_time, period and the clock of the track",
         )
 
 
@@ -103,17 +123,66 @@ def declared_orbit(options: Mapping[str, Any], frame: LocalFrame, half: float, w
     """Poses of the orbit that the inputs `orbit` and `period` declare."""
     orbit = options["orbit"]
     if not isinstance(orbit, Mapping):
-        raise InputError(f"input 'orbit' is no table: {orbit!r}", where=where, mend="give inclination and pass")
+        raise InputError(f"input 'orbit' is no table: {orbit!r}", where=where, hint="give inclination and pass")
     for key in orbit:
         if key not in ORBIT:
-            raise InputError(f"an orbit has no '{key}'", where=where, mend=did_you_mean(str(key), ORBIT) or "see docs")
+            raise InputError(f"an orbit has no '{key}'", where=where, hint=did_you_mean(str(key), ORBIT) or "see docs")
     inclination = math.radians(number(orbit, "inclination", where))
     ascending = word(orbit, "pass", ("ascending", "descending"), where) == "ascending"
     period = number(options, "period", where)
     if period <= 0.0:
-        raise InputError(f"period is {period:g} s", where=where, mend="give the seconds of one line or sweep")
+        raise InputError(f"period is {period:g} s", where=where, hint="give the seconds of one line or sweep")
     try:
         return orbit_poses(frame, inclination, ascending, period, half)
     except InputError as error:
         error.where = where
         raise
+
+
+PER_STEP = {"scanner": "line", "sweeps": "sweep", "panoramic": "sweep"}
+ODD = 20.0
+"""How many times longer than wide, or wider than long, cells of a scanner may be without a word."""
+
+
+def straight(options: Mapping[str, Any], kind: str, above: float, turn: float, where: str) -> np.ndarray:
+    """East, north, up, speeds, attitude and rates of a straight flight (12,); metres and degrees."""
+    heading = number(options, "heading", where) + turn
+    course = math.radians(number(options, "course", where, heading - turn) + turn)
+    advance = _advance(options, kind, above, where)
+    return np.array(
+        [
+            0.0, 0.0, 0.0,
+            advance * math.sin(course), advance * math.cos(course), number(options, "climb", where, 0.0),
+            heading, number(options, "pitch", where, 0.0), number(options, "roll", where, 0.0),
+            *numbers(options, "rates", 3, where, (0.0, 0.0, 0.0)),
+        ]
+    )  # fmt: skip
+
+
+def _advance(options: Mapping[str, Any], kind: str, above: float, where: str) -> float:
+    if "advance" in options and "v_over_h" in options:
+        raise InputError("advance and v_over_h are given together", where=where, hint="give one of them")
+    if "v_over_h" in options:
+        if "ground_height" not in options:
+            raise InputError("v_over_h needs the height above ground", where=where, hint="give ground_height")
+        advance = number(options, "v_over_h", where) * above
+    else:
+        if "advance" not in options and kind != "panoramic":
+            raise InputError("nothing says how fast the scanner advances", where=where, hint="give advance or v_over_h")
+        advance = number(options, "advance", where, 0.0)
+    if kind != "panoramic" and advance <= 0.0:
+        raise InputError(
+            f"the scanner advances by {advance:g} m per {PER_STEP[kind]}", where=where, hint="give a positive advance"
+        )
+    return advance
+
+
+def cells(along: float, across: float, where: str) -> None:
+    """Warn of ground cells, metres below the scanner, so far from square that an angle must be in another unit."""
+    if not 1.0 / ODD <= along / across <= ODD:
+        warnings.warn(
+            f"{where}: below the scanner a pixel is {across:.3g} m across and {along:.3g} m along the flight; is "
+            "field_of_view in degrees, and advance (or v_over_h) that of one line?",
+            GeomosaicWarning,
+            stacklevel=2,
+        )

@@ -14,10 +14,10 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic
-from geomosaic.geo.local import LocalFrame, enu_axes
+from geomosaic.geo.local_frames import LocalFrame, enu_axes
 from geomosaic.geo.transform import Transform
 from geomosaic.types import FloatArray
-from geomosaic_panoramic.curve import Poses
+from geomosaic_panoramic.trajectory import Poses
 
 GM = 3.986004418e14
 """Earth's gravitational constant, m³/s² (WGS 84)."""
@@ -40,7 +40,7 @@ def inertial_azimuth(inclination: float, latitude: float, *, ascending: bool) ->
         raise InputError(
             f"an orbit of inclination {math.degrees(inclination):g} degrees does not reach the latitude "
             f"{math.degrees(latitude):.2f}",
-            mend="check inclination and position",
+            hint="check inclination and position",
         )
     return math.asin(sine) if ascending else math.pi - math.asin(sine)
 

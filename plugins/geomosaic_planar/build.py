@@ -1,4 +1,4 @@
-"""The plugin's door: one of a transform, control points or coefficients to a model."""
+"""Planar plugin: a transform, control points or coefficients to a model, with an example."""
 
 from __future__ import annotations
 
@@ -11,13 +11,31 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
-from geomosaic.sensor.options import choice, known_inputs, meant, numbers, point_rows, positive
-from geomosaic.sensor.plugin import SensorInput, SensorRequest
+from geomosaic.sensor.inputs import choice, known_inputs, meant, numbers, point_rows, positive
+from geomosaic.sensor.plugin import SensorExample, SensorInput, SensorRequest
 from geomosaic.types import FloatArray
-from geomosaic_planar.example import EXAMPLE
 from geomosaic_planar.fit import fit_planar
 from geomosaic_planar.model import PlanarModel
 from geomosaic_planar.terms import AXES, KINDS, MAX_ORDER, parameter_names
+
+EXAMPLE = SensorExample(
+    (1200, 800),
+    """\
+[sensor]
+name = "planar"
+kind = "projective"
+points = [
+  { x = 500000.0, y = 5500080.0, col = 0.0, row = 0.0 },
+  { x = 500118.0, y = 5500082.0, col = 1200.0, row = 0.0 },
+  { x = 500121.0, y = 5500001.0, col = 1200.0, row = 800.0 },
+  { x = 500001.0, y = 5499999.0, col = 0.0, row = 800.0 },
+]
+
+[exterior]
+crs = "EPSG:32633"
+""",
+)
+
 
 POINT = ("x", "y", "col", "row")
 SOURCES = ("transform", "geotransform", "points", "coefficients")
@@ -62,9 +80,9 @@ class PlanarPlugin:
         given = [source for source in SOURCES if source in options]
         if len(given) != 1:
             what = f"{' and '.join(given)} are given together" if given else "there is nothing to place the image with"
-            raise InputError(what, where=where, mend=f"give one of {', '.join(SOURCES)}")
+            raise InputError(what, where=where, hint=f"give one of {', '.join(SOURCES)}")
         if request.crs is None or request.crs.is_geocentric:
-            raise InputError("sensor 'planar' needs a horizontal CRS", where=where, mend="name one, e.g. EPSG:32633")
+            raise InputError("sensor 'planar' needs a horizontal CRS", where=where, hint="name one, e.g. EPSG:32633")
         crs = horizontal(request.crs)
         if given[0] in ("transform", "geotransform"):
             return _georeferenced(request, crs, given[0])
@@ -75,7 +93,7 @@ class PlanarPlugin:
             fitted = fit_planar(kind, xy, colrow, weights, order=order, axes=axes, where=where)
             return PlanarModel.of_fit(fitted, crs, request.size, where)
         if kind == "tps":
-            raise InputError("a thin plate spline has no coefficients to give", where=where, mend="give 'points'")
+            raise InputError("a thin plate spline has no coefficients to give", where=where, hint="give 'points'")
         values = _coefficients(options["coefficients"], kind, order, where)
         centre = np.array(numbers(options.get("centre", (0.0, 0.0)), 2, "centre", where))
         scale = positive(options.get("scale", 1.0), "scale", where)
@@ -109,9 +127,9 @@ def _georeferenced(request: SensorRequest, crs: CRS, option: str) -> PlanarModel
 def _kind(options: Mapping[str, Any], where: str) -> tuple[str, int]:
     kind, order = choice(options.get("kind", "affine"), KINDS, "kind", where), options.get("order", 1)
     if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= MAX_ORDER:
-        raise InputError(f"input 'order' is {order}", where=where, mend=f"give a whole number from 1 to {MAX_ORDER}")
+        raise InputError(f"input 'order' is {order}", where=where, hint=f"give a whole number from 1 to {MAX_ORDER}")
     if kind != "polynomial" and order != 1:
-        raise InputError(f"input 'order' has no meaning for kind '{kind}'", where=where, mend="use kind = polynomial")
+        raise InputError(f"input 'order' has no meaning for kind '{kind}'", where=where, hint="use kind = polynomial")
     return kind, order
 
 
@@ -123,7 +141,7 @@ def _axes(options: Mapping[str, Any], kind: str, where: str) -> str | None:
         raise InputError(
             f"input 'axes' has no meaning for kind '{kind}', which takes either handedness as it is",
             where=where,
-            mend="leave it out",
+            hint="leave it out",
         )
     return axes
 
@@ -153,7 +171,7 @@ def _coefficients(given: Any, kind: str, order: int, where: str) -> FloatArray:
         if set(given) != set(names):
             odd = next((str(key) for key in given if key not in names), "")
             raise InputError(
-                "input 'coefficients' does not name what this kind has", where=where, mend=meant(odd, "give", names)
+                "input 'coefficients' does not name what this kind has", where=where, hint=meant(odd, "give", names)
             )
         given = [given[name] for name in names]
     return np.array(numbers(given, len(names), "coefficients", where))

@@ -1,4 +1,4 @@
-"""Plane transformations from control points, by least squares on normalised coordinates."""
+"""Least squares fits of plane transformations to control points."""
 
 from __future__ import annotations
 
@@ -9,9 +9,124 @@ import numpy as np
 from geomosaic.errors import SolveError
 from geomosaic.types import FloatArray
 from geomosaic_planar import spline
-from geomosaic_planar.projective import projective
-from geomosaic_planar.solve import conformal, linear
-from geomosaic_planar.terms import article, evaluate, least_points
+from geomosaic_planar.terms import AXES, article, basis, derivatives, evaluate, least_points
+
+WORST_CONDITION = 1e6
+SURE = 3.0
+"""Logarithm of the ratio of likelihoods from which control is taken for mirrored; e³ is about 20 to 1."""
+
+
+def least_squares(
+    design: FloatArray, right: FloatArray, label: str, where: str | None
+) -> tuple[FloatArray, float, FloatArray]:
+    """Least squares by singular values; solution, condition, cofactors."""
+    length = np.linalg.norm(design, axis=0)
+    length = np.where(length > 0.0, length, 1.0)
+    left, singular, turned = np.linalg.svd(design / length, full_matrices=False)
+    if singular[-1] * WORST_CONDITION < singular[0]:
+        raise SolveError(
+            f"the control points do not determine {article(label)} {label} transformation: they lie on a "
+            "line or curve, or too many of them on one place",
+            where=where,
+            hint="spread the points over the image, or choose a simpler kind",
+        )
+    root = turned.T / singular
+    solution = ((root @ (left.T @ right)).T / length).T
+    return solution, float(singular[0] / singular[-1]), (root @ root.T) / np.outer(length, length)
+
+
+def conformal(
+    uv: FloatArray, image: FloatArray, root: FloatArray, axes: str | None, where: str | None
+) -> tuple[tuple[FloatArray, float, FloatArray], str]:
+    """Conformal coefficients, and the handedness of the image's axes.
+
+    Where it is not given, both are fitted. Axes are left-handed (rows downwards) unless the other fit is better beyond
+    chance: two points, or points on a line, fit either way and say nothing.
+    """
+    tried = {}
+    right = (image * root[:, None]).ravel()
+    for each in AXES if axes is None else (axes,):
+        design = (derivatives("conformal", 1, np.zeros(4), uv, each)[0] * root[:, None, None]).reshape(-1, 4)
+        solved = least_squares(design, right, "conformal", where)
+        left = right - design @ solved[0]
+        # Not below what rounding leaves, so that exact points on a line do not decide.
+        tried[each] = solved, float(left @ left) + 1e-20 * float(right @ right)
+    if axes is not None:
+        return tried[axes][0], axes
+    redundancy = 2 * len(uv) - 4
+    gain = 0.5 * redundancy * np.log(tried["left"][1] / max(tried["right"][1], 1e-300)) if redundancy else 0.0
+    chosen = "right" if gain > SURE else "left"
+    return tried[chosen][0], chosen
+
+
+def linear(
+    order: int, uv: FloatArray, image: FloatArray, root: FloatArray, label: str, where: str | None
+) -> tuple[FloatArray, float, FloatArray]:
+    """Affine and polynomial coefficients."""
+    # Columns and rows share one design: solve it once for both.
+    terms = basis(order, uv)
+    solution, condition, cofactors = least_squares(terms * root[:, None], image * root[:, None], label, where)
+    both = np.kron(np.eye(2), cofactors).astype(np.float64)
+    return solution.T.ravel(), condition, both
+
+
+ROUNDS = 50
+
+
+def projective(
+    uv: FloatArray, image: FloatArray, root: FloatArray, where: str | None
+) -> tuple[FloatArray, float, FloatArray]:
+    """Direct linear start, then Gauss-Newton on the true residuals in pixels."""
+    values = _direct_linear(uv, image, root, where)
+    for _ in range(ROUNDS):
+        residuals = (image - evaluate("projective", 1, values, uv)) * root[:, None]
+        design = (derivatives("projective", 1, values, uv)[0] * root[:, None, None]).reshape(-1, 8)
+        step, condition, cofactors = least_squares(design, residuals.ravel(), "projective", where)
+        before = float((residuals**2).sum())
+        factor = 1.0
+        while factor > 1e-6:
+            trial = values + factor * step
+            after = float((((image - evaluate("projective", 1, trial, uv)) * root[:, None]) ** 2).sum())
+            if after <= before * (1.0 + 1e-12) or np.abs(design @ step).max() < 1e-9:
+                break
+            factor *= 0.5  # also where a point came to lie behind the horizon and `after` is NaN
+        else:
+            break
+        values = trial
+        if np.abs(design @ step).max() < 1e-11 * max(1.0, float(np.abs(image).max())):
+            break
+    return values, condition, cofactors
+
+
+def _direct_linear(uv: FloatArray, image: FloatArray, root: FloatArray, where: str | None) -> FloatArray:
+    """Projective coefficients of least algebraic error (Hartley & Zisserman, section 4.1, both sides normalised)."""
+    middle = image.mean(axis=0)
+    size = float(np.abs(image - middle).max()) or 1.0
+    q = (image - middle) / size
+    one = np.column_stack([np.ones(len(uv)), uv])
+    zero = np.zeros_like(one)
+    rows = np.vstack([np.hstack([one, zero, -q[:, :1] * one]), np.hstack([zero, one, -q[:, 1:] * one])])
+    # Four points give eight rows, and the ninth direction is the solution.
+    _, singular, turned = np.linalg.svd(rows * np.tile(root, 2)[:, None], full_matrices=len(rows) < 9)
+    if singular[7] * WORST_CONDITION < singular[0]:
+        raise SolveError(
+            "the control points do not determine a projective transformation: three of four lie on a line, or too "
+            "many on one place",
+            where=where,
+            hint="give four points or more, no three of the four on one line, or choose affine",
+        )
+    col, row, bottom = turned[-1].reshape(3, 3)
+    w = one @ bottom
+    if not ((w > 0.0).all() or (w < 0.0).all()):
+        raise SolveError(
+            "the control points lie on both sides of the horizon of the projective transformation they call for",
+            where=where,
+            hint="look for swapped or wrong points",
+        )
+    col, row = col * size + middle[0] * bottom, row * size + middle[1] * bottom
+    values: FloatArray = np.concatenate([col, row, bottom[1:]]) / bottom[0]
+    return values
+
 
 NO_NODES = np.empty((0, 2))
 NO_NODES.setflags(write=False)
@@ -104,7 +219,7 @@ def fit_planar(
         raise SolveError(
             f"{count} control points do not determine {article(label)} {label} transformation, which needs {needed}",
             where=where,
-            mend="add points or choose a simpler kind: conformal needs 2, affine and tps 3, projective 4",
+            hint="add points or choose a simpler kind: conformal needs 2, affine and tps 3, projective 4",
         )
     root = np.ones(count) if weights is None else np.sqrt(np.asarray(weights, dtype=np.float64))
     if not (np.isfinite(root) & (root > 0.0)).all():
@@ -113,7 +228,7 @@ def fit_planar(
     centre = ground.mean(axis=0)
     scale = float(np.abs(ground - centre).max())
     if scale == 0.0:
-        raise SolveError("all control points lie on one place", where=where, mend="spread them over the image")
+        raise SolveError("all control points lie on one place", where=where, hint="spread them over the image")
     uv = (ground - centre) / scale
     if kind == "tps":
         return _spline(uv, image, centre, scale, where)

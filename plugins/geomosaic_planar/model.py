@@ -9,12 +9,11 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.parameters import Parameters
+from geomosaic.sensor.model import Parameters
 from geomosaic.types import FloatArray
 from geomosaic_planar import spline
 from geomosaic_planar.fit import NO_NODES, PlanarFit
-from geomosaic_planar.inverse import newton_inverse, projective_inverse
-from geomosaic_planar.terms import derivatives, evaluate, parameter_names, slopes
+from geomosaic_planar.terms import derivatives, evaluate, newton_inverse, parameter_names, projective_inverse, slopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +109,7 @@ class PlanarModel:
             raise InputError(
                 "the transformation shows no ground at the middle of the image",
                 where=where,
-                mend="check the points or coefficients; explicit ones of high order need 'centre' and 'scale'",
+                hint="check the points or coefficients; explicit ones of high order need 'centre' and 'scale'",
             )
         reach = np.maximum(model._corners(uv), 1e-12)
         middle = middle + scale * uv[0]

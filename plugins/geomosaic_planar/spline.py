@@ -47,14 +47,14 @@ def check_nodes(nodes: FloatArray, where: str | None = None) -> None:
                 f"control points {start + 1} and {other + 1} lie on one place of the ground, and a thin plate spline "
                 "passes through every point once",
                 where=where,
-                mend="leave one of them out, or their mean in; or choose a kind that averages, such as polynomial",
+                hint="leave one of them out, or their mean in; or choose a kind that averages, such as polynomial",
             )
     singular = np.linalg.svd(np.column_stack([np.ones(len(nodes)), nodes]), compute_uv=False)
     if singular[-1] * WORST_LINE < singular[0]:
         raise SolveError(
             "the control points lie on a line, and a thin plate spline is not determined beside it",
             where=where,
-            mend="measure points on both sides of the line, or choose a conformal fit",
+            hint="measure points on both sides of the line, or choose a conformal fit",
         )
 
 
@@ -94,7 +94,7 @@ def solve(nodes: FloatArray, image: FloatArray, where: str | None = None) -> tup
             f"the control points do not determine a thin plate spline (condition {condition:.0e}): some lie almost on "
             "one place",
             where=where,
-            mend="leave out points that repeat others, or choose a polynomial",
+            hint="leave out points that repeat others, or choose a polynomial",
         )
     coefficients: FloatArray = inverse @ right
     for _ in range(2):  # refinement: the spline meets its nodes to rounding

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from geomosaic_pushbroom.example import EXAMPLE
-from geomosaic_pushbroom.inputs import INPUTS
+from geomosaic_pushbroom.inputs import EXAMPLE, INPUTS
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,9 +10,9 @@ from pyproj import CRS
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.parameters import Parameters
+from geomosaic.sensor.model import Parameters
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look import Look
+from geomosaic_pushbroom.look_angles import Look
 from geomosaic_pushbroom.model import PushbroomModel
 from geomosaic_pushbroom.platform import Platform
 
@@ -57,7 +57,7 @@ def assemble(
         raise InputError(
             "lines of sight of this scene do not reach the ground",
             where=where,
-            mend="check the attitude angles, their unit, and that the file belongs to the image",
+            hint="check the attitude angles, their unit, and that the file belongs to the image",
         )
     middle = len(distances) // 2
     seed = origins[middle] + distances[middle] * directions[middle]
@@ -71,7 +71,7 @@ def assemble(
     ends = [bare.seen_from(ground, r.ravel() + shift)[1] for shift in (-0.5, 0.5)]
     slope = float(np.median(ends[1] - ends[0]))
     if not abs(slope) > 0.0:
-        raise InputError("the scanner does not move from row to row", where=where, mend="check times and positions")
+        raise InputError("the scanner does not move from row to row", where=where, hint="check times and positions")
     x, y, z = seed.tolist()
     model = replace(bare, seed=(x, y, z), guess=np.append(guess, slope))
     return replace(model, parameters=replace(parameters, steps=_steps(model, ground)))

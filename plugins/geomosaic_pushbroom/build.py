@@ -12,10 +12,10 @@ import numpy as np
 from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.datum import need_heights
-from geomosaic.sensor.options import known_keys, number, numbers
+from geomosaic.sensor.inputs import known_keys, number, numbers
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
+from geomosaic.sensor.vertical_datum import need_heights
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.assemble import ECEF, assemble
 from geomosaic_pushbroom.inputs import OPTIONS
@@ -24,8 +24,8 @@ from geomosaic_pushbroom.model import PushbroomModel
 from geomosaic_pushbroom.platform import Flight
 from geomosaic_pushbroom.points import Control, need_crs, read_points, with_result
 from geomosaic_pushbroom.reported import Quality, Reported
-from geomosaic_pushbroom.start import solve_without_metadata
 from geomosaic_pushbroom.track import read_track
+from geomosaic_pushbroom.unreported import solve_without_metadata
 
 GROUPS = {"angles": Flight.names[:3], "rates": Flight.names[3:6], "position": Flight.names[6:9]}
 OF_TRACK = ("start_time", "line_period", "columns", "angle_unit")
@@ -46,7 +46,7 @@ def build_pushbroom(request: SensorRequest) -> PushbroomModel:
     known_keys(options, OPTIONS, where)
     control = read_points(options["points"], where) if options.get("points") is not None else None
     if options.get("refine", "points") not in ("points", "none"):
-        raise InputError(f"refine = {options['refine']!r}", where=where, mend="choose from: points, none")
+        raise InputError(f"refine = {options['refine']!r}", where=where, hint="choose from: points, none")
     metadata = _metadata(request)
     if request.crs is not None and (control is not None or options.get("track") is not None):
         whose = "the track" if control is None else "the control points"
@@ -68,7 +68,7 @@ def build_pushbroom(request: SensorRequest) -> PushbroomModel:
             raise InputError(
                 "there is neither metadata nor a track nor control points",
                 where=where,
-                mend="put METADATA.DIM beside the image, or give metadata = FILE, track = FILE, or control points",
+                hint="put METADATA.DIM beside the image, or give metadata = FILE, track = FILE, or control points",
             )
         return solve_without_metadata(request, control)
     if control is None or options.get("refine", "points") == "none":
@@ -97,7 +97,7 @@ def _need_only(options: Mapping[str, Any], way: str, where: str) -> None:
         raise InputError(
             f"{odd[0]} has no meaning for a model from {way}",
             where=where,
-            mend="leave it out" + (", or give metadata = none" if way == "metadata" else ""),
+            hint="leave it out" + (", or give metadata = none" if way == "metadata" else ""),
         )
 
 
@@ -111,13 +111,13 @@ def of_scene(reported: Reported, request: SensorRequest) -> PushbroomModel:
         raise InputError(
             f"the image has {size[0]} x {size[1]} pixels, the scene ({reported.title}) has {width} x {height}",
             where=where,
-            mend="give offset = [col, row] of the image's upper-left corner in the scene, if the image is a cut of it",
+            hint="give offset = [col, row] of the image's upper-left corner in the scene, if the image is a cut of it",
         )
     if col < 0 or row < 0 or col + size[0] > width or row + size[1] > height:
         raise InputError(
             f"{size[0]} x {size[1]} pixels from {col:g}, {row:g} on reach beyond the scene of {width} x {height}",
             where=where,
-            mend="check offset",
+            hint="check offset",
         )
     look = replace(reported.look, cols=reported.look.cols - col)
     flight = Flight(reported.path, reported.period, reported.middle - row)
@@ -159,7 +159,7 @@ def _sigmas(options: Mapping[str, Any], quality: Quality, where: str) -> FloatAr
     values.update({name: number(table[name], f"sigmas, {name}", where) for name in Flight.names if name in table})
     negative = [name for name, value in values.items() if value < 0.0]
     if negative:
-        raise InputError(f"the sigma of {negative[0]} is negative", where=where, mend="0 holds it fixed")
+        raise InputError(f"the sigma of {negative[0]} is negative", where=where, hint="0 holds it fixed")
     return np.array(list(values.values()))
 
 

@@ -8,13 +8,21 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.attitude_list import in_order, need_cover
-from geomosaic_pushbroom.bands import choose
-from geomosaic_pushbroom.look import Look
-from geomosaic_pushbroom.orbit import Orbit
+from geomosaic_pushbroom.look_angles import Look, choose
+from geomosaic_pushbroom.orbit import Orbit, in_order, need_cover
 from geomosaic_pushbroom.paths import AnglePath
-from geomosaic_pushbroom.reported import GYROSCOPES, STARS, Reported, moment, since_times
-from geomosaic_pushbroom.xml import children, each, find, number, text
+from geomosaic_pushbroom.reported import (
+    GYROSCOPES,
+    STARS,
+    Reported,
+    children,
+    each,
+    find,
+    moment,
+    number,
+    since_times,
+    text,
+)
 
 _ANGLES = ("PITCH", "ROLL", "YAW")
 _STRIP = ".//Data_Strip"
@@ -44,7 +52,7 @@ def read_spot(root: Element, where: str, band: str | None = None) -> Reported:
         raise InputError(
             f"this scene is of level {level}: it was resampled, and its rows are no scan lines any more",
             where=where,
-            mend="use the level 1A scene, or the sensor 'planar' with control points",
+            hint="use the level 1A scene, or the sensor 'planar' with control points",
         )
     size = (int(number(root, ".//Raster_Dimensions/NCOLS", where)), int(number(root, ".//NROWS", where)))
     stamp = find(root, f"{_STRIP}/Sensor_Configuration/Time_Stamp", where)

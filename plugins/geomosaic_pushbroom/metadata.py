@@ -7,12 +7,11 @@ from pathlib import Path
 
 from geomosaic.errors import InputError
 from geomosaic_pushbroom.dimap import read_spot
+from geomosaic_pushbroom.dimap2 import PART as REFINED
+from geomosaic_pushbroom.dimap2 import read_refined
 from geomosaic_pushbroom.ossim import read_ossim
 from geomosaic_pushbroom.pleiades import PART, read_pleiades
-from geomosaic_pushbroom.refined import PART as REFINED
-from geomosaic_pushbroom.refined import read_refined
-from geomosaic_pushbroom.reported import Reported
-from geomosaic_pushbroom.xml import parse
+from geomosaic_pushbroom.reported import Reported, parse
 
 BESIDE = ("METADATA.DIM", "metadata.dim")
 _LARGEST = 256 * 2**20
@@ -41,10 +40,10 @@ def read_metadata(path: Path, band: str | None = None) -> Reported:
     where = str(path)
     try:
         if path.stat().st_size > _LARGEST:
-            raise InputError("the file is too large to be metadata", where=where, mend="give METADATA.DIM")
+            raise InputError("the file is too large to be metadata", where=where, hint="give METADATA.DIM")
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"the metadata cannot be read ({error})", where=where, mend="check the name") from error
+        raise InputError(f"the metadata cannot be read ({error})", where=where, hint="check the name") from error
     return read_bytes(data, where, band)
 
 
@@ -55,7 +54,7 @@ def read_bytes(data: bytes, where: str, band: str | None = None) -> Reported:
     root = parse(data, where)
     if root.tag.rpartition("}")[2] not in ("Dimap_Document", "PHR_Dimap_Document"):
         raise InputError(
-            f"this XML starts with <{root.tag[:40]}>, not <Dimap_Document>", where=where, mend="give METADATA.DIM"
+            f"this XML starts with <{root.tag[:40]}>, not <Dimap_Document>", where=where, hint="give METADATA.DIM"
         )
     if root.find(PART) is not None:
         return read_pleiades(root, where)
@@ -65,6 +64,6 @@ def read_bytes(data: bytes, where: str, band: str | None = None) -> Reported:
         raise InputError(
             "this DIMAP has an RPC, but no physical model",
             where=where,
-            mend="give the product's own file DIM_....XML, or use the sensor 'rpc' with this one",
+            hint="give the product's own file DIM_....XML, or use the sensor 'rpc' with this one",
         )
     return read_spot(root, where, band)

@@ -1,4 +1,4 @@
-"""The pushbroom scanner as a sensor model: each row has a pose of its own.
+"""Pushbroom sensor model: each row has a pose of its own; derivatives by implicit differentiation.
 
 A ground point G is seen in the row whose pose has it in the plane of its line. With d the components of G − P(row)
 along the scanner's axes, look slopes across a = dx / −dz and along b = dy / −dz, col(a) the detector that looks at a,
@@ -14,18 +14,72 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.sensor.parameters import Parameters
+from geomosaic.sensor.model import Parameters
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.derivatives import derivatives
-from geomosaic_pushbroom.look import Look
+from geomosaic_pushbroom.look_angles import Look
 from geomosaic_pushbroom.platform import Bend, Flight, Platform
 from geomosaic_pushbroom.pose import combined, components, unit
-from geomosaic_pushbroom.straight import Straight
+from geomosaic_pushbroom.straight_flight import Straight
+
+if TYPE_CHECKING:
+    pass
+
+
+def derivatives(model: PushbroomModel, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of (col, row) by parameters (N, 2, P) and by ground coordinates (N, 2, 3), pixels per unit.
+
+    With the column c and the misfit m as seen from a given row, m(p, row) = 0 defines the row, so
+
+        d row / dp = −(∂m/∂p) / (∂m/∂row),     d col / dp = ∂c/∂p + ∂c/∂row · d row / dp
+
+    The partial derivatives are central differences over one pixel, which need no search for rows.
+    """
+    rows = model.ground_to_image(xyz)[:, 1]
+    by_row = _difference(model, model, xyz, xyz, rows + 0.5, rows - 0.5, 1.0)
+    parameters = model.parameters
+    by_values = np.empty((len(xyz), 2, len(parameters)))
+    for index, step in enumerate(parameters.steps):
+        high, low = parameters.values.copy(), parameters.values.copy()
+        high[index] += 0.5 * step
+        low[index] -= 0.5 * step
+        change = _difference(
+            model.with_values(high), model.with_values(low), xyz, xyz, rows, rows, high[index] - low[index]
+        )
+        by_values[:, :, index] = _total(change, by_row)
+    by_ground = np.empty((len(xyz), 2, 3))
+    step = abs(1.0 / max(float(np.abs(model.guess[1:4]).max()), 1e-9))  # about a pixel along the flight
+    for axis in range(3):
+        above, below = xyz.copy(), xyz.copy()
+        above[:, axis] += 0.5 * step
+        below[:, axis] -= 0.5 * step
+        by_ground[:, :, axis] = _total(_difference(model, model, above, below, rows, rows, step), by_row)
+    return by_values, by_ground
+
+
+def _difference(
+    high: PushbroomModel,
+    low: PushbroomModel,
+    above: FloatArray,
+    below: FloatArray,
+    late: FloatArray,
+    early: FloatArray,
+    width: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Differences of column and misfit (N,) between two models, points and rows, over `width`."""
+    (col_high, miss_high), (col_low, miss_low) = high.seen_from(above, late), low.seen_from(below, early)
+    return (col_high - col_low) / width, (miss_high - miss_low) / width
+
+
+def _total(change: tuple[FloatArray, FloatArray], by_row: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """Derivatives of col and row (N, 2) from those at a held row."""
+    row = -change[1] / by_row[1]
+    return np.column_stack([change[0] + by_row[0] * row, row])
+
 
 PLATFORMS: dict[str, type[Flight] | type[Straight]] = {"flight": Flight, "straight": Straight}
 _ROUNDS = 40

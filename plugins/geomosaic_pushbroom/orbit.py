@@ -1,4 +1,4 @@
-"""The orbit of a satellite: ephemeris points to positions and velocities at any time of a scene."""
+"""Orbit and attitude samples over time: positions, velocities and angles at any time of a scene."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Orbit:
             raise InputError(
                 f"{len(t)} ephemeris points do not give an orbit about the scene",
                 where=where,
-                mend="at least four are needed, of different times, before and after the middle of the scene",
+                hint="at least four are needed, of different times, before and after the middle of the scene",
             )
         for values, least, most, words in ((p, 6.4e6, 5e7, "positions"), (v, 1e3, 2e4, "velocities")):
             known = np.isfinite(values).all() and np.abs(values).max() < most
@@ -67,7 +67,7 @@ class Orbit:
                 raise InputError(
                     f"{words} of the ephemeris are not those of a satellite",
                     where=where,
-                    mend="they must be Earth-centred (ITRF), in metres and metres per second",
+                    hint="they must be Earth-centred (ITRF), in metres and metres per second",
                 )
         first = int(np.clip(np.searchsorted(t, 0.0) - NODES // 2, 0, max(0, len(t) - NODES)))
         chosen = slice(first, first + NODES)
@@ -105,3 +105,50 @@ def horner(coefficients: FloatArray, u: FloatArray) -> FloatArray:
         total = total * u + row
     result: FloatArray = total
     return result
+
+
+_STEEPEST = 0.2  # radians, and radians per second
+
+
+def in_order(times: FloatArray, values: FloatArray, what: str, where: str) -> tuple[FloatArray, FloatArray]:
+    """Times (K,) and pitch, roll, yaw (K, 3), or their speeds, in the order of time.
+
+    Raises
+    ------
+    InputError
+        There is none, two have one time, or they are no radians; names the list.
+    """
+    order = np.argsort(times, kind="stable")
+    times, values = times[order], values[order]
+    if not len(times) or not (np.diff(times) > 0.0).all():
+        raise InputError(f"{what} is empty, or has two values of one time", where=where, hint="get the file again")
+    if not np.abs(values).max() <= _STEEPEST:
+        raise InputError(
+            f"{what} reaches {np.abs(values).max():g}: these are no radians", where=where, hint="get the file again"
+        )
+    return times, values
+
+
+def need_cover(times: FloatArray, rows: int, middle: float, period: float, where: str) -> None:
+    """Refuse a line period that is none, and attitudes that do not reach over the scene, up to a tenth of it.
+
+    Parameters
+    ----------
+    times : array (K,)
+        Of the attitudes, seconds from the row `middle`.
+    rows : int
+        Of the scene.
+    middle : float
+    period : float
+        Seconds per row.
+    """
+    if not 0.0 < period < 1.0:
+        raise InputError(f"the line period is {period:g} s", where=where, hint="get the file again")
+    first, last = -middle * period, (rows - middle) * period
+    lost = max(times[0] - first, last - times[-1])
+    if lost > 0.1 * (last - first):
+        raise InputError(
+            f"the attitudes leave {lost:.2f} s of the scene out, which takes {last - first:.2f} s",
+            where=where,
+            hint="get the whole file: attitudes must cover the scene",
+        )

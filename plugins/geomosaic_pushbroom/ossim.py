@@ -9,9 +9,8 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.attitude_list import in_order, need_cover
-from geomosaic_pushbroom.look import Look
-from geomosaic_pushbroom.orbit import Orbit
+from geomosaic_pushbroom.look_angles import Look
+from geomosaic_pushbroom.orbit import Orbit, in_order, need_cover
 from geomosaic_pushbroom.paths import AnglePath
 from geomosaic_pushbroom.reported import GYROSCOPES, STARS, Reported
 
@@ -26,7 +25,7 @@ def read_ossim(data: bytes, where: str) -> Reported:
         raise InputError(
             f"this keyword list is of type '{words.get('type', 'none')[:40]}', not {KIND}",
             where=where,
-            mend="RPC models in keyword lists are for the sensor 'rpc'",
+            hint="RPC models in keyword lists are for the sensor 'rpc'",
         )
     _need_whole(words, where)
     reference = _list(words, "reference_line_time", 1, where)[0]
@@ -46,7 +45,7 @@ def read_ossim(data: bytes, where: str) -> Reported:
     orbit = Orbit.through(times, positions, velocities, where)
     width, height = (int(v) for v in _list(words, "image_size", 2, where))
     if width != count:
-        raise InputError(f"{count} detectors for {width} columns", where=where, mend="get the whole file")
+        raise InputError(f"{count} detectors for {width} columns", where=where, hint="get the whole file")
     need_cover(at, height, float(line) - 0.5, float(period), where)
     stars = words.get(f"{_PREFIX}star_tracker_used_flag", "0").strip() == "1"
     title = f"SPOT 5 HRG, {words.get(f'{_PREFIX}image_date', 'no date')[:10]}"
@@ -63,7 +62,7 @@ def _need_whole(words: dict[str, str], where: str) -> None:
                 f"{name} is '{value[:40]}', not 0: "
                 + ("an adjustment made by OSSIM is not applied" if changed else "this is a part of the scene"),
                 where=where,
-                mend="set it to 0, and "
+                hint="set it to 0, and "
                 + ("refine here with control points" if changed else "say where the part lies: offset = [col, row]"),
             )
 
@@ -82,7 +81,7 @@ def _words(content: str, where: str) -> dict[str, str]:
         if colon:
             words[name.strip()] = value.strip().strip('"').strip()
     if not words:
-        raise InputError("this is no keyword list", where=where, mend="give METADATA.DIM or a .geom file of SPOT 5")
+        raise InputError("this is no keyword list", where=where, hint="give METADATA.DIM or a .geom file of SPOT 5")
     return words
 
 
@@ -90,12 +89,12 @@ def _list(words: dict[str, str], name: str, count: int, where: str) -> FloatArra
     """Finite numbers of a key, `count` of them (0: any number)."""
     given = words.get(f"{_PREFIX}{name}")
     if given is None:
-        raise InputError(f"the keyword list has no {_PREFIX}{name}", where=where, mend="get the whole file")
+        raise InputError(f"the keyword list has no {_PREFIX}{name}", where=where, hint="get the whole file")
     try:
         values = np.array([float(word) for word in given.split()])
     except ValueError:
         values = np.array([math.nan])
     if not len(values) or not np.isfinite(values).all() or (count and len(values) != count):
         wanted = f"{count} finite numbers" if count else "finite numbers"
-        raise InputError(f"{_PREFIX}{name} does not hold {wanted}", where=where, mend="get the file again")
+        raise InputError(f"{_PREFIX}{name} does not hold {wanted}", where=where, hint="get the file again")
     return values

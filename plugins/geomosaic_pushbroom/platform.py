@@ -1,4 +1,4 @@
-"""What carries the scanner: its pose at each image row as a function of the adjustable parameters."""
+"""Platform of a scanner: its pose at each image row as a function of the adjustable parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""DIMAP of Pléiades primary scenes with their physical model (profile with Sensor_Model_Characteristics)."""
+"""Pleiades metadata: triples of coordinates, quaternion polynomials, primary scenes with a physical model."""
 
 from __future__ import annotations
 
@@ -7,11 +7,67 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic_pushbroom.agile import quaternion_path, triples
-from geomosaic_pushbroom.look import Look
+from geomosaic.types import FloatArray
+from geomosaic_pushbroom.look_angles import Look
 from geomosaic_pushbroom.orbit import Orbit, horner
-from geomosaic_pushbroom.reported import AGILE, Reported, moment, since_times
-from geomosaic_pushbroom.xml import each, find, number, numbers, text
+from geomosaic_pushbroom.paths import QuaternionPath
+from geomosaic_pushbroom.reported import AGILE, Reported, each, find, moment, number, numbers, since_times, text
+
+
+def triples(points: list[Element], name: str, where: str) -> FloatArray:
+    """Three numbers of each point, (K, 3).
+
+    Raises
+    ------
+    InputError
+        A point has more or fewer.
+    """
+    rows = [numbers(point, name, where) for point in points]
+    odd = [row for row in rows if len(row) != 3]
+    if odd:
+        raise InputError(f"<{name}> has {len(odd[0])} numbers, not 3", where=where, hint="get the file again")
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
+def quaternion_path(
+    orbit: Orbit, element: Element, part: str, middle: tuple[int, float], half: float, where: str
+) -> QuaternionPath:
+    """Attitude by polynomials over (second of the day − OFFSET) / SCALE.
+
+    Parameters
+    ----------
+    orbit : Orbit
+    element : Element
+        With OFFSET and SCALE.
+    part : str
+        Path of component `{}` of the quaternion below it.
+    middle : tuple
+        Day and second of the middle of the scene.
+    half : float
+        Seconds from there to its ends.
+    where : str
+
+    Raises
+    ------
+    InputError
+        They are no attitude over the scene.
+    """
+    powers = [numbers(element, f"{part.format(i)}/COEFFICIENTS", where) for i in range(4)]
+    offset, scale = (number(element, name, where) for name in ("OFFSET", "SCALE"))
+    quaternion = np.zeros((max(1, *map(len, powers)), 4))
+    for i, row in enumerate(powers):
+        quaternion[: len(row), i] = row
+    scene = np.linspace(-half, half, 11)[:, None] + (middle[1] - offset)
+    with np.errstate(all="ignore"):
+        lengths = np.linalg.norm(horner(quaternion, scene / scale), axis=1) if scale > 0.0 else np.zeros(1)
+    if not (np.abs(lengths - 1.0) < 0.1).all():
+        raise InputError(
+            "the quaternion polynomials are no attitude over the scene: their length is not one",
+            where=where,
+            hint="get the file again",
+        )
+    return QuaternionPath(orbit, offset - middle[1], scale, quaternion)
+
 
 PART = ".//Sensor_Model_Characteristics"
 
@@ -30,7 +86,7 @@ def read_pleiades(root: Element, where: str) -> Reported:
     first = moment(text(model, "UTC_Sensor_Model_Range/START", where), where)
     period = number(model, "SENSOR_LINE_PERIOD", where) * 1e-3
     if not 0.0 < period < 1.0:
-        raise InputError(f"SENSOR_LINE_PERIOD is {period * 1e3:g} ms", where=where, mend="get the file again")
+        raise InputError(f"SENSOR_LINE_PERIOD is {period * 1e3:g} ms", where=where, hint="get the file again")
     half = 0.5 * size[1] * period
     middle = (first[0], first[1] + half)
     points = list(each(model, "Sensor_Ephemeris/Point_List/Point"))
@@ -53,7 +109,7 @@ def _line(model: Element, width: int, where: str) -> Look:
             f"Position_In_Retina is {first:g} to {last:g} for {width} columns, and the viewing directions have "
             f"{len(psi[0])} and {len(psi[1])} coefficients: where each column looks is not told",
             where=where,
-            mend="get the file again, or use the sensor 'rpc' with the scene's RPC file",
+            hint="get the file again, or use the sensor 'rpc' with the scene's RPC file",
         )
     nodes = np.linspace(0.0, last - first, 2 if max(map(len, psi)) <= 2 else 2001)
     with np.errstate(all="ignore"):

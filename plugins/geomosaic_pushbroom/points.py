@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.options import known_keys, number, positive
+from geomosaic.sensor.inputs import known_keys, number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.model import PushbroomModel
@@ -51,17 +51,17 @@ def read_points(points: Any, where: str) -> Control:
         It is no list of tables, or a point lacks a coordinate; names the point.
     """
     if not isinstance(points, Iterable) or isinstance(points, str | Mapping) or not list(points):
-        raise InputError("'points' is not a list of control points", where=where, mend=f"each with {', '.join(POINT)}")
+        raise InputError("'points' is not a list of control points", where=where, hint=f"each with {', '.join(POINT)}")
     names, rows = [], []
     for index, point in enumerate(points, 1):
         if not isinstance(point, Mapping):
-            raise InputError(f"control point {index} is not a table", where=where, mend=f"give {', '.join(POINT)}")
+            raise InputError(f"control point {index} is not a table", where=where, hint=f"give {', '.join(POINT)}")
         known_keys(point, (*POINT, "id", "sigma"), f"{where}, control point {index}")
         name = str(point.get("id", index))
         missing = [key for key in POINT if point.get(key) is None]
         if missing:
             raise InputError(
-                f"control point {name} has no {', '.join(missing)}", where=where, mend=f"give {', '.join(POINT)}"
+                f"control point {name} has no {', '.join(missing)}", where=where, hint=f"give {', '.join(POINT)}"
             )
         label = f"control point {name}, "
         row = [number(point[key], label + key, where) for key in POINT]
@@ -83,7 +83,7 @@ def need_crs(request: SensorRequest) -> CRS:
         raise InputError(
             "positions and control points have no CRS",
             where=request.image,
-            mend="name one with a vertical datum, for example EPSG:32633 with heights = 'egm96'",
+            hint="name one with a vertical datum, for example EPSG:32633 with heights = 'egm96'",
         )
     crs: CRS = request.crs
     return crs

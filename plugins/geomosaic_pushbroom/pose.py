@@ -1,4 +1,4 @@
-"""Position and axes of a scanner at many times, and small rotations of its axes."""
+"""Pose of a scanner: position and axes at many times, and small rotations of its axes."""
 
 from __future__ import annotations
 

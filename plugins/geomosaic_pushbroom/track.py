@@ -10,19 +10,19 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geocentric, geographic
-from geomosaic.geo.local import enu_axes, map_place
+from geomosaic.geo.local_frames import enu_axes, map_place
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.options import number, positive
+from geomosaic.sensor.inputs import number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.inputs import INPUTS
-from geomosaic_pushbroom.look import Look
+from geomosaic_pushbroom.look_angles import Look
 from geomosaic_pushbroom.paths import TrackPath
 from geomosaic_pushbroom.platform import Flight
 from geomosaic_pushbroom.points import need_crs
 from geomosaic_pushbroom.pose import quaternions_of
 from geomosaic_pushbroom.reported import Quality
-from geomosaic_pushbroom.straight import omega_phi_kappa
+from geomosaic_pushbroom.straight_flight import omega_phi_kappa
 
 AIRBORNE = Quality(angles=0.5, rates=1e-3, position=1.0)
 """Boresight before it is calibrated; drift of a gyroscope; lever arm and GNSS."""
@@ -45,11 +45,11 @@ def read_track(request: SensorRequest) -> tuple[Flight, Look, Quality]:
         if options.get(name) is None:
             text = next(entry.text for entry in INPUTS if entry.name == name)
             raise InputError(
-                f"'{name}' is missing, which a strip with a track needs", where=where, mend=f"give {name}: {text}"
+                f"'{name}' is missing, which a strip with a track needs", where=where, hint=f"give {name}: {text}"
             )
     unit = options.get("angle_unit", "deg")
     if unit not in UNITS:
-        raise InputError(f"angle_unit = {unit!r}", where=where, mend=f"choose from: {', '.join(UNITS)}")
+        raise InputError(f"angle_unit = {unit!r}", where=where, hint=f"choose from: {', '.join(UNITS)}")
     if not isinstance(options["track"], str):
         raise InputError(f"track = {options['track']!r} is not a file name", where=where)
     period = positive(options["line_period"], "line_period", where)
@@ -71,7 +71,7 @@ def read_track(request: SensorRequest) -> tuple[Flight, Look, Quality]:
     centre = options.get("principal_col")
     principal = width / 2.0 if centre is None else number(centre, "principal_col", where)
     if options["columns"] not in SIDES:
-        raise InputError(f"columns = {options['columns']!r}", where=where, mend="choose from: right, left")
+        raise InputError(f"columns = {options['columns']!r}", where=where, hint="choose from: right, left")
     sides = np.array([0.0, float(width)])
     look = Look(sides, (sides - principal) * (SIDES[options["columns"]] / focal), np.zeros(2))
     return Flight(path, period, middle), look, AIRBORNE
@@ -84,27 +84,27 @@ def _table(file: Path) -> tuple[str, FloatArray]:
         with file.open(newline="", encoding="utf-8-sig") as stream:
             lines = [row for row in csv.reader(stream) if row and not row[0].lstrip().startswith("#")]
     except (OSError, ValueError, csv.Error) as error:
-        raise InputError(f"the track cannot be read ({error})", where=where, mend="check the name") from error
+        raise InputError(f"the track cannot be read ({error})", where=where, hint="check the name") from error
     header = [name.strip().lower() for name in lines[0]] if lines else []
     system = next((name for name, angles in SYSTEMS.items() if set(angles) <= set(header)), None)
     if system is None or not set(PLACE) <= set(header):
         raise InputError(
             f"the columns of the track are {', '.join(header) or 'none'}",
             where=where,
-            mend="give time, x, y, z, and roll, pitch, heading or omega, phi, kappa, parted by commas",
+            hint="give time, x, y, z, and roll, pitch, heading or omega, phi, kappa, parted by commas",
         )
     columns = [header.index(name) for name in (*PLACE, *SYSTEMS[system])]
     rows = []
     for number_of_row, row in enumerate(lines[1:], 1):
         if len(row) != len(header):
             raise InputError(
-                f"row {number_of_row} has {len(row)} values, the header {len(header)}", where=where, mend="complete it"
+                f"row {number_of_row} has {len(row)} values, the header {len(header)}", where=where, hint="complete it"
             )
         rows.append([number(row[i], f"row {number_of_row}, {header[i]}", where) for i in columns])
     table = np.array(rows, dtype=np.float64).reshape(len(rows), 7)
     if len(table) < 2 or not (np.diff(table[:, 0]) > 0.0).all():
         raise InputError(
-            "the times of the track do not grow from row to row", where=where, mend="two rows or more, in order of time"
+            "the times of the track do not grow from row to row", where=where, hint="two rows or more, in order of time"
         )
     return system, table
 
@@ -115,7 +115,7 @@ def _need_cover(times: FloatArray, half: float, where: str) -> None:
             f"the track covers {times[0]:.3f} to {times[-1]:.3f} s about the middle of the strip, which takes "
             f"{-half:.3f} to {half:.3f} s",
             where=where,
-            mend="check start_time, line_period and the clock of the track",
+            hint="check start_time, line_period and the clock of the track",
         )
 
 
@@ -137,7 +137,7 @@ def poses(crs: CRS, xyz: FloatArray, system: str, angles: FloatArray, where: str
     places = to_geographic(xyz)
     positions = Transform(crs, geocentric(crs))(xyz)
     if not np.isfinite(positions).all():
-        raise InputError("positions of the track lie outside the CRS", where=where, mend="check the CRS and its axes")
+        raise InputError("positions of the track lie outside the CRS", where=where, hint="check the CRS and its axes")
     enu = np.stack([enu_axes(longitude, latitude) for longitude, latitude, _ in places])
     if system == "rpy":
         return positions, _aircraft(*angles.T) @ enu

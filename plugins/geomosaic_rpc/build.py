@@ -1,4 +1,4 @@
-"""The plugin's door: from an image and its inputs to a model."""
+"""RPC plugin: from an image and its inputs to a model, with an example."""
 
 from __future__ import annotations
 
@@ -10,17 +10,58 @@ import numpy as np
 
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.datum import need_heights
-from geomosaic.sensor.options import choice, known_inputs, number, numbers, point_rows
-from geomosaic.sensor.plugin import SensorInput, SensorRequest
+from geomosaic.sensor.inputs import choice, known_inputs, number, numbers, point_rows
+from geomosaic.sensor.plugin import SensorExample, SensorInput, SensorRequest
+from geomosaic.sensor.vertical_datum import need_heights
 from geomosaic.types import FloatArray
+from geomosaic_rpc.capability import RationalPower
 from geomosaic_rpc.coefficients import Rpc
-from geomosaic_rpc.example import EXAMPLE
-from geomosaic_rpc.find import OWN, Found, files_beside, find_rpc, own_rpc
+from geomosaic_rpc.find import OWN, Found, files_beside, find_rpc, own_rpc, read_rpc
 from geomosaic_rpc.model import KINDS, WGS84, RpcModel
-from geomosaic_rpc.power import RationalPower
-from geomosaic_rpc.read import read_rpc
 from geomosaic_rpc.refine import refine
+
+_ZEROS = ", ".join(["0.0"] * 16)
+_ONE = ", ".join(["1.0", *["0.0"] * 19])
+
+EXAMPLE = SensorExample(
+    (4000, 3000),
+    """\
+[sensor]
+name = "rpc"
+rpc = "scene.RPB"
+
+[dem]
+height = 420.0
+heights = "ellipsoidal"
+""",
+    {
+        "scene.RPB": f"""\
+satId = "XX01";
+bandId = "P";
+SpecId = "RPC00B";
+BEGIN_GROUP = IMAGE
+  errBias = 10.0;
+  errRand = 0.5;
+  lineOffset = 1499.5;
+  sampOffset = 1999.5;
+  latOffset = 45.6;
+  longOffset = 12.3;
+  heightOffset = 420.0;
+  lineScale = 1500.0;
+  sampScale = 2000.0;
+  latScale = 0.0125;
+  longScale = 0.021;
+  heightScale = 500.0;
+  lineNumCoef = (0.0, 0.14, -0.99, 0.05, {_ZEROS});
+  lineDenCoef = ({_ONE});
+  sampNumCoef = (0.0, 1.0, 0.12, 0.03, {_ZEROS});
+  sampDenCoef = ({_ONE});
+END_GROUP = IMAGE
+END;
+"""
+    },
+)
+
 
 POINT = ("x", "y", "z", "col", "row")
 
@@ -97,19 +138,19 @@ def _chosen(request: SensorRequest) -> Found:
     if named is not None and named != OWN:
         file = Path(request.base) / named
         if not file.is_file():
-            raise InputError(f"there is no RPC file '{named}'", where=request.image, mend="check the path")
+            raise InputError(f"there is no RPC file '{named}'", where=request.image, hint="check the path")
         return Found(file.name, read_rpc(file))
     if request.path is None:
         raise InputError(
             "nothing says where the RPC is: neither a file of the image nor one of the RPC is known",
             where=request.image,
-            mend="give rpc = FILE",
+            hint="give rpc = FILE",
         )
     if named is None:
         return find_rpc(request.path, request.image)
     own = own_rpc(request.path)
     if own is None:
-        raise InputError("the image carries no RPC", where=request.image, mend="name its file: rpc = FILE")
+        raise InputError("the image carries no RPC", where=request.image, hint="name its file: rpc = FILE")
     return own
 
 
@@ -131,9 +172,9 @@ def _refined(model: RpcModel, request: SensorRequest, kind: str) -> RpcModel:
     """Correct the model with the control points of the inputs; wrong ones are named."""
     where = request.image
     if kind == "none":
-        raise InputError("there are control points, but refine is 'none'", where=where, mend="leave one of them out")
+        raise InputError("there are control points, but refine is 'none'", where=where, hint="leave one of them out")
     if request.crs is None:
-        raise InputError("the control points have no CRS", where=where, mend="name it, e.g. EPSG:32633")
+        raise InputError("the control points have no CRS", where=where, hint="name it, e.g. EPSG:32633")
     need_heights(request.crs, "the control points", where, lambda _: model)
     names, ground, image, sigmas = _points(request.options["points"], where)
     try:

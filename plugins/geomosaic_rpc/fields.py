@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic_rpc.coefficients import Rpc
-from geomosaic_rpc.polynomial import COUNT
+from geomosaic_rpc.coefficients import COUNT, Rpc
 
 FIRST_PIXEL: Mapping[str, float | None] = {
     "GDAL": 0.0,
@@ -73,21 +72,21 @@ class RpcFields:
         missing = [name for name in SCALARS if name not in self.numbers]
         missing += [name for name in POLYNOMIALS if name not in self.polynomials]
         if missing:
-            raise InputError(f"the RPC has no {', '.join(missing)}", where=where, mend=_MEND)
+            raise InputError(f"the RPC has no {', '.join(missing)}", where=where, hint=_MEND)
         for name in POLYNOMIALS:
             if len(self.polynomials[name]) != COUNT:
                 raise InputError(
-                    f"the RPC has {len(self.polynomials[name])} numbers in {name}, not {COUNT}", where=where, mend=_MEND
+                    f"the RPC has {len(self.polynomials[name])} numbers in {name}, not {COUNT}", where=where, hint=_MEND
                 )
             if "DEN" in name and self.polynomials[name][0] == 0.0:
                 raise InputError(f"the first number of {name} is 0: nothing can be divided by it", where=where)
         of = self.numbers
         flat = [name for name in SCALARS if name.endswith("SCALE") and of[name] == 0.0]
         if flat:
-            raise InputError(f"{', '.join(flat)} of the RPC is 0", where=where, mend=_MEND)
+            raise InputError(f"{', '.join(flat)} of the RPC is 0", where=where, hint=_MEND)
         every = [*of.values(), *(c for name in POLYNOMIALS for c in self.polynomials[name])]
         if not np.isfinite(every).all():
-            raise InputError("the RPC has a number that is not finite", where=where, mend=_MEND)
+            raise InputError("the RPC has a number that is not finite", where=where, hint=_MEND)
         if abs(of["LAT_OFF"]) > 90.0 or abs(of["LONG_OFF"]) > 360.0:
             raise InputError(
                 f"LAT_OFF {of['LAT_OFF']}, LONG_OFF {of['LONG_OFF']} is no place on the Earth in degrees", where=where
@@ -97,7 +96,7 @@ class RpcFields:
             raise InputError(
                 "nothing says how this product counts its pixels: its METADATA_PROFILE is not known",
                 where=where,
-                mend="say what its RPC calls the centre of the first pixel: first_pixel = 0, or 1 as Pleiades",
+                hint="say what its RPC calls the centre of the first pixel: first_pixel = 0, or 1 as Pleiades",
             )
         errors = (of["ERR_BIAS"], of["ERR_RAND"]) if {"ERR_BIAS", "ERR_RAND"} <= set(of) else None
         return Rpc(
@@ -123,7 +122,7 @@ def number(text: str, name: str, where: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f"{name} is '{text[:40]}', not a finite number", where=where, mend=_MEND)
+        raise InputError(f"{name} is '{text[:40]}', not a finite number", where=where, hint=_MEND)
     return value
 
 
@@ -134,6 +133,6 @@ def numbered(found: Mapping[str, str], first: int, digits: int, where: str) -> d
         keys = [f"{name}_{first + i:0{digits}d}" for i in range(COUNT)]
         absent = [key for key in keys if key not in found]
         if absent:
-            raise InputError(f"the RPC has no {absent[0]}", where=where, mend=_MEND)
+            raise InputError(f"the RPC has no {absent[0]}", where=where, hint=_MEND)
         out[name] = [number(found[key], key, where) for key in keys]
     return out

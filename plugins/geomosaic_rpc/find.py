@@ -1,8 +1,9 @@
-"""The RPC of an image: what it carries itself, and what lies beside it; where these differ, nothing is chosen."""
+"""RPCs of an image: in its tags and in files beside it, recognised by their content."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +11,80 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.raster.rpc import pam_has_rpc, read_rpc_tags
+from geomosaic.raster.rpc_tags import pam_has_rpc, read_rpc_tags
 from geomosaic_rpc.coefficients import Rpc
-from geomosaic_rpc.fields import RpcFields
-from geomosaic_rpc.read import FORMATS, read_rpc
-from geomosaic_rpc.tags import rpc_tags
+from geomosaic_rpc.fields import POLYNOMIALS, SCALARS, RpcFields, number
+from geomosaic_rpc.formats import ossim, rpb, rpc_txt, rpc_xml
+
+LARGEST = 16 << 20
+"""Bytes; DigitalGlobe's XML with all attitudes is below one megabyte."""
+
+FORMATS = "_RPC.TXT, RPB, DIMAP 2 XML (RPC_....XML), DigitalGlobe XML, OSSIM keyword list (.geom, .kwl)"
+
+
+def read_rpc(path: Path) -> RpcFields:
+    """Read an RPC file.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is of no known format, or its RPC is damaged.
+    """
+    where = str(path)
+    try:
+        if path.stat().st_size > LARGEST:
+            raise InputError(f"the file has more than {LARGEST >> 20} MB: this is no RPC file", where=where)
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"the RPC file cannot be read ({error.strerror})", where=where, hint="check the path"
+        ) from error
+    return recognise(data, where)
+
+
+def recognise(data: bytes, where: str) -> RpcFields:
+    """Read an RPC from the bytes of a file.
+
+    Raises
+    ------
+    InputError
+        As `read_rpc`.
+    """
+    start = data[:256].lstrip(b"\xef\xbb\xbf \t\r\n\0")
+    if start.startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
+        return rpc_xml(data.lstrip(b" \t\r\n"), where)
+    text = data.decode("latin-1")
+    if re.search(r"(?m)^[ \t]*LINE_NUM_COEFF_1[ \t]*:", text):
+        return rpc_txt(text, where)
+    if re.search(r"(?m)^[ \t]*line_num_coeff_00[ \t]*:", text):
+        return ossim(text, where)
+    if re.search(r"(?m)^[ \t]*lineNumCoef[ \t]*=", text):
+        return rpb(text, where)
+    kind = re.search(r"(?m)^type:\s*(ossim\w+)", text)
+    raise InputError(
+        f"this keyword list is of {kind[1]} and has no RPC" if kind else "this is no RPC file that is known",
+        where=where,
+        hint=f"known are: {FORMATS}",
+    )
+
+
+def rpc_tags(tags: Mapping[str, str], where: str) -> RpcFields | None:
+    """Read an RPC from GDAL's metadata; None where there is none.
+
+    GDAL may add a unit to a number ('+000.12 degrees'); it has then turned everything into pixels, degrees and metres.
+    """
+    if "LINE_NUM_COEFF" not in tags and "LINE_OFF" not in tags:
+        return None
+    numbers = {
+        name: number(tags[name].strip().partition(" ")[0], name, where)
+        for name in (*SCALARS, "ERR_BIAS", "ERR_RAND")
+        if tags.get(name, "").strip()
+    }
+    polynomials = {
+        name: [number(item, name, where) for item in tags[name].split()] for name in POLYNOMIALS if name in tags
+    }
+    return RpcFields("GDAL", numbers, polynomials)
+
 
 OWN = "image"
 """Word for the RPC that the image itself carries."""
@@ -90,7 +160,7 @@ def find_rpc(path: str, where: str) -> Found:
         raise InputError(
             "the image carries no RPC, and none lies beside it",
             where=where,
-            mend=f"name its file: rpc = FILE ({FORMATS}), or use another sensor",
+            hint=f"name its file: rpc = FILE ({FORMATS}), or use another sensor",
         )
     first = every[0]
     for other in every[1:]:
@@ -99,7 +169,7 @@ def find_rpc(path: str, where: str) -> Found:
             raise InputError(
                 f"the RPC of {first.source} and of {other.source} differ, by up to {off:.3g} pixels",
                 where=where,
-                mend=f"say which one holds: rpc = '{first.source}' or rpc = '{other.source}', with its path; "
+                hint=f"say which one holds: rpc = '{first.source}' or rpc = '{other.source}', with its path; "
                 f"'{OWN}' is what the image itself carries",
             )
     return first

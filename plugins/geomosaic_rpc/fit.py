@@ -21,9 +21,8 @@ from geomosaic.geo.crs import has_heights
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import FloatArray
-from geomosaic_rpc.coefficients import Rpc
+from geomosaic_rpc.coefficients import COUNT, Rpc, evaluate, terms
 from geomosaic_rpc.model import WGS84, RpcModel
-from geomosaic_rpc.polynomial import COUNT, evaluate, terms
 
 _COLUMNS, _LEVELS = 17, 7
 _DENSE = 241  # places along a line of the last check
@@ -79,17 +78,17 @@ def fit_rpc(model: SensorModel, heights: tuple[float, float]) -> RpcFit:
     if not high - low >= 1.0:
         raise SolveError(
             f"heights from {low} to {high} m are no box to fit an RPC on",
-            mend="give the lowest and the highest height of the ground, at least 1 m apart",
+            hint="give the lowest and the highest height of the ground, at least 1 m apart",
         )
     if not has_heights(model.crs):
-        raise SolveError("this sensor model has no heights, so it has no RPC", mend="use its own transformation")
+        raise SolveError("this sensor model has no heights, so it has no RPC", hint="use its own transformation")
     ground, image = _exact(model, _places(model.size, _COLUMNS), np.linspace(low, high, _LEVELS))
     between = 0.5 * (np.linspace(low, high, _LEVELS)[1:] + np.linspace(low, high, _LEVELS)[:-1])
     check_ground, check_image = _exact(model, _places(model.size, _COLUMNS - 1, 0.0), between)
     if len(ground) < 4 * COUNT or not len(check_ground):
         raise SolveError(
             f"the model sees ground at {len(ground)} of {_COLUMNS**2 * _LEVELS} places between {low} and {high} m",
-            mend="give heights of the ground the image shows",
+            hint="give heights of the ground the image shows",
         )
     frame = _normalising(model, ground)
     tried = []

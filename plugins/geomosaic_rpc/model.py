@@ -19,7 +19,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.parameters import Parameters
+from geomosaic.sensor.model import Parameters
 from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import Rpc
 
@@ -161,5 +161,5 @@ def _middle(rpc: Rpc, size: tuple[int, int], where: str) -> tuple[float, float, 
         f"the RPC does not show the middle of this image of {size[0]} x {size[1]} pixels; it is made for columns "
         f"{low[0]:.0f} to {high[0]:.0f} and rows {low[1]:.0f} to {high[1]:.0f}",
         where=where,
-        mend="check that the RPC belongs to this image; for a part of a scene give offset = [col, row] of its corner",
+        hint="check that the RPC belongs to this image; for a part of a scene give offset = [col, row] of its corner",
     )

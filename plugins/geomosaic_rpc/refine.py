@@ -100,7 +100,7 @@ def refine(
     if seen.sum() < LEAST[kind]:
         raise SolveError(
             f"{int(seen.sum())} control points do not determine '{kind}', which needs {LEAST[kind]}",
-            mend="give more points, or choose a simpler refinement",
+            hint="give more points, or choose a simpler refinement",
         )
     spread = np.broadcast_to(np.nan if sigmas_px is None else np.asarray(sigmas_px, dtype=np.float64), seen.shape)
     used = seen.copy()

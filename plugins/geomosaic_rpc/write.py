@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.errors import OutputExistsError
-from geomosaic.raster.rpc import write_rpc_tags
+from geomosaic.raster.rpc_tags import write_rpc_tags
 from geomosaic.types import PathLike
 from geomosaic_rpc.coefficients import Rpc
 from geomosaic_rpc.fields import POLYNOMIALS, SCALARS
@@ -71,7 +71,7 @@ def write_text(model: RpcModel, image: PathLike, *, overwrite: bool = False) -> 
     path = Path(image)
     path = path.with_name(f"{path.stem}_RPC.TXT")
     if path.exists() and not overwrite:
-        raise OutputExistsError("the RPC file exists", where=str(path), mend="move it away, or allow overwriting")
+        raise OutputExistsError("the RPC file exists", where=str(path), hint="move it away, or allow overwriting")
     path.write_text(text_of(plain(model)), encoding="ascii")
     return path
 

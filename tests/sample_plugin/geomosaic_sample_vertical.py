@@ -9,7 +9,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.parameters import Parameters
+from geomosaic.sensor.model import Parameters
 from geomosaic.sensor.plugin import SensorExample, SensorInput, SensorRequest
 from geomosaic.sensor.solve import resect
 
@@ -92,7 +92,7 @@ class VerticalPlugin:
         names = [entry.name for entry in self.inputs]
         unknown = [key for key in request.options if key not in names]
         if unknown:
-            raise InputError(f"no input '{unknown[0]}'", where=request.image, mend=f"the inputs are {', '.join(names)}")
+            raise InputError(f"no input '{unknown[0]}'", where=request.image, hint=f"the inputs are {', '.join(names)}")
         missing = [key for key in ("position", "focal_length_px") if key not in request.options]
         if missing or request.crs is None:
             raise InputError(f"{', '.join(missing) or 'the CRS of the position'} is missing", where=request.image)

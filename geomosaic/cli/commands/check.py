@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from geomosaic.cli.options import FILE, debug_option, json_option, stack
-from geomosaic.cli.points import control_options
-from geomosaic.cli.scale import Scale
+from geomosaic.cli.sheet_flags import control_options
 from geomosaic.cli.talk import answer, notes, say
+from geomosaic.cli.values import Scale
 
 if TYPE_CHECKING:
-    from geomosaic.product.checks.accuracy import MapCheck
+    from geomosaic.accuracy.check_points import MapCheck
 
 check_options = stack(
     click.option(
@@ -66,16 +66,16 @@ def accuracy_of_scale(found: MapCheck, scale: float | None) -> list[tuple[str, f
     """Unit, total RMS and limit of a map at a scale: 0.3 mm on paper."""
     if scale is None:
         return []
-    from geomosaic.carto.nice import metres_per_unit
     from geomosaic.errors import InputError
-    from geomosaic.plan.k28 import position_error
+    from geomosaic.geo.units import linear_unit
+    from geomosaic.planning.k28 import position_error
 
     crs = found.grid.crs
     if not crs.is_projected:
         raise InputError(
-            "a map in degrees has no scale", where="--map-scale", mend="reproject the raster first, or use --max-rms"
+            "a map in degrees has no scale", where="--map-scale", hint="reproject the raster first, or use --max-rms"
         )
-    return [("m", found.statistics.rms_total * metres_per_unit(crs), position_error(scale))]
+    return [("m", found.statistics.rms_total * linear_unit(crs), position_error(scale))]
 
 
 @click.command()
@@ -93,10 +93,10 @@ def command(raster: Path, points: Path, as_json: bool, **flags: Any) -> int:
       geomosaic plan product --ortho-scale 1:5000 --camera-constant 150 --json > plan.json
       geomosaic check map.tif --points check.csv --target plan.json
     """
-    from geomosaic.cli.accuracy_words import check_facts, check_words
+    from geomosaic.accuracy.check_points import check_map
+    from geomosaic.accuracy.requirements import judge, read_target
+    from geomosaic.cli.measured_results import check_facts, check_words
     from geomosaic.errors import QualityError
-    from geomosaic.product.checks.accuracy import check_map
-    from geomosaic.product.checks.target import judge, read_target
 
     target = read_target(flags["target"]) if flags["target"] is not None else ()
     with notes():
@@ -136,5 +136,5 @@ def command(raster: Path, points: Path, as_json: bool, **flags: Any) -> int:
     if not as_json:
         rms = (f"total RMS {value:.4g} {unit}, limit {limit:g} {unit}" for value, limit, unit in failed)
         what = "; ".join([*rms, *missed])
-        raise QualityError(what, where=str(raster), mend="look at the largest errors and the systematic shift")
+        raise QualityError(what, where=str(raster), hint="look at the largest errors and the systematic shift")
     return QualityError.exit_code

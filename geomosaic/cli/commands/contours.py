@@ -64,7 +64,7 @@ def command(
     """
     from dataclasses import asdict
 
-    from geomosaic.product.maps.contours import make_contours
+    from geomosaic.relief.contour_layers import make_contours
 
     with notes():
         made = make_contours(

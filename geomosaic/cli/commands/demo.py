@@ -8,7 +8,7 @@ import click
 
 from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, machine_options
-from geomosaic.cli.outcome import accuracy_words, verdict
+from geomosaic.cli.results import accuracy_words, verdict
 from geomosaic.cli.talk import answer, notes, progress, say
 
 

@@ -10,9 +10,9 @@ import click
 from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, band_option, machine_options, output_options, stack
 from geomosaic.cli.request import area, render_options, value
+from geomosaic.cli.results import ortho_facts, ortho_words
 from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.values import pairs
-from geomosaic.cli.words import ortho_facts, ortho_words
 
 
 @click.command()
@@ -43,13 +43,13 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
         --option height_above_ground=3000 --option v_over_h=0.00133 -o flat.tif
     """
     from geomosaic.errors import InputError
-    from geomosaic.project.inputs import BlockInputs
-    from geomosaic.project.make import make_ortho
+    from geomosaic.inputs.declarations import BlockInputs
+    from geomosaic.products.from_inputs import make_ortho
 
     if flags["dst_crs"] is not None:
         raise InputError(
             "--dst-crs is given, but a strip without a place lies in no CRS",
-            mend="leave it out, or use `geomosaic ortho` with a position",
+            hint="leave it out, or use `geomosaic ortho` with a position",
         )
     options = {name: value(text) for name, text in flags["sensor_options"].items()} | {"relative": True}
     inputs = BlockInputs((image,), flags["sensor"], options=options, bands=flags["bands"])

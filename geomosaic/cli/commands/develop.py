@@ -11,8 +11,8 @@ from geomosaic.cli.memory import note_memory
 from geomosaic.cli.mosaic_flags import mosaic_flags
 from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack, usable_options
 from geomosaic.cli.request import area, block_inputs, mosaic_options
+from geomosaic.cli.results import mosaic_facts, mosaic_words, ortho_facts, ortho_words
 from geomosaic.cli.talk import answer, notes, progress
-from geomosaic.cli.words import mosaic_facts, mosaic_words, ortho_facts, ortho_words
 
 
 @click.command()
@@ -47,7 +47,7 @@ def command(
       geomosaic develop tower1.jpg tower2.jpg --sensor frame --camera camera.toml \\
         --gcps points.csv --surface tower.toml --res 0.01 -o tower.tif
     """
-    from geomosaic.project.things.develop import make_developed
+    from geomosaic.developed.develop import make_developed
 
     note_memory(flags["mem_limit"], flags["threads"])
     with notes(), progress(as_json) as report:

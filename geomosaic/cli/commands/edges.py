@@ -10,14 +10,14 @@ import click
 from geomosaic.cli.memory import note_memory
 from geomosaic.cli.mosaic_flags import mosaic_flags
 from geomosaic.cli.options import FILE, machine_options, output_options, stack
-from geomosaic.cli.points import wrong_point_options
 from geomosaic.cli.request import area, mosaic_options
+from geomosaic.cli.results import finite, mosaic_facts, mosaic_words
+from geomosaic.cli.sheet_flags import wrong_point_options
 from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.values import band_numbers
-from geomosaic.cli.words import finite, mosaic_facts, mosaic_words
 
 if TYPE_CHECKING:
-    from geomosaic.adjust.edges import EdgeMatch, Misfit
+    from geomosaic.orientation.edges import EdgeMatch, Misfit
 
 
 @click.command()
@@ -58,8 +58,8 @@ def command(
 
     What crosses an edge through a common point meets itself. Misfits before and after are told.
     """
-    from geomosaic.project.inputs import wrong_policy
-    from geomosaic.project.planar.edges import EdgeInputs, make_edge_mosaic
+    from geomosaic.inputs.declarations import wrong_policy
+    from geomosaic.products.edge_matching import EdgeInputs, make_edge_mosaic
 
     note_memory(flags["mem_limit"], flags["threads"])
     inputs = EdgeInputs(images, gcps, common, crs, model, reach, bands, wrong_policy(robust, insist))
@@ -70,7 +70,7 @@ def command(
 
 
 def _facts(matched: EdgeMatch) -> dict[str, Any]:
-    from geomosaic.project.planar.facts import wrong_facts
+    from geomosaic.inputs.planar.facts import wrong_facts
 
     s = matched.stations
     return {
@@ -97,8 +97,7 @@ def _misfit(misfit: Misfit) -> dict[str, Any]:
 
 
 def _words(matched: EdgeMatch) -> str:
-    from geomosaic.project.planar.facts import wrong_facts
-    from geomosaic.project.planar.words import wrong_words
+    from geomosaic.inputs.planar.facts import wrong_facts, wrong_words
 
     stages = (
         ("each photo by its own control", matched.before),

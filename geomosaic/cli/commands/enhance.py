@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.looks import look_options
 from geomosaic.cli.options import FILE, debug_option, json_option, overwrite_option
+from geomosaic.cli.sheet_flags import look_options
 from geomosaic.cli.talk import answer, notes
 
 
@@ -41,8 +41,8 @@ def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: 
       geomosaic enhance scene.tif -b 4,3,2 --stretch percentile --gamma 1.2 -o print.tif
       geomosaic enhance xs.tif --pan pan.tif --method regression -o sharp.tif
     """
+    from geomosaic.enhancement.raster import enhance_raster, sharpen_with_pan
     from geomosaic.errors import InputError
-    from geomosaic.product.maps.enhance_raster import enhance_raster, sharpen_with_pan
 
     common = {"driver": flags.pop("driver"), "overwrite": flags.pop("overwrite")}
     with notes():
@@ -56,7 +56,7 @@ def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: 
                 raise InputError(
                     f"{', '.join(used)} goes with a picture, --pan with measurements",
                     where="--pan",
-                    mend="pan-sharpen first, then enhance the result",
+                    hint="pan-sharpen first, then enhance the result",
                 )
             model = sharpen_with_pan(raster, pan, output, method=method, bands=flags["bands"], **common)
             weights = [float(w) for w in model.weights]

@@ -38,8 +38,8 @@ def command(scans: tuple[Path, ...], output: Path, overwrite: bool, as_json: boo
       geomosaic fiducials scans/*.tif --camera certificate.toml \\
         --template scans/0417.tif --at 512 498 --pixel-size 14 -o marks.csv
     """
-    from geomosaic.project.find import Search, find_marks, write_marks
-    from geomosaic.project.make import refuse_existing
+    from geomosaic.fiducials.find import Search, find_marks, write_marks
+    from geomosaic.products.from_inputs import refuse_existing
 
     refuse_existing(output, overwrite)
     search = Search(flags["pixel_size"], flags["reach"], flags["turned"], flags["mirrored"], flags["least"])

@@ -9,12 +9,12 @@ import click
 
 from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, band_option, machine_options, output_options, stack
-from geomosaic.cli.points import control_options, near_option
 from geomosaic.cli.request import render_options
+from geomosaic.cli.sheet_flags import control_options, near_option
 from geomosaic.cli.talk import answer, notes, progress, say
 
 if TYPE_CHECKING:
-    from geomosaic.control.finding import Advice
+    from geomosaic.control.findings import Advice
 
 MODELS = ("auto", "conformal", "affine", "projective", "poly1", "poly2", "poly3", "poly4", "poly5", "tps")
 
@@ -66,11 +66,11 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
       geomosaic georeference scan.tif --gcps scan.points --crs EPSG:32633 -o map.tif
       geomosaic georeference photo.jpg --gcps gcps.csv --model projective --dst-crs EPSG:2180 -o map.tif
     """
-    from geomosaic.cli.accuracy_words import georeference_words
-    from geomosaic.cli.words import ortho_facts
-    from geomosaic.product.georeference.examine import BadControlError
-    from geomosaic.product.georeference.request import ControlInput, FitRequest, Place
-    from geomosaic.product.georeference.run import georeference
+    from geomosaic.cli.measured_results import georeference_words
+    from geomosaic.cli.results import ortho_facts
+    from geomosaic.georeference.examination import BadControlError
+    from geomosaic.georeference.request import ControlInput, FitRequest, Place
+    from geomosaic.georeference.run import georeference
 
     note_memory(flags["mem_limit"], flags["threads"])
     given = ControlInput(

@@ -86,8 +86,8 @@ def command(image: Path, source: Path | None, inverse: bool, as_json: bool, **fl
         raise click.UsageError("--inverse needs a file to write: -o")
     import numpy as np
 
-    from geomosaic.project.mono.draw import draw_vectors
-    from geomosaic.project.mono.plot import MonoplotInputs, locate_pixels
+    from geomosaic.monoplotting.draw_vectors import draw_vectors
+    from geomosaic.monoplotting.run import MonoplotInputs, locate_pixels
 
     inputs = MonoplotInputs(
         block_inputs((image,), flags, flags["gcps"]),
@@ -106,7 +106,7 @@ def command(image: Path, source: Path | None, inverse: bool, as_json: bool, **fl
         output=flags["output"],
         overwrite=flags["overwrite"],
     )
-    from geomosaic.cli.locate_words import drawn_facts, drawn_words, located_facts, located_words
+    from geomosaic.cli.measured_results import drawn_facts, drawn_words, located_facts, located_words
 
     with notes():
         if inverse:

@@ -8,8 +8,7 @@ from typing import Any
 import click
 
 from geomosaic.cli.memory import note_memory
-from geomosaic.cli.merging import merge_flags
-from geomosaic.cli.mosaic_flags import mosaic_flags
+from geomosaic.cli.mosaic_flags import merge_flags, mosaic_flags
 from geomosaic.cli.options import (
     FILE,
     image_options,
@@ -18,10 +17,10 @@ from geomosaic.cli.options import (
     stack,
     usable_options,
 )
-from geomosaic.cli.points import wrong_point_options
 from geomosaic.cli.request import area, block_inputs, mosaic_options, planar_inputs
+from geomosaic.cli.results import mosaic_facts, mosaic_words
+from geomosaic.cli.sheet_flags import wrong_point_options
 from geomosaic.cli.talk import answer, notes, progress
-from geomosaic.cli.words import mosaic_facts, mosaic_words
 
 planar_flags = stack(
     click.option(
@@ -66,7 +65,7 @@ def command(images: tuple[Path, ...], output: Path, as_json: bool, **flags: Any)
     Without --sensor the images must be georeferenced, and lie as their files say; or --kind says how
     tie and control points place them.
     """
-    from geomosaic.project.make import make_mosaic, make_planar_mosaic
+    from geomosaic.products.from_inputs import make_mosaic, make_planar_mosaic
 
     planar = planar_inputs(flags)
     note_memory(flags["mem_limit"], flags["threads"])

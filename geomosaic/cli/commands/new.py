@@ -53,9 +53,9 @@ def command(
     from dataclasses import replace
 
     from geomosaic.cli.request import block_inputs
-    from geomosaic.project.draft.carried import Carried, carried_by, images_of, planar_of, write_tables
+    from geomosaic.products.from_inputs import refuse_existing
+    from geomosaic.project.draft.image_metadata import Carried, carried_by, images_of, planar_of, write_tables
     from geomosaic.project.draft.write import draft_project, write_project
-    from geomosaic.project.make import refuse_existing
 
     with notes():
         inputs = block_inputs(images_of(images), flags, gcps, planar_of(kind, ties))
@@ -75,7 +75,7 @@ def command(
     following = "fill in what it needs" if draft.needed else f"run it: geomosaic run {project}"
     if draft.misfit is not None:
         lines.append(f"but it does not fit together: {draft.misfit}")
-        following = "mend that first"
+        following = "correct that first"
     lines.append(f"{project} written; {following}")
     result = {
         "project": str(project), "understood": draft.understood, "needed": draft.needed, "misfit": draft.misfit,

@@ -18,8 +18,8 @@ from geomosaic.cli.options import (
     usable_options,
 )
 from geomosaic.cli.request import area, block_inputs, render_options
+from geomosaic.cli.results import ortho_facts, ortho_words
 from geomosaic.cli.talk import answer, notes, progress
-from geomosaic.cli.words import ortho_facts, ortho_words
 
 
 @click.command()
@@ -34,7 +34,7 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
         --exterior exterior.csv --exterior-crs EPSG:32633 --heights egm96 \\
         --dem dem.tif --res 0.5 -o ortho.tif
     """
-    from geomosaic.project.make import make_ortho
+    from geomosaic.products.from_inputs import make_ortho
 
     note_memory(flags["mem_limit"], flags["threads"])
     with notes(), progress(as_json) as report:

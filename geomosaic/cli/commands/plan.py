@@ -8,12 +8,11 @@ from typing import Any
 import click
 
 from geomosaic.cli.commands.plan_tables import tables_command
-from geomosaic.cli.measure import Measure
 from geomosaic.cli.options import debug_option, json_option
-from geomosaic.cli.scale import Scale
 from geomosaic.cli.talk import answer
-from geomosaic.plan.quantities import QUANTITIES, Quantity, shown
-from geomosaic.plan.relations import TOPICS, Relation
+from geomosaic.cli.values import Measure, Scale
+from geomosaic.planning.quantities import QUANTITIES, Quantity, shown
+from geomosaic.planning.relations import TOPICS, Relation
 
 SUMMARIES = {
     "photo": "Photo scale, flying height, enlargement, scanning resolution and pixels.",
@@ -54,7 +53,7 @@ def _topic(name: str, relations: Sequence[Relation]) -> click.Command:
     formulas = "\n".join(f"  {relation.formula}\n      {relation.source}" for relation in relations)
 
     def call(as_json: bool, **given: float | None) -> None:
-        from geomosaic.plan.solve import bound, derive, limits
+        from geomosaic.planning.solve import bound, derive, limits
 
         known = {key: value for key, value in given.items() if value is not None}
         found = derive(relations, known)
@@ -123,7 +122,7 @@ def area_command(area: tuple[float, float], ortho_pixel: float | None, mono: boo
       strips = ⌈(width - format across · M_photo) / spacing⌉ + 1
       photos in a strip = ⌈length / base⌉ + 1, with --mono ⌈(length - side) / base⌉ + 1
     """
-    from geomosaic.plan.coverage import coverage, raster_size
+    from geomosaic.planning.coverage import coverage, raster_size
 
     for lap, number, usual in (("overlap", "photos_in_strip", 60.0), ("sidelap", "strips", 30.0)):
         if flags[lap] is not None and flags[number] is not None:
@@ -168,7 +167,13 @@ def control_command(model: str, points: int | None, photos: int | None, ties: in
       Wolf, 9-8: block: unknowns = photos · unknowns of the model; two equations for every
       measurement of control and every connection; a point on n photos makes n (n - 1) / 2 connections
     """
-    from geomosaic.plan.control import FOR_FILTERING, block_balance, control_layout, control_number, models_of
+    from geomosaic.planning.control_points import (
+        FOR_FILTERING,
+        block_balance,
+        control_layout,
+        control_number,
+        models_of,
+    )
 
     need = control_number(model)
     low, high = need.recommended
@@ -233,7 +238,7 @@ def product_command(as_json: bool, **flags: Any) -> None:
       errors that are independent add as squares: m_O² = m_DTM² + other²
     With --json > plan.json, `geomosaic check --target plan.json` holds the finished map against it.
     """
-    from geomosaic.plan.product import requirements
+    from geomosaic.planning.product_quality import requirements
 
     found = requirements(**flags)
     facts: Mapping[str, Any] = {

@@ -6,10 +6,9 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.measure import Measure
 from geomosaic.cli.options import debug_option, json_option
-from geomosaic.cli.scale import Scale
 from geomosaic.cli.talk import answer
+from geomosaic.cli.values import Measure, Scale
 
 RADII = (35.0, 70.0, 140.0)
 HEIGHT_ERRORS = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
@@ -43,7 +42,7 @@ def tables_command(scales: tuple[float, ...], constants: tuple[float, ...], as_j
 
 
 def _of_scale(scale: float, constants: tuple[float, ...]) -> dict[str, Any]:
-    from geomosaic.plan import k28
+    from geomosaic.planning import k28
 
     row = k28.INTERVALS.get(round(scale))
     return {

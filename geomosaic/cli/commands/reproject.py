@@ -11,8 +11,8 @@ import click
 from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, machine_options, output_options, stack
 from geomosaic.cli.request import render_options
+from geomosaic.cli.results import ortho_facts, ortho_words
 from geomosaic.cli.talk import answer, notes, progress
-from geomosaic.cli.words import ortho_facts, ortho_words
 from geomosaic.errors import GeomosaicWarning, InputError
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def command(
 
     Grids of datum shifts are looked for in the folders that the environment variable PROJ_DATA names, too.
     """
-    from geomosaic.product.vectors import is_vector
+    from geomosaic.reprojection.vectors import is_vector
 
     if like is None and flags["dst_crs"] is None:
         raise click.UsageError("say where to: --dst-crs, or --like RASTER")
@@ -56,10 +56,10 @@ def command(
         return
     from geomosaic.geo.crs import horizontal, parse_map
     from geomosaic.geo.datum import doubt, operation_between
-    from geomosaic.project.area import Area, grid_of
-    from geomosaic.project.inputs import BlockInputs
-    from geomosaic.project.make import make_ortho
-    from geomosaic.project.placed import check_placed
+    from geomosaic.inputs.area import Area, grid_of
+    from geomosaic.inputs.declarations import BlockInputs
+    from geomosaic.inputs.rasters import check_placed
+    from geomosaic.products.from_inputs import make_ortho
     from geomosaic.raster.info import inspect
 
     note_memory(flags["mem_limit"], flags["threads"])
@@ -73,8 +73,8 @@ def command(
         if src_crs is None and info.crs is not None and (suspicious := doubt(info.crs)):
             target = grid_of(like).crs if like is not None else parse_map(flags["dst_crs"], "--dst-crs")
             if not operation_between(horizontal(info.crs), horizontal(target)).possible:
-                what, _, mend = suspicious.partition("; ")
-                raise InputError(f"{what}; no operation leads from it to '{target.name}'", where=info.path, mend=mend)
+                what, _, hint = suspicious.partition("; ")
+                raise InputError(f"{what}; no operation leads from it to '{target.name}'", where=info.path, hint=hint)
             warnings.warn(suspicious, GeomosaicWarning, stacklevel=1)
         options: dict[str, Any] = {}
         if src_crs is not None and info.transform is not None:
@@ -105,8 +105,8 @@ def _vectors(
     source: Path, src_crs: str | None, like: Path | None, output: Path, as_json: bool, flags: dict[str, Any]
 ) -> None:
     from geomosaic.geo.crs import parse_map
-    from geomosaic.product.vectors import reproject_vectors
-    from geomosaic.project.area import grid_of
+    from geomosaic.inputs.area import grid_of
+    from geomosaic.reprojection.vectors import reproject_vectors
 
     with notes():
         crs = parse_map(flags["dst_crs"], "--dst-crs") if like is None else grid_of(like).crs

@@ -12,7 +12,7 @@ from geomosaic.cli.request import block_inputs
 from geomosaic.cli.talk import answer, notes
 
 if TYPE_CHECKING:
-    from geomosaic.project.rpc.refine import ImageRpc
+    from geomosaic.rpc.refine import ImageRpc
 
 rpc_options = stack(
     click.option(
@@ -59,7 +59,7 @@ def command(images: tuple[Path, ...], as_json: bool, **flags: Any) -> None:
         --heights ellipsoidal --tags --overwrite
       geomosaic rpc left.tif right.tif --refine shift --ties ties.csv --text --folder refined
     """
-    from geomosaic.project.rpc.write import SENSOR, RpcInputs, make_rpcs
+    from geomosaic.rpc.write import SENSOR, RpcInputs, make_rpcs
 
     if flags["sensor"] is None and not (flags["exterior"] or flags["camera"]):
         flags["sensor"] = SENSOR

@@ -14,7 +14,7 @@ import click
 from geomosaic.cli.ending import check_stopped
 from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, machine_options
-from geomosaic.cli.outcome import outcome_words, verdict
+from geomosaic.cli.results import outcome_words, verdict
 from geomosaic.cli.talk import answer, notes, progress, say
 from geomosaic.errors import GeomosaicError, Interrupted
 

@@ -13,7 +13,7 @@ from geomosaic.cli.talk import answer, notes
 from geomosaic.cli.values import box
 
 if TYPE_CHECKING:
-    from geomosaic.product.maps.sheet import SheetResult
+    from geomosaic.sheets.make import SheetResult
 
 
 @click.command()
@@ -50,7 +50,7 @@ def command(raster: Path, output: Path, as_json: bool, **flags: Any) -> None:
       geomosaic sheet mosaic.tif --scale 1:5000 --paper A3 --contours dem.tif \\
         --vector roads.gpkg:road -o sheet.pdf
     """
-    from geomosaic.project.sheets.sheet import sheet_from_files
+    from geomosaic.sheets.inputs import sheet_from_files
 
     with notes():
         made = sheet_from_files(raster, output, bounds=flags.pop("bounds") or None, **flags)

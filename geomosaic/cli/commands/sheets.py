@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from geomosaic.cli.options import FILE, debug_option, json_option, stack
-from geomosaic.cli.scale import Scale
 from geomosaic.cli.sheet_flags import content_options, file_options, paper_value
 from geomosaic.cli.talk import answer, notes, progress
+from geomosaic.cli.values import Scale
 
 if TYPE_CHECKING:
-    from geomosaic.carto.series.scheme import Scheme
+    from geomosaic.sheets.series.regular import Scheme
 
 scheme_options = stack(
     click.option("--scheme", metavar="NAME", help="How the ground is divided; see the list above."),
@@ -50,12 +50,12 @@ def command() -> None:
 
 def _scheme(flags: dict[str, Any]) -> Scheme:
     from geomosaic.errors import InputError
-    from geomosaic.project.sheets.series import read_scheme
+    from geomosaic.sheets.series.inputs import read_scheme
 
     found = {key: flags.pop(key) for key in ("scheme", "scale", "size", "origin", "crs", "polygons", "name_column")}
     if (found["scheme"] is None) == (found["polygons"] is None):
         raise InputError(
-            "sheets need a scheme or polygons", where="--scheme", mend="give --scheme NAME or --polygons FILE"
+            "sheets need a scheme or polygons", where="--scheme", hint="give --scheme NAME or --polygons FILE"
         )
     return read_scheme(**found)
 
@@ -87,7 +87,7 @@ def make_command(raster: Path, output: Path, as_json: bool, **flags: Any) -> Non
     Example:
       geomosaic sheets make mosaic.tif --scheme puwg1992 --scale 1:10000 -o sheets/
     """
-    from geomosaic.project.sheets.series import series_from_files
+    from geomosaic.sheets.series.inputs import series_from_files
 
     scheme = _scheme(flags)
     with notes(), progress(as_json) as bars:
@@ -110,7 +110,7 @@ def make_command(raster: Path, output: Path, as_json: bool, **flags: Any) -> Non
 @debug_option
 def find_command(longitude: float, latitude: float, as_json: bool, **flags: Any) -> None:
     """Find the sheet at a longitude and latitude (WGS 84, degrees)."""
-    from geomosaic.project.sheets.series import find_sheet
+    from geomosaic.sheets.series.inputs import find_sheet
 
     scheme = _scheme(flags)
     name = find_sheet(scheme, longitude, latitude)
@@ -125,7 +125,7 @@ def find_command(longitude: float, latitude: float, as_json: bool, **flags: Any)
 @debug_option
 def show_command(name: str, map_crs: str | None, as_json: bool, **flags: Any) -> None:
     """Show the corners and neighbours of a sheet."""
-    from geomosaic.project.sheets.series import sheet_corners
+    from geomosaic.sheets.series.inputs import sheet_corners
 
     scheme = _scheme(flags)
     facts = _facts(scheme, name)

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from geomosaic.cli.options import FILE, debug_option, json_option
-from geomosaic.cli.outcome import status_words
+from geomosaic.cli.results import status_words
 from geomosaic.cli.talk import answer
 
 

@@ -35,13 +35,13 @@ def command(
 ) -> None:
     """Propose areas of water: level and even, and lower than their shores.
 
-    Look at them, mend them, and give the file to geomosaic mosaic --water.
+    Look at them, correct them, and give the file to geomosaic mosaic --water.
 
     \b
     Example:
       geomosaic water mosaic.tif --dem dem.tif -o water.gpkg
     """
-    from geomosaic.product.maps.water import propose_water
+    from geomosaic.mosaic.water.proposal import propose_water
 
     with notes():
         made = propose_water(image, dem, output, smallest=min_area, heights=dem_heights, overwrite=overwrite)
@@ -55,6 +55,6 @@ def command(
     found = f"{len(made.areas)} areas that may be water" if len(made.areas) != 1 else "one area that may be water"
     words = (
         f"{made.path}: {found}, of {sum(made.areas) / 1e4:.4g} ha together (cells of {made.cell:g} m, areas from "
-        f"{made.smallest:.4g} m2)\nthese are proposals: look at them and mend them, then give them to --water"
+        f"{made.smallest:.4g} m2)\nthese are proposals: look at them and correct them, then give them to --water"
     )
     answer(facts, words, as_json)

@@ -12,23 +12,21 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
+from geomosaic.block.block import Scene
 from geomosaic.block.footprint import Footprint
-from geomosaic.block.scene import Scene
-from geomosaic.jobs.digest import digest_of, versions
-from geomosaic.jobs.facts import read_json, write_json
-from geomosaic.jobs.heard import heard, tell
+from geomosaic.inputs.area import FindOutlines, plan_mosaic
+from geomosaic.inputs.frames import describe
 from geomosaic.jobs.layout import Layout
+from geomosaic.jobs.manifest import heard, read_json, tell, write_json
 from geomosaic.jobs.step import Context, Machine
-from geomosaic.jobs.steps.restore import area_of, render_options, restore_block
-from geomosaic.product.blend.options import Blending, Width
-from geomosaic.product.colour.facts import colour_facts, picture
-from geomosaic.product.reruns.reuse import Memory
-from geomosaic.project.area import FindOutlines
+from geomosaic.jobs.step_keys import digest_of, versions
+from geomosaic.jobs.steps.orient import area_of, render_options, restore_block
+from geomosaic.mosaic.blending.options import Blending, Width
+from geomosaic.mosaic.colour.facts import colour_facts, picture
+from geomosaic.mosaic.reruns.reuse import Memory
+from geomosaic.products.from_inputs import reference_scene
 from geomosaic.project.draft.write import relative
-from geomosaic.project.frames import describe
 from geomosaic.project.load import Project
-from geomosaic.project.make import reference_scene
-from geomosaic.project.mosaic_grid import plan_mosaic
 from geomosaic.surface.model import Surface
 
 _SEAMS = ("seams", "seam_weights", "order", "base", "water_fill")
@@ -42,13 +40,13 @@ _NO_COLOUR = (
 
 def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
     """Write the mosaic and what goes with it."""
-    from geomosaic.product.edits import Retouch
-    from geomosaic.product.mosaic import mosaic as make
-    from geomosaic.product.mosaic_options import MosaicOptions, terms_of
-    from geomosaic.product.report.figures import data_uri
-    from geomosaic.product.report.seams import place_pictures, seam_facts
+    from geomosaic.mosaic.mosaic import mosaic as make
+    from geomosaic.mosaic.options import MosaicOptions, terms_of
+    from geomosaic.mosaic.retouch import Retouch
+    from geomosaic.mosaic.seams.cost_terms import SeamWeights
     from geomosaic.raster.preview import png_bytes
-    from geomosaic.seam.cost import SeamWeights
+    from geomosaic.report.figures import data_uri
+    from geomosaic.report.report import place_pictures, seam_facts
 
     layout, wanted = Layout(project), project.settings.mosaic
     started, spent = time.perf_counter(), time.process_time()
@@ -207,9 +205,8 @@ def _memory(project: Project, context: Context) -> Memory:
 
 def _remembered(memory: Memory) -> FindOutlines:
     """Outlines of the images, as an earlier run has found them where nothing they depend on has changed."""
-    from geomosaic.product.extent import footprints
-    from geomosaic.product.reruns.earlier import VERSION
-    from geomosaic.product.reruns.recall import Recall, digest_of
+    from geomosaic.mosaic.reruns.earlier_results import VERSION, Recall, digest_of
+    from geomosaic.render.extent import footprints
 
     def find(scenes: tuple[Scene, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
         key = digest_of(VERSION, *memory.scenes, memory.ground, crs.to_wkt())
@@ -220,7 +217,7 @@ def _remembered(memory: Memory) -> FindOutlines:
 
 def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
     """Write one ortho per image, each on its own part of the mosaic's grid."""
-    from geomosaic.product.ortho import ortho
+    from geomosaic.render.ortho import ortho
 
     layout = Layout(project)
     block = restore_block(project)

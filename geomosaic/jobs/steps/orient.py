@@ -1,4 +1,4 @@
-"""Step 'orient': build each image's model, look whether it can be meant, hold it against control points."""
+"""Step 'orient', and the block as it left it."""
 
 from __future__ import annotations
 
@@ -7,22 +7,25 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from geomosaic.block.block import Block
+from geomosaic.accuracy.product_check import check_control, rms
+from geomosaic.block.block import Block, Scene
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.jobs.facts import write_json
-from geomosaic.jobs.heard import heard
+from geomosaic.inputs.area import Area
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.control_diagnostics import astray
+from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
+from geomosaic.inputs.frames import describe, named
+from geomosaic.inputs.ground import build_surface
+from geomosaic.inputs.missing_inputs import needs
+from geomosaic.inputs.orientation_check.plausibility import FAR
+from geomosaic.inputs.photos import read_camera
+from geomosaic.inputs.usable_area import with_usable
 from geomosaic.jobs.layout import Layout
-from geomosaic.jobs.step import Context
-from geomosaic.product.checks.check import check_control, rms
-from geomosaic.project.astray.control import astray
-from geomosaic.project.build import build_block
-from geomosaic.project.camera import read_camera
-from geomosaic.project.draft.needs import needs
-from geomosaic.project.frames import describe
+from geomosaic.jobs.manifest import heard, read_json, write_json
+from geomosaic.jobs.step import Context, Machine, Progress
 from geomosaic.project.load import Project
-from geomosaic.project.orientation.doubts import FAR
-from geomosaic.project.orientation.exterior import SYSTEM_NAMES
-from geomosaic.sensor.state import to_dict
+from geomosaic.render.options import RenderOptions
+from geomosaic.sensor.state import from_dict, to_dict
 
 
 def orient(project: Project, context: Context) -> Mapping[str, Any]:
@@ -88,7 +91,7 @@ def _block(project: Project) -> tuple[Block, dict[str, Any] | None]:
     try:
         inputs = project.inputs
         if inputs.planar is not None:
-            from geomosaic.project.planar.build import build_planar
+            from geomosaic.inputs.planar.build import build_planar
 
             return build_planar(inputs, inputs.planar)
         return build_block(inputs), None
@@ -99,5 +102,38 @@ def _block(project: Project) -> tuple[Block, dict[str, Any] | None]:
         raise InputError(
             "the project is not complete: it needs\n    " + "\n    ".join(lacking),
             where=project.path.name,
-            mend="fill it in; `geomosaic new` marks the places with NEEDED",
+            hint="fill it in; `geomosaic new` marks the places with NEEDED",
         ) from error
+
+
+def restore_block(project: Project) -> Block:
+    """Read the models that 'orient' wrote, with images and surface."""
+    inputs = project.inputs
+    crs = named(inputs.crs, inputs.heights) if inputs.crs else None
+    scenes = []
+    for image, path in zip(project.images, Layout(project).models, strict=True):
+        state = read_json(path)
+        scenes.append(Scene(image.name, str(image), state["sensor"], from_dict(state), inputs.nodata, inputs.bands))
+    return Block(with_usable(inputs, scenes), build_surface(inputs, crs), (), crs)
+
+
+def area_of(project: Project) -> Area:
+    """Where the project's output lies."""
+    output = project.settings.output
+    return Area(output.crs, output.resolution, output.bounds)
+
+
+def render_options(project: Project, machine: Machine, progress: Progress) -> RenderOptions:
+    """How the project's rasters are written; they are ours to replace."""
+    output = project.settings.output
+    return RenderOptions(
+        resampling=output.resampling,
+        tolerance=output.tolerance,
+        nodata=output.nodata,
+        driver=output.driver,
+        creation={name: str(value) for name, value in output.creation.items()},
+        overwrite=True,
+        progress=progress,
+        true_ortho=False,  # of the mosaic only, which sets it
+        **machine.options,
+    )

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from geomosaic.raster.photo_tags import PhotoTags
+from geomosaic.raster.photo_metadata import PhotoTags
 
 LARGEST = 1e9
 """No tag of a photo is a larger number."""

@@ -10,21 +10,20 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import OutputExistsError
-from geomosaic.project.atomic import write_atomic
-from geomosaic.project.draft.needs import HEIGHTS, needs, undeclared_heights
-from geomosaic.project.draft.programs import program_of
-from geomosaic.project.inputs import BlockInputs, PlanarInputs
-from geomosaic.project.names import stem
-from geomosaic.project.orientation.exterior import (
+from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
+from geomosaic.inputs.exterior_orientation import (
     RECONSTRUCTION_SYSTEM,
     RECONSTRUCTIONS,
     SYSTEM_NAMES,
     SYSTEMS,
+    program_of,
     systems_of,
     undeclared_reconstruction,
 )
-from geomosaic.project.orientation.understood import understood
-from geomosaic.project.tables import read_table
+from geomosaic.inputs.missing_inputs import HEIGHTS, needs, undeclared_heights
+from geomosaic.inputs.orientation_check.summary import understood
+from geomosaic.inputs.tables import read_table, stem
+from geomosaic.whole_files import write_atomic
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ def draft_project(path: Path, inputs: BlockInputs, angles: str | None) -> Draft:
 def write_project(draft: Draft, *, overwrite: bool = False) -> None:
     """Write the project file, never over an existing one unasked."""
     if draft.path.exists() and not overwrite:
-        raise OutputExistsError("the project exists", where=str(draft.path), mend="give another name, or --overwrite")
+        raise OutputExistsError("the project exists", where=str(draft.path), hint="give another name, or --overwrite")
     write_atomic(draft.path, draft.text)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from geomosaic.resample.kernels.compiled import inlined, kernel, part
-from geomosaic.resample.sight import TILE
+from geomosaic.resample.occlusion import TILE
 
 
 @kernel

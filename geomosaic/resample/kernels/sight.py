@@ -12,7 +12,7 @@ import numpy as np
 
 from geomosaic.resample.kernels.compiled import kernel
 from geomosaic.resample.kernels.relief import cell
-from geomosaic.resample.sight import NEAR, SHARE, STEP, TILE, TOUCH, WALL
+from geomosaic.resample.occlusion import NEAR, SHARE, STEP, TILE, TOUCH, WALL
 
 GROUP = 16
 """Pixels along a group's side; a divisor of `STEP`."""

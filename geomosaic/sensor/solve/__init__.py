@@ -13,17 +13,15 @@ if TYPE_CHECKING:
     from geomosaic.sensor.solve.adjust import Resection, fit, resect
     from geomosaic.sensor.solve.derivatives import jacobian
     from geomosaic.sensor.solve.inverse import image_to_ground, image_to_height
-    from geomosaic.sensor.solve.pose import poses
-    from geomosaic.sensor.solve.quality import correlations, dangerous_cylinder
-    from geomosaic.sensor.solve.three_points import Pose, three_point_poses
+    from geomosaic.sensor.solve.resection_quality import correlations, dangerous_cylinder
+    from geomosaic.sensor.solve.three_point_resection import Pose, poses, three_point_poses
 
 _MODULES = {
     "adjust": ("Resection", "fit", "resect"),
     "inverse": ("image_to_ground", "image_to_height"),
     "derivatives": ("jacobian",),
-    "pose": ("poses",),
-    "quality": ("correlations", "dangerous_cylinder"),
-    "three_points": ("Pose", "three_point_poses"),
+    "resection_quality": ("correlations", "dangerous_cylinder"),
+    "three_point_resection": ("Pose", "poses", "three_point_poses"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 

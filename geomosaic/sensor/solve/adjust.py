@@ -103,7 +103,7 @@ def resect(
         if iteration > ROUNDS:
             raise SolveError(
                 f"the adjustment did not converge in {ROUNDS} rounds",
-                mend="check the start values, the points and their CRS",
+                hint="check the start values, the points and their CRS",
             )
         here = model.with_values(values)
         design = problem.design(here, seen)
@@ -128,7 +128,7 @@ def resect(
                 if moved < 1e-3:  # nothing better within reach: rounding, not failure
                     break
                 raise SolveError(
-                    "the adjustment does not converge", mend="check the start values, the points and their CRS"
+                    "the adjustment does not converge", hint="check the start values, the points and their CRS"
                 )
     return problem.result(model.with_values(values), residuals, seen, values, iteration)
 
@@ -243,7 +243,7 @@ class _Problem:
         if not seen.any():
             raise SolveError(
                 "the model sees none of the points where it starts",
-                mend="check the order of coordinates, the CRS of the points and the start values",
+                hint="check the order of coordinates, the CRS of the points and the start values",
             )
         if observations < unknowns:
             names = ", ".join(np.array(self.names)[self.free])
@@ -251,7 +251,7 @@ class _Problem:
             verb = "gives" if points == "1 point" else "give"
             raise SolveError(
                 f"{points} {verb} {observations} observations for {unknowns} unknowns ({names})",
-                mend=f"give at least {-(-(unknowns - int(self.prior.sum())) // 2)} points, or fix parameters",
+                hint=f"give at least {-(-(unknowns - int(self.prior.sum())) // 2)} points, or fix parameters",
             )
 
     def need_determined(self, design: FloatArray) -> None:
@@ -263,14 +263,14 @@ class _Problem:
         if dead.any():
             raise SolveError(
                 f"the points say nothing about {', '.join(names[dead])}",
-                mend="fix these parameters (sigma 0) or give points that depend on them",
+                hint="fix these parameters (sigma 0) or give points that depend on them",
             )
         _, singular, right = np.linalg.svd(design / length, full_matrices=False)
         if singular[-1] * WORST_CONDITION < singular[0]:
             together = names[np.abs(right[-1]) > 0.1]
             raise SolveError(
                 f"the points cannot tell {', '.join(together)} apart (condition {_ratio(singular):.1e})",
-                mend="spread the points over the image and over height, add points, or fix parameters",
+                hint="spread the points over the image and over height, add points, or fix parameters",
             )
 
     def result(

@@ -1,4 +1,4 @@
-"""Image to ground for every sensor model: on a height, or on a surface."""
+"""Image to ground for every sensor model, on a height or a surface, by damped Newton for many points at once."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import has_heights, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import HasRays, SensorModel
-from geomosaic.sensor.solve.march import first_meeting
-from geomosaic.sensor.solve.sight import SightLines
+from geomosaic.sensor.solve.line_of_sight import SightLines, first_meeting
 from geomosaic.surface.model import Surface
-from geomosaic.surface.rays import intersect
+from geomosaic.surface.ray_intersection import intersect
 from geomosaic.types import FloatArray
 
 
@@ -69,7 +68,7 @@ def image_to_ground(model: SensorModel, colrow: FloatArray, surface: Surface | N
     image = _as_image(colrow)
     if has_heights(model.crs):
         if surface is None:
-            raise InputError("the lines of sight of this sensor need a surface", mend="give a DEM or a height")
+            raise InputError("the lines of sight of this sensor need a surface", hint="give a DEM or a height")
         if isinstance(model, HasRays):
             return Transform(model.crs, surface.crs)(intersect(surface, model.crs, *model.rays(image)))
         lines = SightLines.of(model, image, surface.crs)

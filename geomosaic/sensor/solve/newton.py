@@ -9,9 +9,17 @@ import numpy as np
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 ROUNDS = 60
+
+
 HALVINGS = 12
+
+
 GOAL = 1e-10
+
+
 ACCEPTED = 1e-6
+
+
 ROUGHLY = 1e-2
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.surface.developed.body import Bounds, roots
+from geomosaic.surface.developed.base import Bounds, roots
 from geomosaic.types import FloatArray
 
 PLAN = "dome-plan"

@@ -1,4 +1,12 @@
-"""A ground whose height and colour are known at every point: the truth that rendered photos are judged by."""
+"""Synthetic ground: height and colour known at every point, relief in closed form with its gradient.
+
+Coordinates here are local: (u, v) metres east and north of the ground's origin.
+
+    z(u, v) = Σ Aᵢ·cos(2π(u·cos θᵢ + v·sin θᵢ)/λᵢ + φᵢ) + Σ Hⱼ·exp(−((u−uⱼ)² + (v−vⱼ)²)/(2·σⱼ²))
+              − D·exp(−(v − r(u))²/(2·W²)),     r(u) the course of the river
+
+Every term is bounded with a bounded slope, so the range of heights and the steepest slope are known without sampling.
+"""
 
 from __future__ import annotations
 

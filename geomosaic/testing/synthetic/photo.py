@@ -77,7 +77,7 @@ def intersect(model: Camera, ground: AnalyticGround, colrow: FloatArray) -> Floa
     """Where lines of sight first meet the relief.
 
     Exact to `TOLERANCE` in height. A model with `rays` is asked for them; any other is inverted by
-    `geomosaic.sensor.solve.image_to_ground`.
+    `geomosaic.sensor.solve.inverse`.
 
     Parameters
     ----------

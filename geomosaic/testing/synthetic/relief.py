@@ -1,12 +1,4 @@
-"""The relief of the analytic ground: hills, a river valley and rolling country, in closed form with its gradient.
-
-Coordinates here are local: (u, v) metres east and north of the ground's origin.
-
-    z(u, v) = Σ Aᵢ·cos(2π(u·cos θᵢ + v·sin θᵢ)/λᵢ + φᵢ) + Σ Hⱼ·exp(−((u−uⱼ)² + (v−vⱼ)²)/(2·σⱼ²))
-              − D·exp(−(v − r(u))²/(2·W²)),     r(u) the course of the river
-
-Every term is bounded with a bounded slope, so the range of heights and the steepest slope are known without sampling.
-"""
+"""Synthetic relief: hills, a river valley and rolling country, in closed form with its gradient."""
 
 from __future__ import annotations
 
@@ -31,6 +23,8 @@ WAVES = np.array(
         [0.5, 190.0, 141.0, 4.4],
     ]
 )
+
+
 # height (m), u (m), v (m), sigma (m)
 HILLS = np.array(
     [
@@ -42,9 +36,13 @@ HILLS = np.array(
         [26.0, 980.0, -300.0, 180.0],
     ]
 )
-VALLEY_DEPTH, VALLEY_WIDTH = 34.0, 240.0
+
+
 # amplitude (m), wavelength / 2π (m), phase (rad) of the river's meanders
 MEANDERS = ((95.0, 330.0, 0.5), (28.0, 118.0, 1.3))
+
+
+VALLEY_DEPTH, VALLEY_WIDTH = 34.0, 240.0
 RIVER_OFFSET = -120.0
 
 

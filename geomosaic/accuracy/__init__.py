@@ -1,0 +1,1 @@
+"""Accuracy: products held against check points, reference images and requirements."""

@@ -1,0 +1,225 @@
+"""Independent check points measured on a georeferenced raster, and advice on those that are wrong themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from geomosaic.control.check_positions import has_positions, read_positions
+from geomosaic.control.coordinate_diagnostics import has_places
+from geomosaic.control.diagnostics import advise
+from geomosaic.control.findings import Advice
+from geomosaic.control.points import ImageControl
+from geomosaic.control.read import read_control
+from geomosaic.errors import InputError, counted
+from geomosaic.geo.crs import horizontal, parse_map
+from geomosaic.geo.grid import Grid
+from geomosaic.geo.units import short_unit
+from geomosaic.orientation.single.check_points import CheckStatistics, check_errors, odd_checks
+from geomosaic.raster.info import SourceInfo, inspect
+from geomosaic.types import FloatArray
+
+
+def check_advice(
+    names: Sequence[str], pixels: FloatArray, moved: FloatArray, unit: str, expected: float = 0.0
+) -> list[Advice]:
+    """Name check points that contradict the others, or the fit where they are too few to contradict each other.
+
+    Parameters
+    ----------
+    names : sequence of str
+    pixels : array (N, 2)
+        Errors in the image or raster, pixels.
+    moved : array (N, 2)
+        The same on the map, found minus true, in `unit`.
+    unit : str
+    expected : float
+        RMS length of errors that the fit leads one to expect, pixels; 0 where there is none.
+    """
+    if not np.isfinite(pixels).all() or not len(pixels):
+        return []
+    expected = expected if np.isfinite(expected) else 0.0
+    found = odd_checks(pixels, expected)
+    chosen = np.flatnonzero(found.odd)
+    if not len(chosen):
+        return []
+    chosen = chosen[np.argsort(-np.hypot(*pixels[chosen].T), kind="stable")]
+    order = chosen.tolist()
+    wrong = tuple(names[i] for i in order)
+    told = "; ".join(
+        f"{names[i]} by {np.hypot(*pixels[i]):.1f} px ({np.hypot(*moved[i]):.3g} {unit}: "
+        f"x {moved[i, 0]:+.3g}, y {moved[i, 1]:+.3g})"
+        for i in order[:6]
+    )
+    told += f"; and {len(wrong) - 6} more" if len(wrong) > 6 else ""
+    who = f"{len(wrong)} of {len(names)} check points" if len(names) > 1 else "the check point"
+    what = f"{who} {'is' if len(wrong) == 1 else 'are'} off: {told}"
+    rest = moved[~found.odd]
+    if len(rest) >= 2:
+        x, y = rest.mean(axis=0)
+        what += f", where the others agree: RMS {found.rms:.2f} px without, mean shift x {x:+.3g}, y {y:+.3g} {unit}"
+    else:
+        what += f", where the control leads one to expect {expected:.2f} px (leave-one-out)"
+    hint = (
+        "look whether their coordinates and their places in the image are right; if not, correct them or leave them "
+        f"out: --without {' --without '.join(wrong[:6])}"
+    )
+    return [Advice("check-point", "warning", what, wrong, hint)]
+
+
+FAR = 20.0
+"""Pixels of RMS error from which on the points are probably not measured in this raster."""
+EXAMINED = ("degrees-in-metres", "metres-in-degrees", "wrong-unit", "wrong-zone", "outside-crs-area", "outside-image")
+"""Findings that concern check points; those on how control lies in the image do not."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapCheck:
+    """How far a raster is from its check points.
+
+    Attributes
+    ----------
+    raster, points : Path
+    grid : Grid
+        Of the raster.
+    ids : tuple of str
+    measured : array (N, 2)
+        col, row in the raster, pixels.
+    true : array (N, 2)
+        x, y in the CRS of the raster.
+    pixel_errors : array (N, 2)
+        Measured minus true place, col and row, pixels.
+    statistics : CheckStatistics
+        Of the errors in x and y, map units, measured minus true.
+    pixel_rms : tuple of float
+        RMS in col and row, pixels.
+    pixel_rms_total : float
+        RMS length, pixels.
+    notes : tuple of str
+    advice : tuple of Advice
+    """
+
+    raster: Path
+    points: Path
+    grid: Grid
+    ids: tuple[str, ...]
+    measured: FloatArray
+    true: FloatArray
+    pixel_errors: FloatArray
+    statistics: CheckStatistics
+    pixel_rms: tuple[float, float]
+    pixel_rms_total: float
+    notes: tuple[str, ...]
+    advice: tuple[Advice, ...]
+
+
+def check_map(
+    raster: Path,
+    points: Path,
+    *,
+    crs: str | None = None,
+    raster_crs: str | None = None,
+    pixels: str | None = None,
+    rows: str | None = None,
+    survey_rms: float = 0.0,
+    insist: bool = False,
+    without: tuple[str, ...] = (),
+) -> MapCheck:
+    """Hold a georeferenced raster against points whose places are known.
+
+    Parameters
+    ----------
+    raster : Path
+    points : Path
+        True x and y, and where the raster has them: col and row, or measured_x and measured_y in its CRS. Any file of
+        control will do; where some points have the role 'check', only those count.
+    crs : str, optional
+        Of the true places, where the file does not name it.
+    raster_crs : str, optional
+        Of the raster, where it does not name it.
+    pixels, rows : str, optional
+        As for `geomosaic.control.read.read_control`: count and sign.
+    survey_rms : float
+        RMS length of the errors of the true places, map units of the raster.
+    insist : bool
+        Go on where coordinates look wrong.
+    without : tuple of str
+        Names of points that are left out.
+
+    Raises
+    ------
+    InputError
+        The raster is not georeferenced, a file is wrong, or coordinates do not fit their CRS.
+    """
+    info = inspect(raster)
+    grid = _grid(info, raster_crs)
+    if has_positions(points):
+        found = read_positions(points, crs=crs)
+        measured = grid.colrow(found.colrow)
+        notes: tuple[str, ...] = ("measured on the map: measured_x, measured_y",)
+    else:
+        reading = read_control(points, image=raster.name, crs=crs, size=info.size, sign=rows, count=pixels)
+        found, notes = reading.control, reading.notes
+        judges = [role == "check" for role in found.roles]
+        if any(judges) and not all(judges):
+            notes = (*notes, f"{counted(len(judges) - sum(judges), 'control point')} left out")
+            found = found.select(judges)
+        measured = found.colrow
+    found = found.without(without, str(points))
+    found, measured = found.select(found.enabled), measured[found.enabled]
+    advice = _examined(found, measured, info.size)
+    wrong = next((finding for finding in advice if finding.severity == "error"), None)
+    if wrong is not None and not (insist and has_places(found)):
+        hint = f"{wrong.hint}; or --insist" if has_places(found) else wrong.hint
+        raise InputError(f"{wrong.what} ({wrong.code})", where=str(points), hint=hint)
+    true = found.to_crs(grid.crs).xy
+    pixel = measured - grid.colrow(true)
+    statistics = check_errors(found.names, grid.xy(measured) - true, short_unit(grid.crs), survey_rms)
+    per_axis = np.sqrt((pixel**2).mean(axis=0))
+    if np.hypot(*per_axis) > FAR:
+        what = f"the points lie {np.hypot(*per_axis):.0f} pixels (RMS) from where they should"
+        hint = "are col and row measured in this raster, and not in the image it was made from?"
+        advice = (*advice, Advice("far", "warning", what, (), hint))
+    advice = (*advice, *check_advice(found.names, pixel, statistics.errors, statistics.unit))
+    return MapCheck(
+        raster,
+        points,
+        grid,
+        found.names,
+        measured,
+        true,
+        pixel,
+        statistics,
+        (float(per_axis[0]), float(per_axis[1])),
+        float(np.hypot(*per_axis)),
+        notes,
+        advice,
+    )
+
+
+def _grid(info: SourceInfo, given: str | None) -> Grid:
+    if info.transform is None:
+        raise InputError(
+            "the raster is not georeferenced",
+            where=info.path,
+            hint="check a product; `geomosaic georeference` places an image and checks it by points of role 'check'",
+        )
+    if info.crs is not None:
+        crs = horizontal(info.crs)
+        if given is not None and not crs.equals(parse_map(given, "--raster-crs"), ignore_axis_order=True):
+            raise InputError(
+                f"the raster is in '{crs.name}', and '{given}' is given", where=info.path, hint="leave it out"
+            )
+    elif given is not None:
+        crs = parse_map(given, "--raster-crs")
+    else:
+        raise InputError("the raster names no CRS", where=info.path, hint="give it with --raster-crs")
+    return Grid(crs, info.transform, info.width, info.height)
+
+
+def _examined(found: ImageControl, measured: FloatArray, size: tuple[int, int]) -> tuple[Advice, ...]:
+    advice = advise(replace(found, colrow=measured), kind="conformal", size=size)
+    return tuple(finding for finding in advice if finding.code in EXAMINED or finding.code.startswith("swapped"))

@@ -1,0 +1,191 @@
+"""Holding a product against what is known better: control and check points, a reference image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomosaic.block.block import Block
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import horizontal
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.geo.transform import Transform
+from geomosaic.match.shift import Shifts, shifts
+from geomosaic.raster.source import Source
+from geomosaic.render.options import Progress
+from geomosaic.resample import reference
+from geomosaic.types import AnyArray, BoolArray, FloatArray
+
+# Bytes of values of one picture that are looked at together, and those that a format without windows may keep.
+_STRIP, _HELD = 8 << 20, 64 << 20
+_SHIFTS = ("places", "shifts", "correlation")
+
+
+@dataclass(frozen=True)
+class ControlResidual:
+    """One measurement of a point against the oriented image: measured minus computed, in pixels."""
+
+    id: str
+    image: str
+    role: str
+    col: float
+    row: float
+
+
+def check_control(block: Block) -> list[ControlResidual]:
+    """Residuals of all control and check point measurements, in pixels; NaN where the image cannot see the point."""
+    if block.crs is None:
+        return []
+    found = []
+    for point in block.control:
+        model = block.scene(point.image).model
+        xyz = Transform(block.crs, model.crs)(np.array([point.xyz]))
+        dcol, drow = np.array(point.colrow) - model.ground_to_image(xyz)[0]
+        found.append(ControlResidual(point.id, point.image, point.role, float(dcol), float(drow)))
+    return found
+
+
+def rms(residuals: list[ControlResidual], role: str) -> float:
+    """Root mean square length of the residuals of one role, in pixels; NaN without any."""
+    lengths = [r.col**2 + r.row**2 for r in residuals if r.role == role and np.isfinite(r.col)]
+    return float(np.sqrt(np.mean(lengths))) if lengths else float("nan")
+
+
+def against_reference(
+    product: Path, truth: Path, tile: int = 64, reach: int = 8, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Registration and colour of a product against a reference image of the same ground.
+
+    Parameters
+    ----------
+    product, truth : Path
+        Georeferenced rasters; the product is sampled (bilinear) at the pixel centres of the reference.
+    tile, reach : int
+        Of the matching, in pixels of the reference.
+    progress : callable, optional
+        Called with (done, total, 'check'); may raise to stop.
+
+    Returns
+    -------
+    dict
+        `registration_rms_px`, `registration_robust_rms_px`, `shift_px` (median col, row), `shift_m`, `tiles`,
+        `matched`, `colour_rms` per band, `colour_bias` per band, `pixels` compared.
+    """
+    margin, found = reach + 2, []
+    with Source(truth, memory_limit=_HELD) as ours, Source(product, memory_limit=_HELD) as theirs:
+        grid, own = _grid(ours), _grid(theirs)
+        to_own = Transform(grid.crs, own.crs)
+        bands = min(ours.info.bands, theirs.info.bands)
+        total = _Totals(np.zeros(bands), np.zeros(bands))
+        # Rows of whole tiles at a time, with the margin that matching looks into: the tiles are those of the whole.
+        many = max(1, _STRIP // (grid.width * max(ours.info.bands, theirs.info.bands) * 8 * tile))
+        tiles = max(0, grid.height - 2 * margin) // tile
+        starts = range(0, max(1, tiles), many)
+        for done, start in enumerate(starts):
+            if progress is not None:
+                progress(done, len(starts), "check")
+            last = start == starts[-1]
+            stop = grid.height if last else (start + many) * tile + 2 * margin
+            part = grid.crop(Window(0, start * tile, grid.width, stop - start * tile))
+            values, there = _read(ours, Window(0, start * tile, grid.width, part.height))
+            sampled, seen = _sampled(theirs, own, part, to_own)
+            both = there & seen
+            moved = match(sampled[..., :bands], values[..., :bands], both, tile, reach)
+            found.append(replace(moved, places=moved.places + np.array([0.0, start * tile])))
+            new = slice(None) if last else slice(None, many * tile)
+            total.add(sampled[new][both[new]][:, :bands] - values[new][both[new]][:, :bands])
+    if not total.pixels:
+        raise InputError("the product and the reference share no pixel", where=str(truth))
+    moved = Shifts(*(np.concatenate([getattr(one, name) for one in found]) for name in _SHIFTS))
+    middle = np.nanmedian(moved.shifts, axis=0) if moved.matched.any() else np.full(2, np.nan)
+    return {
+        "registration_rms_px": moved.rms,
+        "registration_robust_rms_px": moved.robust_rms,
+        "shift_px": [float(v) for v in -middle],
+        "shift_m": [float(v) * r for v, r in zip(-middle, grid.resolution, strict=True)],
+        "tiles": len(moved.places),
+        "matched": int(moved.matched.sum()),
+        "colour_rms": [float(v) for v in np.sqrt(total.squares / total.pixels)],
+        "colour_bias": [float(v) for v in total.sums / total.pixels],
+        "pixels": total.pixels,
+    }
+
+
+@dataclass
+class _Totals:
+    """Sums over pixels, per band (bands,)."""
+
+    sums: FloatArray
+    squares: FloatArray
+    pixels: int = 0
+
+    def add(self, difference: FloatArray) -> None:
+        self.pixels += len(difference)
+        self.sums = self.sums + difference.sum(axis=0)
+        self.squares = self.squares + (difference**2).sum(axis=0)
+
+
+def match(first: AnyArray, second: AnyArray, both: BoolArray, tile: int = 64, reach: int = 8) -> Shifts:
+    """Shifts of `second` against `first` in their mean grey."""
+    return shifts(first.mean(axis=2), second.mean(axis=2), both, tile, reach)
+
+
+def _grid(source: Source) -> Grid:
+    info = source.info
+    if info.crs is None or info.transform is None:
+        raise InputError("the raster is not georeferenced", where=info.path)
+    return Grid(horizontal(info.crs), info.transform, info.width, info.height)
+
+
+def _read(source: Source, window: Window) -> tuple[FloatArray, BoolArray]:
+    values, valid = source.read(window)
+    seen = np.ones(values.shape[:2], dtype=bool) if valid is None else valid > 0
+    return values.astype(np.float64), seen
+
+
+def _sampled(source: Source, own: Grid, grid: Grid, to_own: Transform) -> tuple[FloatArray, BoolArray]:
+    """Bilinear values of a raster, which lies on `own`, at the pixel centres of a grid."""
+    info = source.info
+    window = own.window_of(_bounds_in(grid, own, to_own)).intersection(own.window)
+    if window.empty:
+        return np.zeros((*grid.shape, info.bands)), np.zeros(grid.shape, dtype=bool)
+    values, valid = source.read(window)
+    c, r = np.meshgrid(np.arange(grid.width) + 0.5, np.arange(grid.height) + 0.5)
+    xy = to_own(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
+    place = own.colrow(xy) - (window.col, window.row)
+    out = np.zeros((*grid.shape, info.bands))
+    seen = np.zeros(grid.shape, dtype=np.uint8)
+    mask = np.ones(values.shape[:2], dtype=np.uint8) if valid is None else valid
+    cols, rows = place[:, 0].reshape(grid.shape), place[:, 1].reshape(grid.shape)
+    ones, zeros = np.ones(info.bands), np.zeros(info.bands)
+    where = (0.0, 0.0, 1.0, window.width, window.height)
+    reference.sample(
+        "bilinear",
+        values,
+        mask,
+        valid is not None,
+        cols,
+        rows,
+        1,
+        where,
+        ones,
+        zeros,
+        -np.inf,
+        np.inf,
+        False,
+        out,
+        seen,
+    )
+    return out, seen > 0
+
+
+def _bounds_in(grid: Grid, own: Grid, to_own: Transform) -> tuple[float, float, float, float]:
+    edge = np.linspace(0, 1, 9)
+    c, r = np.meshgrid(edge * grid.width, edge * grid.height)
+    xy = to_own(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
+    pad = 2 * max(own.resolution)
+    (left, bottom), (right, top) = np.nanmin(xy, axis=0) - pad, np.nanmax(xy, axis=0) + pad
+    return float(left), float(bottom), float(right), float(top)

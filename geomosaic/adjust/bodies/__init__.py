@@ -1,1 +1,0 @@
-"""Planes, cylinders, cones, spheres and ellipsoids through measured points, by least squares of distances."""

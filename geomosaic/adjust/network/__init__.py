@@ -1,1 +1,0 @@
-"""Points measured in several photos, linearised: sparse normal equations, and the search for wrong measurements."""

@@ -1,1 +1,0 @@
-"""Styles of other programs: the common part of QML (QGIS) and SLD (OGC)."""

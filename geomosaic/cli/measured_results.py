@@ -1,0 +1,196 @@
+"""Accuracy and places in words, and as plain values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from geomosaic.cli.results import finite, grid_facts
+from geomosaic.errors import counted
+
+if TYPE_CHECKING:
+    from geomosaic.accuracy.check_points import MapCheck
+    from geomosaic.georeference.run import Georeferenced
+    from geomosaic.monoplotting.draw_vectors import Drawn
+    from geomosaic.monoplotting.run import Located
+
+
+MOST = 40
+"""Points that are listed; --json has them all."""
+
+
+def check_facts(found: MapCheck) -> dict[str, Any]:
+    """Plain values of a check."""
+    from geomosaic.georeference.facts import advice_facts, statistics_facts
+
+    points = zip(found.ids, found.measured, found.true, found.pixel_errors, found.statistics.errors, strict=True)
+    return {
+        "raster": str(found.raster),
+        "points_file": str(found.points),
+        "grid": grid_facts(found.grid),
+        **statistics_facts(found.statistics),
+        "rms_px": list(found.pixel_rms),
+        "rms_total_px": found.pixel_rms_total,
+        "notes": list(found.notes),
+        "advice": advice_facts(found.advice),
+        "points": [
+            {
+                "id": name,
+                "col": float(at[0]),
+                "row": float(at[1]),
+                "x": float(xy[0]),
+                "y": float(xy[1]),
+                "error_px": [finite(v) for v in pixel],
+                "error_map": [finite(v) for v in error],
+            }
+            for name, at, xy, pixel, error in points
+        ],
+    }
+
+
+def check_words(found: MapCheck) -> str:
+    """Say how accurate the map is, and where it is worst."""
+    import numpy as np
+
+    s, unit = found.statistics, found.statistics.unit
+    order = np.argsort(-np.hypot(*s.errors.T), kind="stable")[:MOST]
+    wide = max([5, *(len(found.ids[i]) for i in order)])
+    lines = [f"{'point':<{wide}} {'x, ' + unit:>10} {'y, ' + unit:>10} {'col, px':>9} {'row, px':>9}"]
+    for i in order:
+        (x, y), (col, row) = s.errors[i], found.pixel_errors[i]
+        lines.append(f"{found.ids[i]:<{wide}} {x:>+10.4g} {y:>+10.4g} {col:>+9.3f} {row:>+9.3f}")
+    if len(found.ids) > MOST:
+        lines.append(f"... the {MOST} largest of {len(found.ids)}; --json has them all")
+    (x, y), (col, row) = s.rms, found.pixel_rms
+    count = counted(len(s), "check point")
+    lines += [
+        f"{count}: RMS x {x:.4g}, y {y:.4g}, total {s.rms_total:.4g} {unit}",
+        f"in pixels: RMS col {col:.3f}, row {row:.3f}, total {found.pixel_rms_total:.3f}",
+        f"about 95 % of points lie within {s.figure95:.4g} {unit} (2.5 x RMS of one axis)",
+        s.shift_statement,
+        s.nssda_statement,
+        s.asprs_statement,
+    ]
+    return "\n".join(lines)
+
+
+def georeference_words(made: Georeferenced) -> str:
+    """Say what was fitted, how well, and what was drawn."""
+    from geomosaic.cli.results import ortho_words
+
+    solution, accuracy = made.solution, made.facts["accuracy"]
+    states = made.facts["control"]
+    counts = [counted(accuracy["points"], "control point")]
+    counts += [counted(states["check"], "check point")] * bool(states["check"])
+    counts += [f"{states[state]} {word}" for state, word in STATES.items() if states[state]]
+    out = [name for name, state in zip(solution.control.names, solution.states, strict=True) if state == "suspect"]
+    counts += [f"left out as wrong: {', '.join(out[:12])}{f' and {len(out) - 12} more' * (len(out) > 12)}"] * bool(out)
+    lines = [
+        f"{solution.model}: {solution.why}",
+        f"fitted in {made.facts['fit']['crs']}",
+        f"{', '.join(counts)}; redundancy {accuracy['redundancy']}",
+        *_errors(accuracy),
+    ]
+    if solution.deletion is not None:
+        lines.append(solution.deletion.said)
+    if solution.check is not None:
+        check = made.facts["check"]
+        lines.append(
+            f"{counted(check['check_points'], 'check point')}: RMS {check['px']['rms_total']:.3f} px, "
+            f"{check['rms_total']:.3g} {check['unit']}; {check['shift_statement']}"
+        )
+    lines.append(ortho_words(made.product))
+    beside = [str(path) for path in (made.page, made.report, made.vectors) if path]
+    return "\n".join(lines + ([f"control report: {', '.join(beside)}"] if beside else []))
+
+
+STATES = {"deleted": "deleted", "disabled": "not enabled"}
+
+
+def _errors(accuracy: dict[str, Any]) -> list[str]:
+    """Lines of the errors at control points; zero residuals of a fit that passes through them are no news."""
+    left_out = accuracy["leave_one_out"]
+    rms = f"leave-one-out: RMS {_pixels_metres(left_out, 'rms_total')}"
+    if accuracy["headline"] == "leave_one_out":
+        found = [f"{rms}; 95 % within {_pixels_metres(left_out, 'figure95')}"] if left_out["points"] else []
+        return [
+            *found,
+            "residuals: none, the fit passes through its points" + (", and nothing checks it" * (not found)),
+        ]
+    residuals = accuracy["residuals"]
+    within = _pixels_metres(residuals, "figure95")
+    return [f"residuals: RMS {_pixels_metres(residuals, 'rms_total')}; 95 % within {within}", rms]
+
+
+def _pixels_metres(part: dict[str, Any], key: str) -> str:
+    if part["px"][key] is None:
+        return "not known (nothing checks the points)"
+    return f"{part['px'][key]:.3f} px, {part['m'][key]:.3g} m"
+
+
+def located_facts(found: Located, output: Path | None) -> dict[str, Any]:
+    """Plain values of places."""
+    from geomosaic.geo.crs import height_name, horizontal
+    from geomosaic.monoplotting.run import POINT
+
+    crs = found.places.crs
+    code = horizontal(crs).to_authority(min_confidence=100)
+    return {
+        "crs": f"{code[0]}:{code[1]}" if code else horizontal(crs).to_wkt(),
+        "heights": height_name(crs),
+        "error_of": list(found.certainty.known),
+        "notes": list(found.certainty.notes),
+        "points": [dict(zip(POINT, row, strict=True)) for row in found.rows()],
+        "features": found.features,
+        "lost": found.lost,
+        "outside": list(found.outside),
+        "output": None if output is None else str(output),
+    }
+
+
+def located_words(found: Located, output: Path | None) -> str:
+    """Say where the pixels lie."""
+    from geomosaic.inputs.frames import describe
+
+    places = found.places
+    metres = not places.crs.is_geographic
+    lines = [describe(places.crs)]
+    for number, row in enumerate(found.rows() if output is None else []):
+        name, col, line, x, y, z, *error = row
+        if x is None:
+            why = "lies outside the image" if number in found.outside else "sees no known ground"
+            lines.append(f"{name}: {col:g} {line:g} {why}")
+            continue
+        place = f"{x:.3f} {y:.3f}" if metres else f"{x:.9f} {y:.9f}"
+        text = f"{name}: {col:g} {line:g} -> {place} {z:.3f}"
+        if error[0] is not None:
+            text += f"  ellipse {error[0]:.3g} x {error[1]:.3g} m at {error[2]:.0f} deg, height {error[3]:.3g} m"
+        lines.append(text)
+    if output is not None:
+        kept = len(found.names) if output.suffix.lower() == ".csv" else len(found.names) - found.lost
+        what = counted(kept, "point") if found.names else counted(found.features, "feature")
+        lines.append(f"{output}: {what}")
+    if found.lost:
+        noun, end = ("point", "no place") if found.names else ("feature", "no place and left out")
+        beyond = f"; {len(found.outside)} outside the image" if found.outside else ""
+        lines.append(f"{counted(found.lost, noun)} with {end}: the sky, or ground that is not known{beyond}")
+    if found.certainty.known:
+        lines.append(f"errors (one standard deviation) of {', '.join(found.certainty.known)}")
+    return "\n".join([*lines, *found.certainty.notes])
+
+
+def drawn_facts(drawn: Drawn, output: Path) -> dict[str, Any]:
+    """Plain values of a drawing."""
+    return {
+        "output": str(output),
+        "features": drawn.features,
+        "drawn": drawn.drawn,
+        "pieces": drawn.pieces,
+        "hidden": drawn.hidden,
+    }
+
+
+def drawn_words(drawn: Drawn, output: Path) -> str:
+    """Say what was drawn."""
+    hidden = f", {drawn.hidden} of them hidden" if drawn.hidden else ""
+    return f"{output}: {drawn.drawn} of {drawn.features} features in the photo, {drawn.pieces} pieces{hidden}"

@@ -1,0 +1,254 @@
+"""Parsing of control point files: lines, fields and numbers, and what every reader gives."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.control.points import ImageControl, Origin
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.geo.crs import parse_crs
+from geomosaic.types import PathLike
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Control, and how the file was understood.
+
+    Attributes
+    ----------
+    control : ImageControl
+    format : str
+        'csv', 'qgis', 'odm', 'raster' or 'world'.
+    notes : tuple of str
+        What was decided while reading, for the reader of the report.
+    """
+
+    control: ImageControl
+    format: str
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One point as it was read; z is NaN where the file has none."""
+
+    name: str
+    colrow: tuple[float, float]
+    xyz: tuple[float, float, float]
+    origin: Origin
+    sigma: float = 1.0
+    role: str = "control"
+    enabled: bool = True
+
+
+def control_of(points: Sequence[Measured], crs: CRS, path: str) -> ImageControl:
+    """Join points to one value; heights are left off where no point has one.
+
+    Raises
+    ------
+    InputError
+        There are no points, or one of them is wrong.
+    """
+    if not points:
+        raise InputError("there are no points in the file", where=path, hint="is it the right file?")
+    ground = np.array([point.xyz for point in points])
+    if np.isnan(ground[:, 2]).all():
+        ground = ground[:, :2]
+    return ImageControl(
+        tuple(point.name for point in points),
+        np.array([point.colrow for point in points]),
+        ground,
+        crs,
+        np.array([point.sigma for point in points]),
+        tuple(point.role for point in points),
+        np.array([point.enabled for point in points]),
+        tuple(point.origin for point in points),
+    )
+
+
+def ground_crs(said: str | CRS | None, given: str | CRS | None, where: str) -> CRS:
+    """Settle the CRS of the ground between what the file says and what the user gives.
+
+    Raises
+    ------
+    InputError
+        Neither says it, or they differ.
+    """
+    stated = parse_crs(said, where) if said else None
+    wanted = parse_crs(given, "the CRS given for the control") if given else None
+    found = stated or wanted
+    if found is None:
+        raise InputError(
+            "the file does not say which CRS its ground coordinates are in",
+            where=where,
+            hint="give it, for example EPSG:32633",
+        )
+    if stated is not None and wanted is not None and not stated.equals(wanted, ignore_axis_order=True):
+        raise InputError(
+            f"the file says its ground coordinates are in '{stated.name}', and '{wanted.name}' is given",
+            where=where,
+            hint="give none, or correct the file; control is transformed to the CRS of the output by itself",
+        )
+    return found
+
+
+def choose_image(names: Sequence[str], image: str | None, path: str) -> set[str]:
+    """Return which of the names of a file's images mean `image`; the only one there is when none is given.
+
+    Names match with their whole file name, else without extension; folders do not count.
+
+    Raises
+    ------
+    InputError
+        Several images and none chosen, or one chosen that the file does not have.
+    """
+    known = sorted(set(names))
+    shown = ", ".join(known[:8]) + (" ..." if len(known) > 8 else "")
+    if image is None:
+        if (images := len({_last(name) for name in known})) > 1:
+            raise InputError(f"the file has points of {images} images: {shown}", where=path, hint="name the image")
+        return set(known)
+    found = {name for name in known if _last(name) == _last(image)}
+    found = found or {name for name in known if _stem(name) == _stem(image)}
+    if not found:
+        hint = did_you_mean(_last(image), [_last(name) for name in known])
+        raise InputError(
+            f"no point is measured in '{_last(image)}'", where=path, hint=f"{hint} the file has {shown}".strip()
+        )
+    if len({_last(name) for name in found}) > 1:
+        raise InputError(f"'{image}' may mean {' or '.join(sorted(found))}", where=path, hint="give the extension too")
+    return found
+
+
+def _last(name: str) -> str:
+    return PurePath(name.replace("\\", "/")).name.casefold()
+
+
+def _stem(name: str) -> str:
+    base, dot, extension = _last(name).rpartition(".")
+    return base if dot and base and extension.isalnum() and not extension.isdigit() else _last(name)
+
+
+LARGEST = 64 << 20
+"""Bytes; no list of control points is that long."""
+
+LONGEST = 100_000
+"""Characters of a line; Python's csv takes 131072 in a field."""
+
+_POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
+_COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)(e[+-]?\d+)?", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line with its place; `fields` are its values without quotes and blanks around them."""
+
+    origin: Origin
+    fields: tuple[str, ...]
+
+
+def read_lines(path: PathLike) -> list[tuple[Origin, str]]:
+    """Read the lines of a UTF-8 text that are not blank.
+
+    Raises
+    ------
+    InputError
+        The file is missing, too large, no text, or has a line that is too long.
+    """
+    file = Path(path)
+    try:
+        if file.stat().st_size > LARGEST:
+            raise InputError(
+                f"a list of control points larger than {LARGEST >> 20} MB",
+                where=str(path),
+                hint="is it the right file?",
+            )
+        text = file.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError("the file does not exist", where=str(path), hint="check the path") from None
+    except IsADirectoryError:
+        raise InputError("this is a folder", where=str(path), hint="give a file") from None
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"not UTF-8 text (byte {error.start})", where=str(path), hint="save the table as UTF-8 text"
+        ) from None
+    except OSError as error:
+        raise InputError(f"the file cannot be read: {error.strerror}", where=str(path)) from error
+    lines = [(Origin(str(path), i), line) for i, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    long = next((origin for origin, line in lines if len(line) > LONGEST), None)
+    if long is not None:
+        raise InputError(f"a line of more than {LONGEST} characters", where=str(long), hint="is it the right file?")
+    return lines
+
+
+def delimiter_of(header: str) -> str:
+    """Return the one among tab, semicolon and comma that the header has most of, else a blank."""
+    counts = [(header.count(mark), mark) for mark in ("\t", ";", ",")]
+    most = max(counts, key=lambda pair: pair[0])
+    return most[1] if most[0] else " "
+
+
+def split(line: str, delimiter: str) -> tuple[str, ...]:
+    """Split a line into fields; quotes hold a field together, and empty fields at the end are left off."""
+    if delimiter == " ":
+        fields = line.split()
+    else:
+        fields = [field.strip() for field in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])]
+    while fields and not fields[-1]:
+        fields.pop()
+    return tuple(fields)
+
+
+def has_decimal_commas(fields: Iterable[tuple[Origin, str]]) -> bool:
+    """Say whether numbers are written with decimal commas.
+
+    Raises
+    ------
+    InputError
+        Some have a comma and others a point, so that a comma might part thousands.
+    """
+    comma = point = None
+    for origin, text in fields:
+        if comma is None and _COMMA.fullmatch(text):
+            comma = origin, text
+        elif point is None and "." in text and _POINT.fullmatch(text):
+            point = origin, text
+    if comma and point:
+        raise InputError(
+            f"'{comma[1]}' has a comma and '{point[1]}' ({point[0].unit} {point[0].number}) a point: "
+            "one of them may part thousands",
+            where=str(comma[0]),
+            hint="write all numbers with decimal points and nothing between thousands",
+        )
+    return comma is not None
+
+
+def number(text: str, column: str, origin: Origin, *, commas: bool = False) -> float:
+    """Read a finite number.
+
+    Raises
+    ------
+    InputError
+        Names the file, the line and the column, and what kind of slip it looks like.
+    """
+    written = text.replace(",", ".", 1) if commas else text
+    if _POINT.fullmatch(written) and math.isfinite(value := float(written)):
+        return value
+    if re.search("[°'\"′″]|[NSEW]$", text):
+        hint = "write degrees with decimals, west and south negative"
+    elif _COMMA.fullmatch(text):
+        hint = "write a decimal point"
+    elif re.search(r"\d[ ,.'\u00a0]\d{3}\b", text):
+        hint = "leave out what parts the thousands"
+    else:
+        hint = "write a finite number"
+    what = f"column '{column}' has '{text}'" if text else f"column '{column}' is empty"
+    raise InputError(what, where=str(origin), hint=hint)

@@ -1,0 +1,1 @@
+"""Developed images of things that are no terrain: facades, towers, domes."""

@@ -1,0 +1,158 @@
+"""What images show of a developed surface: outlines on (u, v), and cameras on the wrong side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from geomosaic.block.block import Scene
+from geomosaic.block.footprint import Footprint
+from geomosaic.errors import InputError
+from geomosaic.sensor.developed import DevelopedModel
+from geomosaic.types import BoolArray, FloatArray
+
+CELLS = 256
+"""Cells along the longer side at which an outline is measured."""
+
+
+@dataclass(frozen=True)
+class DevelopedFootprint(Footprint):
+    """An outline of one part or, where the surface is cut, several.
+
+    Attributes
+    ----------
+    parts : shapely Polygon or MultiPolygon
+        All that the image shows, to a cell; `ring` is the rectangle about it.
+    """
+
+    parts: Any = None
+
+    @property
+    def polygon(self) -> Any:
+        """The outline."""
+        return self.parts
+
+
+def developed_footprint(scene: Scene, model: DevelopedModel) -> DevelopedFootprint:
+    """Measure what an image shows of its surface.
+
+    Places that the image shows are found by lines of sight over a net of pixels, and the area about them is asked cell
+    by cell, forwards.
+
+    Raises
+    ------
+    InputError
+        The camera stands on the wrong side of the surface, or the image shows nothing of it.
+    """
+    check_side(scene, model)
+    places, _ = model.seen()
+    if not len(places):
+        raise InputError(
+            f"the image shows nothing of the {model.surface.body.kind}",
+            where=scene.name,
+            hint="check the surface's place and side, the frame of the positions, bottom and top, and --oblique",
+        )
+    bounds = _padded(model, places)
+    for _ in range(2):
+        left, low, right, high = bounds
+        cell = max(right - left, high - low) / CELLS
+        u = np.linspace(left, right, max(2, round((right - left) / cell)) + 1)
+        v = np.linspace(low, high, max(2, round((high - low) / cell)) + 1)
+        image = _image(model, u, v)
+        shown = _inside(image, model.size)
+        near = shown[:-1, :-1] | shown[1:, :-1] | shown[:-1, 1:] | shown[1:, 1:]
+        whole = shown[:-1, :-1] & shown[1:, :-1] & shown[:-1, 1:] & shown[1:, 1:]
+        if not whole.any():
+            near = whole = near if near.any() else np.ones_like(near)
+        rows, cols = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+        bounds = float(u[cols[0]]), float(v[rows[0]]), float(u[cols[-1] + 1]), float(v[rows[-1] + 1])
+    left, low, right, high = bounds
+    ring = np.array([[left, low], [right, low], [right, high], [left, high]])
+    parts = _polygon(whole, u, v)
+    centre, sampling = _best(parts, u, v, image)
+    border = [image[0], image[-1], image[:, 0], image[:, -1]]
+    complete = not any(_inside(edge, model.size).any() for edge in border)
+    return DevelopedFootprint(scene.name, ring, centre, sampling, complete, parts)
+
+
+def check_side(scene: Scene, model: DevelopedModel) -> None:
+    """Refuse a camera from which the drawn side cannot be seen.
+
+    Raises
+    ------
+    InputError
+        The camera lies inside a body that is looked at from outside, or the other way round, or behind a plane.
+    """
+    origin = model.origin()
+    if origin is None:
+        return
+    surface, kind = model.surface, model.surface.body.kind
+    above = surface.coordinates(origin[None])[0, 2]
+    if not above < 0.0:  # NaN: off the development, so not inside either
+        return
+    if kind == "plane":
+        raise InputError(
+            f"the camera stands {-above:.3f} m behind the plane",
+            where=scene.name,
+            hint="turn the normal round: it points to the side that is looked at",
+        )
+    there, other = ("outside", "outside") if surface.inside else ("inside", "inside")
+    raise InputError(
+        f"the camera stands {there} the {kind}, {-above:.3f} m from its surface",
+        where=scene.name,
+        hint=f"check radius, place and the frame of the positions; side = '{other}' is for looking at it from there",
+    )
+
+
+def _padded(model: DevelopedModel, places: FloatArray) -> tuple[float, float, float, float]:
+    """Bounds of places (N, 2), wider by what the net of pixels may have missed, within the domain."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    pad = 0.05 * np.maximum(high - low, 1e-3 * max(1e-9, float((high - low).max()))) + 1e-9
+    domain = np.array(model.surface.domain)
+    low, high = np.maximum(low - pad, domain[:2]), np.minimum(high + pad, domain[2:])
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+def _image(model: DevelopedModel, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Image (rows, cols, 2) of the net of u and v; rows are those of v."""
+    across, up = np.meshgrid(u, v)
+    uvh = np.column_stack([across.ravel(), up.ravel(), np.zeros(across.size)])
+    return model.ground_to_image(uvh).reshape(len(v), len(u), 2)
+
+
+def _inside(image: FloatArray, size: tuple[int, int]) -> BoolArray:
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((image >= 0.0) & (image <= np.array(size))).all(axis=-1))
+
+
+def _polygon(cells: BoolArray, u: FloatArray, v: FloatArray) -> Any:
+    """Union of cells (rows, cols) as valid polygons, run by run."""
+    import shapely
+
+    runs = []
+    for row, line in enumerate(cells):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], line, [False]]).astype(np.int8)))
+        runs += [shapely.box(u[a], v[row], u[b], v[row + 1]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return shapely.union_all(runs).simplify(0.0)
+
+
+def _best(parts: Any, u: FloatArray, v: FloatArray, image: FloatArray) -> tuple[tuple[float, float], float]:
+    """The place seen best: the mean of the largest part, weighted by pixels per area; and the sampling there."""
+    import shapely
+
+    with np.errstate(invalid="ignore"):
+        by_u, by_v = np.gradient(image, u, axis=1), np.gradient(image, v, axis=0)
+        pixels = np.abs(by_u[..., 0] * by_v[..., 1] - by_u[..., 1] * by_v[..., 0])
+    largest = max(getattr(parts, "geoms", [parts]), key=lambda part: part.area)
+    across, up = np.meshgrid(u, v)
+    weight = np.where(shapely.contains_xy(largest, across, up) & np.isfinite(pixels), pixels, 0.0)
+    if not weight.any():
+        point = largest.representative_point()
+        finite = pixels[np.isfinite(pixels) & (pixels > 0.0)]
+        best = float(np.median(finite)) if len(finite) else 1.0
+        return (point.x, point.y), float(1.0 / np.sqrt(best))
+    total = weight.sum()
+    centre = float((weight * across).sum() / total), float((weight * up).sum() / total)
+    return centre, float(1.0 / np.sqrt(np.median(pixels[weight > 0.0])))

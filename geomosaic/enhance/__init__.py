@@ -1,1 +1,0 @@
-"""Enhancement for print: pure functions of arrays."""

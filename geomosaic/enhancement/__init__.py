@@ -1,0 +1,1 @@
+"""Enhancement for print: contrast, sharpening, pan-sharpening, hillshade."""

@@ -1,0 +1,176 @@
+"""Contrast: grey value curves, local equalisation (CLAHE), sharpening."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.types import AnyArray, ByteArray, FloatArray
+
+LEVELS = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A rising curve from values to 0 ... 255, straight between its nodes and level beyond them.
+
+    Attributes
+    ----------
+    values, levels : array (N,)
+        Rising nodes.
+    """
+
+    values: FloatArray
+    levels: FloatArray
+
+    def __call__(self, values: AnyArray) -> FloatArray:
+        """Levels of values, not rounded."""
+        # Halves stay halves, and are rounded as they should.
+        found: FloatArray = np.round(np.interp(values, self.values, self.levels), 9)
+        return found
+
+
+def percentile_limits(values: AnyArray, low: float, high: float) -> tuple[float, float]:
+    """Values below and above which `low` and 100 - `high` per cent of the values lie."""
+    if not 0 <= low < high <= 100:
+        raise InputError(f"percentiles {low:g} and {high:g} enclose nothing", hint="give them from 0 to 100, rising")
+    if not values.size:
+        return 0.0, 255.0
+    first, last = np.percentile(values, (low, high))
+    return float(first), float(last)
+
+
+def linear(low: float, high: float, gamma: float = 1.0) -> Curve:
+    """255 · ((v - low) / (high - low))^(1 / gamma): gamma above 1 brightens the middle.
+
+    With gamma 1 the curve is exact; others are drawn through 1025 nodes, closer where the curve is steep at its start.
+    """
+    if not gamma > 0:
+        raise InputError(f"gamma {gamma:g} makes no curve", where="gamma", hint="give a number above 0")
+    high = high if high > low else low + 1.0
+    share = np.array([0.0, 1.0]) if gamma == 1.0 else np.linspace(0.0, 1.0, 1025) ** max(1.0, gamma)
+    return Curve(low + share * (high - low), 255.0 * share ** (1.0 / gamma))
+
+
+def equalised(values: AnyArray) -> Curve:
+    """Histogram equalisation: equal numbers of values on equal steps, 255 · (rank - first) / (last - first).
+
+    A value stands at the middle of the ranks that it has, so that equal histograms stay as they are.
+    """
+    if not values.size:
+        return linear(0.0, 255.0)
+    known, counts = np.unique(values, return_counts=True)
+    middle = np.cumsum(counts) - counts / 2.0
+    if len(known) == 1:
+        return Curve(np.array([known[0] - 1.0, known[0]]), np.array([127.5, 127.5]))
+    levels = 255.0 * (middle - middle[0]) / (middle[-1] - middle[0])
+    return Curve(known.astype(np.float64), levels)
+
+
+WEIGHTS = np.array([0.299, 0.587, 0.114])
+"""Of red, green and blue in luminance (ITU-R BT.601)."""
+
+
+def luminance(rgb: ByteArray) -> FloatArray:
+    """Brightness (rows, cols) of colours (rows, cols, 3)."""
+    found: FloatArray = rgb[..., :3].astype(np.float64) @ WEIGHTS
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Clahe:
+    """Contrast limited adaptive histogram equalisation (Zuiderveld, Graphics Gems IV, 1994).
+
+    A table of levels for each part of the picture, made once; between the middles of the parts tables are mixed, so
+    that a window of the picture is treated as in the whole.
+
+    Attributes
+    ----------
+    tables : array (P, Q, 256)
+    """
+
+    tables: FloatArray
+
+    @classmethod
+    def of(cls, grey: FloatArray, valid: ByteArray, clip: float, parts: int = 8) -> Clahe:
+        """Tables of a picture, which may be a reduced one.
+
+        Parameters
+        ----------
+        grey : array (rows, cols)
+            0 to 255.
+        valid : array (rows, cols) of 1 and 0
+        clip : float
+            No level may have more than so many times the mean count; 1 leaves all as it is.
+        parts : int
+            Along each side.
+        """
+        tables = np.empty((parts, parts, 256))
+        rows, cols = (np.linspace(0, n, parts + 1).astype(int) for n in grey.shape)
+        for p in range(parts):
+            for q in range(parts):
+                cell = slice(rows[p], rows[p + 1]), slice(cols[q], cols[q + 1])
+                seen = np.clip(np.round(grey[cell][valid[cell] > 0]), 0, 255).astype(np.int64)
+                tables[p, q] = _table(np.bincount(seen, minlength=256).astype(np.float64), clip)
+        return cls(tables)
+
+    def __call__(self, grey: FloatArray, y: FloatArray, x: FloatArray) -> FloatArray:
+        """Levels of a picture (rows, cols) whose rows and columns lie at shares y and x (0 to 1) of the whole."""
+        parts = self.tables.shape[0]
+        down, right = (np.clip(v * parts - 0.5, 0, parts - 1) for v in (y, x))
+        r, c = (np.minimum(v.astype(int), parts - 2) for v in (down, right))
+        fy, fx = (down - r)[:, None], (right - c)[None, :]
+        level = np.clip(grey, 0, 255)
+        first = np.minimum(level.astype(int), 254)
+        part = level - first
+        out = np.zeros(grey.shape)
+        for dr, wy in ((0, 1 - fy), (1, fy)):
+            for dc, wx in ((0, 1 - fx), (1, fx)):
+                table = self.tables[(r + dr)[:, None], (c + dc)[None, :], first]
+                after = self.tables[(r + dr)[:, None], (c + dc)[None, :], first + 1]
+                out += wy * wx * (table + part * (after - table))
+        return out
+
+
+def _table(counts: FloatArray, clip: float) -> FloatArray:
+    """Levels from counts; what is above the limit goes to the other levels, to each by the room it has."""
+    total = counts.sum()
+    if not total:
+        return np.arange(256.0)
+    limit = max(1.0, clip) * total / 256.0
+    over = np.maximum(counts - limit, 0.0).sum()
+    counts = np.minimum(counts, limit)
+    room = limit - counts
+    counts = counts + over * room / max(room.sum(), 1e-300)
+    middle = np.cumsum(counts) - counts / 2.0
+    levels: FloatArray = 255.0 * (middle - middle[0]) / (middle[-1] - middle[0])
+    return levels
+
+
+def toned(rgb: ByteArray, before: FloatArray, after: FloatArray) -> ByteArray:
+    """Colours with another luminance, the differences between their bands kept."""
+    moved = rgb[..., :3] + (after - before)[..., None]
+    return np.clip(np.floor(moved + 0.5), 0, 255).astype(np.uint8)
+
+
+def sharpened(rgb: ByteArray, valid: ByteArray, radius: float, amount: float) -> ByteArray:
+    """Unsharp mask on the luminance: L + amount · (L - L blurred), which moves no colour.
+
+    Parameters
+    ----------
+    rgb : uint8 array (rows, cols, 3)
+    valid : array (rows, cols) of 1 and 0
+        What is not does not blur into what is.
+    radius : float
+        Standard deviation of the blur, pixels.
+    amount : float
+    """
+    from scipy.ndimage import gaussian_filter
+
+    light = luminance(rgb)
+    weight = gaussian_filter(valid.astype(np.float64), radius, truncate=3.0, mode="nearest")
+    blurred = gaussian_filter(light * valid, radius, truncate=3.0, mode="nearest") / np.maximum(weight, 1e-9)
+    made = toned(rgb, light, light + amount * (light - blurred))
+    return np.where(valid[..., None] > 0, made, rgb[..., :3])

@@ -1,0 +1,230 @@
+"""A whole raster enhanced for print, or sharpened by a panchromatic one, window by window."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from geomosaic.enhancement.contrast import Clahe, luminance, sharpened, toned
+from geomosaic.enhancement.hillshade import hillshade, shaded
+from geomosaic.enhancement.options import EnhancePart
+from geomosaic.enhancement.pan_sharpening import PanModel, magnified, pan_model, pan_sharpened
+from geomosaic.enhancement.picture import band_curves, heights_at, sample, shown_bands, stretch_given
+from geomosaic.errors import InputError
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.geo.units import linear_unit
+from geomosaic.raster.framing import raster_grid, read_bands
+from geomosaic.raster.output_files import check_output
+from geomosaic.raster.sink import RasterSink
+from geomosaic.raster.source import Source
+from geomosaic.resample.warp import value_range
+from geomosaic.types import AnyArray, FloatArray
+
+TILE = (2048, 512)
+SHADE = 0.6
+"""Strength of a hillshade, as on sheets."""
+
+
+def enhance_raster(
+    raster: Path,
+    output: Path,
+    *,
+    bands: tuple[int, ...] | None = None,
+    stretch: str | None = None,
+    limits: tuple[float, float] | None = None,
+    percentiles: tuple[float, float] | None = None,
+    gamma: float | None = None,
+    clahe: float | None = None,
+    sharpen: float | None = None,
+    radius: float = 1.0,
+    shade: Path | None = None,
+    driver: str = "COG",
+    overwrite: bool = False,
+) -> Path:
+    """Write an 8-bit picture; see `EnhancePart` for the parameters.
+
+    `radius` counts pixels here, and `shade` is the DEM of a hillshade.
+
+    Raises
+    ------
+    InputError, OutputExistsError, OutputError
+    """
+    check_output(output, overwrite=overwrite, inputs=(raster, *filter(None, [shade])))
+    with Source(raster) as source:
+        grid = raster_grid(source, str(raster))
+        own = {key: found for key, found in stretch_given(stretch, limits, percentiles).items() if found is not None}
+        own.setdefault("stretch", "none" if source.dtype == np.uint8 else "percentile")
+        look = EnhancePart(bands=bands or (), gamma=gamma or 1.0, clahe=clahe or 0.0, **own)
+        shown = shown_bands(look, source.info.bands, str(raster))
+        curves = band_curves(look, source, grid, shown)
+        local = None
+        if look.clahe:
+            values, valid = sample(source, grid, shown)
+            level = np.dstack([curves[k](values[..., k]) if curves else values[..., k] for k in range(len(shown))])
+            grey = luminance(level) if len(shown) == 3 else level[..., 0]
+            local = Clahe.of(grey, valid.astype(np.uint8), look.clahe)
+        light_of = None if shade is None else _shade_of(shade, grid, look)
+        reach = max(int(np.ceil(3 * radius)) + 1 if sharpen else 0, 0 if shade is None else 1)
+        with RasterSink(output, grid, len(shown), "uint8", driver=driver, overwrite=overwrite) as sink:
+            for window in grid.window.split(*TILE):
+                wide = Window(
+                    window.col - reach, window.row - reach, window.width + 2 * reach, window.height + 2 * reach
+                )
+                values, valid = read_bands(source, grid, wide, 1, shown)
+                seen = (valid > 0).astype(np.uint8)
+                levels = [curves[k](values[..., k]) if curves else values[..., k] for k in range(len(shown))]
+                picture = np.clip(np.floor(np.dstack(levels) + 0.5), 0, 255).astype(np.uint8)
+                rgb = picture if len(shown) == 3 else np.repeat(picture, 3, axis=2)
+                if local is not None:
+                    y = (wide.row + np.arange(wide.height) + 0.5) / grid.height
+                    x = (wide.col + np.arange(wide.width) + 0.5) / grid.width
+                    light = luminance(rgb)
+                    rgb = toned(rgb, light, local(light, y, x))
+                if light_of is not None:
+                    rgb = shaded(rgb, light_of(wide), float(np.sin(np.radians(look.altitude))), SHADE)
+                if sharpen:
+                    rgb = sharpened(rgb, seen, radius, sharpen)
+                inside = slice(reach, reach + window.height), slice(reach, reach + window.width)
+                made = np.ascontiguousarray(rgb[inside][..., : len(shown)])
+                sink.write(window, made, np.ascontiguousarray(seen[inside]))
+            sink.finish()
+    return output
+
+
+def _shade_of(dem: Path, grid: Grid, look: EnhancePart) -> Callable[[Window], FloatArray]:
+    """Hillshade of windows of a raster."""
+    if not grid.crs.is_projected:
+        raise InputError("a hillshade needs a map in metres", where="--hillshade", hint="reproject the raster first")
+    metres = linear_unit(grid.crs)
+
+    def of(window: Window) -> FloatArray:
+        cols, rows = window.col + np.arange(window.width) + 0.5, window.row + np.arange(window.height) + 0.5
+        x = grid.xy(np.column_stack([cols, np.zeros_like(cols)]))[:, 0]
+        y = grid.xy(np.column_stack([np.zeros_like(rows), rows]))[:, 1]
+        step = grid.resolution[0] * metres, grid.resolution[1] * metres
+        return hillshade(heights_at(dem, None, grid.crs, x, y), step, look.azimuth, look.altitude)
+
+    return of
+
+
+def sharpen_with_pan(
+    raster: Path,
+    pan: Path,
+    output: Path,
+    *,
+    method: str = "regression",
+    bands: Sequence[int] | None = None,
+    driver: str = "COG",
+    overwrite: bool = False,
+) -> PanModel:
+    """Write the bands of a raster on the pixels of a panchromatic one, with its detail.
+
+    The model is found where both are known, at the resolution of the bands, from means of the pan band there.
+
+    Parameters
+    ----------
+    raster, pan : Path
+        In the same CRS, north up; the pan band is the first one of its file.
+    output : Path
+        Of the sample type of the bands.
+
+    Returns
+    -------
+    PanModel
+
+    Raises
+    ------
+    InputError, OutputExistsError, OutputError
+    """
+    check_output(output, overwrite=overwrite, inputs=(raster, pan))
+    with Source(raster) as coarse, Source(pan) as fine:
+        low, high = raster_grid(coarse, str(raster)), raster_grid(fine, str(pan))
+        if low.crs != high.crs:
+            raise InputError(
+                f"the rasters have different CRS: {low.crs.name} and {high.crs.name}",
+                where=str(pan),
+                hint="bring one to the CRS of the other first: geomosaic reproject",
+            )
+        chosen = tuple(bands or range(1, coarse.info.bands + 1))
+        if any(not 1 <= band <= coarse.info.bands for band in chosen):
+            raise InputError(f"the raster has {coarse.info.bands} bands", where="--bidx", hint="give some of these")
+        model = _model(method, coarse, fine, low, high, chosen)
+        kind = str(coarse.dtype)
+        least, most, whole = value_range(kind)
+        with RasterSink(output, high, len(chosen), kind, driver=driver, overwrite=overwrite) as sink:
+            for window in high.window.split(*TILE):
+                detail, known = read_bands(fine, high, window, 1, (1,))
+                near, seen = _near(coarse, low, high, window, chosen)
+                sharp = pan_sharpened(model, near, detail[..., 0])
+                if whole:
+                    sharp = np.clip(np.floor(sharp + 0.5), least, most)
+                valid = ((known > 0) & (seen > 0.5)).astype(np.uint8)
+                sink.write(window, np.ascontiguousarray(sharp.astype(coarse.dtype)), valid)
+            sink.finish()
+    return model
+
+
+def _near(coarse: Source, low: Grid, high: Grid, window: Window, bands: Sequence[int]) -> tuple[AnyArray, AnyArray]:
+    """Bands and validity at the pixels of a window of the fine grid."""
+    cols, rows = window.col + np.arange(window.width) + 0.5, window.row + np.arange(window.height) + 0.5
+    x = low.colrow(high.xy(np.column_stack([cols, np.full_like(cols, rows[0])])))[:, 0]
+    y = low.colrow(high.xy(np.column_stack([np.full_like(rows, cols[0]), rows])))[:, 1]
+    left, top = int(np.floor(x[0])) - 3, int(np.floor(y[0])) - 3
+    part = Window(left, top, int(np.ceil(x[-1])) + 4 - left, int(np.ceil(y[-1])) + 4 - top)
+    values, valid = read_bands(coarse, low, part, 1, bands)
+    values, filled = _filled(values, valid)
+    near = magnified(values, y - top, x - left)
+    index = np.floor(y - top).astype(int)[:, None], np.floor(x - left).astype(int)[None, :]
+    return near, filled[index]
+
+
+def _filled(values: AnyArray, valid: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """Unknown pixels with the value of the nearest known one, so that none of them enters an interpolation."""
+    if valid.all() or not valid.any():
+        return values, valid
+    from scipy.ndimage import distance_transform_edt
+
+    nearest = distance_transform_edt(valid == 0, return_distances=False, return_indices=True)
+    return values[nearest[0], nearest[1]], valid
+
+
+def _model(method: str, coarse: Source, fine: Source, low: Grid, high: Grid, bands: Sequence[int]) -> PanModel:
+    """The model from at most about a million pixels of the bands, in evenly spread blocks."""
+    ratio = low.resolution[0] / high.resolution[0]
+    if ratio < 1.0:
+        raise InputError("the pan raster is coarser than the bands", where="--pan", hint="are the two exchanged?")
+    blocks = list(low.window.split(128, 128))
+    picked = blocks[:: max(1, len(blocks) // 64)]
+    xs, ys = [], []
+    for block in picked:
+        values, valid = read_bands(coarse, low, block, 1, bands)
+        means, known = _means(fine, low, high, block)
+        use = (valid > 0) & known
+        xs.append(values[use])
+        ys.append(means[use])
+    return pan_model(method, np.concatenate(xs), np.concatenate(ys))
+
+
+def _means(fine: Source, low: Grid, high: Grid, block: Window) -> tuple[AnyArray, AnyArray]:
+    """Mean of the pan band over each pixel of a block of the coarse grid, from the pixels whose centres it holds."""
+    corner = np.array([[block.col, block.row], [block.stop_col, block.stop_row]], dtype=np.float64)
+    (left, top), (right, bottom) = high.colrow(low.xy(corner))
+    window = Window(int(np.floor(left)), int(np.floor(top)), int(np.ceil(right - np.floor(left))) + 1,
+                    int(np.ceil(bottom - np.floor(top))) + 1)  # fmt: skip
+    values, valid = read_bands(fine, high, window, 1, (1,))
+    centres = np.column_stack([window.col + np.arange(window.width) + 0.5, np.full(window.width, window.row + 0.5)])
+    col = np.floor(low.colrow(high.xy(centres))[:, 0] - block.col).astype(int)
+    centres = np.column_stack([np.full(window.height, window.col + 0.5), window.row + np.arange(window.height) + 0.5])
+    row = np.floor(low.colrow(high.xy(centres))[:, 1] - block.row).astype(int)
+    inside = (
+        (row >= 0)[:, None] & (row < block.height)[:, None] & (col >= 0)[None] & (col < block.width)[None] & (valid > 0)
+    )
+    index = (row[:, None] * block.width + col[None, :])[inside]
+    size = block.width * block.height
+    count = np.bincount(index, minlength=size)
+    total = np.bincount(index, values[..., 0][inside].astype(np.float64), minlength=size)
+    full = count >= max(1, 0.9 * count.max())
+    shape = block.height, block.width
+    return (total / np.maximum(count, 1)).reshape(shape), full.reshape(shape)

@@ -1,0 +1,181 @@
+"""Mean-shift outlier model: shifts of measurements as additional unknowns, any number at a time.
+
+Where a measurement is wrong, its shift ∇ (two unknowns) joins the equations: v = e − J·dx − B·∇ (Baarda 1968; Kok 1984
+for several at a time). With whitened rows, z = Bᵀv and C = Bᵀ(I − J N⁻¹ Jᵀ)B of the adjustment without any shift say it
+all: with the shifts R let in, ∇ = C_RR⁻¹ z_R, the sum of squares falls by z_Rᵀ C_RR⁻¹ z_R, and for a further one
+
+    z' = z − C_·R C_RR⁻¹ z_R,   C' = C − C_·R C_RR⁻¹ C_R·,   T = z'ᵀ C'⁻¹ z'
+
+is what it would fall by next. So subsets are compared without a new adjustment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from geomosaic.estimation.linear_network import CHUNK, Network
+from geomosaic.types import BoolArray, FloatArray, IntArray
+
+UNCHECKED = 1e-6
+"""Share of a measurement's own weight below which others do not check it."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """With some shifts let in.
+
+    Attributes
+    ----------
+    statistic : array (H,)
+        T of each shift; of one that is in, what the sum of squares would rise by without it. NaN where other
+        measurements do not check both of its axes.
+    shifts : array (H, 2)
+        Size of each, were it let in (or as it is in): pixels, or map units of given coordinates. NaN likewise.
+    squares : float
+        Weighted sum of squares that is left.
+    redundancy : int
+    """
+
+    statistic: FloatArray
+    shifts: FloatArray
+    squares: float
+    redundancy: int
+
+
+@dataclass(frozen=True, eq=False)
+class Shifts:
+    """All shifts of a network: of each view, then of given coordinates.
+
+    Attributes
+    ----------
+    network : Network
+    views : int array (V,)
+        Views that can be wrong.
+    given : int array (G,)
+        Points whose given coordinates can be.
+    """
+
+    network: Network
+    views: IntArray
+    given: IntArray
+    _cache: dict[int, FloatArray] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.views) + len(self.given)
+
+    @cached_property
+    def _columns(self) -> Any:
+        """B (rows, 2H), sparse: unit shifts over the standard deviations of what they shift."""
+        from scipy.sparse import coo_array
+
+        n = self.network
+        rows: list[IntArray] = [(2 * self.views[:, None] + np.array([0, 1])).ravel()]
+        cols = [np.arange(2 * len(self.views))]
+        data: list[FloatArray] = [np.repeat(1.0 / n.sigma[self.views], 2)]
+        for k, point in enumerate(self.given, start=len(self.views)):
+            if n.given_sigma[point] > 0.0:
+                at = 2 * len(n.point) + 2 * int(np.searchsorted(n.observed, point))
+                rows.append(at + np.arange(2))
+                cols.append(2 * k + np.arange(2))
+                data.append(np.full(2, 1.0 / n.given_sigma[point]))
+            else:  # held: a shift of the given place against the true one moves all its images the other way
+                seen = np.flatnonzero(n.point == point)
+                block = -n.by_point[seen] / n.sigma[seen, None, None]
+                rows.append(np.broadcast_to(2 * seen[:, None, None] + np.array([[0], [1]]), block.shape).ravel())
+                cols.append(np.broadcast_to(2 * k + np.array([[0, 1]]), block.shape).ravel())
+                data.append(block.ravel())
+        entries = (np.concatenate(data), (np.concatenate(rows), np.concatenate(cols)))
+        return coo_array(entries, shape=(n.design.shape[0], 2 * len(self))).tocsc()
+
+    @cached_property
+    def _base(self) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+        """Z (H, 2), blocks of C (H, 2, 2), of BᵀB (H, 2, 2), and the sum of squares, without any shift."""
+        n, b = self.network, self._columns
+        v = n.right - n.design @ n.step()
+        turned = (n.design.T @ b).tocsc()
+        blocks, own = np.zeros((len(self), 2, 2)), np.zeros((len(self), 2, 2))
+        for first in range(0, len(self), CHUNK):
+            last = min(first + CHUNK, len(self))
+            part, whole = turned[:, 2 * first : 2 * last], b[:, 2 * first : 2 * last]
+            solved = n.normals.solve(part.toarray())
+            for i, j in ((0, 0), (0, 1), (1, 1)):
+                square = np.asarray(whole[:, i::2].multiply(whole[:, j::2]).sum(axis=0)).ravel()
+                own[first:last, i, j] = own[first:last, j, i] = square
+                known = np.asarray(part[:, i::2].multiply(solved[:, j::2]).sum(axis=0)).ravel()
+                blocks[first:last, i, j] = blocks[first:last, j, i] = square - known
+        return (b.T @ v).reshape(-1, 2), blocks, own, float(v @ v)
+
+    def _against(self, shift: int) -> FloatArray:
+        """Column of C (2H, 2) of one shift."""
+        if shift not in self._cache:
+            n, b = self.network, self._columns
+            one = b[:, 2 * shift : 2 * shift + 2].toarray()
+            one = one - n.design @ n.normals.solve(n.design.T @ one)
+            self._cache[shift] = b.T @ one
+        return self._cache[shift]
+
+    def state(self, taken: Sequence[int]) -> State | None:
+        """Let some shifts in; None where they cannot be told from each other or from the unknowns."""
+        z, blocks, own, squares = self._base
+        chosen = np.array(taken, dtype=np.int64)
+        statistic, shifts = np.full(len(self), np.nan), np.full((len(self), 2), np.nan)
+        if len(chosen):
+            across = np.hstack([self._against(int(k)) for k in chosen])  # (2H, 2R)
+            own_rows = (2 * chosen[:, None] + [0, 1]).ravel()
+            inner = across[own_rows]
+            size = np.repeat(np.sqrt(np.trace(own[chosen], axis1=1, axis2=2) / 2.0), 2)
+            if not np.linalg.eigvalsh(inner / np.outer(size, size))[0] > UNCHECKED:
+                return None
+            inverse = np.linalg.inv(inner)
+            gain = inverse @ z[chosen].ravel()
+            squares -= float(z[chosen].ravel() @ gain)
+            z = z - (across @ gain).reshape(-1, 2)
+            wide = across.reshape(len(self), 2, -1)
+            blocks = blocks - np.einsum("hir,rs,hjs->hij", wide, inverse, wide)
+            for k, index in enumerate(chosen):
+                shifts[index] = gain[2 * k : 2 * k + 2]
+                weight = np.linalg.inv(inverse[2 * k : 2 * k + 2, 2 * k : 2 * k + 2])
+                statistic[index] = shifts[index] @ weight @ shifts[index]
+        checked = self._checked(blocks, own)
+        checked[chosen] = False
+        solved = np.linalg.solve(blocks[checked], z[checked][:, :, None])[:, :, 0]
+        shifts[checked] = solved
+        statistic[checked] = (z[checked] * solved).sum(axis=1)
+        return State(statistic, shifts, max(squares, 0.0), self.network.redundancy - 2 * len(chosen))
+
+    def unknowns(self, taken: Sequence[int]) -> FloatArray:
+        """Unknowns (U,) of the photos with some shifts let in; they must be told apart."""
+        n, right = self.network, self.network.right
+        if len(taken):
+            at = self.state(taken)
+            if at is None:
+                raise RuntimeError("shifts that cannot be told apart")
+            chosen = np.array(taken, dtype=np.int64)
+            columns = self._columns[:, (2 * chosen[:, None] + [0, 1]).ravel()]
+            right = right - columns @ at.shifts[chosen].ravel()
+        solved: FloatArray = n.normals.solve(n.design.T @ right)[: n.unknowns]
+        return solved
+
+    @property
+    def share(self) -> FloatArray:
+        """Redundancy number (H,) of each: how much of its weight others check, 0 to 1, mean of both axes."""
+        _, blocks, own, _ = self._base
+        ratio: FloatArray = np.trace(blocks, axis1=1, axis2=2) / np.trace(own, axis1=1, axis2=2)
+        return np.clip(ratio, 0.0, 1.0)
+
+    @property
+    def held(self) -> FloatArray:
+        """How firmly others hold each (H,): T per squared pixel of an error, mean of both axes."""
+        firm: FloatArray = np.trace(self._base[1], axis1=1, axis2=2) / 2.0
+        return firm
+
+    @staticmethod
+    def _checked(blocks: FloatArray, own: FloatArray) -> BoolArray:
+        smallest = np.linalg.eigvalsh(blocks)[:, 0]
+        enough: BoolArray = smallest > UNCHECKED * np.trace(own, axis1=1, axis2=2) / 2.0
+        return enough

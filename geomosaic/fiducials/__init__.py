@@ -1,0 +1,1 @@
+"""Fiducial marks of scanned films."""

@@ -1,0 +1,142 @@
+"""Fiducial marks of a scanned film, found on the scan."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.geo.grid import Window
+from geomosaic.match.marks import Mark, MarkTemplate, locate_mark
+from geomosaic.raster.source import Source
+from geomosaic.types import FloatArray, PathLike
+
+SMALLEST = 9
+LARGEST = 1024
+"""Pixels of a template's side: less says nothing, more is no mark."""
+
+
+def expected_places(
+    fiducials: Mapping[str, tuple[float, float]], size: tuple[int, int], pixel: float, turned: float, mirrored: bool
+) -> dict[str, tuple[float, float]]:
+    """Where the marks should be on a scan that has the film in its middle.
+
+    Parameters
+    ----------
+    fiducials : mapping
+        Mark → (x, y) in mm, x right, y up.
+    size : tuple of int
+        Width and height of the scan in pixels.
+    pixel : float
+        Size of a pixel in micrometres.
+    turned : float
+        Degrees by which the film is turned in the scan, counter-clockwise.
+    mirrored : bool
+        Whether the scan shows the film from its back.
+
+    Returns
+    -------
+    dict
+        Mark → (col, row).
+    """
+    t = np.radians(turned)
+    places = {}
+    for name, (x, y) in fiducials.items():
+        right = -x if mirrored else x
+        across, up = right * np.cos(t) - y * np.sin(t), right * np.sin(t) + y * np.cos(t)
+        places[name] = (size[0] / 2 + 1000.0 * across / pixel, size[1] / 2 - 1000.0 * up / pixel)
+    return places
+
+
+def read_template(path: PathLike, at: tuple[float, float] | None = None, side: int | None = None) -> MarkTemplate:
+    """Read a picture of one mark: a whole file, or a square of `side` pixels about a place (col, row) of a scan.
+
+    The mark looks the same upside down, and its centre is found by that.
+    """
+    with Source(path) as source:
+        image = Window(0, 0, source.info.width, source.info.height)
+        if at is None or side is None:
+            return _template(_grey(source, _checked(image, path)), path)
+        for _ in range(3):  # about the centre found, until it is in the middle
+            window = Window(round(at[0] - side / 2), round(at[1] - side / 2), side, side)
+            if window.intersection(image) != window:
+                raise InputError(
+                    f"a square of {side} pixels about col {at[0]:g}, row {at[1]:g} is not inside the image",
+                    where=str(path),
+                    hint="give the place of a mark as (col, row), and a size that leaves it inside",
+                )
+            template = _template(_grey(source, _checked(window, path)), path)
+            at = window.col + template.centre[0], window.row + template.centre[1]
+    return template
+
+
+def _checked(window: Window, path: PathLike) -> Window:
+    """Refuse what is too small or too large for a mark before it is read."""
+    if min(window.width, window.height) < SMALLEST or max(window.width, window.height) > LARGEST:
+        raise InputError(
+            f"a picture of {window.width} x {window.height} pixels is no template of a mark",
+            where=str(path),
+            hint=f"cut out one mark with some ground around it, {SMALLEST} to {LARGEST} pixels; in a scan say where "
+            "one is with --at, and how large with --side",
+        )
+    return window
+
+
+def _template(grey: FloatArray, path: PathLike) -> MarkTemplate:
+    template = MarkTemplate.symmetric(grey)
+    if not np.isfinite(template.centre).all():
+        raise InputError(
+            "the template has no mark that looks the same upside down, as dots, crosses and rings do",
+            where=str(path),
+            hint="cut out one clean mark, whole and about in the middle",
+        )
+    return template
+
+
+def find_fiducials(
+    path: PathLike,
+    template: MarkTemplate,
+    places: Mapping[str, tuple[float, float]],
+    reach: float,
+    least: float = 0.6,
+) -> dict[str, Mark]:
+    """Find marks near the places where they should be.
+
+    Parameters
+    ----------
+    path : path
+        The scan.
+    template : MarkTemplate
+    places : mapping
+        Mark → (col, row) where it should be.
+    reach : float
+        Pixels by which it may be elsewhere.
+    least : float
+        Correlation that a mark must have.
+
+    Returns
+    -------
+    dict
+        Mark → Mark in pixels of the scan; NaN where none was found.
+    """
+    found = {}
+    rows, cols = template.values.shape
+    with Source(path) as source:
+        image = Window(0, 0, source.info.width, source.info.height)
+        for name, (col, row) in places.items():
+            left, top = int(col - reach - cols / 2), int(row - reach - rows / 2)
+            width, height = int(2 * reach) + cols, int(2 * reach) + rows
+            window = Window(left, top, width, height).intersection(image)
+            if window.empty:
+                found[name] = Mark(np.nan, np.nan, np.nan, 0.0)
+                continue
+            mark = locate_mark(_grey(source, window), template, least)
+            found[name] = Mark(mark.col + window.col, mark.row + window.row, mark.sigma, mark.correlation)
+    return found
+
+
+def _grey(source: Source, window: Window) -> FloatArray:
+    """Mean of the bands (rows, cols)."""
+    grey: FloatArray = source.read(window)[0].astype(np.float64).mean(axis=2)
+    return grey

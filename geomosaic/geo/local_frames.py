@@ -1,0 +1,148 @@
+"""Local frames: east-north-up, meridian convergence, grid scale; engineering CRS that are tied to no Earth.
+
+Both are written as a compound CRS of a plane engineering CRS and a vertical one, so that they split into a map and its
+heights like any other. Metres, right-handed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from pyproj import CRS, Proj
+
+from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal, longitude_latitude_crs
+from geomosaic.geo.transform import Transform
+from geomosaic.types import FloatArray
+
+
+def enu_axes(longitude: float, latitude: float) -> FloatArray:
+    """Rotation from geocentric to local east, north, up at a place given in degrees; shape (3, 3), rows E, N, U."""
+    lon, lat = np.radians(longitude), np.radians(latitude)
+    sl, cl, sp, cp = np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat)
+    return np.array([[-sl, cl, 0.0], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]])
+
+
+@dataclass(frozen=True)
+class MapPlace:
+    """What a map projection does at one place.
+
+    Attributes
+    ----------
+    longitude, latitude : float
+        Degrees, on the datum of the map CRS.
+    convergence : float
+        Meridian convergence in degrees: the azimuth of grid north, clockwise from true north (PROJ's sign).
+    scale : float
+        Point scale factor of the projection (1 on the ellipsoid); the root of the scale of areas where not conformal.
+    scales : tuple of float
+        Least and greatest point scale factor over all directions.
+    """
+
+    longitude: float
+    latitude: float
+    convergence: float
+    scale: float
+    scales: tuple[float, float] = (1.0, 1.0)
+
+
+def map_place(crs: CRS, x: float, y: float) -> MapPlace:
+    """Longitude, latitude, convergence and point scale at (x, y) of a map CRS.
+
+    The convergence is measured, not taken from formulas: a step to grid north is followed on the ellipsoid. So it
+    holds for every projection, axis order and unit.
+    """
+    flat = horizontal(crs)
+    longitude, latitude = _on_ellipsoid(crs, np.array([[x, y]]))[0]
+    if not flat.is_projected:
+        return MapPlace(float(longitude), float(latitude), 0.0, 1.0)
+    factors = Proj(flat).get_factors(longitude, latitude)
+    scale = float(np.sqrt(factors.areal_scale))
+    step = 10.0
+    ends = _on_ellipsoid(crs, np.array([[x, y - step], [x, y + step]]))
+    ellipsoid = flat.get_geod()
+    there, back, _ = ellipsoid.inv(*ends[0], *ends[1]) if ellipsoid else (0.0, 180.0, 0.0)
+    # The azimuth turns along the step; at its middle it is the mean of both ends.
+    turn = (back + 180.0 - there + 180.0) % 360.0 - 180.0
+    convergence = float(there + turn / 2)
+    convergence -= 360.0 * round(convergence / 360.0)
+    scales = float(factors.tissot_semiminor), float(factors.tissot_semimajor)
+    return MapPlace(float(longitude), float(latitude), convergence, scale, scales)
+
+
+def _on_ellipsoid(crs: CRS, xy: FloatArray) -> FloatArray:
+    """Longitude and latitude in degrees, (N, 2)."""
+    flat = horizontal(crs)
+    if not has_heights(crs):
+        return Transform(flat, longitude_latitude_crs(flat))(xy)
+    # PROJ looks long for an operation. The one to geocentric coordinates is needed for every camera anyway.
+    ecef = geocentric(crs)
+    xyz = Transform(crs, ecef)(np.column_stack([xy, np.zeros(len(xy))]))
+    return Transform(ecef, geographic(ecef))(xyz)[:, :2]
+
+
+@dataclass(frozen=True)
+class LocalFrame:
+    """East, north, up at an origin, in metres, tied to a geocentric CRS.
+
+    Attributes
+    ----------
+    crs : CRS
+        Geocentric.
+    origin : array (3,)
+        Geocentric metres.
+    axes : array (3, 3)
+        Rows are the unit vectors east, north, up.
+    """
+
+    crs: CRS
+    origin: FloatArray
+    axes: FloatArray
+
+    @classmethod
+    def at(cls, ground: CRS, xyz: FloatArray) -> LocalFrame:
+        """Make the frame at one point of a 3-D CRS."""
+        ecef = geocentric(ground)
+        point = np.asarray(xyz, dtype=np.float64).reshape(1, 3)
+        origin = Transform(ground, ecef)(point)[0]
+        longitude, latitude, _ = Transform(ecef, geographic(ecef))(origin[None])[0]
+        return cls(ecef, origin, enu_axes(longitude, latitude))
+
+    def to_enu(self, xyz: FloatArray) -> FloatArray:
+        """Geocentric (N, 3) to east, north, up in metres (N, 3)."""
+        return (np.asarray(xyz) - self.origin) @ self.axes.T
+
+    def to_geocentric(self, enu: FloatArray) -> FloatArray:
+        """East, north, up (N, 3) to geocentric metres (N, 3)."""
+        return np.asarray(enu) @ self.axes + self.origin
+
+
+_PLANE = (
+    'ENGCRS["{name}",EDATUM["{datum}"],CS[Cartesian,2],'
+    'AXIS["({x})",east,ORDER[1]],AXIS["({y})",north,ORDER[2]],LENGTHUNIT["metre",1]]'
+)
+_ABOVE = 'VERTCRS["{name}",VDATUM["{datum}"],CS[vertical,1],AXIS["({z})",up,LENGTHUNIT["metre",1]]]'
+
+
+@lru_cache(maxsize=16)
+def local_frame_crs() -> CRS:
+    """x, y, z of a local Cartesian frame in metres, wherever it stands."""
+    return _joined("local frame", "origin of the local frame", "height in the local frame", ("X", "Y", "Z"))
+
+
+@lru_cache(maxsize=16)
+def developed_crs(kind: str) -> CRS:
+    """Developed coordinates u, v of a kind of surface in metres, and the offset h along its normal."""
+    return _joined(f"developed {kind}", f"developed {kind}", f"offset from the {kind}", ("U", "V", "H"))
+
+
+def _joined(name: str, datum: str, above: str, axes: tuple[str, str, str]) -> CRS:
+    x, y, z = axes
+    plane, heights = _PLANE.format(name=name, datum=datum, x=x, y=y), _ABOVE.format(name=above, datum=datum, z=z)
+    return CRS.from_wkt(f'COMPOUNDCRS["{name} + {above}",{plane},{heights}]')
+
+
+def is_free(crs: CRS) -> bool:
+    """Whether a CRS is tied to no Earth: its axes mean nothing but themselves, and none is the plumb line."""
+    return bool(horizontal(crs).is_engineering)

@@ -1,0 +1,1 @@
+"""Georeferencing of one image by control points, with its report."""

@@ -1,0 +1,1 @@
+"""Inputs: from plain declarations, files and tables to scenes, surfaces and control points."""

@@ -1,0 +1,186 @@
+"""Output area and grid, as a user states them."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from affine import Affine
+from pyproj import CRS
+
+from geomosaic.block.block import Scene
+from geomosaic.block.footprint import Footprint
+from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.geo.crs import horizontal, parse_map
+from geomosaic.geo.grid import Bounds, Grid
+from geomosaic.geo.transform import Transform
+from geomosaic.raster.info import inspect
+from geomosaic.render.extent import check_size, footprints, note_far_crs, output_crs, output_grid, refuse_torn_crs
+from geomosaic.surface.model import Surface
+
+MANY_PIXELS, FINER = 10_000_000_000, 10.0
+"""Pixels of an output, and how many times finer than the images they are, that together nobody can mean."""
+
+FindOutlines = Callable[[tuple[Scene, ...], Surface | None, CRS], list[Footprint]]
+
+
+@dataclass(frozen=True)
+class Area:
+    """Where the output lies; what is not given follows from the images.
+
+    Attributes
+    ----------
+    crs : str, optional
+        CRS of the output.
+    resolution : float, optional
+        Pixel size in its units.
+    bounds : tuple of float, optional
+        Left, bottom, right, top in it.
+    snap : bool
+        Widen the bounds to whole multiples of the pixel size; without bounds that is always done.
+    like : Path, optional
+        Raster whose CRS, pixels and extent the output takes; nothing else is given then.
+    """
+
+    crs: str | None = None
+    resolution: float | None = None
+    bounds: Bounds | None = None
+    snap: bool = False
+    like: Path | None = None
+
+
+def plan(
+    scenes: Sequence[Scene], surface: Surface | None, area: Area, find: FindOutlines = footprints
+) -> tuple[Grid, list[Footprint]]:
+    """Outlines of the images, which `find` finds or remembers, and the grid of the output."""
+    several = tuple(scenes)
+    if area.like is not None:
+        grid = grid_of(area.like)
+        return grid, find(several, surface, grid.crs)
+    crs: CRS = parse_map(area.crs, "output CRS") if area.crs else output_crs(several, surface)
+    refuse_torn_crs(crs, several)
+    outlines = find(several, surface, crs)
+    _judge(crs, outlines, area.resolution)
+    grid = output_grid(crs, outlines, area.resolution, area.bounds, snap=area.snap)
+    check_size(grid)
+    _check_fineness(grid, outlines)
+    return grid, outlines
+
+
+def grid_of(path: Path) -> Grid:
+    """Grid of a georeferenced raster."""
+    info = inspect(path)
+    if info.crs is None or info.transform is None:
+        raise InputError("the raster is not georeferenced", where=str(path), hint="name one that is")
+    return Grid(horizontal(info.crs), info.transform, info.width, info.height)
+
+
+def _check_fineness(grid: Grid, outlines: list[Footprint]) -> None:
+    """Refuse what would take days and show nothing more than the images do: a pixel size in a wrong unit."""
+    finest = min(outline.sampling for outline in outlines)
+    pixel = grid.resolution[0]
+    if grid.width * grid.height > MANY_PIXELS and finest > FINER * pixel:
+        unit = grid.crs.axis_info[0].unit_name
+        raise InputError(
+            f"the output would have {grid.width} x {grid.height} pixels of {pixel:g} {unit}; the images show no more "
+            f"than {finest:.3g}",
+            hint=f"a pixel size of about {finest:.2g} {unit}, or smaller bounds",
+        )
+
+
+def _judge(crs: CRS, outlines: list[Footprint], resolution: float | None) -> None:
+    """Refuse a pixel size in a wrong unit; say so where the output CRS is made for another part of the earth."""
+    ring = np.vstack([outline.ring for outline in outlines])
+    wide, tall = np.ptp(ring, axis=0)
+    if resolution is not None and resolution > max(wide, tall):
+        unit = crs.axis_info[0].unit_name
+        raise InputError(
+            f"one pixel of {resolution:g} {unit} would be larger than all the images show, {wide:.3g} x {tall:.3g}",
+            hint=f"the resolution counts in units of the output CRS, {crs.name}: {unit}",
+        )
+    note_far_crs(crs, outlines)
+
+
+_HAIR = 1e-3
+"""Pixels that an image may reach beyond a pixel's edge without asking for another pixel."""
+_SCATTERED = 0.02
+"""Part of a mosaic that images must cover not to be called scattered."""
+
+
+def plan_mosaic(
+    scenes: Sequence[Scene], surface: Surface | None, area: Area, find: FindOutlines = footprints
+) -> tuple[Grid, list[Footprint]]:
+    """Outlines of the images, which `find` finds or remembers, and the grid of their mosaic.
+
+    Where the first image is georeferenced in the output's CRS, north up, and neither bounds nor another pixel size is
+    asked for, the grid is the first image's own, extended over all images. Of images in degrees the mosaic is in
+    degrees, unless something else is asked for.
+    """
+    if surface is None and area == Area():
+        first = inspect(scenes[0].path).crs
+        if first is not None and first.is_geographic and _own_grid(scenes[0], horizontal(first)) is not None:
+            area = replace(area, crs=horizontal(first).to_wkt())
+    grid, outlines = plan(scenes, surface, area, find)
+    own = _own_grid(scenes[0], grid.crs) if surface is None and area.bounds is None and area.like is None else None
+    if own is None or not (area.resolution is None or _same_size(own, area.resolution)):
+        return grid, outlines
+    grid = _extended(own, outlines)
+    check_size(grid)
+    return grid, outlines
+
+
+def _own_grid(scene: Scene, output: CRS) -> Grid | None:
+    """Grid of an image that lies as its file says, in the output's CRS and north up."""
+    info = inspect(scene.path)
+    t = info.transform
+    if scene.sensor != "planar" or t is None or info.crs is None or t.b or t.d or t.a <= 0 or t.e >= 0:
+        return None
+    crs = horizontal(info.crs)
+    grid = Grid(crs, t, info.width, info.height)
+    corners = np.array([[0.0, 0.0], [info.width, info.height]])
+    place = grid.xy(corners)
+    with np.errstate(invalid="ignore"):
+        elsewhere = not np.array_equal(Transform(crs, output)(place), place)
+    if elsewhere:
+        return None
+    image = scene.model.ground_to_image(np.column_stack([place, np.zeros(2)]))
+    return grid if np.abs(image - corners).max() < _HAIR else None
+
+
+def _same_size(grid: Grid, resolution: float) -> bool:
+    return all(math.isclose(size, resolution, rel_tol=1e-9) for size in grid.resolution)
+
+
+def _extended(grid: Grid, outlines: Sequence[Footprint]) -> Grid:
+    """The same pixels, as many as cover all outlines."""
+    ends = []
+    for outline in outlines:
+        left, bottom, right, top = outline.bounds
+        ends.append(grid.colrow(np.array([[left, top], [right, bottom]])))
+    each = np.array(ends)
+    col, row = (int(v) for v in np.floor(each[:, 0].min(axis=0) + _HAIR))
+    stop_col, stop_row = (int(v) for v in np.ceil(each[:, 1].max(axis=0) - _HAIR))
+    t = grid.transform
+    corner = Affine(t.a, 0.0, t.c + col * t.a, 0.0, t.e, t.f + row * t.e)
+    return Grid(grid.crs, corner, max(1, stop_col - col), max(1, stop_row - row))
+
+
+def note_scattered(grid: Grid, outlines: Sequence[Footprint]) -> None:
+    """Say so where the images lie so far apart that the mosaic is nearly empty: one has a wrong CRS, as a rule."""
+    left, bottom, right, top = grid.bounds
+    area = sum((b[2] - b[0]) * (b[3] - b[1]) for b in (outline.bounds for outline in outlines))
+    if area >= _SCATTERED * (right - left) * (top - bottom):
+        return
+    middle = np.median([outline.centre for outline in outlines[:-1] or outlines], axis=0)
+    far = max(outlines, key=lambda outline: float(np.hypot(*(np.array(outline.centre) - middle))))
+    warnings.warn(
+        f"the images share no ground and cover {100 * area / ((right - left) * (top - bottom)):.1g} % of the mosaic: "
+        f"'{far.name}' lies {float(np.hypot(*(np.array(far.centre) - middle))):.6g} map units from the others; "
+        "check its CRS and geotransform, or give --bounds",
+        GeomosaicWarning,
+        stacklevel=3,
+    )

@@ -1,0 +1,285 @@
+"""From plain declarations to a block: images, models, surface and control points."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.block.block import Block, ControlPoint, Scene
+from geomosaic.errors import HeightDatumError, InputError, SolveError
+from geomosaic.geo.crs import has_heights
+from geomosaic.geo.transform import Transform
+from geomosaic.inputs.correction_grids import read_corrections
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, Exterior
+from geomosaic.inputs.frames import DATUMS
+from geomosaic.inputs.ground import OF_POSITIONS, build_surface, height_below, undeclared_positions
+from geomosaic.inputs.photos import Photo, photos_of, read_camera
+from geomosaic.inputs.tables import corrections_file, read_fiducials
+from geomosaic.inputs.usable_area import with_usable
+from geomosaic.sensor.corrected import Corrected
+from geomosaic.sensor.model import HasRays
+from geomosaic.sensor.plausibility import SkyError
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.registry import build as build_model
+from geomosaic.sensor.registry import plugin
+from geomosaic.surface.model import Surface
+
+if TYPE_CHECKING:
+    from geomosaic.sensor.model import SensorModel
+
+
+POINTS = "points"
+"""Input of a sensor that can be placed by control points alone."""
+GROUND = "ground_height"
+"""Input of a sensor that is told how high the ground lies, where the user does not say it."""
+
+
+def build_block(inputs: BlockInputs, *, ground: bool = True) -> Block:
+    """Make the block; without its surface where no ground is looked for.
+
+    Raises
+    ------
+    InputError
+        Something is missing or wrong; names the file, line or option.
+    """
+    if inputs.planar is not None:
+        from geomosaic.inputs.planar.build import build_planar
+
+        return build_planar(inputs, inputs.planar)[0]
+    photos, crs = photos_of(inputs)
+    if crs is not None and not has_heights(crs) and any(photo.exterior for photo in photos):
+        raise undeclared_positions(inputs, crs, photos)
+    surface = build_surface(inputs, crs, photos, lambda: _moved_by_a_metre(inputs, photos, crs)) if ground else None
+    control = _control(inputs, photos, crs)
+
+    def build(read: BlockInputs, some: Sequence[Photo], frame: CRS | None) -> tuple[Scene, ...]:
+        return _scenes(read, some, frame, control, surface)
+
+    try:
+        scenes = build(inputs, photos, crs)
+    except SkyError as error:
+        from geomosaic.inputs.orientation_check.plausibility import looking_down
+
+        hints = looking_down(inputs, photos, crs, build) if crs is not None else []
+        down = " or ".join(hints[:2])
+        error.hint = f"all photos would look down if you {down}; else {error.hint}" if hints else error.hint
+        raise
+    except SolveError as error:
+        if control:
+            from geomosaic.inputs.control_diagnostics import explain
+
+            explain(inputs, control, crs, error)
+        raise
+    if ground and (len(scenes) > 1 or control):  # what one photo alone says of itself is known
+        from geomosaic.inputs.orientation_check.plausibility import check_orientation
+
+        check_orientation(inputs, photos, crs, (scenes, surface, control), build)
+    return Block(with_usable(inputs, scenes), surface, control, crs)
+
+
+def _moved_by_a_metre(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS | None) -> float | None:
+    """Pixels that a metre of height moves the first image, whose model is its own; None where it cannot be said."""
+    from geomosaic.sensor.vertical_datum import pixels_per_metre
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            moved = pixels_per_metre(_scenes(inputs, photos[:1], crs, (), None)[0].model)
+    except InputError:
+        return None
+    return moved if np.isfinite(moved) else None
+
+
+def _scenes(
+    inputs: BlockInputs,
+    photos: Sequence[Photo],
+    crs: CRS | None,
+    control: Sequence[ControlPoint],
+    surface: Surface | None,
+) -> tuple[Scene, ...]:
+    """Images with their models."""
+    camera = read_camera(inputs.camera) if inputs.camera else None
+    marks = read_fiducials(inputs.fiducials, [photo.name for photo in photos]) if inputs.fiducials else {}
+    return tuple(
+        Scene(
+            photo.name,
+            str(photo.path),
+            inputs.sensor,
+            _corrected(inputs, photo, _model(inputs, photo, crs, camera, marks.get(photo.name), control, surface)),
+            inputs.nodata,
+            inputs.bands,
+        )
+        for photo in photos
+    )
+
+
+def _corrected(inputs: BlockInputs, photo: Photo, model: SensorModel) -> SensorModel:
+    """Put the correction grid behind a model, where one is given."""
+    if inputs.corrections is None:
+        return model
+    grid = read_corrections(corrections_file(inputs.corrections, photo.name))
+    return Corrected.of(model, grid, inputs.sensor)
+
+
+def _model(
+    inputs: BlockInputs,
+    photo: Photo,
+    crs: CRS | None,
+    camera: Mapping[str, Any] | None,
+    marks: Mapping[str, Any] | None,
+    control: Sequence[ControlPoint],
+    surface: Surface | None,
+) -> SensorModel:
+    options = dict(inputs.options)
+    if camera is not None:
+        options["camera"] = dict(camera)
+    if marks is not None:
+        options["fiducials"] = dict(marks)
+    row = photo.exterior
+    if inputs.angles in RECONSTRUCTIONS and inputs.exterior is not None:
+        options["orientation"] = {"system": inputs.angles, "reconstruction": str(inputs.exterior.resolve())}
+    if row is not None:
+        options.update(_of_table(inputs, row))
+    if inputs.sensor == "planar":
+        crs = _planar(options, photo, crs, control)
+    elif _refines(inputs):
+        points = _points(photo, control)
+        options.update({"points": points} if points else {})
+    elif row is None and "orientation" not in options:
+        options.update(_from_control(inputs, photo, control, options))
+    try:
+        request = SensorRequest(photo.name, photo.info.size, options, crs, str(inputs.base), str(photo.path))
+        return _on_ground(inputs.sensor, request, surface, row.position if row else None)
+    except InputError as error:
+        if error.where == photo.name and inputs.exterior is not None:
+            if row is not None and not _of_options(error, inputs):
+                error.where = f"{photo.name} ({inputs.exterior}, line {row.line})"
+            elif isinstance(error, HeightDatumError):
+                error.hint = f"declare it with {OF_POSITIONS}: {DATUMS}"
+        raise
+
+
+def _of_table(inputs: BlockInputs, row: Exterior) -> dict[str, Any]:
+    """What the table says of an image, as inputs of the sensor: those it has, or all where it would refuse them all."""
+    declared_too = {"frame": inputs.angle_frame, "matrix": inputs.matrix}
+    extra = {name: word for name, word in declared_too.items() if word is not None}
+    system = inputs.angles
+    if system == "printed":  # the reader has made matrices of it
+        system, extra["matrix"] = "matrix", "ground_to_image"
+    said = {
+        "position": list(row.position),
+        "orientation": {"system": system, **row.angles, **extra},
+        "angle_unit": inputs.angle_unit or "deg",
+    }
+    known = {entry.name for entry in plugin(inputs.sensor).inputs}
+    return {name: value for name, value in said.items() if name in known} or said
+
+
+def _on_ground(
+    sensor: str, request: SensorRequest, surface: Surface | None, camera: Sequence[float] | None
+) -> SensorModel:
+    """Make the model; a sensor that asks for the height of the ground is told that below the camera."""
+    crs, options = request.crs, request.options
+    asks = any(entry.name == GROUND for entry in plugin(sensor).inputs) and GROUND not in options
+    if surface is None or crs is None or not asks:
+        return build_model(sensor, request)
+    model = None
+    if camera is None:
+        # Where the camera is, only the model knows.
+        model = build_model(sensor, request)
+        if not isinstance(model, HasRays):
+            return model
+        middle = np.array([[request.size[0] / 2, request.size[1] / 2]])
+        camera = Transform(model.crs, crs)(model.rays(middle)[0])[0].tolist()
+    height = height_below(surface, crs, camera)
+    if height is None:
+        return model or build_model(sensor, request)
+    with warnings.catch_warnings():
+        if model is not None:
+            warnings.simplefilter("ignore")  # said already
+        return build_model(sensor, replace(request, options={**options, GROUND: height}))
+
+
+def _of_options(error: InputError, inputs: BlockInputs) -> bool:
+    """Whether an error is about an input that is the same for all images, not about the image's row of the table."""
+    shared = {*inputs.options, *(entry.name for entry in plugin(inputs.sensor).inputs)} - {"position", "orientation"}
+    names = "|".join(map(re.escape, shared))
+    return bool(shared) and bool(re.search(rf"'({names})'|^({names})\b|\b({names}) = ", error.what))
+
+
+def _planar(options: dict[str, Any], photo: Photo, crs: CRS | None, control: Sequence[ControlPoint]) -> CRS | None:
+    """Complete the inputs of a planar model: from control points in the image, else from its own georeference."""
+    if {"transform", "geotransform", "points", "coefficients"} & set(options):
+        return crs or photo.info.crs
+    points = _points(photo, control)
+    if points:
+        keys = ("x", "y", "col", "row", "sigma")
+        options["points"] = [{key: point[key] for key in keys} for point in points]
+        return crs
+    own = photo.info.transform
+    if own is None:
+        raise InputError(
+            "the image is not georeferenced, and nothing says where it lies",
+            where=str(photo.path),
+            hint="give --sensor with its inputs (see `geomosaic sensors`), or control points",
+        )
+    if crs is None and photo.info.crs is None:
+        raise InputError("the image has a geotransform but no CRS", where=str(photo.path), hint="give --exterior-crs")
+    options["transform"] = [own.a, own.b, own.c, own.d, own.e, own.f]
+    return photo.info.crs or crs
+
+
+def _refines(inputs: BlockInputs) -> bool:
+    """Whether the sensor refines itself, told so or of its own accord, and was given no points of its own."""
+    known = {entry.name: entry for entry in plugin(inputs.sensor).inputs}
+    if not {"refine", "points"} <= set(known) or "points" in inputs.options:
+        return False
+    chosen: object = inputs.options.get("refine", known["refine"].default or "none")
+    return chosen != "none"
+
+
+def _points(photo: Photo, control: Sequence[ControlPoint]) -> list[dict[str, Any]]:
+    """Control points of an image as an input of its sensor; check points stay out."""
+    return [
+        {
+            "id": point.id, "x": point.xyz[0], "y": point.xyz[1], "z": point.xyz[2],
+            "col": point.colrow[0], "row": point.colrow[1], "sigma": point.sigma_px,
+        }
+        for point in control
+        if point.image == photo.name and point.role == "control"
+    ]  # fmt: skip
+
+
+def _from_control(
+    inputs: BlockInputs, photo: Photo, control: Sequence[ControlPoint], options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Control points in place of an orientation, for a sensor that can be placed by them."""
+    known = {entry.name for entry in plugin(inputs.sensor).inputs}
+    if POINTS not in known or "refine" in known or POINTS in options:
+        return {}
+    points = [{key: value for key, value in point.items() if key != "id"} for point in _points(photo, control)]
+    return {POINTS: points} if points else {}
+
+
+def _control(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS | None) -> tuple[ControlPoint, ...]:
+    if inputs.control is None:
+        return ()
+    from geomosaic.inputs.control_points import read_control
+
+    if crs is None:
+        raise InputError(
+            "the control points have no CRS", where=str(inputs.control), hint="name it: crs under [exterior]"
+        )
+    points = read_control(inputs.control, [photo.name for photo in photos])
+    if points and not inputs.trusted:
+        from geomosaic.inputs.control_diagnostics import refuse_misplaced
+
+        refuse_misplaced(points, crs, inputs.control)
+    return points

@@ -1,0 +1,184 @@
+"""What a block is made of, as plain values: the same whether they come from a project file or from the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from geomosaic.inputs.exterior_orientation import PIX4D
+from geomosaic.inputs.tables import corrections_file
+
+if TYPE_CHECKING:
+    from geomosaic.inputs.printed_orientation import Printed
+
+
+@dataclass(frozen=True)
+class PlanarInputs:
+    """How photos of flat ground are placed together, without a rigorous model.
+
+    Attributes
+    ----------
+    kind : str
+        'uncontrolled', 'semicontrolled', 'controlled' or 'grown'.
+    model : str, optional
+        'conformal', 'affine' or 'projective'; what the kind usually has unless given.
+    ties : Path, optional
+        Tie points.
+    scale : float
+        Map units per pixel of the photo that an uncontrolled mosaic starts with.
+    azimuth : float
+        Direction of its top in degrees, clockwise from the map's north.
+    rectify : str, optional
+        'singly' or 'together', for controlled mosaics; unless given singly where each photo has enough control.
+    wrong : str
+        What is done with wrong points: 'stop' where one is gross, 'leave' all of them out, or 'keep' them.
+    """
+
+    kind: str
+    model: str | None = None
+    ties: Path | None = None
+    scale: float = 1.0
+    azimuth: float = 0.0
+    rectify: str | None = None
+    wrong: str = "stop"
+
+
+@dataclass(frozen=True)
+class BlockInputs:
+    """Files and declarations that describe a block.
+
+    Attributes
+    ----------
+    images : tuple of Path
+    sensor : str
+        Name of the sensor plugin.
+    options : mapping
+        The plugin's own inputs, the same for all images.
+    base : Path
+        Folder that relative file names in `options` start from.
+    camera : Path, optional
+        Camera description (TOML).
+    corrections : str, optional
+        File of a correction grid; '{image}' in it takes the name of each image, without it one serves all.
+    fiducials : Path, optional
+        Fiducial marks measured in the scans of films.
+    exterior : Path, optional
+        Orientation table.
+    crs : str, optional
+        CRS of positions and control points.
+    heights : str, optional
+        Vertical datum of positions and control points.
+    angles : str
+        Angle system of the orientation table.
+    angle_unit : str, optional
+        'deg', 'gon' or 'rad' as declared; degrees unless it is, and an error where they do not look like degrees.
+    angle_frame : str, optional
+        'grid' or 'local', where the angles refer to another north than their system says.
+    matrix : str, optional
+        Direction of rotation matrices: 'ground_to_image' or 'image_to_ground'.
+    printed : Printed, optional
+        How a printed list of orientations is to be read, with angles 'printed'.
+    trusted : bool
+        Do not look whether the orientation can be meant.
+    dem : Path, optional
+        Digital elevation model.
+    height : float, optional
+        A constant height in metres, instead of a DEM.
+    dem_heights : str, optional
+        Vertical datum of the DEM or of `height`; overrides what the DEM's file says.
+    control : Path, optional
+        Control and check points.
+    nodata : float, optional
+        Value of missing pixels of the images, in place of what the files say.
+    bands : tuple of int, optional
+        Bands of the images to use, counted from 1, in this order; all but alpha unless given.
+    planar : PlanarInputs, optional
+        Where the photos are placed together by plane transformations.
+    margin : tuple of float, optional
+        Pixels at the left, top, right and bottom of every image that are not to be used.
+    usable : Path, optional
+        Table of polygons in image coordinates, beyond which images are not to be used.
+    band_names : tuple of str, optional
+        Bands to use by description or colour, in this order, wherever each file has them; in place of `bands`.
+    """
+
+    images: tuple[Path, ...]
+    sensor: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    base: Path = Path()
+    camera: Path | None = None
+    corrections: str | None = None
+    fiducials: Path | None = None
+    exterior: Path | None = None
+    crs: str | None = None
+    heights: str | None = None
+    angles: str = "opk"
+    angle_unit: str | None = None
+    angle_frame: str | None = None
+    matrix: str | None = None
+    printed: Printed | None = None
+    trusted: bool = False
+    dem: Path | None = None
+    height: float | None = None
+    dem_heights: str | None = None
+    control: Path | None = None
+    nodata: float | None = None
+    bands: tuple[int, ...] | None = None
+    planar: PlanarInputs | None = None
+    margin: tuple[float, float, float, float] | None = None
+    usable: Path | None = None
+    band_names: tuple[str, ...] | None = None
+
+    @property
+    def tables(self) -> tuple[Path, ...]:
+        """Files that say how the images were taken."""
+        ties = self.planar.ties if self.planar else None
+        own = (self.camera, self.fiducials, self.exterior, self.control, ties, self.usable, _grid(self.heights))
+        grids = [corrections_file(self.corrections, image.name) for image in self.images] if self.corrections else []
+        others = _beside(self.exterior, self.angles, self.images)
+        return (*(path for path in own if path), *others, *dict.fromkeys(grids), *_named_in(self.options, self.base))
+
+    @property
+    def ground(self) -> tuple[Path, ...]:
+        """Files that say how high the ground is."""
+        return tuple(path for path in (self.dem, _grid(self.dem_heights), _grid(self.heights)) if path)
+
+
+def _grid(heights: str | None) -> Path | None:
+    """Path of a geoid grid, where a vertical datum is given as one."""
+    return Path(heights) if heights and heights.lower().endswith((".tif", ".gtx")) else None
+
+
+def _beside(exterior: Path | None, angles: str, images: Sequence[Path]) -> tuple[Path, ...]:
+    """Files of another program that are read with the one that is named."""
+    if exterior is None:
+        return ()
+    if angles == "colmap":
+        return (exterior.with_name("cameras.txt"), exterior.with_name("images.txt"))
+    if angles == "ori":
+        files = (exterior.with_name(f"{image.stem}.ori.xml") for image in images)
+        return tuple(file for file in files if file.is_file() and file != exterior)
+    for ending in PIX4D if angles == "pix4d" else ():
+        if exterior.name.endswith(ending):
+            offset = exterior.with_name(exterior.name.removesuffix(ending) + "_offset.xyz")
+            return (offset,) if offset.is_file() else ()
+    return ()
+
+
+def _named_in(value: Any, base: Path) -> tuple[Path, ...]:
+    """Files that the inputs of a sensor name, at any depth."""
+    if isinstance(value, Mapping):
+        return tuple(path for item in value.values() for path in _named_in(item, base))
+    if isinstance(value, list):
+        return tuple(path for item in value for path in _named_in(item, base))
+    try:
+        return (base / value,) if isinstance(value, str) and value and (base / value).is_file() else ()
+    except (OSError, ValueError):  # too long, or not what a name can be
+        return ()
+
+
+def wrong_policy(robust: bool, insist: bool) -> str:
+    """What is done with wrong points; to leave them out comes first."""
+    return "leave" if robust else "keep" if insist else "stop"

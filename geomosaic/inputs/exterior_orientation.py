@@ -1,0 +1,267 @@
+"""Exterior orientation tables: position and angles of a named system, and units that were probably meant."""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic.inputs.tables import Table, find_by_name, missing_row, read_table, stem
+from geomosaic.types import FloatArray, PathLike
+
+MATRIX = tuple(f"r{row}{col}" for row in (1, 2, 3) for col in (1, 2, 3))
+
+SYSTEMS: Mapping[str, tuple[str, ...]] = {
+    "opk": ("omega", "phi", "kappa"),
+    "pok": ("phi", "omega", "kappa"),
+    "matrix": MATRIX,
+    "patb": MATRIX,
+    "rpy": ("roll", "pitch", "yaw"),
+    "dji": ("gimbal_yaw", "gimbal_pitch", "gimbal_roll"),
+}
+"""Columns of each angle system."""
+
+CHECKED: Mapping[str, tuple[str, ...]] = {
+    "matrix": ("omega", "phi", "kappa"),
+    "patb": ("omega", "phi", "kappa"),
+}
+"""Columns that are held against the others where the table has all of them."""
+
+SYSTEM_NAMES: Mapping[str, str] = {
+    "opk": "omega, phi, kappa: R3(kappa) R2(phi) R1(omega)",
+    "pok": "phi first: R3(kappa) R1(omega) R2(phi)",
+    "matrix": "rotation matrix r11 to r33, row by row, of a declared direction",
+    "patb": "the matrix a PATB file prints, of a declared direction",
+    "rpy": "roll (right wing down), pitch (nose up), yaw (clockwise from north)",
+    "dji": "DJI gimbal yaw, pitch (-90 looks down), roll",
+    "opensfm": "rotation and translation of an OpenSfM reconstruction.json, in east, north, up at its reference",
+    "odm": "the same in map axes: the reconstruction.json that OpenDroneMap has brought to its UTM zone",
+    "pix4d": "Pix4D's list of calibrated camera parameters, with its offset: camera, rotation and position in the map",
+    "metashape": "cameras exported from Metashape: XML with the camera, geocentric unless it says otherwise; or text",
+    "colmap": "COLMAP's images.txt, with cameras.txt beside it; what its world is, is said by `world` of the sensor",
+    "ori": "IGN's XML of one photo: NAME.ori.xml for each image, in the map that <systeme> and <grid_alti> name",
+    "printed": "a printed list, with columns, unit, sequence and axes as declared under [exterior.printed]",
+}
+
+RECONSTRUCTIONS = ("opensfm", "odm", "pix4d", "metashape", "colmap", "ori")
+"""Angle systems whose file is no table: the sensor reads camera and orientation from the file of another program."""
+
+SELF_PLACED = ("opensfm", "metashape", "colmap")
+"""Those of them that may say themselves what their coordinates are."""
+
+RECONSTRUCTION_SYSTEM = (
+    "opensfm (OpenSfM's own, from its reference) or odm (OpenDroneMap's, brought to its map: needs crs and heights)"
+)
+"""The choice between them, which the file does not say."""
+
+
+@dataclass(frozen=True)
+class Exterior:
+    """Position and attitude of one image as the table has them.
+
+    Attributes
+    ----------
+    image : str
+        Name in the table.
+    position : tuple of float
+        x, y, z in the table's CRS.
+    angles : mapping of str to float
+        By column of the angle system, in the table's unit.
+    line : int
+        Of the table.
+    """
+
+    image: str
+    position: tuple[float, float, float]
+    angles: Mapping[str, float]
+    line: int
+
+
+@dataclass(frozen=True, eq=False)
+class ExteriorTable:
+    """All rows, by image name."""
+
+    path: str
+    system: str
+    rows: Mapping[str, Exterior]
+
+    def row(self, image: str) -> Exterior:
+        """Return the row of an image file, by name with or without extension."""
+        found = find_by_name(self.rows, image)
+        if found is None:
+            raise missing_row(self.path, image, [stem(name) for name in self.rows])
+        return found
+
+
+def undeclared_reconstruction(path: PathLike | None, system: str) -> bool:
+    """Whether a file is a reconstruction, and nothing says whose: the two kinds look the same inside."""
+    return path is not None and Path(path).suffix.lower() == ".json" and system not in RECONSTRUCTIONS
+
+
+def read_exterior(path: PathLike, system: str) -> ExteriorTable:
+    """Read an orientation table.
+
+    Parameters
+    ----------
+    path : path
+        Text with the columns image, x, y, z and those of the angle system.
+    system : str
+        One of `SYSTEMS`.
+
+    Raises
+    ------
+    InputError
+        Names file and line.
+    """
+    if system not in SYSTEMS:
+        raise InputError(
+            f"no angle system named '{system}'",
+            where=str(path),
+            hint=f"{did_you_mean(system, SYSTEM_NAMES)} Known are: {', '.join(SYSTEM_NAMES)}".strip(),
+        )
+    if undeclared_reconstruction(path, system):
+        raise InputError(
+            "this is a reconstruction, and its angle system is not declared",
+            where=str(path),
+            hint=f"declare it, --angles on the command line, angles under [exterior]: {RECONSTRUCTION_SYSTEM}",
+        )
+    columns = SYSTEMS[system]
+    wanted = ("image", "x", "y", "z", *columns)
+    table = read_table(path, "orientation table", ",".join(wanted))
+    try:
+        table.require(*wanted, what=f"orientations in the system '{system}'")
+    except InputError as error:
+        other = systems_of(table)
+        if other:
+            error.hint = f"these columns look like the system '{other[0]}'; declare it, or rename the columns"
+        raise
+    checked = CHECKED.get(system, ())
+    if set(checked) <= set(table.columns):
+        columns = (*columns, *checked)
+    rows: dict[str, Exterior] = {}
+    lines: dict[str, int] = {}
+    for row in table:
+        image = row.text("image")
+        bare = stem(image)
+        if bare in lines:
+            raise InputError(
+                f"image '{image}' has a row already, on line {lines[bare]}",
+                where=row.where,
+                hint="keep the one that is right; names are told apart without folder and extension",
+            )
+        lines[bare] = row.line
+        x, y, z = (row.number(axis) for axis in "xyz")
+        rows[image] = Exterior(image, (x, y, z), {name: row.number(name) for name in columns}, row.line)
+    return ExteriorTable(str(path), system, rows)
+
+
+def systems_of(table: Table) -> list[str]:
+    """Angle systems whose columns the table has."""
+    return [system for system, columns in SYSTEMS.items() if set(columns) <= set(table.columns)]
+
+
+TO_DEGREES = {"deg": 1.0, "gon": 0.9, "rad": 180.0 / math.pi}
+
+HEADINGS: Mapping[str, tuple[tuple[str, float], ...]] = {
+    "opk": (("omega", 1.0), ("phi", 1.0), ("kappa", 1.0)),
+    "pok": (("omega", 1.0), ("phi", 1.0), ("kappa", 1.0)),
+    "rpy": (("roll", 1.0), ("pitch", 1.0), ("yaw", -1.0)),
+    "dji": (("gimbal_roll", 1.0), ("gimbal_pitch", 1.0), ("gimbal_yaw", -1.0)),
+}
+"""Two tilts and the turn of each system, the turn counted counter-clockwise as kappa is, up to multiples of 90°."""
+
+
+def check_units(table: ExteriorTable, unit: str | None, rows: Sequence[Exterior], crs: CRS | None = None) -> None:
+    """Stop where angles without a declared unit look as if they were not in degrees; note it where one is declared.
+
+    Parameters
+    ----------
+    table : ExteriorTable
+    unit : str or None
+        As declared; None is degrees.
+    rows : sequence of Exterior
+        Those that tell of the unit: all of the table.
+    crs : CRS, optional
+        Of the positions.
+    """
+    if unit is not None and unit not in TO_DEGREES:
+        raise InputError(f"no angle unit named '{unit}'", hint=f"use one of {', '.join(TO_DEGREES)}")
+    turns = HEADINGS.get(table.system)
+    if turns is None or not rows:
+        return
+    from geomosaic.sensor.plausibility import unit_suspicion
+
+    given = np.array([[sign * row.angles[name] for name, sign in turns] for row in rows])
+    angles = given * TO_DEGREES[unit or "deg"]
+    text = unit_suspicion(angles, np.array([row.position for row in rows]), crs)
+    if text is None and half_turns_in_radians(angles):
+        text = "the angles look like radians: read as degrees, no tilt reaches 0.15° and every heading is near 0 or π"
+    if text is None:
+        return
+    if unit is not None:
+        warnings.warn(f"{table.path}: declared as '{unit}', but {text}", GeomosaicWarning, stacklevel=2)
+        return
+    raise InputError(
+        text, where=table.path, hint="declare the unit, whichever it is: --angle-unit, or angle_unit under [exterior]"
+    )
+
+
+def half_turns_in_radians(angles: FloatArray) -> bool:
+    """Whether angles (N, 3), taken for degrees, are those of strips flown to and fro in radians.
+
+    Strips along the map's x axis have headings near 0 and π radians. Read as degrees both are small turns that follow
+    the flight, so the direction of flight gives nothing away; but such small tilts, with headings at 0 and at 3.14 and
+    nowhere between, do not happen.
+    """
+    tilts, turns = np.abs(angles[:, :2]), np.abs(angles[:, 2])
+    to, fro = turns < 0.25, np.abs(turns - math.pi) < 0.25
+    return bool(tilts.max() < 0.15 and (to | fro).all() and to.any() and fro.any() and tilts.max() > 0.0)
+
+
+FIRST = 4096
+"""Bytes that are looked at."""
+
+
+PIX4D = ("_calibrated_camera_parameters.txt", "_pmatrix.txt")
+"""How names of Pix4D's files of cameras end."""
+
+
+_FRAME = ("systeme", "grid_alti")
+
+
+def frame_words(path: Path | None) -> tuple[str, str]:
+    """What a file of IGN calls its map and its heights, in brackets; empty where it says nothing."""
+    try:
+        text = "" if path is None else path.read_bytes()[:FIRST].decode("utf-8", "replace")
+    except OSError:
+        text = ""
+    found = (re.search(rf"<{tag}>\s*([^<]{{1,40}}?)\s*</", text) for tag in _FRAME)
+    map_name, heights = (f" (the file calls it {match[1]})" if match else "" for match in found)
+    return map_name, heights
+
+
+def program_of(path: Path) -> str | None:
+    """Angle system of a file of Pix4D, Metashape, COLMAP or IGN; None where it is none of them."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(FIRST).decode("utf-8", "replace").lower()
+    except OSError:
+        return None
+    if path.suffix.lower() == ".xml" and "<document" in start and "<chunk" in start:
+        return "metashape"
+    if path.suffix.lower() == ".xml" and "<orientation" in start and "<extrinseque" in start:
+        return "ori"
+    if "# photoid, x, y, z, omega, phi, kappa" in start:
+        return "metashape"
+    if "camera model m = k [r|-rt] x" in start or path.name.endswith(PIX4D):
+        return "pix4d"
+    if path.name == "images.bin" or (path.name == "images.txt" and "qw, qx, qy, qz" in start):
+        return "colmap"
+    return None

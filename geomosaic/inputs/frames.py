@@ -1,0 +1,98 @@
+"""CRS and vertical datum of positions and DEMs: declared by someone, or an error that says what is at stake."""
+
+from __future__ import annotations
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import HeightDatumError, InputError
+from geomosaic.geo.crs import height_name, horizontal, parse_crs, with_heights
+from geomosaic.surface.vertical_datum import undulation
+
+DATUMS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or a geoid grid file"
+"""What a vertical datum may be."""
+
+
+def declared(crs: CRS, heights: str | None, where: str | None = None) -> CRS:
+    """Join a CRS with the vertical datum that was declared for it; one that is declared replaces its own."""
+    return crs if heights is None else with_heights(crs, heights, where)
+
+
+def named(crs: str, heights: str | None, where: str | None = None) -> CRS:
+    """Read the CRS of positions and join its declared vertical datum.
+
+    Raises
+    ------
+    InputError
+        It is no CRS, or one that cannot hold positions.
+    """
+    given = parse_crs(crs, where)
+    if given.is_vertical and not given.is_compound:
+        raise InputError(
+            f"'{crs[:80]}' ({given.name}) says what heights mean, and nothing of x and y",
+            where=where,
+            hint="name a horizontal CRS, such as EPSG:32633, and this one as the vertical datum (heights)",
+        )
+    if given.is_geocentric and heights not in (None, "ellipsoidal"):
+        raise InputError(
+            f"positions in the geocentric '{given.name}' have no heights, so '{heights}' cannot be theirs",
+            where=where,
+            hint="leave out the vertical datum, or name the CRS that the heights belong to",
+        )
+    return declared(given, heights, where)
+
+
+def crs_name(crs: CRS) -> str:
+    """Name of the horizontal part; that of its projection where it has none of its own."""
+    flat = horizontal(crs)
+    operation = flat.coordinate_operation
+    if flat.name.lower() in ("unnamed", "unknown", "undefined") and operation is not None:
+        return f"{operation.method_name} (custom)"
+    return flat.name
+
+
+def describe(crs: CRS | None) -> str:
+    """Say a frame in words: its name, unit and vertical datum."""
+    if crs is None:
+        return "none"
+    unit = crs.axis_info[0].unit_name if crs.axis_info else "unknown unit"
+    code = horizontal(crs).to_authority(min_confidence=100)
+    named_code = f" ({code[0]}:{code[1]})" if code else ""
+    return f"{crs_name(crs)}{named_code}, {unit}; heights: {height_name(crs)}"
+
+
+def undeclared(
+    what: str,
+    where: str,
+    option: str,
+    crs: CRS,
+    place: tuple[float, float],
+    reach: float | None = None,
+) -> HeightDatumError:
+    """Say what heights of unknown meaning could do, and which option settles it.
+
+    Parameters
+    ----------
+    what : str
+        Whose heights.
+    where : str
+        File.
+    option : str
+        How to declare them.
+    crs : CRS
+        Horizontal.
+    place : tuple of float
+        x, y in `crs`.
+    reach : float, optional
+        Pixels that one metre of height moves the edge of the image.
+    """
+    shift = undulation(crs, *place)
+    risk = ""
+    if np.isfinite(shift):
+        pixels = f" (up to {abs(shift) * reach:.3g} px in the image)" if reach else ""
+        risk = f"; taken for each other, ellipsoidal and geoid heights differ by {abs(shift):.1f} m here{pixels}"
+    return HeightDatumError(
+        f"the heights of {what} have no vertical datum{risk}",
+        where=where,
+        hint=f"declare it with {option}: {DATUMS}",
+    )

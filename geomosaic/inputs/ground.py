@@ -1,0 +1,163 @@
+"""The ground of a block: its surface, what undeclared heights put at stake, and how high it lies below a photo."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import HeightDatumError, InputError
+from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal
+from geomosaic.geo.transform import Transform
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.exterior_orientation import SELF_PLACED
+from geomosaic.inputs.frames import declared, undeclared
+from geomosaic.inputs.photos import Photo
+from geomosaic.raster.info import inspect
+from geomosaic.surface.model import Surface
+from geomosaic.types import FloatArray
+
+OF_POSITIONS = "--heights (in a project: heights under [exterior])"
+OF_DEM = "--dem-heights (in a project: heights under [dem])"
+
+
+def build_surface(
+    inputs: BlockInputs,
+    crs: CRS | None,
+    photos: Sequence[Photo] = (),
+    of_model: Callable[[], float | None] = lambda: None,
+) -> Surface | None:
+    """Make the surface of a DEM or of one height; None where neither is given.
+
+    Parameters
+    ----------
+    inputs : BlockInputs
+    crs : CRS or None
+        Of the positions; a height without a datum of its own takes theirs.
+    photos : sequence of Photo
+        For what an error says.
+    of_model : callable
+        Pixels that a metre of height moves the image, asked for an error about images without a table of positions.
+    """
+    if inputs.dem is not None and inputs.height is not None:
+        raise InputError("a DEM and a height are both given", hint="give one of --dem and --height")
+    if inputs.height is not None:
+        from geomosaic.surface.reference_surfaces import Plane
+
+        if crs is None and (inputs.sensor not in ("planar", "frame") or inputs.angles in SELF_PLACED):
+            # What carries its own place needs no CRS of positions: any will do to say where a height counts from.
+            crs = CRS.from_epsg(4326)
+        if crs is None:
+            raise InputError("a height needs a CRS", hint="name it: --exterior-crs, or crs under [exterior]")
+        frame = declared(crs, inputs.dem_heights, "--dem-heights")
+        if not has_heights(frame):
+            raise undeclared("the ground", "--height", OF_DEM, frame, _place(photos), _reach(photos, inputs.height))
+        return Plane(frame, inputs.height)
+    if inputs.dem is not None:
+        from geomosaic.surface.dem import Dem
+
+        info = inspect(inputs.dem)
+        if inputs.dem_heights is None and info.crs is not None and not has_heights(info.crs):
+            raise _undeclared_dem(inputs.dem, crs, photos, of_model)
+        surface = Dem.open(inputs.dem, heights=inputs.dem_heights)
+        try:
+            Transform(surface.crs, geocentric(surface.crs))
+        except HeightDatumError as error:
+            raise HeightDatumError(
+                error.what,
+                where=str(inputs.dem),
+                hint="name a vertical datum whose grid is here: --dem-heights (heights under [dem] in the project) "
+                "with 'egm96', 'ellipsoidal' or the path of a geoid grid",
+            ) from error
+        return surface
+    if inputs.exterior is None:
+        return None
+    raise InputError(
+        "there is no ground to project the images onto",
+        hint="give a DEM (--dem, [dem] file) or one height in metres (--height, [dem] height)",
+    )
+
+
+def undeclared_positions(inputs: BlockInputs, crs: CRS, photos: Sequence[Photo]) -> HeightDatumError:
+    """Say what positions without a vertical datum could do at the first photo, over the DEM or height that is given."""
+    ground = 0.0 if inputs.height is None else inputs.height
+    if inputs.dem is not None:
+        ground = _as_written(inputs.dem, crs, photos)[1]
+    reach = _reach(photos, ground)
+    return undeclared("the positions", str(inputs.exterior), OF_POSITIONS, crs, _place(photos), reach)
+
+
+def _undeclared_dem(
+    path: Path, crs: CRS | None, photos: Sequence[Photo], of_model: Callable[[], float | None]
+) -> HeightDatumError:
+    """Say what a DEM without a vertical datum could do at the first photo, else in its middle."""
+    from geomosaic.surface.dem import Dem
+
+    dem = Dem.open(path, heights="ellipsoidal")
+    grid = dem.grid
+    dem.close()
+    place = grid.xy(np.array([[grid.width / 2, grid.height / 2]]))
+    reach = None if any(photo.exterior for photo in photos) else of_model()
+    if crs is not None and photos:
+        under, ground = _as_written(path, crs, photos)
+        place, reach = (under, _reach(photos, ground)) if math.isfinite(ground) else (place, None)
+    return undeclared("the DEM", str(path), OF_DEM, grid.crs, (float(place[0, 0]), float(place[0, 1])), reach)
+
+
+def _as_written(path: Path, crs: CRS, photos: Sequence[Photo]) -> tuple[FloatArray, float]:
+    """Place of the first photo in the map of the DEM (1, 2), and the height written there; NaN where there is none."""
+    from geomosaic.surface.dem import Dem
+
+    dem = Dem.open(path, heights="ellipsoidal")  # the datum does not matter: heights are taken as they stand
+    try:
+        under = Transform(horizontal(crs), dem.grid.crs)(np.array([_place(photos)]))
+        return under, float(dem.height(under)[0])
+    finally:
+        dem.close()
+
+
+def _place(photos: Sequence[Photo]) -> tuple[float, float]:
+    """Where the first photo was taken; NaN where that is not known."""
+    first = next((photo.exterior for photo in photos if photo.exterior), None)
+    return first.position[:2] if first else (math.nan, math.nan)
+
+
+def _reach(photos: Sequence[Photo], ground: float) -> float | None:
+    """Pixels that one metre of height moves the corner of the first photo, for a photo that looks down."""
+    for photo in photos:
+        if photo.exterior and photo.exterior.position[2] > ground:
+            return math.hypot(*photo.info.size) / 2 / (photo.exterior.position[2] - ground)
+    return None
+
+
+def height_below(surface: Surface, crs: CRS, position: Sequence[float]) -> float | None:
+    """Height of the ground below a position, as positions count heights.
+
+    Parameters
+    ----------
+    surface : Surface
+    crs : CRS
+        Of the position, 3-D; for a geocentric one heights count from its ellipsoid.
+    position : sequence of float
+        x, y, z.
+
+    Returns
+    -------
+    float or None
+        In the vertical datum and unit of `crs`; None where the surface has no height there, or none below.
+    """
+    level = geographic(crs) if crs.is_geocentric else crs
+    if not has_heights(level):
+        return None
+    points = np.array([position], dtype=np.float64)
+    try:
+        foot = Transform(crs, surface.crs)(points)
+        foot[:, 2] = surface.height(foot[:, :2])
+        below = float(Transform(surface.crs, level)(foot)[0, 2])
+        own = float(Transform(crs, level)(points)[0, 2])
+    except (InputError, HeightDatumError):
+        return None  # the sensor says it better: it knows the image
+    return below if below < own else None

@@ -1,0 +1,96 @@
+"""Missing inputs of a block, and programs recognised by their orientation files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from geomosaic.errors import SensorError
+from geomosaic.geo.crs import has_heights
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.exterior_orientation import (
+    RECONSTRUCTION_SYSTEM,
+    RECONSTRUCTIONS,
+    SELF_PLACED,
+    frame_words,
+    undeclared_reconstruction,
+)
+from geomosaic.inputs.frames import named
+from geomosaic.raster.info import inspect
+from geomosaic.sensor.registry import plugin
+
+HEIGHTS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or the path of a geoid grid"
+
+
+def needs(inputs: BlockInputs) -> list[str]:
+    """Say what a block still lacks, each with the key that takes it."""
+    found: list[str] = []
+    if inputs.planar is not None:
+        if inputs.planar.kind != "uncontrolled":
+            if inputs.control is None:
+                found.append("control points: [control] file, a table with id, x, y, image, col, row")
+            if inputs.crs is None:
+                found.append("the CRS of the control points: [exterior] crs, such as EPSG:32633")
+        if inputs.planar.ties is None and inputs.planar.kind != "controlled":
+            found.append("tie points: [planar] ties, a table with id, image, col, row")
+        return found
+    if inputs.sensor == "planar":
+        for path in inputs.images:
+            if inspect(path).transform is None and inputs.control is None and not inputs.options:
+                found.append(
+                    f"{path.name} is not georeferenced: control points, [control] file, or another [sensor] name"
+                )
+                break
+        return found
+    undeclared = undeclared_reconstruction(inputs.exterior, inputs.angles)
+    reconstruction = undeclared or inputs.angles in RECONSTRUCTIONS
+    # What says itself what it counts from: OpenSfM's reconstructions, and scenes that carry their own model.
+    framed = undeclared or inputs.angles in SELF_PLACED or not _takes_positions(inputs)
+    if undeclared:
+        found.append(f"the angle system of the reconstruction: [exterior] angles: {RECONSTRUCTION_SYSTEM}")
+    if inputs.angles == "colmap" and "world" not in inputs.options:
+        found.append(
+            "what COLMAP's world is: [sensor] world = 'map' (then also [exterior] crs and heights), 'geocentric' "
+            "(then [exterior] crs), or 'local' with reference = [longitude, latitude, altitude]"
+        )
+    if inputs.angles == "colmap" and inputs.options.get("world") in ("map", "geocentric"):
+        framed = False
+    of_text = inputs.angles == "metashape" and inputs.exterior is not None and inputs.exterior.suffix.lower() != ".xml"
+    if of_text:
+        framed, reconstruction = False, False
+    if inputs.sensor == "frame" and inputs.camera is None and not reconstruction:
+        found.append("the camera: [sensor] camera, a TOML file (see `geomosaic sensors frame`)")
+    if inputs.sensor == "frame" and inputs.exterior is None and inputs.control is None:
+        found.append(
+            "positions and angles of the photos: [exterior] file, a table with image, x, y, z, omega, phi, kappa"
+        )
+    of_map, of_heights = frame_words(inputs.exterior if inputs.angles == "ori" else None)
+    if inputs.crs is None and not framed:
+        found.append(f"the CRS of the positions: [exterior] crs, such as EPSG:32633{of_map}")
+    declared = inputs.heights is not None or framed
+    if not declared and not (inputs.crs and has_heights(named(inputs.crs, None))):
+        found.append(f"the vertical datum of the positions: [exterior] heights: {HEIGHTS}{of_heights}")
+    if inputs.dem is None and inputs.height is None:
+        found.append("the ground: [dem] file, or [dem] height in metres")
+    own = framed and (inputs.sensor != "frame" or (inputs.exterior is not None and inputs.angles in SELF_PLACED))
+    if own and inputs.height is not None and not (inputs.dem_heights or inputs.heights or inputs.crs):
+        found.append(f"what the height of the ground counts from: [dem] heights: {HEIGHTS}")
+    if inputs.dem_heights is None and undeclared_heights(inputs.dem):
+        found.append(f"the vertical datum of the DEM: [dem] heights: {HEIGHTS}")
+    return found
+
+
+def undeclared_heights(dem: Path | None) -> bool:
+    """Whether there is a DEM whose file does not say what its heights count from."""
+    crs = None if dem is None else inspect(dem).crs
+    return dem is not None and (crs is None or not has_heights(crs))
+
+
+def _takes_positions(inputs: BlockInputs) -> bool:
+    """Whether the CRS of positions or of control points is of any use."""
+    if inputs.exterior is not None or inputs.control is not None:
+        return True
+    try:
+        known = {entry.name for entry in plugin(inputs.sensor).inputs}
+    except SensorError:
+        return True
+    return "position" in known

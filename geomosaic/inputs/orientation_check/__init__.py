@@ -1,0 +1,1 @@
+"""Checks of orientations before any long work."""

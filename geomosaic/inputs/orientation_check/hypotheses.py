@@ -1,0 +1,230 @@
+"""What an orientation that cannot be meant may have meant: each reading with the key or column that makes it so.
+
+None of these is ever applied; they are held against the evidence (`doubts.py`), and the one that fits is proposed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from pyproj import CRS
+
+from geomosaic.geo.crs import horizontal
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.exterior_orientation import MATRIX, SYSTEMS, TO_DEGREES
+from geomosaic.inputs.photos import Photo
+from geomosaic.surface.vertical_datum import undulation
+
+Angles = dict[str, float]
+
+TILTS: Mapping[str, tuple[str, str]] = {
+    "opk": ("omega", "phi"),
+    "pok": ("omega", "phi"),
+    "rpy": ("roll", "pitch"),
+    "dji": ("gimbal_roll", "gimbal_pitch"),
+}
+HEADING: Mapping[str, str] = {"opk": "kappa", "pok": "kappa", "rpy": "yaw", "dji": "gimbal_yaw"}
+NORTH: Mapping[str, str] = {"rpy": "local", "dji": "local"}
+"""North that a system's angles refer to unless declared; 'grid' for all others."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One way to read the same table.
+
+    Attributes
+    ----------
+    what : str
+        Follows 'with': what would be different.
+    hint : str
+        The key to set, or the column to change.
+    inputs : BlockInputs
+        With that key.
+    photos : tuple of Photo
+        With those columns.
+    """
+
+    what: str
+    hint: str
+    inputs: BlockInputs
+    photos: tuple[Photo, ...]
+
+
+def readings(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS) -> Iterator[Reading]:
+    """Other readings of the orientations of some photos: those that one key of the project sets come first.
+
+    Parameters
+    ----------
+    inputs : BlockInputs
+        As declared.
+    photos : sequence of Photo
+        Those to read otherwise, with their rows of the table.
+    crs : CRS
+        Of the positions.
+    """
+    several = tuple(photos)
+    yield from _by_key(inputs, several)
+    yield from _by_datum(inputs, several, crs)
+    yield from _by_column(inputs, several)
+    yield from _by_height(inputs, several, crs)
+
+
+def _by_key(inputs: BlockInputs, photos: tuple[Photo, ...]) -> Iterator[Reading]:
+    if inputs.angles not in SYSTEMS:
+        return
+    unit, north = inputs.angle_unit or "deg", inputs.angle_frame or NORTH.get(inputs.angles, "grid")
+    if inputs.angles in HEADING:
+        for other in TO_DEGREES:
+            if other != unit:
+                yield Reading(
+                    f"angles in {other}", f"set angle_unit = '{other}'", replace(inputs, angle_unit=other), photos
+                )
+    for system, columns in SYSTEMS.items():
+        if system != inputs.angles and {*columns} == {*SYSTEMS[inputs.angles]} and inputs.angles in HEADING:
+            yield Reading(f"angle system {system}", f"set angles = '{system}'", replace(inputs, angles=system), photos)
+    if inputs.matrix is not None and inputs.angles not in HEADING:
+        other = "image_to_ground" if inputs.matrix == "ground_to_image" else "ground_to_image"
+        yield Reading(
+            "the matrix the other way round", f"set matrix = '{other}'", replace(inputs, matrix=other), _bare(photos)
+        )
+    other = "local" if north == "grid" else "grid"
+    words = "true north" if other == "local" else "grid north"
+    yield Reading(f"angles from {words}", f"set angle_frame = '{other}'", replace(inputs, angle_frame=other), photos)
+
+
+def _by_datum(inputs: BlockInputs, photos: tuple[Photo, ...], crs: CRS) -> Iterator[Reading]:
+    """Heights of the positions from the ellipsoid instead of the geoid, and the other way round."""
+    if inputs.heights is None or crs.is_geocentric:
+        return
+    other = "egm96" if inputs.heights == "ellipsoidal" else "ellipsoidal"
+    words = "the geoid" if other == "egm96" else "the ellipsoid"
+    yield Reading(
+        f"heights of the positions from {words}",
+        f"set heights = '{other}' under [exterior]; or, where that is right as it is, check heights under [dem]",
+        replace(inputs, heights=other),
+        photos,
+    )
+
+
+def _by_column(inputs: BlockInputs, photos: tuple[Photo, ...]) -> Iterator[Reading]:
+    table = inputs.exterior.name if inputs.exterior is not None else "the table"
+    half = 180.0 / TO_DEGREES[inputs.angle_unit or "deg"]
+
+    def changed(change: Callable[[Angles], Angles]) -> tuple[Photo, ...]:
+        return tuple(_with_angles(photo, change(dict(photo.exterior.angles))) for photo in photos if photo.exterior)
+
+    if inputs.angles not in HEADING:
+        for signs, what in (
+            ((1.0, -1.0, -1.0), "camera axes x right, y down, z forward"),
+            ((-1.0, -1.0, 1.0), "the images turned by 180 degrees"),
+            ((-1.0, 1.0, -1.0), "camera axes x left, y up, z forward"),
+        ):
+            by_row = inputs.angles == "printed" or inputs.matrix == "ground_to_image"
+            lines = [str(i + 1) for i, sign in enumerate(signs) if sign < 0]
+            where = f"{'rows' if by_row else 'columns'} {' and '.join(lines)} of the matrix"
+            yield Reading(
+                what,
+                f"set axes = '{_turned_axes(inputs.printed.axes, signs)}' under [exterior.printed]"
+                if inputs.printed is not None
+                else f"change the signs of {where} in {table}",
+                inputs,
+                changed(partial(_signed, signs=signs, by_row=by_row)),
+            )
+        return
+    turn, (first, second) = HEADING[inputs.angles], TILTS[inputs.angles]
+
+    def reverse(*names: str) -> Callable[[Angles], Angles]:
+        return lambda angles: {name: -value if name in names else value for name, value in angles.items()}
+
+    def add(name: str, by: float) -> Callable[[Angles], Angles]:
+        return lambda angles: {**angles, name: math.remainder(angles[name] + by, 2.0 * half)}
+
+    named = f"in {table}"
+    steps: list[tuple[str, str, Callable[[Angles], Angles]]] = [
+        (
+            f"{first} and {second} exchanged",
+            f"exchange the names {first} and {second} in the header of {table}",
+            lambda angles: {**angles, first: angles[second], second: angles[first]},
+        ),
+        (f"{turn} 180 degrees about", f"add half a circle to {turn} {named}", add(turn, half)),
+        (f"{turn} of the other sense", f"change the sign of {turn} {named}", reverse(turn)),
+        (
+            f"{first} and {second} of the other sense",
+            f"change the signs of {first} and {second} {named}",
+            reverse(first, second),
+        ),
+        (
+            "all angles of the other sense",
+            f"change the signs of {first}, {second} and {turn} {named}",
+            reverse(first, second, turn),
+        ),
+        (f"{first} of the other sense", f"change the sign of {first} {named}", reverse(first)),
+        (f"{second} of the other sense", f"change the sign of {second} {named}", reverse(second)),
+        (f"{first} turned by 180 degrees", f"add half a circle to {first} {named}", add(first, half)),
+    ]
+    if inputs.angles == "dji":
+        steps.append(
+            (
+                f"{second} counted from straight down",
+                f"subtract 90 degrees from {second} {named}",
+                add(second, -half / 2),
+            )
+        )
+    for what, hint, change in steps:
+        yield Reading(what, hint, inputs, changed(change))
+
+
+def _by_height(inputs: BlockInputs, photos: tuple[Photo, ...], crs: CRS) -> Iterator[Reading]:
+    """Positions off by the height of the geoid, where the control points, which share their datum, are right."""
+    if inputs.control is None or crs.is_geocentric or not photos or photos[0].exterior is None:
+        return
+    x, y, _ = photos[0].exterior.position
+    shift = undulation(horizontal(crs), x, y)
+    if not math.isfinite(shift) or abs(shift) < 1.0:
+        return
+    table = inputs.exterior.name if inputs.exterior is not None else "the table"
+    for by in (shift, -shift):
+        yield Reading(
+            f"flying heights {'raised' if by > 0 else 'lowered'} by the geoid's {abs(shift):.1f} m",
+            f"add {by:+.1f} m to z in {table}: its heights have another vertical datum than the control points",
+            inputs,
+            tuple(_raised(photo, by) for photo in photos),
+        )
+
+
+def _turned_axes(axes: str, signs: tuple[float, float, float]) -> str:
+    """Declared axes of the image with those along x (right, left) and y (up, down) of the picture turned round."""
+    other = {"right": "left", "left": "right", "up": "down", "down": "up"}
+    turned = {word for words, sign in zip((("right", "left"), ("up", "down")), signs, strict=False) if sign < 0
+              for word in words}  # fmt: skip
+    return " ".join(other[word] if word in turned else word for word in axes.lower().split())
+
+
+def _with_angles(photo: Photo, angles: Angles) -> Photo:
+    return replace(photo, exterior=replace(photo.exterior, angles=angles)) if photo.exterior else photo
+
+
+def _raised(photo: Photo, by: float) -> Photo:
+    if photo.exterior is None:
+        return photo
+    x, y, z = photo.exterior.position
+    return replace(photo, exterior=replace(photo.exterior, position=(x, y, z + by)))
+
+
+def _bare(photos: tuple[Photo, ...]) -> tuple[Photo, ...]:
+    """Photos with the matrix alone: printed angles would contradict any other reading of it."""
+    return tuple(
+        _with_angles(photo, {key: photo.exterior.angles[key] for key in MATRIX}) for photo in photos if photo.exterior
+    )
+
+
+def _signed(angles: Angles, signs: tuple[float, float, float], by_row: bool) -> Angles:
+    """Elements of a matrix with other signs of its rows or columns."""
+    return {
+        f"r{row}{col}": angles[f"r{row}{col}"] * signs[(row if by_row else col) - 1]
+        for row in (1, 2, 3)
+        for col in (1, 2, 3)
+    }

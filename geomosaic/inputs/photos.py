@@ -1,0 +1,117 @@
+"""Image files with what is known of them: orientation, camera description, names in tables."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pyproj import CRS
+
+from geomosaic.errors import InputError
+from geomosaic.geo.local_frames import is_free
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.exterior_orientation import (
+    RECONSTRUCTIONS,
+    SELF_PLACED,
+    Exterior,
+    ExteriorTable,
+    check_units,
+    read_exterior,
+)
+from geomosaic.inputs.frames import named
+from geomosaic.inputs.tables import read_text
+from geomosaic.raster.info import SourceInfo, inspect
+from geomosaic.types import PathLike
+
+
+@dataclass(frozen=True)
+class Photo:
+    """An image file with what is known of its orientation."""
+
+    path: Path
+    info: SourceInfo
+    exterior: Exterior | None
+
+    @property
+    def name(self) -> str:
+        """Name of the scene: the file's name."""
+        return self.path.name
+
+
+def _table(inputs: BlockInputs, path: Path) -> ExteriorTable:
+    if inputs.angles != "printed":
+        return read_exterior(path, inputs.angles)
+    from geomosaic.inputs.printed_orientation import read_printed
+
+    if inputs.printed is None:
+        raise InputError(
+            "nothing says how the printed list is to be read",
+            where=str(path),
+            hint="say it in a project, under [exterior.printed]: columns, axes, sequence, lines, skip",
+        )
+    return read_printed(path, inputs.printed, inputs.angle_unit, inputs.matrix)
+
+
+def photos_of(inputs: BlockInputs) -> tuple[list[Photo], CRS | None]:
+    """Look at the images and their rows of the orientation table; no pixel is read.
+
+    Returns
+    -------
+    photos : list of Photo
+    crs : CRS or None
+        3-D CRS of positions and control points, where one was named.
+    """
+    if not inputs.images:
+        raise InputError("no images are given", hint="name one or more image files")
+    infos = [inspect(path, inputs.bands) for path in inputs.images]
+    crs = named(inputs.crs, inputs.heights, "exterior CRS") if inputs.crs else None
+    table = None
+    if inputs.exterior is not None and inputs.angles not in RECONSTRUCTIONS:
+        table = _table(inputs, inputs.exterior)
+    # OpenSfM's reference is on the ellipsoid of WGS 84, by its own definition; geocentric coordinates are told by their
+    # file or by the sensor's inputs; all others count from a named CRS.
+    if inputs.exterior is not None and crs is None and inputs.angles not in SELF_PLACED:
+        raise InputError(
+            "the positions have no CRS",
+            where=str(inputs.exterior),
+            hint="name it: --exterior-crs on the command line, crs under [exterior] in the project",
+        )
+    if table is None:
+        return [Photo(path, info, None) for path, info in zip(inputs.images, infos, strict=True)], crs
+    photos = [Photo(path, info, table.row(path.name)) for path, info in zip(inputs.images, infos, strict=True)]
+    # The whole table: one image alone tells nothing of the unit, its neighbours do.
+    if crs is None or not is_free(crs):  # who walks round a thing turns with it, not along his way
+        check_units(table, inputs.angle_unit, list(table.rows.values()), crs)
+    return photos, crs
+
+
+LARGEST = 4 << 20
+
+
+def read_toml(path: PathLike, what: str, largest: int = LARGEST) -> dict[str, Any]:
+    """Read a TOML file of limited size.
+
+    Raises
+    ------
+    InputError
+        Names file and line.
+    """
+    try:
+        return tomllib.loads(read_text(path, what, largest))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"the {what} is not valid TOML: {error}", where=str(path), hint="correct that line") from None
+    except RecursionError:
+        raise InputError(f"the {what} is nested too deeply", where=str(path)) from None
+
+
+def read_camera(path: PathLike) -> dict[str, Any]:
+    """Read a camera file; a single [camera] table at the top is unwrapped."""
+    if Path(path).suffix.lower() != ".toml":
+        raise InputError("a camera is described in a .toml file", where=str(path), hint="see `geomosaic sensors frame`")
+    values = read_toml(path, "camera file")
+    camera = values.get("camera")
+    if isinstance(camera, dict) and len(values) == 1:
+        return dict(camera)
+    return values

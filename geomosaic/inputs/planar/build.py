@@ -1,0 +1,218 @@
+"""Photos of flat ground to a block: placed together, each by a plane transformation of the sensor 'planar'."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from pyproj import CRS
+
+from geomosaic.block.block import Block, ControlPoint, Scene
+from geomosaic.errors import GeomosaicWarning, InputError, counted
+from geomosaic.geo.crs import horizontal, parse_map
+from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
+from geomosaic.inputs.photos import Photo, photos_of
+from geomosaic.inputs.planar.facts import (
+    chain_facts,
+    growth_facts,
+    joint_facts,
+    placement_words,
+    single_facts,
+    wrong_facts,
+)
+from geomosaic.inputs.planar.tables import examine, read_block
+from geomosaic.inputs.usable_area import with_usable
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.registry import build
+
+if TYPE_CHECKING:
+    from geomosaic.estimation.blunders import Findings
+    from geomosaic.orientation.planar.measurements import PlanarBlock
+    from geomosaic.orientation.planar.transformations import PlanarTransform
+
+
+MODELS = {
+    "uncontrolled": ("conformal", ("conformal", "affine", "projective")),
+    "semicontrolled": ("conformal", ("conformal", "affine")),
+    "controlled": ("projective", ("projective",)),
+    "grown": ("affine", ("conformal", "affine", "projective")),
+}
+"""Of each kind of mosaic, the usual transformation and those it can have."""
+
+LOCAL = (
+    'ENGCRS["uncontrolled mosaic",EDATUM["middle of the start photo"],CS[Cartesian,2],'
+    'AXIS["(X)",east,ORDER[1]],AXIS["(Y)",north,ORDER[2]],LENGTHUNIT["metre",1]]'
+)
+"""A map of its own: its origin is the middle of the start photo, its units are metres where the scale is."""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Photos with their transformations, and what is to be said of them."""
+
+    transforms: dict[str, PlanarTransform]
+    facts: dict[str, Any]
+
+
+def build_planar(inputs: BlockInputs, wanted: PlanarInputs) -> tuple[Block, dict[str, Any]]:
+    """Place the photos and make the block.
+
+    Parameters
+    ----------
+    inputs : BlockInputs
+        Images, control and its CRS.
+    wanted : PlanarInputs
+        Its `planar`.
+
+    Returns
+    -------
+    block : Block
+        Without surface; its control points have height 0, which no planar model looks at.
+    facts : dict
+        How the photos were placed and how well, as JSON values.
+
+    Raises
+    ------
+    InputError
+        A table or declaration is missing or wrong.
+    SolveError
+        The points do not determine the photos.
+    """
+    crs = _map(inputs, wanted)
+    photos, _ = photos_of(inputs)
+    block, points = read_block(photos, wanted.ties, inputs.control)
+    if points and wanted.kind != "uncontrolled":
+        examine(points, crs, inputs.control, wanted.wrong)
+    tables = " and ".join(path.name for path in (wanted.ties, inputs.control) if path is not None)
+    placed = place(block, wanted, tables)
+    scenes = tuple(_scene(inputs, photo, placed.transforms[photo.name], crs) for photo in photos)
+    known: tuple[ControlPoint, ...] = () if wanted.kind == "uncontrolled" else points
+    facts = {"summary": placement_words(placed.facts), **placed.facts, "unused": _unused(block)}
+    return Block(scenes, None, known, crs if known else None), facts
+
+
+def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and control points") -> Placed:
+    """Place the photos of a block the way that was asked for; `tables` are named where points are wrong."""
+    from geomosaic.orientation.planar.blunders import adjust_checked, look_singly, look_somehow
+
+    usual, allowed = MODELS[wanted.kind]
+    model = wanted.model or usual
+    if model not in allowed:
+        raise InputError(
+            f"a {wanted.kind} mosaic has no {model} model",
+            hint=f"{wanted.kind} takes {' or '.join(allowed)}"
+            + (", controlled takes projective" if wanted.kind == "semicontrolled" else ""),
+        )
+    _refuse_idle(wanted)
+    if wanted.kind == "uncontrolled":
+        block, found = look_somehow(block, model, True).settled(tables, wanted.wrong)
+        return _uncontrolled(block, model, wanted, found)
+    if wanted.kind == "grown":
+        from geomosaic.orientation.planar.sequential import grow
+
+        block, found = look_somehow(block, model, False).settled(tables, wanted.wrong)
+        grown = grow(block, model)
+        if grown.failed:
+            worst = sorted(grown.failed, key=lambda one: -one.largest)
+            named = "; ".join(
+                f"{one.first} and {one.second} {one.along:.1f} px along the seam, {one.across:.1f} px across it, "
+                f"largest gap {one.largest:.1f} px"
+                for one in worst[:3]
+            )
+            warnings.warn(
+                f"{len(worst)} of {counted(len(grown.joins), 'join')} do not meet: {named}"
+                f"{f'; and {len(worst) - 3} more' if len(worst) > 3 else ''}: measure more control there",
+                GeomosaicWarning,
+                stacklevel=2,
+            )
+        return Placed(grown.transforms, growth_facts(grown, model) | wrong_facts(found))
+    if wanted.kind == "controlled" and _singly(block, wanted):
+        from geomosaic.orientation.planar.uncontrolled import rectify_singly
+
+        block, found = look_singly(block, model).settled(tables, wanted.wrong)
+        single = rectify_singly(block, model)
+        transforms = {name: solution.transforms[name] for name, solution in single.items()}
+        return Placed(transforms, single_facts(block, single, model) | wrong_facts(found))
+    solution, found = adjust_checked(block, model, policy=wanted.wrong, where=tables)
+    return Placed(dict(solution.transforms), joint_facts(solution, wanted.kind) | wrong_facts(found))
+
+
+def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs, found: Findings) -> Placed:
+    from geomosaic.orientation.planar.accumulated_errors import compare, reference
+    from geomosaic.orientation.planar.uncontrolled import chain
+
+    made = chain(block, model, scale=wanted.scale, azimuth=wanted.azimuth)
+    for one in made.attachments:
+        if one.refused:
+            warnings.warn(
+                f"{one.photo} is joined by a conformal transformation, not the {model} one: {one.refused}",
+                GeomosaicWarning,
+                stacklevel=2,
+            )
+    adjusted, against = reference(block, made, model)
+    error = compare(block, made, adjusted.transforms, against, adjusted.kind)
+    return Placed(made.transforms, chain_facts(block, made, model, error) | wrong_facts(found))
+
+
+def _refuse_idle(wanted: PlanarInputs) -> None:
+    """Refuse what this kind of mosaic has no use for."""
+    given = [("scale", "uncontrolled", wanted.scale != 1.0), ("azimuth", "uncontrolled", wanted.azimuth != 0.0)]
+    given.append(("rectify", "controlled", wanted.rectify is not None))
+    for name, kind, is_given in given:
+        if is_given and wanted.kind != kind:
+            raise InputError(
+                f"--{name} belongs to {kind} mosaics, and this one is {wanted.kind}",
+                hint=f"leave it out (in a project: {name} under [planar])",
+            )
+
+
+def _singly(block: PlanarBlock, wanted: PlanarInputs) -> bool:
+    """Whether each photo is rectified by itself: as asked for, else where each has the control for it."""
+    if wanted.rectify is not None:
+        return wanted.rectify == "singly"
+    counts = {photo.name: 0 for photo in block.photos}
+    for point in block.control:
+        counts[point.photo] += 1
+    return min(counts.values()) >= 4
+
+
+def _map(inputs: BlockInputs, wanted: PlanarInputs) -> CRS:
+    """CRS of the mosaic: that of the control, or a local one."""
+    if wanted.kind == "uncontrolled":
+        return CRS.from_wkt(LOCAL)
+    if inputs.control is None:
+        raise InputError(
+            f"a {wanted.kind} mosaic needs control points",
+            hint="give --gcps (in a project: [control] file), or make it uncontrolled",
+        )
+    if inputs.crs is None:
+        raise InputError(
+            "the control points have no CRS",
+            where=str(inputs.control),
+            hint="name it: --crs on the command line, crs under [exterior] in the project",
+        )
+    crs = horizontal(parse_map(inputs.crs, "CRS of the control points"))
+    if crs.is_geographic:
+        raise InputError(
+            f"the control points are in degrees ({crs.name}); plane transformations need a map with equal scales",
+            where=str(inputs.control),
+            hint="transform them to a projected CRS, such as the UTM zone",
+        )
+    return crs
+
+
+def _scene(inputs: BlockInputs, photo: Photo, transform: PlanarTransform, crs: CRS) -> Scene:
+    request = SensorRequest(photo.name, photo.info.size, transform.options(), crs, str(inputs.base))
+    model = build("planar", request)
+    scene = Scene(photo.name, str(photo.path), "planar", model, inputs.nodata, inputs.bands)
+    return with_usable(inputs, [scene])[0]
+
+
+def _unused(block: PlanarBlock) -> list[str]:
+    """Tie points that are measured in one photo only, and say nothing."""
+    seen: dict[str, int] = {}
+    for measured in block.measurements:
+        seen[measured.id] = seen.get(measured.id, 0) + 1
+    known = {point.id for point in block.control}
+    return sorted(name for name, count in seen.items() if count == 1 and name not in known)

@@ -1,0 +1,245 @@
+"""Facts of planar placement as JSON values and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geomosaic.accuracy.product_check import ControlResidual, rms
+from geomosaic.errors import counted
+from geomosaic.orientation.planar.joins import joins
+
+if TYPE_CHECKING:
+    from geomosaic.estimation.blunders import Findings
+    from geomosaic.orientation.planar.accumulated_errors import Accumulated
+    from geomosaic.orientation.planar.joins import Join
+    from geomosaic.orientation.planar.measurements import PlanarBlock
+    from geomosaic.orientation.planar.sequential import Growth
+    from geomosaic.orientation.planar.solution import PlanarSolution
+    from geomosaic.orientation.planar.transformations import PlanarTransform
+    from geomosaic.orientation.planar.uncontrolled import Chain
+
+
+def joint_facts(solution: PlanarSolution, kind: str) -> dict[str, Any]:
+    """Of all photos adjusted together."""
+    return {
+        "kind": kind,
+        "rectified": "together",
+        **_adjusted(solution),
+        "photos": [_photo(solution, name) for name in solution.transforms],
+        "measurements": measurements(solution),
+        **_joined(solution.block, solution.transforms),
+    }
+
+
+def single_facts(block: PlanarBlock, solutions: Mapping[str, PlanarSolution], model: str) -> dict[str, Any]:
+    """Of photos rectified each by its own control."""
+    transforms = {name: solution.transforms[name] for name, solution in solutions.items()}
+    return {
+        "kind": "controlled",
+        "rectified": "singly",
+        "model": model,
+        "photos": [{**_photo(solution, name), **_adjusted(solution)} for name, solution in solutions.items()],
+        "measurements": [row for solution in solutions.values() for row in measurements(solution)],
+        **_joined(block, transforms),
+    }
+
+
+def chain_facts(block: PlanarBlock, made: Chain, model: str, error: Accumulated) -> dict[str, Any]:
+    """Of an uncontrolled mosaic."""
+    return {
+        "kind": "uncontrolled",
+        "model": model,
+        "start": made.start,
+        "photos": [
+            {**_numbers(asdict(one)), "steps": made.steps[one.photo], **_place(made.transforms[one.photo])}
+            for one in made.attachments
+        ],
+        "accumulated": {
+            "against": error.against,
+            "model": error.model,
+            "by_photo_px": error.by_photo,
+            "by_step_px": {str(step): value for step, value in error.by_step.items()},
+            "best_fit_px": error.best,
+            "gaps_px": error.gaps,
+            "gaps_adjusted_px": error.gaps_adjusted,
+        },
+        **_joined(block, made.transforms),
+    }
+
+
+def growth_facts(grown: Growth, model: str) -> dict[str, Any]:
+    """Of a mosaic grown photo by photo."""
+    return {
+        "kind": "grown",
+        "model": model,
+        "photos": [
+            {**_numbers(asdict(one)), **_photo(grown.solutions[one.photo], one.photo)} for one in grown.attachments
+        ],
+        "joins": [asdict(one) for one in grown.joins],
+        "failed_joins": [asdict(one) for one in grown.failed],
+        "gaps_px": gap_rms(grown.joins),
+    }
+
+
+def measurements(solution: PlanarSolution) -> list[dict[str, Any]]:
+    """Residuals of all measurements: measured minus computed, pixels."""
+    views = solution.views
+    return [
+        {
+            "id": views.ids[int(views.point[i])],
+            "image": solution.block.photos[int(views.photo[i])].name,
+            "col": finite(solution.residuals[i, 0]),
+            "row": finite(solution.residuals[i, 1]),
+            "standardised": [finite(value) for value in solution.standardised[i]],
+        }
+        for i in np.flatnonzero(~views.is_ground)
+    ]
+
+
+def control_facts(residuals: Sequence[ControlResidual]) -> dict[str, Any]:
+    """RMS of control and check points against the placed photos, pixels; None without any."""
+    return {f"rms_{role}_px": finite(rms(list(residuals), role)) for role in ("control", "check")} | {
+        "checks": [asdict(one) for one in residuals if one.role == "check"]
+    }
+
+
+def wrong_facts(found: Findings) -> dict[str, Any]:
+    """Of the search for wrong points."""
+    return {
+        "wrong_points": {
+            "measurements": found.measurements,
+            "redundancy": found.redundancy,
+            "agree_px": finite(found.agree),
+            "detectable_px": finite(found.detectable),
+            "unchecked": list(found.unchecked),
+            "left_out": found.done == "leave",
+            "tilted": [{"photo": photo, "px": size} for photo, size in found.tilted],
+            "found": [
+                {
+                    "point": each.label.id,
+                    "images": list(each.label.images),
+                    "what": each.label.name,
+                    "where": list(each.label.where),
+                    "px": each.size,
+                    "gross": each.gross,
+                    "redundancy": each.redundancy,
+                    "or": list(each.alike),
+                }
+                for each in found.wrong
+            ],
+        }
+    }
+
+
+def gap_rms(found: Sequence[Join]) -> float:
+    """Root mean square gap over all points of all joins, pixels."""
+    count = sum(one.points for one in found)
+    return float(np.sqrt(sum(one.points * one.rms**2 for one in found) / max(1, count)))
+
+
+def finite(value: float) -> float | None:
+    """JSON knows no NaN."""
+    number = float(value)
+    return number if np.isfinite(number) else None
+
+
+def _adjusted(solution: PlanarSolution) -> dict[str, Any]:
+    return {
+        "model": solution.kind,
+        "equations": solution.equations,
+        "redundancy": solution.redundancy,
+        "sigma0": finite(solution.sigma0),
+        "rms_px": finite(solution.rms),
+        "condition": solution.condition,
+        "rounds": solution.rounds,
+    }
+
+
+def _photo(solution: PlanarSolution, name: str) -> dict[str, Any]:
+    """A photo's parameters, and how well its corners lie."""
+    transform = solution.transforms[name]
+    return {
+        **_place(transform),
+        "corner_sigmas": [float(value) for value in solution.position_sigmas(name, transform.corners())],
+    }
+
+
+def _place(transform: PlanarTransform) -> dict[str, Any]:
+    return {"photo": transform.photo.name, "kind": transform.kind, "parameters": transform.textbook()}
+
+
+def _joined(block: PlanarBlock, transforms: Mapping[str, PlanarTransform]) -> dict[str, Any]:
+    found = joins(block, transforms)
+    return {"joins": [asdict(one) for one in found], "gaps_px": gap_rms(found)}
+
+
+def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:
+    plain = {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
+    return {key: finite(value) if isinstance(value, float) else value for key, value in plain.items()}
+
+
+def placement_words(facts: Mapping[str, Any]) -> list[str]:
+    """Say how the photos were placed and how well, in a line or two."""
+    kind, model, count = facts["kind"], facts["model"], len(facts["photos"])
+    lines = []
+    if kind == "uncontrolled":
+        found = facts["accumulated"]
+        farthest = max(found["by_step_px"], key=int)
+        lines.append(
+            f"uncontrolled, {model}: {counted(count, 'photo')} joined outwards from {facts['start']}, "
+            f"gaps {facts['gaps_px']:.2f} px RMS"
+        )
+        what = "control" if found["against"] == "control" else "ties alone"
+        lines.append(
+            f"accumulated error against all photos adjusted together on {what}: "
+            f"{found['by_step_px'][farthest]:.2f} px RMS {counted(int(farthest), 'join')} out, "
+            f"{found['best_fit_px']:.2f} px after the best fit"
+        )
+    elif kind == "grown":
+        lines.append(
+            f"grown, {model}: {counted(count, 'photo')} from {facts['photos'][0]['photo']}, "
+            f"{counted(len(facts['joins']), 'join')} checked, "
+            f"{len(facts['failed_joins'])} failed, gaps {facts['gaps_px']:.2f} px RMS"
+        )
+    elif facts["rectified"] == "singly":
+        lines.append(
+            f"controlled, {model}: {counted(count, 'photo')} rectified singly, "
+            f"gaps at ties {facts['gaps_px']:.2f} px RMS"
+        )
+    else:
+        weight = f", {facts['sigma0']:.2f} times their sigmas" if facts["sigma0"] is not None else ""
+        lines.append(
+            f"{kind}, {model}: {counted(count, 'photo')} adjusted together, {facts['equations']} equations, redundancy "
+            f"{facts['redundancy']}, residuals {facts['rms_px']:.2f} px RMS{weight}"
+        )
+    return [*lines, *wrong_words(facts["wrong_points"])]
+
+
+def wrong_words(found: Mapping[str, Any]) -> list[str]:
+    """Whether points are wrong, and what the redundancy allows to say of it."""
+    if not found["measurements"]:
+        return ["wrong points cannot be looked for: the points do not hold all photos together"]
+    wrong, unchecked = found["found"], found["unchecked"]
+    done = "left out" if found["left_out"] else "taking part"
+    named = f"{counted(len(wrong), 'wrong one')}, {done}" if wrong else "none wrong"
+    size = found["detectable_px"]
+    seen = "too little to find one" if size is None else f"errors of {size:.1f} px would be found"
+    named = named if wrong or size is not None else "not checked"
+    line = f"measurements: {found['measurements']}, {named} (redundancy {found['redundancy']}: {seen})"
+    if unchecked:
+        more = f" and {len(unchecked) - 3} more" if len(unchecked) > 3 else ""
+        line += f"; nothing checks {', '.join(unchecked[:3])}{more}"
+    return [line, *_tilted_words(found["tilted"])]
+
+
+def _tilted_words(tilted: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Photos that the model does not follow."""
+    if not tilted:
+        return []
+    named = ", ".join(f"{one['photo']} ({one['px']:.1f} px)" for one in tilted[:3])
+    more = f" and {len(tilted) - 3} more" if len(tilted) > 3 else ""
+    return [f"tilted, or on sloping ground, as this model does not follow: {named}{more}; controlled mosaics follow it"]

@@ -1,0 +1,315 @@
+"""Tables people write: a header, one delimiter, errors with file and line; measured fiducial marks."""
+
+from __future__ import annotations
+
+import csv
+import math
+import shlex
+import unicodedata
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from typing import TypeVar
+
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.types import PathLike
+
+LARGEST = 64 << 20
+"""Bytes; a table of orientations or points is never that long."""
+
+_OTHER_NAMES = {
+    "image": ("filename", "file", "photo", "label", "imagename", "image_name"),
+    "x": ("easting", "east", "lon", "longitude", "mapx"),
+    "y": ("northing", "north", "lat", "latitude", "mapy"),
+    "z": ("height", "alt", "altitude", "elevation"),
+    "col": ("column",),
+    "row": ("line",),
+}
+ALIASES: Mapping[str, str] = {other: name for name, others in _OTHER_NAMES.items() for other in others}
+"""Other names of a column that can mean nothing else."""
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One line of a table.
+
+    Attributes
+    ----------
+    path : str
+    line : int
+        Counted from 1.
+    values : mapping of str to str
+        By column.
+    """
+
+    path: str
+    line: int
+    values: Mapping[str, str]
+
+    @property
+    def where(self) -> str:
+        """File and line, for errors."""
+        return f"{self.path}, line {self.line}"
+
+    def text(self, column: str) -> str:
+        """Return a value that must not be empty."""
+        value = self.values[column].strip()
+        if not value:
+            raise InputError(f"column '{column}' is empty", where=self.where)
+        return value
+
+    def number(self, column: str, default: float | None = None) -> float:
+        """Return a finite number with a decimal point; an empty or missing one is the default, where there is one."""
+        value = self.values.get(column, "").strip()
+        if not value and default is not None:
+            return default
+        try:
+            number = float(value)
+        except ValueError:
+            advice = "write decimal points instead of commas" if _is_decimal_comma(value) else "write a number"
+            raise InputError(f"column '{column}' has '{value}'", where=self.where, hint=advice) from None
+        if not math.isfinite(number):
+            raise InputError(f"column '{column}' has '{value}'", where=self.where, hint="write a finite number")
+        return number
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A header and its rows."""
+
+    path: str
+    columns: tuple[str, ...]
+    rows: tuple[Row, ...]
+
+    def __iter__(self) -> Iterator[Row]:
+        return iter(self.rows)
+
+    def require(self, *columns: str, what: str) -> None:
+        """Stop when a column is missing, naming those that are there."""
+        missing = [column for column in columns if column not in self.columns]
+        if missing:
+            raise InputError(
+                f"{what} need the column{'s' * (len(missing) > 1)} {', '.join(missing)}; "
+                f"the header has {', '.join(self.columns)}",
+                where=f"{self.path}, line 1",
+                hint=f"the header should read: {','.join(columns)}",
+            )
+
+
+def read_text(path: PathLike, what: str, largest: int = LARGEST) -> str:
+    """Read a text file as UTF-8, of limited size."""
+    file = Path(path)
+    try:
+        if file.stat().st_size > largest:
+            raise InputError(
+                f"the {what} is larger than {largest >> 20} MB", where=str(path), hint="is it the right file?"
+            )
+        return file.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"the {what} does not exist", where=str(path), hint="check the path") from None
+    except IsADirectoryError:
+        raise InputError(f"the {what} is a folder", where=str(path), hint="give a file") from None
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"the {what} is not UTF-8 text (byte {error.start})", where=str(path), hint="save it as UTF-8 text"
+        ) from None
+    except OSError as error:
+        raise InputError(f"the {what} cannot be read: {error.strerror}", where=str(path)) from error
+
+
+def read_table(path: PathLike, what: str, example: str) -> Table:
+    """Read a table.
+
+    The first line that is neither blank nor a comment (#) is the header; a header may itself start with #. The
+    delimiter is the one among tab, semicolon and comma that the header has most of, else blanks. Values may stand in
+    quotes.
+
+    Parameters
+    ----------
+    path : path
+    what : str
+        For errors, such as 'orientation table'.
+    example : str
+        A header as it should be, for errors.
+
+    Raises
+    ------
+    InputError
+        No header, a doubled column, or a line with more or fewer values than the header.
+    """
+    lines = list(enumerate(read_text(path, what).splitlines(), start=1))
+    lines = [(number, line) for number, line in lines if line.strip()]
+    header_at = next((i for i, (_, line) in enumerate(lines) if not line.lstrip().startswith("#")), None)
+    if lines and _names(lines[0][1].lstrip().lstrip("#"))[:1] == ["image"]:
+        header_at = 0
+    if header_at is None:
+        raise InputError(f"the {what} is empty", where=str(path), hint=f"its first line should read: {example}")
+    number, text = lines[header_at]
+    text = text.lstrip().lstrip("#")
+    columns = _names(text)
+    if any(_is_number(column) for column in columns):
+        raise InputError(
+            f"the {what} has no header: its first line holds numbers",
+            where=f"{path}, line {number}",
+            hint=f"add a first line that names the columns, such as: {example}",
+        )
+    doubled = sorted({column for column in columns if columns.count(column) > 1})
+    if doubled:
+        raise InputError(f"column '{doubled[0]}' stands twice in the header", where=f"{path}, line {number}")
+    delimiter = _delimiter(text)
+    rows = [
+        _row(str(path), number, line, delimiter, columns)
+        for number, line in lines[header_at + 1 :]
+        if not line.lstrip().startswith("#")
+    ]
+    if not rows:
+        raise InputError(f"the {what} has a header but no rows", where=str(path), hint="add a line for each row")
+    return Table(str(path), tuple(columns), tuple(rows))
+
+
+def _row(path: str, number: int, line: str, delimiter: str, columns: list[str]) -> Row:
+    where = f"{path}, line {number}"
+    values = _split(line, delimiter, where)
+    while len(values) > len(columns) and not values[-1].strip():
+        values.pop()
+    if len(values) != len(columns):
+        comma = delimiter == "," and len(values) > len(columns)
+        raise InputError(
+            f"{len(values)} values for {len(columns)} columns",
+            where=where,
+            hint="if these are decimal commas, write decimal points"
+            if comma
+            else "every line needs one value per column",
+        )
+    return Row(path, number, dict(zip(columns, values, strict=True)))
+
+
+def _names(header: str) -> list[str]:
+    names = [name.strip().lower() for name in _split(header, _delimiter(header), "header")]
+    while names and not names[-1]:
+        names.pop()
+    return [ALIASES.get(name, name) for name in names]
+
+
+def _delimiter(header: str) -> str:
+    bare = "".join(part for i, part in enumerate(header.replace("'", '"').split('"')) if i % 2 == 0)
+    counts = [(bare.count(mark), mark) for mark in ("\t", ";", ",")]
+    most = max(counts, key=lambda pair: pair[0])
+    return most[1] if most[0] else " "
+
+
+def _split(line: str, delimiter: str, where: str) -> list[str]:
+    if delimiter == " ":
+        lexer = shlex.shlex(line, posix=True)
+        lexer.whitespace_split, lexer.commenters, lexer.escape = True, "", ""
+        try:
+            return list(lexer)
+        except ValueError:
+            raise InputError("a quote is opened and not closed", where=where) from None
+    fields = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    return [_unquoted(field.strip()) for field in fields]
+
+
+def _unquoted(field: str) -> str:
+    return field[1:-1] if len(field) > 1 and field[0] == field[-1] == "'" else field
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_decimal_comma(text: str) -> bool:
+    return text.count(",") == 1 and _is_number(text.replace(",", "."))
+
+
+COLUMNS = ("image", "id", "col", "row")
+
+
+def read_fiducials(path: PathLike, images: Sequence[str]) -> dict[str, dict[str, list[float]]]:
+    """Read the marks of each image.
+
+    Parameters
+    ----------
+    path : path
+        Text with the columns image, id, col, row. Image coordinates in pixels, corner-based: (0.5, 0.5) is the centre
+        of the upper-left pixel. Where there is one image, the column image may be left out.
+    images : sequence of str
+        Names of the images; each needs its marks, and the marks of others are left out.
+
+    Returns
+    -------
+    dict
+        Image → mark → [col, row].
+
+    Raises
+    ------
+    InputError
+        Names file and line.
+    """
+    table = read_table(path, "table of fiducials", ",".join(COLUMNS))
+    alone = "image" not in table.columns and len(images) == 1
+    table.require(*(COLUMNS[1:] if alone else COLUMNS), what="fiducials")
+    rows: dict[str, dict[str, list[float]]] = {}
+    for row in table:
+        marks = rows.setdefault(images[0] if alone else row.text("image"), {})
+        mark = row.text("id")
+        if mark in marks:
+            raise InputError(f"fiducial '{mark}' is measured twice", where=row.where, hint="leave one of them out")
+        marks[mark] = [row.number("col"), row.number("row")]
+    found = {}
+    for image in images:
+        measured = find_by_name(rows, image)
+        if measured is None:
+            raise missing_row(str(path), image, rows)
+        found[image] = measured
+    return found
+
+
+Value = TypeVar("Value")
+
+
+def stem(name: str) -> str:
+    """Name of an image without folders and extension, whichever way the slashes lean.
+
+    Only what looks like an extension is cut: 'IMG_0.5' keeps its '.5'.
+    """
+    last = PurePath(name.replace("\\", "/")).name
+    base, dot, extension = last.rpartition(".")
+    return base if dot and base and extension.isalnum() and not extension.isdigit() else last
+
+
+def file_name(name: str) -> str:
+    """Name without folders, to compare by: file systems of Macs part letters from their accents, tables do not."""
+    return unicodedata.normalize("NFC", PurePath(name.replace("\\", "/")).name)
+
+
+def corrections_file(pattern: str, image: str) -> Path:
+    """Correction grid of an image: '{image}' in a pattern takes its name, without folder and extension."""
+    return Path(pattern.replace("{image}", stem(image)))
+
+
+def find_by_name(rows: Mapping[str, Value], image: str) -> Value | None:
+    """Entry of a table for an image: by its full file name, else with either side's extension left off."""
+    last = file_name(image)
+    for key, value in rows.items():
+        if file_name(key) == last:
+            return value
+    bare = stem(last)
+    for key, value in rows.items():
+        if bare in (file_name(key), stem(file_name(key))):
+            return value
+    return None
+
+
+def missing_row(path: str, image: str, known: Iterable[str]) -> InputError:
+    """Say that a table has no row for an image."""
+    hint = did_you_mean(stem(image), known)
+    return InputError(
+        f"the table has no row for {PurePath(image).name}",
+        where=path,
+        hint=f"{hint} Add the row, or leave the image out" if hint else "add the row, or leave the image out",
+    )

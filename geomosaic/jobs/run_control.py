@@ -1,0 +1,118 @@
+"""Run control: one run at a time, and stopping on request."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+from geomosaic.errors import InputError, Interrupted, OutputError
+from geomosaic.jobs.step import Progress
+
+
+@contextmanager
+def project_lock(path: Path) -> Iterator[None]:
+    """Hold a lock file, or stop at once where another run holds it.
+
+    The lock is on the open file, not on its being there: a run that was killed leaves a file but no lock.
+
+    Raises
+    ------
+    InputError
+        Another run is under way.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("a+", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(
+            f"the project's folder cannot be written: {error.strerror}", where=str(path), hint="check its permissions"
+        ) from error
+    with file:
+        if not _try_lock(file.fileno()):
+            file.seek(0)
+            holder = file.read(64).strip()
+            raise InputError(
+                f"another run of this project is under way{f' (process {holder})' if holder else ''}",
+                where=str(path.parent.parent.parent),
+                hint="wait until it ends, or stop it",
+            )
+        file.seek(0)
+        file.truncate()
+        file.write(str(os.getpid()))
+        file.flush()
+        yield
+
+
+def _try_lock(handle: int) -> bool:
+    """Take an exclusive lock without waiting."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        try:
+            # A byte far beyond the text, so that the holder's number stays readable.
+            os.lseek(handle, 1 << 20, os.SEEK_SET)
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+class Stop:
+    """A flag that is looked at between tiles."""
+
+    def __init__(self) -> None:
+        self._asked = threading.Event()
+
+    def ask(self) -> None:
+        """Ask the run to stop."""
+        self._asked.set()
+
+    def check(self) -> None:
+        """Stop here if that was asked for.
+
+        Raises
+        ------
+        Interrupted
+        """
+        if self._asked.is_set():
+            raise Interrupted("stopped on request", hint="the same command resumes: steps that are done stay done")
+
+    def watching(self, progress: Progress | None) -> Progress:
+        """Make a progress function that checks the flag at every report."""
+
+        def report(done: int, total: int, stage: str) -> None:
+            if progress is not None:
+                progress(done, total, stage)
+            self.check()
+
+        return report
+
+
+@contextmanager
+def on_sigterm(stop: Stop) -> Iterator[None]:
+    """Turn SIGTERM into a request to stop; outside the main thread signals are left alone."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def handler(number: int, frame: FrameType | None) -> None:
+        stop.ask()
+
+    before = signal.signal(signal.SIGTERM, handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,22 @@
+"""Monoplotting both ways: pixels to places on the ground with their error, and map vectors into a photo."""
+
+from __future__ import annotations
+
+from geomosaic.monoplotting.drape import View
+from geomosaic.monoplotting.error_ellipse import Ellipses, ellipses
+from geomosaic.monoplotting.line_drawing import Drawing, draw
+from geomosaic.monoplotting.places import Places, ground_crs, locate
+from geomosaic.monoplotting.uncertainty import Certainty, orientation
+
+__all__ = [
+    "Certainty",
+    "Drawing",
+    "Ellipses",
+    "Places",
+    "View",
+    "draw",
+    "ellipses",
+    "ground_crs",
+    "locate",
+    "orientation",
+]

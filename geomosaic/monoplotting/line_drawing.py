@@ -1,0 +1,215 @@
+"""Lines of a map drawn into a photo: densified so that they follow the ground, cut at the frame and where hidden."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.monoplotting.drape import HIDDEN, SEEN, UNSEEN, View
+from geomosaic.types import FloatArray, IntArray
+
+STEP = 8.0
+"""Pixels between the places of a line that are looked at."""
+SIMPLE = 0.02
+"""Pixels by which a drawn line may be simplified."""
+MOST = 4_000_000
+_TOGETHER = 2000
+_BISECTIONS = 24
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What a photo shows of some features.
+
+    Attributes
+    ----------
+    geometries : list of shapely geometry
+        In pixels, (col, row).
+    feature : list of int
+        The feature each is of, from 0; a feature may have several, or none.
+    hidden : list of bool
+        Whether ground stands before it.
+    """
+
+    geometries: list[Any]
+    feature: list[int]
+    hidden: list[bool]
+
+
+def draw(view: View, geometries: Sequence[Any], bounds: tuple[float, float, float, float], *, hidden: bool) -> Drawing:
+    """Draw features of the map into the photo.
+
+    Parameters
+    ----------
+    view : View
+    geometries : sequence of shapely geometry
+        In `view.crs`; heights of their own do not count, they are draped on the surface.
+    bounds : tuple of float
+        Left, bottom, right, top on the map, somewhat more than the photo shows; what lies beyond is not drawn.
+    hidden : bool
+        Draw hidden parts too, marked; else they are left out.
+
+    Returns
+    -------
+    Drawing
+        Points, lines, and polygons. A polygon of whose outline a part is hidden or beyond the known heights is drawn
+        as the lines of its outline.
+    """
+    import shapely
+
+    area = shapely.box(*bounds)
+    parts: list[tuple[int, Any]] = []
+    for number, geometry in enumerate(geometries):
+        if geometry is None or geometry.is_empty:
+            continue
+        flat = shapely.force_2d(geometry)
+        if not flat.is_valid:
+            flat = shapely.make_valid(flat)
+        inside = flat if shapely.contains_properly(area, flat) else flat.intersection(area)
+        parts += [(number, part) for part in _parts(inside)]
+    out = Drawing([], [], [])
+    for start in range(0, len(parts), _TOGETHER):
+        some = parts[start : start + _TOGETHER]
+        for (number, _), pieces in zip(some, _drawn(view, [part for _, part in some]), strict=True):
+            for drawn, covered in pieces:
+                if hidden or not covered:
+                    out.geometries.append(drawn)
+                    out.feature.append(number)
+                    out.hidden.append(covered)
+    return out
+
+
+def _parts(geometry: Any) -> Iterator[Any]:
+    for part in getattr(geometry, "geoms", [geometry]):
+        if hasattr(part, "geoms"):
+            yield from _parts(part)
+        elif not part.is_empty:
+            yield part
+
+
+def _drawn(view: View, parts: Sequence[Any]) -> Iterator[list[tuple[Any, bool]]]:
+    """Pieces of each simple geometry, and whether they are hidden; all lines are looked at together."""
+    import shapely
+
+    frame = shapely.box(0.0, 0.0, *view.model.size)
+    rings = [_rings(part) for part in parts]
+    traced = iter(trace_all(view, [ring for each in rings for ring in each]))
+    for part, own in zip(parts, rings, strict=True):
+        lines = [next(traced) for _ in own]
+        if part.geom_type == "Point":
+            (image, what), *_ = lines[0]
+            shown = what != UNSEEN and view.within(image[:1])[0]
+            yield [(shapely.Point(image[0]), what == HIDDEN)] if shown else []
+        elif part.geom_type == "Polygon" and all(len(line) == 1 and line[0][1] == SEEN for line in lines):
+            (outer, *holes) = [line[0][0] for line in lines]
+            area = shapely.make_valid(shapely.Polygon(outer, holes)).intersection(frame)
+            yield [(_simple(piece), False) for piece in _parts(area) if piece.geom_type == "Polygon"]
+        else:
+            yield [
+                (_simple(piece), what == HIDDEN)
+                for line in lines
+                for image, what in line
+                if what != UNSEEN and len(image) > 1
+                for piece in _parts(shapely.LineString(image).intersection(frame))
+                if piece.geom_type == "LineString"
+            ]
+
+
+def _rings(part: Any) -> list[FloatArray]:
+    """Vertices of the lines a simple geometry is made of; a point is a line of one vertex."""
+    lines = [part.exterior, *part.interiors] if part.geom_type == "Polygon" else [part]
+    return [np.asarray(line.coords, dtype=np.float64)[:, :2] for line in lines]
+
+
+def _simple(geometry: Any) -> Any:
+    simple = geometry.simplify(SIMPLE)
+    return geometry if simple.is_empty or not simple.is_valid else simple
+
+
+def trace(view: View, xy: FloatArray) -> list[tuple[FloatArray, int]]:
+    """Follow one line of the map over the ground, see `trace_all`."""
+    return trace_all(view, [xy])[0]
+
+
+def trace_all(view: View, lines: Sequence[FloatArray]) -> list[list[tuple[FloatArray, int]]]:
+    """Follow lines of the map over the ground.
+
+    Parameters
+    ----------
+    view : View
+    lines : sequence of array (N, 2)
+        Vertices in `view.crs`.
+
+    Returns
+    -------
+    list of list of (array (M, 2), int)
+        For each line its pieces in image coordinates, each wholly seen, hidden or unseen (`SEEN`, `HIDDEN`, `UNSEEN`),
+        in order. Ends between them are found to 1e-6 of the distance of the places looked at.
+    """
+    if not lines:
+        return []
+    xy = np.vstack(lines)
+    line = np.repeat(np.arange(len(lines)), [len(each) for each in lines])
+    step = max(min(view.spacing, 4.0 * STEP * view.sampling), view.sampling)
+    length = np.hypot(*np.diff(xy, axis=0).T)
+    xy, line = _cut(xy, line, np.maximum(np.ceil(length / step), 1.0))
+    for _ in range(3):  # near the camera of an oblique photo a step on the ground is many pixels
+        counts = _closer(view, view.image(view.ground(xy)))
+        if not (counts[line[1:] == line[:-1]] > 1.0).any():
+            break
+        xy, line = _cut(xy, line, counts)
+    image, state = view.look(xy)
+    joined = line[1:] == line[:-1]
+    changes = np.flatnonzero((state[1:] != state[:-1]) & joined)
+    before, after = _borders(view, xy, state, changes)
+    behind = dict(zip((changes + 1).tolist(), after, strict=True))
+    ahead = dict(zip(changes.tolist(), before, strict=True))
+    cuts = [0, *(np.flatnonzero((state[1:] != state[:-1]) | ~joined) + 1).tolist(), len(xy)]
+    out: list[list[tuple[FloatArray, int]]] = [[] for _ in lines]
+    for start, stop in itertools.pairwise(cuts):
+        ends = [[behind[start]] if start in behind else [], [ahead[stop - 1]] if stop - 1 in ahead else []]
+        whole = np.array([*ends[0], *image[start:stop], *ends[1]])
+        what = int(state[start])
+        out[line[start]].append((whole if what == UNSEEN else whole[np.isfinite(whole).all(axis=1)], what))
+    return out
+
+
+def _closer(view: View, image: FloatArray) -> FloatArray:
+    """Into how many parts each segment is cut: what is near the frame and longer than a step in the image."""
+    with np.errstate(invalid="ignore"):
+        length = np.hypot(*np.diff(image, axis=0).T)
+        low, high = np.minimum(image[1:], image[:-1]), np.maximum(image[1:], image[:-1])
+        near = ((high >= 0.0) & (low <= np.array(view.model.size))).all(axis=1)
+        return np.asarray(np.where(near & (length > 1.5 * STEP), np.minimum(np.ceil(length / STEP), 1000.0), 1.0))
+
+
+def _cut(xy: FloatArray, line: IntArray, counts: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Cut each of N − 1 segments into so many equal parts; what lies between two lines is none."""
+    whole: IntArray = np.where(line[1:] == line[:-1], counts, 1.0).astype(np.int64)
+    if whole.sum() > MOST:
+        raise InputError(
+            f"lines would need {whole.sum():.2g} points to follow the ground",
+            hint="cut the vectors to what the photo shows, or use a DEM with larger pixels",
+        )
+    segment = np.repeat(np.arange(len(whole)), whole)
+    first = np.repeat(np.cumsum(whole) - whole, whole)
+    share = (np.arange(len(segment)) - first) / whole[segment]
+    points = xy[segment] + share[:, None] * (xy[segment + 1] - xy[segment])
+    return np.vstack([points, xy[-1:]]), np.concatenate([line[segment], line[-1:]])
+
+
+def _borders(view: View, xy: FloatArray, state: FloatArray, changes: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Image points (C, 2) just before and just behind each change of state, by bisection."""
+    low, high = np.zeros(len(changes)), np.ones(len(changes))
+    first, last = xy[changes], xy[changes + 1]
+    for _ in range(_BISECTIONS if len(changes) else 0):
+        middle = 0.5 * (low + high)
+        same = view.look(first + middle[:, None] * (last - first))[1] == state[changes]
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    ends = [view.image(view.ground(first + t[:, None] * (last - first))) for t in (low, high)]
+    return ends[0], ends[1]

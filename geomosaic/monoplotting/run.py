@@ -1,0 +1,262 @@
+"""Monoplotting of one image from plain declarations: pixels to the map. The other way is `draw.py`."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.block.block import Block, Scene
+from geomosaic.errors import GeomosaicWarning, InputError, SolveError
+from geomosaic.geo.crs import height_name, parse_crs
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.control_diagnostics import astray
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.orientation_check.plausibility import FAR, distance
+from geomosaic.monoplotting import Certainty, Places, ground_crs, locate, orientation
+from geomosaic.monoplotting.tables import (
+    axes_of,
+    beyond,
+    check_name,
+    is_digitized,
+    need_inside,
+    read_digitized,
+    read_pixels,
+    write_csv,
+    write_frame,
+)
+from geomosaic.sensor.model import SensorModel
+from geomosaic.surface.model import Surface
+from geomosaic.types import FloatArray
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+
+
+ERROR = ("semi_major_m", "semi_minor_m", "azimuth_deg", "sigma_z_m")
+POINT = ("id", "col", "row", "x", "y", "z", *ERROR)
+
+
+@dataclass(frozen=True)
+class MonoplotInputs:
+    """What is asked of one image.
+
+    Attributes
+    ----------
+    block : BlockInputs
+        The image, its sensor and the surface.
+    source : Path, optional
+        Table or vectors of pixels; with `draw_vectors` vectors of the map.
+    layer : str, optional
+        Of `source`.
+    pixels : array (N, 2), optional
+        Image points in place of a file.
+    rows, first : str or None, float
+        How pixel coordinates of files count, see `PixelAxes`.
+    step : float, optional
+        Largest distance in pixels between vertices of digitized lines; vertices alone unless given.
+    crs, heights : str, optional
+        CRS and vertical datum of the result, those of the surface unless given; of the map vectors when drawing.
+    sigmas : mapping of str to float
+        Standard deviations of parameters of the sensor.
+    sigma_px, sigma_dem : float, optional
+        Of measured pixels, and of the surface's heights in metres.
+    hidden : bool
+        Draw hidden parts, marked.
+    output : Path, optional
+    overwrite : bool
+    """
+
+    block: BlockInputs
+    source: Path | None = None
+    layer: str | None = None
+    pixels: FloatArray | None = None
+    rows: str | None = None
+    first: float = 0.5
+    step: float | None = None
+    crs: str | None = None
+    heights: str | None = None
+    sigmas: Mapping[str, float] = field(default_factory=dict)
+    sigma_px: float | None = None
+    sigma_dem: float | None = None
+    hidden: bool = False
+    output: Path | None = None
+    overwrite: bool = False
+
+
+@dataclass(frozen=True)
+class Located:
+    """Places found.
+
+    Attributes
+    ----------
+    places : Places
+        Of all points, or of all vertices.
+    names : tuple of str
+        Of the points; empty for vectors.
+    features : int
+        Features written; 0 for points.
+    lost : int
+        Points, or features, of which something sees no known ground.
+    certainty : Certainty
+    outside : tuple of int
+        Those of the lost, counted from 0, that lie outside of the image.
+    """
+
+    places: Places
+    names: tuple[str, ...]
+    features: int
+    lost: int
+    certainty: Certainty
+    outside: tuple[int, ...] = ()
+
+    def rows(self) -> list[list[Any]]:
+        """Values of `POINT` for each point; None where something is not known."""
+        found = self.places
+        error = error_columns(found)
+        return [
+            [name, *map(_known, [*found.colrow[i].tolist(), *found.xyz[i].tolist(), *error[i].tolist()])]
+            for i, name in enumerate(self.names)
+        ]
+
+
+def locate_pixels(inputs: MonoplotInputs) -> Located:
+    """Find the places of pixels on the ground, and write them where a file is asked for.
+
+    Raises
+    ------
+    InputError
+        Something is missing or wrong; names the file, line or option.
+    """
+    if inputs.output is not None:
+        check_name(inputs.output, overwrite=inputs.overwrite)
+    block, scene = scene_of(inputs.block)
+    size = scene.model.size
+    crs = ground_crs(scene.model, block.surface, parse_crs(inputs.crs) if inputs.crs else None, inputs.heights)
+    scene, covariance, note = oriented(inputs, block, scene)
+    certainty = Certainty(inputs.sigma_px, inputs.sigma_dem, covariance, (note,))
+    axes = axes_of(inputs.rows, inputs.first, size, inputs.source)
+    if inputs.source is not None and is_digitized(inputs.source):
+        frame = read_digitized(inputs.source, inputs.layer, axes, size)
+        return _located_vectors(inputs, block, scene, crs, certainty, frame)
+    if inputs.source is not None:
+        points = read_pixels(inputs.source, axes, size)
+        names, colrow = points.names, points.colrow
+    elif inputs.pixels is not None:
+        colrow = axes.colrow(inputs.pixels)
+        need_inside(colrow, size, "--pixel")
+        names = tuple(str(number) for number in range(1, len(colrow) + 1))
+    else:
+        raise InputError("no pixel is given", hint="give --pixel COL ROW, or a table or vectors of pixels")
+    places = _located(scene.model, block.surface, colrow, crs, certainty)
+    outside = tuple(np.flatnonzero(beyond(colrow, size)).tolist())
+    found = Located(places, names, 0, int((~places.seen).sum()), certainty, outside)
+    if inputs.output is not None:
+        _write_points(inputs.output, found, overwrite=inputs.overwrite)
+    return found
+
+
+def error_columns(places: Places) -> FloatArray:
+    """Values of `ERROR` (N, 4)."""
+    error = places.ellipses
+    return np.column_stack([error.semi_axes, error.azimuth, error.sigma_z])
+
+
+def scene_of(inputs: BlockInputs) -> tuple[Block, Scene]:
+    """Block of one image, and the image."""
+    block = build_block(inputs)
+    return block, block.scenes[0]
+
+
+def oriented(inputs: MonoplotInputs, block: Block, scene: Scene) -> tuple[Scene, FloatArray | None, str]:
+    """Adjust the image to its control points, where it has any; the covariance of its orientation, and a note."""
+    control = [point for point in block.control if point.image == scene.name and point.role == "control"]
+    try:
+        model, covariance, note = orientation(scene.model, inputs.sigmas, control, block.crs)
+    except SolveError as error:
+        error.where = error.where or f"{inputs.block.control}, {scene.name}"
+        for points in astray(inputs.block, block):
+            if points.cause:
+                error.what, error.hint = f"{error.what}; {points.cause}", points.hint
+        raise
+    if block.crs is not None and distance([replace(scene, model=model)], control, block.crs) > FAR:
+        for points in astray(inputs.block, block):  # of the image as it was: adjusted to wrong points it tells nothing
+            warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
+    return replace(scene, model=model), covariance, note
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _write_points(path: Path, found: Located, *, overwrite: bool) -> None:
+    if path.suffix.lower() == ".csv":
+        write_csv(path, POINT, found.rows(), overwrite=overwrite)
+        return
+    import geopandas
+    import shapely
+
+    seen = found.places.seen
+    rows = [row for row, good in zip(found.rows(), seen, strict=True) if good]
+    columns = {name: [row[k] for row in rows] for k, name in enumerate(POINT) if name not in ("x", "y", "z")}
+    frame = geopandas.GeoDataFrame(columns, geometry=shapely.points(found.places.xyz[seen]), crs=found.places.crs)
+    for name in ERROR:  # a column of nothing but None would have no type
+        frame[name] = frame[name].astype("float64")
+    frame["heights"] = height_name(found.places.crs)
+    write_frame(path, frame, "places", overwrite=overwrite)
+
+
+def _located_vectors(
+    inputs: MonoplotInputs, block: Block, scene: Scene, crs: CRS, certainty: Certainty, frame: GeoDataFrame
+) -> Located:
+    """Bring digitized vectors to the ground; the error of a feature is that of its worst vertex."""
+    import shapely
+
+    if inputs.output is None:
+        raise InputError("vectors need a file to be written to", where=str(inputs.source), hint="give --output")
+    shapes = np.asarray(frame.geometry.values)
+    if inputs.step is not None:
+        shapes = shapely.segmentize(shapes, inputs.step)
+    colrow, owner = shapely.get_coordinates(shapes, return_index=True)
+    places = _located(scene.model, block.surface, colrow, crs, certainty)
+    whole = np.ones(len(shapes), dtype=bool)
+    whole[owner[~places.seen]] = False
+    if inputs.output.suffix.lower() == ".csv":
+        error = error_columns(places)
+        rows = (
+            [int(f) + 1, *map(_known, [*colrow[i], *places.xyz[i], *error[i]])] for i, f in enumerate(owner.tolist())
+        )
+        write_csv(inputs.output, ("feature", *POINT[1:]), rows, overwrite=inputs.overwrite)
+    else:
+        flat = shapely.force_3d(shapes[whole], 0.0)
+        count = np.bincount(owner, minlength=len(shapes))[whole]
+        assert count.sum() == whole[owner].sum()
+        deep = shapely.set_coordinates(flat.copy(), places.xyz[whole[owner]])
+        worst = _worst(error_columns(places), owner, len(shapes))[whole]
+        out = frame[whole].set_geometry(deep).set_crs(crs, allow_override=True)
+        for k, name in enumerate(ERROR):
+            out[name] = worst[:, k]
+        out["heights"] = height_name(crs)
+        write_frame(inputs.output, out, inputs.layer or "places", overwrite=inputs.overwrite)
+    outside = tuple(np.unique(owner[beyond(colrow, scene.model.size)]).tolist())
+    return Located(places, (), int(whole.sum()), int((~whole).sum()), certainty, outside)
+
+
+def _located(model: SensorModel, surface: Surface | None, colrow: FloatArray, crs: CRS, certainty: Certainty) -> Places:
+    """Places of image points; none for those outside of the image."""
+    seen = np.where(beyond(colrow, model.size)[:, None], np.nan, colrow)
+    return replace(locate(model, surface, seen, crs, certainty), colrow=colrow)
+
+
+def _worst(error: FloatArray, owner: FloatArray, count: int) -> FloatArray:
+    """Errors (count, 4) of the vertex of each feature whose larger semi-axis is largest."""
+    out = np.full((count, error.shape[1]), np.nan)
+    order = np.argsort(error[:, 0], kind="stable")  # NaN comes last, and must not win
+    for index in order[np.isfinite(error[order, 0])]:
+        out[owner[index]] = error[index]
+    return out

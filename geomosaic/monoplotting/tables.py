@@ -1,0 +1,189 @@
+"""Tables and vector files of monoplotting: measured pixels in, places and drawings out."""
+
+from __future__ import annotations
+
+import csv
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import horizontal
+from geomosaic.inputs.tables import read_table
+from geomosaic.monoplotting.places import ROWS, PixelAxes
+from geomosaic.raster.output_files import check_output
+from geomosaic.raster.vector import append_layer, read_layer
+from geomosaic.reprojection.vectors import DRIVERS, READ
+from geomosaic.types import BoolArray, FloatArray
+from geomosaic.whole_files import under_construction
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+
+
+SUFFIXES = (*DRIVERS, ".csv")
+
+
+def check_name(path: Path, *, overwrite: bool) -> None:
+    """Refuse a name that cannot be written, before any work.
+
+    Raises
+    ------
+    InputError
+        The suffix is not known, or the name is taken.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(
+            f"'{path.suffix}' is no format that can be written",
+            where=str(path),
+            hint=f"end the name in {', '.join(SUFFIXES)}",
+        )
+    check_output(path, overwrite=overwrite)
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]], *, overwrite: bool) -> None:
+    """Write a table; numbers in full precision, what is unknown is empty."""
+    check_output(path, overwrite=overwrite)
+    with under_construction(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(["" if value is None else value for value in row] for row in rows)
+
+
+def _writable(crs: CRS) -> bool:
+    """Whether a file can hold a 3-D CRS whole: not ellipsoidal heights of a map, and no geoid of someone's own.
+
+    GeoJSON names a CRS by its code only, which joined ones have not. A column says what heights count from then.
+    """
+    try:
+        crs.to_wkt("WKT1_GDAL")
+    except CRSError:
+        return False
+    return "BOUNDCRS" not in crs.to_wkt()
+
+
+def write_frame(path: Path, frame: GeoDataFrame, layer: str, *, overwrite: bool) -> None:
+    """Write a data frame of features as one layer.
+
+    Parameters
+    ----------
+    path : Path
+        Its suffix says the format.
+    frame : GeoDataFrame
+        Without a CRS where its coordinates are pixels.
+    layer : str
+    overwrite : bool
+        Replace an existing file.
+    """
+    check_output(path, overwrite=overwrite)
+    driver = DRIVERS[path.suffix.lower()]
+    if frame.crs is not None:
+        crs = horizontal(frame.crs) if driver == "GeoJSON" or not _writable(frame.crs) else frame.crs
+        frame = frame.set_crs(crs, allow_override=True)
+    with under_construction(path, path.suffix) as unfinished, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="'crs' was not provided", category=UserWarning)
+        append_layer(unfinished, frame, layer, driver)
+
+
+HAIR = 1.0
+"""Pixels beyond the border that still count as in the image: its edge, drawn by hand."""
+SAY_ROWS = "--rows down (rows count down from the top), negative (the same with a minus, as QGIS shows it) or up"
+
+
+@dataclass(frozen=True)
+class PixelPoints:
+    """Named image points: (col, row) (N, 2)."""
+
+    names: tuple[str, ...]
+    colrow: FloatArray
+
+
+def read_pixels(path: Path, axes: PixelAxes, size: tuple[int, int]) -> PixelPoints:
+    """Read a table with the columns col, row and optionally id.
+
+    Raises
+    ------
+    InputError
+        Names file and line.
+    """
+    table = read_table(path, "table of pixels", "id,col,row")
+    table.require("col", "row", what="pixels")
+    names, places = [], []
+    for number, row in enumerate(table, 1):
+        names.append(row.values.get("id", "").strip() or str(number))
+        places.append((row.number("col"), row.number("row")))
+    colrow = axes.colrow(np.array(places))
+    need_inside(colrow, size, str(path))
+    return PixelPoints(tuple(names), colrow)
+
+
+def read_digitized(path: Path, layer: str | None, axes: PixelAxes, size: tuple[int, int]) -> GeoDataFrame:
+    """Read vectors digitized on the raw photo; their coordinates become (col, row). A CRS they may have means nothing.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is empty, or its coordinates are no pixels of this image.
+    """
+    import shapely
+
+    frame = read_layer(path, layer)
+    frame = frame[~(frame.geometry.isna() | frame.geometry.is_empty)]
+    if not len(frame):
+        raise InputError("the layer has no features", where=str(path))
+    pixels = shapely.transform(shapely.force_2d(np.asarray(frame.geometry.values)), axes.colrow)
+    need_inside(shapely.get_coordinates(pixels), size, str(path))
+    return frame.set_geometry(pixels).set_crs(None, allow_override=True)
+
+
+def is_digitized(path: Path) -> bool:
+    """Whether a file's suffix is that of vectors, not of a table."""
+    return path.suffix.lower() in READ
+
+
+def beyond(colrow: FloatArray, size: tuple[int, int]) -> BoolArray:
+    """Which image points (N, 2) lie outside of the image: a model goes on there, but nobody has seen them."""
+    inside = ((colrow >= -HAIR) & (colrow <= np.array(size) + HAIR)).all(axis=1)
+    return np.logical_not(np.atleast_1d(inside))
+
+
+def need_inside(colrow: FloatArray, size: tuple[int, int], where: str) -> None:
+    """Refuse coordinates of which not one lies in the image, and say how they may be meant."""
+    if not beyond(colrow, size).all():
+        return
+    (left, top), (right, bottom) = np.min(colrow, axis=0), np.max(colrow, axis=0)
+    fits = [
+        rows
+        for rows, low, high in (("negative", -bottom, -top), ("up", size[1] - bottom, size[1] - top))
+        if low >= -HAIR and high <= size[1] + HAIR and left >= -HAIR and right <= size[0] + HAIR
+    ]
+    hint = f"--rows {fits[0]} would bring them into it; " if fits else ""
+    raise InputError(
+        f"columns {left:.6g} to {right:.6g} and rows {top:.6g} to {bottom:.6g} are no pixels of this image of "
+        f"{size[0]} x {size[1]}",
+        where=where,
+        hint=f"{hint}say how rows are counted: {SAY_ROWS}; places on the map are drawn with --inverse",
+    )
+
+
+def axes_of(rows: str | None, first: float, size: tuple[int, int], path: Path | None) -> PixelAxes:
+    """How a file counts pixels; vectors must say it, tables of columns and rows count down unless they say otherwise.
+
+    Raises
+    ------
+    InputError
+        Vectors are read or written and nothing says where rows count to.
+    """
+    if rows is None and path is not None and is_digitized(path):
+        raise InputError(
+            "nothing says how the pixel coordinates of these vectors count rows", where=str(path), hint=SAY_ROWS
+        )
+    if rows is not None and rows not in ROWS:
+        raise InputError(f"rows are counted '{rows}'", hint=SAY_ROWS)
+    return PixelAxes(size[1], rows or "down", first)

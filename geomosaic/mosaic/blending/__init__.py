@@ -1,0 +1,1 @@
+"""Blending: values of several images to one, across seams, over overlaps, or by rule."""

@@ -1,0 +1,159 @@
+"""Blending weights: ramps across seams and towards image edges, the weight of one image in a block."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.resample.warp import CELL
+from geomosaic.types import AnyArray, BoolArray, ByteArray, Float32Array
+
+MOST_REDUCTION = 32
+_MOST_CELLS = 48
+
+
+def reduction(feather: float) -> int:
+    """How much coarser than the output the weights may be: a power of two, eight steps to a ramp; 1 for hard seams."""
+    factor = 1
+    while factor * 2 <= min(feather / 8, MOST_REDUCTION):
+        factor *= 2
+    return factor
+
+
+def halo(feather: float, factor: int) -> int:
+    """Cells beyond a block that its weights depend on: the ramp at a footprint's edge is a whole feather wide."""
+    return int(np.ceil(feather / factor)) + 2
+
+
+def weights(
+    label: AnyArray,
+    index: int,
+    footprint: BoolArray | None,
+    feather: float,
+    factor: int,
+    distance: AnyArray | None = None,
+) -> Float32Array:
+    """Weight of one image on a reduced lattice.
+
+    Parameters
+    ----------
+    label : int array (rows, cols)
+        Image number that the seams give each cell.
+    index : int
+        The image.
+    footprint : bool array (rows, cols) or None
+        Cells that the image shows; None where it shows all, to a feather beyond what matters.
+    feather : float
+        Width of the transition in output pixels; 0 for a hard seam.
+    factor : int
+        Output pixels per cell.
+    distance : array (rows, cols), optional
+        `signed_distance` of the cells labelled `index`, where it is known.
+
+    Returns
+    -------
+    float32 array (rows, cols)
+        0 to 1. Half on the seam, falling to 0 half a feather beyond it; and falling to 0 towards the footprint's own
+        edge, so that no image ends in a step. Weights of several images are to be divided by their sum.
+    """
+    own = label == index
+    if feather <= 0:
+        hard: Float32Array = own.astype(np.float32)
+        return hard
+    if distance is None:
+        distance = signed_distance(own, feather / 2 / factor)
+    weight: AnyArray = np.clip(0.5 + distance * factor / feather, 0.0, 1.0)
+    if footprint is not None:
+        inside = np.clip(signed_distance(footprint, feather / factor) * factor / feather, 1e-4, 1.0)
+        weight = weight * np.where(footprint | own, inside, 0.0)
+    return weight.astype(np.float32)
+
+
+def signed_distance(mask: BoolArray, reach: float) -> AnyArray:
+    """Distance of cell centres to the edge of a mask, in cells; positive inside, exact up to `reach`.
+
+    Beyond it, and where there is no edge, ± infinity.
+    """
+    if mask.all():
+        return np.full(mask.shape, np.inf)
+    if not mask.any():
+        return np.full(mask.shape, -np.inf)
+    cells = int(np.ceil(reach + 0.5))
+    if cells > _MOST_CELLS:
+        from scipy.ndimage import distance_transform_edt
+
+        exact: AnyArray = np.where(mask, distance_transform_edt(mask) - 0.5, 0.5 - distance_transform_edt(~mask))
+        return np.where(np.abs(exact) > cells - 0.5, np.copysign(np.inf, exact), exact)
+    near = _about(mask, 0, cells), _about(mask, 1, cells)
+    distance = np.full(mask.shape, np.inf)
+    distance[near] = _to_edge(mask[near], cells) - 0.5
+    return np.where(mask, distance, -distance)
+
+
+def _about(mask: BoolArray, axis: int, cells: int) -> slice:
+    """Rows or columns that lie within so many cells of those that the edge of a mask touches."""
+    touched: BoolArray = np.asarray(mask.any(axis=1 - axis) & ~mask.all(axis=1 - axis))  # of both kinds
+    other = np.moveaxis(mask, axis, 0)
+    changes = np.asarray((other[1:] != other[:-1]).any(axis=1))  # to the next one
+    touched[1:] |= changes
+    touched[:-1] |= changes
+    at = np.flatnonzero(touched)
+    return slice(max(0, int(at[0]) - cells), int(at[-1]) + cells + 1)
+
+
+def _to_edge(mask: BoolArray, cells: int) -> AnyArray:
+    """Distance of each cell to the nearest one of the other kind, infinite beyond `cells`.
+
+    Separable: the distance along rows first, then the least of squares over columns (Saito and Toriwaki, 1994), both no
+    farther than is asked.
+    """
+    rows, cols = mask.shape
+    along = np.full(mask.shape, 4 * cells * cells, dtype=np.uint16)  # _MOST_CELLS keeps sums of two within 16 bits
+    for k in range(min(cells, cols - 1), 0, -1):
+        differs = mask[:, k:] != mask[:, :-k]
+        np.copyto(along[:, k:], k * k, where=differs)
+        np.copyto(along[:, :-k], k * k, where=differs)
+    least = along.copy()
+    for k in range(1, min(cells, rows - 1) + 1):
+        farther, differs = along + np.uint16(k * k), mask[k:] != mask[:-k]
+        for here, there in ((slice(k, None), slice(None, -k)), (slice(None, -k), slice(k, None))):
+            np.minimum(least[here], np.where(differs, np.uint16(k * k), farther[there]), out=least[here])
+    roots = np.append(np.sqrt(np.arange(cells * cells + 1, dtype=np.float64)), np.inf)
+    distance: AnyArray = roots[np.minimum(least, cells * cells + 1)]
+    return distance
+
+
+def between(nodes: AnyArray, at: AnyArray, axis: int) -> AnyArray:
+    """Values between nodes, linearly."""
+    first = at.astype(np.int64)
+    shape = [1, 1]
+    shape[axis] = len(at)
+    share = (at - first).reshape(shape)
+    one, two = nodes.take(first, axis=axis), nodes.take(first + 1, axis=axis)
+    between: AnyArray = one + (two - one) * share
+    return between
+
+
+@dataclass(frozen=True)
+class Share:
+    """Weight of one image on a reduced lattice; None is 1 everywhere."""
+
+    index: int
+    weight: AnyArray | None
+    factor: int
+    margin: int
+
+    def need(self, shape: tuple[int, int]) -> ByteArray:
+        """Cells of the block in which the image has weight."""
+        assert self.weight is not None
+        per = CELL // self.factor
+        rows, cols = -(-shape[0] // CELL), -(-shape[1] // CELL)
+        # Counts over windows from running sums: a window is a cell and what its pixels interpolate between.
+        sums = np.pad(np.cumsum(np.cumsum(self.weight > 0, axis=0), axis=1), ((1, 0), (1, 0)))
+        top, left = self.margin - 1 + per * np.arange(rows), self.margin - 1 + per * np.arange(cols)
+        stop = np.minimum(top + per + 2, self.weight.shape[0])
+        end = np.minimum(left + per + 2, self.weight.shape[1])
+        count = sums[stop][:, end] - sums[top][:, end] - sums[stop][:, left] + sums[top][:, left]
+        need: ByteArray = (count > 0).astype(np.uint8)
+        return need

@@ -1,0 +1,1 @@
+"""Colour of a mosaic: samples of overlaps to corrections of each image."""

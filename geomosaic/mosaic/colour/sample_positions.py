@@ -1,0 +1,94 @@
+"""Where samples lie in their images and about their nadir, and fields of light laid out over the output."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from geomosaic.geo.grid import Grid
+from geomosaic.radiometry import bases
+from geomosaic.radiometry.fields import Fields
+from geomosaic.radiometry.local_gains import Shade
+from geomosaic.radiometry.overlap_samples import Places
+from geomosaic.render.photos import Photos
+from geomosaic.types import AnyArray, FloatArray, IntArray
+
+NODES = 48
+"""Intervals of the net of a photo's gains across its footprint: between nodes a fall of light by half is 1e-4 off."""
+ALIKE = 0.05
+"""Share by which sizes of images of one camera may differ, as orthos' do."""
+
+
+def cameras(photos: Photos) -> IntArray:
+    """Number of each photo's camera: photos of one sensor and of about one size were taken by one."""
+    known: list[tuple[str, float, float]] = []
+    numbers = []
+    for scene in photos.block.scenes:
+        width, height = scene.model.size
+        for number, (sensor, w, h) in enumerate(known):
+            if sensor == scene.sensor and abs(width / w - 1) < ALIKE and abs(height / h - 1) < ALIKE:
+                numbers.append(number)
+                break
+        else:
+            numbers.append(len(known))
+            known.append((scene.sensor, width, height))
+    return np.array(numbers, dtype=np.int64)
+
+
+def view_radius(photos: Photos) -> float:
+    """Half a footprint's diagonal in map units, the median of all."""
+    radii = [np.hypot(*(outline.ring - np.array(outline.centre)).T).max() for outline in photos.outlines]
+    return float(np.median(radii))
+
+
+def places_of(photos: Photos, grid: Grid) -> Places:
+    """Finder of places of cells of a coarse grid; see `radiometry.bases`. Beyond the photos (a reference) all are 0."""
+    radius = view_radius(photos)
+
+    def find(index: int, cells: AnyArray) -> tuple[FloatArray, FloatArray]:
+        if index >= len(photos):
+            return np.zeros((len(cells), 2)), np.zeros((len(cells), 2))
+        return _places(photos, index, grid.xy(np.asarray(cells, dtype=np.float64) + 0.5), radius)
+
+    return find
+
+
+def _places(photos: Photos, index: int, xy: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
+    surface, size = photos.block.surface, np.array(photos.block.scenes[index].model.size, dtype=np.float64)
+    with photos.using(index) as photo:
+        mapper = photo.mapper
+    own = mapper.surface_xy(xy)
+    z = np.zeros(len(xy)) if surface is None or not mapper.uses_heights else surface.height(own)
+    colrow = np.clip(mapper.image(own, z), 0.0, size)
+    image = (colrow - size / 2) / (np.hypot(*size) / 2)
+    view = (xy - np.array(photos.outlines[index].centre)) / radius
+    return image, np.clip(view, -1.2, 1.2)
+
+
+def shade_of(photos: Photos, index: int, fields: Fields) -> Shade:
+    """Lay the correction of one photo out over its footprint."""
+    window = photos.grid.window_of(photos.outlines[index].bounds)
+    longer = max(window.width, window.height, 1)
+    spacing = longer / NODES
+    cols = window.col + spacing * np.arange(max(2, int(np.ceil(window.width / spacing)) + 1))
+    rows = window.row + spacing * np.arange(max(2, int(np.ceil(window.height / spacing)) + 1))
+    c, r = np.meshgrid(cols, rows)
+    xy = photos.grid.xy(np.column_stack([c.ravel(), r.ravel()]))
+    image, view = _places(photos, index, xy, view_radius(photos))
+    log = np.full((len(xy), fields.gain.shape[1]), np.nan)
+    seen = np.isfinite(image).all(axis=1)
+    if seen.any():
+        log[seen] = fields.log_field(index, image[seen], view[seen])
+        log[~seen] = log[seen].mean(axis=0)
+    else:
+        log[:] = 0.0
+    # Rounded, so that the last bits of sums in another order do not show.
+    net = np.round(np.exp(log + fields.gain[index]), 9).reshape(len(rows), len(cols), -1)
+    shade = Shade.of(
+        net, (float(cols[0]), float(rows[0])), (spacing, spacing), fields.dark[index], fields.gamma[index],
+        fields.setting.reach, fields.setting.pivot,
+    )  # fmt: skip
+    if fields.haze is None:
+        return shade
+    return replace(shade, path=bases.path(view).reshape(len(rows), len(cols)), haze=fields.haze[index])

@@ -1,0 +1,1 @@
+"""Records that go with a mosaic: footprints, seamlines, STAC item, provenance."""

@@ -1,0 +1,1 @@
+"""Seams: which image shows which place."""

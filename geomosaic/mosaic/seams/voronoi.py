@@ -1,0 +1,162 @@
+"""Seams by distance: Voronoi cells of image centres, halved overlaps, candidate images of a cell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geomosaic.types import AnyArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from shapely import Polygon
+
+
+Geometry = Any
+"""A shapely Polygon or MultiPolygon."""
+
+
+def regions(outlines: list[Polygon], centres: list[tuple[float, float]]) -> list[Geometry]:
+    """Each image's share of the ground: where it is the nearest of the images that show it.
+
+    Parameters
+    ----------
+    outlines : list of Polygon
+        Footprints in the output map.
+    centres : list of (x, y)
+        The place each image sees best. Of two images with the same centre the first has its way.
+
+    Returns
+    -------
+    list of Polygon or MultiPolygon
+        They share no area, and together they cover the union of the footprints.
+    """
+    import shapely
+
+    tree = shapely.STRtree(outlines)
+    shares = []
+    for i, outline in enumerate(outlines):
+        share = outline
+        for j in sorted(int(k) for k in tree.query(outline, predicate="intersects")):
+            if j == i:
+                continue
+            nearer = _nearer(centres[j], centres[i], outline.union(outlines[j]).bounds, first=j < i)
+            if nearer is not None:
+                share = share.difference(outlines[j].intersection(nearer))
+        shares.append(polygonal(share))
+    return shares
+
+
+def _nearer(
+    a: tuple[float, float], b: tuple[float, float], bounds: tuple[float, float, float, float], *, first: bool
+) -> Polygon | None:
+    """The part of a box that is nearer to a than to b."""
+    import shapely
+
+    left, bottom, right, top = bounds
+    if a == b:
+        return shapely.box(left - 1, bottom - 1, right + 1, top + 1) if first else None
+    middle = (np.array(a) + np.array(b)) / 2
+    along = np.array(a) - np.array(b)
+    along = along / np.hypot(*along)
+    across = np.array([-along[1], along[0]])
+    reach = 4.0 * (np.hypot(right - left, top - bottom) + np.hypot(*(np.array(a) - middle)))
+    corners = [middle - across * reach, middle + across * reach]
+    return shapely.Polygon([*corners, corners[1] + along * reach, corners[0] + along * reach])
+
+
+def polygonal(geometry: Geometry) -> Geometry:
+    """Drop the points and lines that cutting may leave."""
+    import shapely
+
+    if geometry.geom_type in ("Polygon", "MultiPolygon"):
+        return geometry
+    parts = [part for part in getattr(geometry, "geoms", []) if part.geom_type in ("Polygon", "MultiPolygon")]
+    return shapely.union_all(parts) if parts else shapely.Polygon()
+
+
+def inner_edges(outlines: Sequence[Any]) -> list[Any]:
+    """The parts of each footprint's edge at which others go on: what lies on the edge of all together is left out."""
+    import shapely
+
+    tree, found = shapely.STRtree(list(outlines)), []
+    for i, outline in enumerate(outlines):
+        near = [outlines[int(k)] for k in tree.query(outline, predicate="intersects") if int(k) != i]
+        size = max(np.hypot(outline.bounds[2] - outline.bounds[0], outline.bounds[3] - outline.bounds[1]), 1e-300)
+        hair = 1e-6 * size if not outline.is_empty else 0.0
+        others = shapely.union_all(near).buffer(-hair) if near else shapely.Polygon()
+        found.append(outline.boundary.intersection(others))
+    return found
+
+
+def shown_deepest(edges: Sequence[Any], places: FloatArray, covers: AnyArray) -> IntArray:
+    """Which of some images shows each place.
+
+    For two footprints the border is the line that is equally far from both inner edges: the overlap is halved. For
+    more it is the same rule, so that no place is left over and none is claimed twice.
+
+    Parameters
+    ----------
+    edges : sequence of geometry
+        From `inner_edges`, one per image.
+    places : array (N, 2)
+    covers : bool array (K, N)
+        Whether an image shows a place.
+
+    Returns
+    -------
+    int array (N,)
+        Number of the image; the first of equals; -1 where none shows the place.
+    """
+    import shapely
+
+    points = shapely.points(places)
+    depth = np.full(covers.shape, -1.0)
+    for k, edge in enumerate(edges):
+        if edge.is_empty:
+            depth[k, covers[k]] = np.inf
+            continue
+        shapely.prepare(edge)
+        depth[k, covers[k]] = shapely.distance(points[covers[k]], edge)
+    return np.where(covers.any(axis=0), depth.argmax(axis=0), -1)
+
+
+MOST = 3
+"""Images that may share a cell: three meet where seams do."""
+
+
+def nearest(centres: FloatArray, places: FloatArray, covers: AnyArray, reach: float, most: int = MOST) -> IntArray:
+    """Candidates of cells, the nearest first.
+
+    Parameters
+    ----------
+    centres : array (K, 2)
+        Of the images at hand, in map units.
+    places : array (N, 2)
+        Of the cells.
+    covers : bool array (K, N)
+        Whether an image shows a cell.
+    reach : float
+        Part of the way between two centres, to both sides of the middle together, in which a seam may run.
+    most : int
+        Candidates of a cell.
+
+    Returns
+    -------
+    int array (most, N)
+        Numbers among the images, -1 where there are no more. A cell with one candidate is surely that one's.
+    """
+    found = np.full((most, len(places)), -1)
+    distance = np.hypot(*(places[None] - centres[:, None]).transpose(2, 0, 1))
+    distance = np.where(covers, distance, np.inf)
+    order, each = np.argsort(distance, axis=0, kind="stable"), np.arange(len(places))
+    for rank in range(min(most, len(centres))):
+        apart = np.hypot(*(centres[order[0]] - centres[order[rank]]).T)
+        with np.errstate(invalid="ignore"):  # where no image is left, all distances are infinite
+            far = distance[order[rank], each] - distance[order[0], each]
+            allowed = np.isfinite(distance[order[rank], each]) & (far <= reach * apart)
+        found[rank] = np.where(allowed, order[rank], -1)
+    # The second may be beyond reach where the third is not: no holes in between.
+    holes = np.argsort(found < 0, axis=0, kind="stable")
+    return np.take_along_axis(found, holes, axis=0)

@@ -1,0 +1,1 @@
+"""Options: each declared once, with its type, unit, default and limits."""

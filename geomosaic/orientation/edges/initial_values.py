@@ -1,0 +1,160 @@
+"""Initial values of edge matching, and how far photos are from meeting at common points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.errors import SolveError
+from geomosaic.orientation.edges.adjustment import Problem
+from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.solve import fit, image_to_height
+from geomosaic.types import BoolArray, FloatArray
+
+
+def own_fits(problem: Problem, models: list[SensorModel]) -> tuple[list[SensorModel], BoolArray]:
+    """Fit every photo to its own control points alone: the photos as they are with no edge matching.
+
+    Returns
+    -------
+    models : list of SensorModel
+        As given where a photo's own control does not determine it.
+    fitted : bool array (photos,)
+        A photo with nothing free counts as fitted.
+    """
+    s = problem.stations
+    known = np.isfinite(s.sigma)[s.station]
+    return _fitted(problem, models, s.xyz, known, np.zeros(len(models), dtype=bool))
+
+
+def grown(problem: Problem, models: list[SensorModel], fitted: BoolArray) -> list[SensorModel]:
+    """Fit the photos that are not fitted yet to what their neighbours say of the common points, round by round.
+
+    A photo that is not reached keeps the values it came with: they are its start.
+    """
+    while not fitted.all() and fitted.any():
+        ground = common_ground(problem, models, fitted)
+        known = np.isfinite(ground[:, 0])[problem.stations.station]
+        models, now = _fitted(problem, models, ground, known, fitted)
+        if (now == fitted).all():
+            break
+        fitted = now
+    return models
+
+
+def common_ground(problem: Problem, models: list[SensorModel], from_photos: BoolArray) -> FloatArray:
+    """Stations (S, 3) in the map CRS: as given, or the mean of what chosen photos see; NaN where none does."""
+    s = problem.stations
+    places = ground_of(problem, models)
+    places[~from_photos[s.photo]] = np.nan
+    ground = s.xyz.copy()
+    for station in np.flatnonzero(np.isinf(s.sigma)):
+        seen = places[s.station == station, :2]
+        seen = seen[np.isfinite(seen).all(axis=1)]
+        if len(seen):
+            ground[station, :2] = seen.mean(axis=0)
+    return ground
+
+
+def ground_of(problem: Problem, models: list[SensorModel]) -> FloatArray:
+    """Where each measurement (N, 3) lies on the map by its own photo, at the height of its station."""
+    s = problem.stations
+    places = np.full((len(s.photo), 3), np.nan)
+    for index, model in enumerate(models):
+        mine = s.photo == index
+        if mine.any():
+            places[mine] = image_to_height(model, s.colrow[mine], s.xyz[s.station[mine], 2], problem.crs)
+    return places
+
+
+def _fitted(
+    problem: Problem, models: list[SensorModel], ground: FloatArray, known: BoolArray, done: BoolArray
+) -> tuple[list[SensorModel], BoolArray]:
+    """Fit the photos that are not done and whose known measurements (N,) suffice."""
+    s, out, fitted = problem.stations, list(models), done.copy()
+    for index in np.flatnonzero(~done):
+        parameters, mine = models[index].parameters, known & (s.photo == index)
+        if not (parameters.sigmas > 0.0).any():
+            fitted[index] = True
+            continue
+        try:
+            points = problem.to_model[index](ground[s.station[mine]])
+            out[index] = fit(models[index], points, s.colrow[mine], s.sigma_px[mine]).model
+            fitted[index] = True
+        except SolveError:
+            continue  # too few points of its own: its neighbours may help
+    return out, fitted
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Where one photo puts what another shows: for each shared point and each pair of photos that show it.
+
+    Attributes
+    ----------
+    ids : tuple of str (M,)
+        Points.
+    pairs : tuple of (str, str) (M,)
+        First and second photo.
+    ground : array (M, 2)
+        Second minus first, units of the map.
+    pixels : array (M, 2)
+        In the first photo: where it would show what the second has measured, minus where it is measured.
+    """
+
+    ids: tuple[str, ...]
+    pairs: tuple[tuple[str, str], ...]
+    ground: FloatArray
+    pixels: FloatArray
+
+    @property
+    def lengths(self) -> FloatArray:
+        """Lengths (M,) in pixels of the first photo; NaN where a photo has no place of its own."""
+        length: FloatArray = np.hypot(self.pixels[:, 0], self.pixels[:, 1])
+        return length
+
+    @property
+    def rms(self) -> float:
+        """Root mean square length in pixels, of the pairs that have one; NaN where none has."""
+        known = self.lengths[np.isfinite(self.lengths)]
+        return float(np.sqrt((known**2).mean())) if len(known) else float("nan")
+
+    @property
+    def largest(self) -> float:
+        """Largest length in pixels; NaN where no pair has one."""
+        known = self.lengths[np.isfinite(self.lengths)]
+        return float(known.max()) if len(known) else float("nan")
+
+
+def misfit(problem: Problem, models: list[SensorModel], placed: BoolArray | None = None) -> Misfit:
+    """Measure the misfit of photos at their shared points.
+
+    Parameters
+    ----------
+    problem : Problem
+    models : list of SensorModel
+    placed : bool array (photos,), optional
+        Photos that have a place; pairs with others are NaN.
+    """
+    s = problem.stations
+    places = ground_of(problem, models)
+    if placed is not None:
+        places[~placed[s.photo]] = np.nan
+    ids, pairs, rows = [], [], []
+    for station in np.flatnonzero(s.shared):
+        seen = np.flatnonzero(s.station == station)
+        for k, first in enumerate(seen):
+            for second in seen[k + 1 :]:
+                ids.append(s.ids[station])
+                pairs.append((problem.photos[s.photo[first]], problem.photos[s.photo[second]]))
+                rows.append((first, second))
+    table = np.array(rows, dtype=np.int64).reshape(-1, 2)
+    pixels = np.full((len(table), 2), np.nan)
+    for index, model in enumerate(models):
+        mine = s.photo[table[:, 0]] == index
+        if mine.any():
+            there = model.ground_to_image(problem.to_model[index](places[table[mine, 1]]))
+            known = np.isfinite(places[table[mine, 0], 0])
+            pixels[mine] = np.where(known[:, None], there - s.colrow[table[mine, 0]], np.nan)
+    return Misfit(tuple(ids), tuple(pairs), (places[table[:, 1]] - places[table[:, 0]])[:, :2], pixels)

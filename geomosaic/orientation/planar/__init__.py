@@ -1,0 +1,1 @@
+"""Planar blocks: photos of flat ground without a rigorous model; uncontrolled to controlled mosaics."""

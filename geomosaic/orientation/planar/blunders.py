@@ -1,0 +1,273 @@
+"""Blunders of tie and control points in the simultaneous adjustment of a planar block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geomosaic.errors import SolveError
+from geomosaic.estimation.blunders import Doubt, Findings, Label, named, together
+from geomosaic.estimation.linear_network import Network
+from geomosaic.estimation.mean_shift import Shifts
+from geomosaic.estimation.outlier_search import search
+from geomosaic.orientation.planar.accumulated_errors import as_ties
+from geomosaic.orientation.planar.determinacy import check_plausible
+from geomosaic.orientation.planar.measurements import PlanarBlock, Tie
+from geomosaic.orientation.planar.observation_equations import GROUND, Problem, mean_positions, views_of
+from geomosaic.orientation.planar.simultaneous import solve
+from geomosaic.orientation.planar.solution import PlanarSolution, image_residuals
+from geomosaic.orientation.planar.tilt import STEADY, Trial, lacking_terms, simplest
+from geomosaic.orientation.planar.transformations import (
+    Frame,
+    PlanarTransform,
+    by_parameters,
+    by_photo,
+    half,
+    photo_coordinates,
+)
+from geomosaic.orientation.planar.uncontrolled import middle
+from geomosaic.types import FloatArray, IntArray
+
+
+def shifts_of(
+    block: PlanarBlock,
+    solution: PlanarSolution,
+    fixed: Mapping[str, PlanarTransform],
+    left: Sequence[Doubt] = (),
+    tilted: frozenset[str] = frozenset(),
+) -> tuple[Shifts, list[Label], list[Doubt]]:
+    """The block at a solution of most of it, what may be wrong in it, and the names of that.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    solution : PlanarSolution
+        Of the block, or of it without some measurements.
+    fixed : mapping of str to PlanarTransform
+        Photos that are held.
+    left : sequence of Doubt
+        What the solution is without.
+    tilted : frozenset of str
+        Photos with unknowns for what the kind of the solution lacks: the last ones, in the order of the block.
+    """
+    views, kind, values = views_of(block), solution.kind, solution.values
+    problem = Problem(block, kind, views, solution.frame, fixed)
+    names = [None if i == GROUND else block.photos[i].name for i in views.photo]
+    out = set(left)
+    off = np.array([(views.ids[p], name) in out for p, name in zip(views.point, names, strict=True)])
+    inside = problem.in_photo
+    sigma = np.where(off, np.inf, problem.sigma_ground(values, views.xy))
+    points = mean_positions(views, problem.positions(values, views.xy), sigma)
+    errors = image_residuals(problem, values, points)[inside]
+    at, photo, point = problem.adjusted(values, points)[inside], views.photo[inside], views.point[inside]
+    own = values[photo]
+    turn = np.array([1.0, -1.0]) / problem.half[photo, None]
+    by_point = np.linalg.inv(by_photo(kind, own, at) * turn[:, None, :])
+    slopes = -by_point @ by_parameters(kind, own, at)
+
+    given, given_sigma = np.zeros((len(views.ids), 2)), np.full(len(views.ids), np.inf)
+    ground = np.flatnonzero(~inside)
+    known = views.point[ground]
+    given[known] = problem.ground[ground] - points[known]
+    given_sigma[known] = views.sigma[ground] / problem.frame.scale
+    held = given_sigma[point] == 0.0  # linearised where the photos put it, but held where it is given
+    errors[held] -= np.einsum("nij,nj->ni", by_point[held], given[point[held]])
+
+    seen = np.bincount(point, minlength=len(views.ids))
+    used = (seen[point] > 1) | np.isfinite(given_sigma[point])
+    numbers = np.unique(point[used], return_inverse=True)[1]
+    chosen = np.unique(point[used])
+    first = problem.first[photo[used]]
+    columns = np.where(first[:, None] >= 0, first[:, None] + np.arange(problem.count), -1)
+    columns, slopes, unknowns = _with_tilt(problem, tilted, at[used], photo[used], columns, slopes[used])
+    network = Network(
+        numbers, columns, slopes, by_point[used], errors[used], views.sigma[inside][used],
+        np.where(given_sigma[chosen, None] > 0.0, given[chosen], 0.0), given_sigma[chosen],
+        np.full(unknowns, np.inf), np.zeros(unknowns),
+    )  # fmt: skip
+    images = [block.photos[int(k)].name for k in photo[used]]
+    ids = [views.ids[k] for k in chosen]
+    lines = [block.by_photo[name][ids[k]].where for name, k in zip(images, numbers, strict=True)]
+    return named(network, ids, images, lines, "tie point")
+
+
+def tilt_shifts(block: PlanarBlock, kind: str, tilted: frozenset[str], unknowns: FloatArray) -> dict[str, float]:
+    """Largest shift in pixels, at the points of each tilted photo, by the unknowns (U,) that the kind lacks."""
+    names = [photo.name for photo in block.photos if photo.name in tilted]
+    count = lacking_terms(kind, np.zeros((1, 2))).shape[-1]
+    own = unknowns[len(unknowns) - count * len(names) :].reshape(len(names), count)
+    found = {}
+    for name, values in zip(names, own, strict=True):
+        size = block.photo(name).size
+        colrow = np.array([[p.col, p.row] for p in block.by_photo[name].values()])
+        moved = lacking_terms(kind, photo_coordinates(size, colrow)) @ values * half(size)
+        found[name] = float(np.hypot(*moved.T).max())
+    return found
+
+
+def _with_tilt(
+    problem: Problem, tilted: frozenset[str], at: FloatArray, photo: IntArray, columns: IntArray, slopes: FloatArray
+) -> tuple[IntArray, FloatArray, int]:
+    """Columns and slopes of the views with those of what the kind lacks, and how many unknowns there are."""
+    if not tilted:
+        return columns, slopes, problem.unknowns
+    terms = lacking_terms(problem.kind, at) * (np.array([1.0, -1.0]) * problem.half[photo, None])[:, :, None]
+    count = terms.shape[-1]
+    own = np.array([one.name in tilted for one in problem.block.photos])
+    first = np.where(own, problem.unknowns + (np.cumsum(own) - 1) * count, -1)[photo]
+    further = np.where(first[:, None] >= 0, first[:, None] + np.arange(count), -1)
+    return (
+        np.hstack([columns, further]),
+        np.concatenate([slopes, terms], axis=2),
+        problem.unknowns + count * len(tilted),
+    )
+
+
+ROUNDS = 8
+"""Adjustments without what was found, until nothing else is: the search is linear, transformations need not be."""
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """A block after the search.
+
+    Attributes
+    ----------
+    findings : Findings
+    block : PlanarBlock
+        Without what was found.
+    whole : PlanarBlock
+    solved : tuple, optional
+        Adjustment of the whole block, and the affine one it started from; None where it fails.
+    """
+
+    findings: Findings
+    block: PlanarBlock
+    whole: PlanarBlock
+    solved: tuple[PlanarSolution, PlanarSolution | None] | None = None
+
+    def settled(self, where: str, policy: str) -> tuple[PlanarBlock, Findings]:
+        """Stop or tell, see `Findings.settle`; the block to go on with, and the findings with what was done."""
+        self.findings.settle(where, policy)
+        return self.block if policy == "leave" else self.whole, replace(self.findings, done=policy)
+
+
+def adjust_checked(
+    block: PlanarBlock, kind: str, *, policy: str = "stop", where: str = "tie and control points"
+) -> tuple[PlanarSolution, Findings]:
+    """Adjust all photos together after a look for wrong points; see `simultaneous.adjust` and `Findings.settle`.
+
+    Raises
+    ------
+    InputError
+        A point is grossly wrong and the policy is 'stop'.
+    SolveError
+    """
+    looked = look(block, kind)
+    used, found = looked.settled(where, policy)
+    solution, start = looked.solved if looked.solved and not found.wrong else solve(used, kind, {}, None)
+    check_plausible(solution, start, None)
+    return solution, found
+
+
+def look(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | None = None) -> Looked:
+    """Look for wrong points.
+
+    Where a projective adjustment fails, a wrong point may be why: it is then looked for in the affine one.
+
+    Raises
+    ------
+    SolveError
+        The block cannot be adjusted, and no wrong point is to blame.
+    """
+    held, left = dict(fixed or {}), list[Doubt]()
+    said, out, tilted = Findings(), list[Doubt](), frozenset[str]()
+    whole: tuple[PlanarSolution, PlanarSolution | None] | None = None
+    for _ in range(ROUNDS):
+        try:
+            solution, start = solve(without(block, left), kind, held, None)
+            whole = whole or (None if left else (solution, start))
+        except SolveError:
+            if left:  # what remains no longer holds the photos: what was found stands
+                break
+            if kind != "projective":
+                raise
+            solution, _ = solve(block, "affine", held, None)
+        free = frozenset(photo.name for photo in block.photos if photo.name not in held)
+        trial = simplest(_searches(block, solution, held, left), solution.kind, tilted, free)
+        tilted = trial.tilted
+        said, before = trial.said(), set(left)
+        left, out = [trial.doubts[k] for k in trial.found.taken], [trial.doubts[each.shift] for each in said.wrong]
+        if set(left) == before:
+            if solution.kind != kind:  # neither kind has a wrong point to blame: let the error say what it is
+                solve(block, kind, held, None)
+            break
+    return Looked(said, without(block, out), block, whole)
+
+
+def look_somehow(block: PlanarBlock, kind: str, uncontrolled: bool) -> Looked:
+    """Look in the adjustment of all photos together that the points allow: `kind` or conformal, on control or on ties.
+
+    On ties alone the photo in the middle is held. Where no adjustment is possible, nothing is found: what needs the
+    points will say why.
+    """
+    start = block.photo(middle(block))
+    step = half(start.size)
+    held = {start.name: PlanarTransform(start, "conformal", Frame(), np.array([step, 0.0, 0.0, 0.0]))}
+    ways: list[tuple[PlanarBlock, dict[str, PlanarTransform]]] = [(block, {})]
+    if uncontrolled:
+        ways.append((PlanarBlock(block.photos, as_ties(block)), held))
+    for model in dict.fromkeys((kind, "conformal")):
+        for measured, fixed in ways:
+            with suppress(SolveError):
+                found = look(measured, model, fixed)
+                own = {(p.id, p.photo) for p in found.block.measurements}
+                places = {p.id for p in measured.control} - {p.id for p in found.block.control}
+                gone = [(p.id, p.photo) for p in block.measurements if (p.id, p.photo) not in own]
+                return Looked(found.findings, without(block, [*gone, *((name, None) for name in places)]), block)
+    return Looked(Findings(), block, block)
+
+
+def look_singly(block: PlanarBlock, kind: str) -> Looked:
+    """Look in each photo by itself, which its control points alone hold."""
+    said, left = list[Findings](), list[Doubt]()
+    for photo in block.photos:
+        own = PlanarBlock((photo,), (), tuple(point for point in block.control if point.photo == photo.name))
+        with suppress(SolveError):  # too few or badly spread: the fit itself will say so
+            found = look(own, kind)
+            said.append(found.findings)
+            kept = {point.id for point in found.block.control}
+            left += [(point.id, photo.name) for point in own.control if point.id not in kept]
+    with suppress(SolveError):  # ties take no part, but gaps at them are told: a wrong one is worth a word
+        of_ties = [each for each in look(block, kind).findings.wrong if each.label.name.startswith("tie point")]
+        said.append(Findings(tuple(replace(each, gross=False) for each in of_ties)))
+    return Looked(together(said), without(block, left), block)
+
+
+def without(block: PlanarBlock, left: Sequence[Doubt]) -> PlanarBlock:
+    """Return the block without measurements; points whose coordinates are left out become tie points."""
+    out, places = set(left), {name for name, photo in left if photo is None}
+    ties = [tie for tie in block.ties if (tie.id, tie.photo) not in out]
+    control = [point for point in block.control if (point.id, point.photo) not in out]
+    ties += [Tie(p.id, p.photo, p.col, p.row, p.sigma, p.where) for p in control if p.id in places]
+    return PlanarBlock(block.photos, tuple(ties), tuple(p for p in control if p.id not in places))
+
+
+def _searches(
+    block: PlanarBlock, solution: PlanarSolution, fixed: Mapping[str, PlanarTransform], left: Sequence[Doubt]
+) -> Callable[[frozenset[str]], Trial | None]:
+    """The search in the block at a solution, as a function of the photos that are taken as tilted."""
+
+    def search_with(tilted: frozenset[str]) -> Trial | None:
+        shifts, labels, doubts = shifts_of(block, solution, fixed, left, tilted)
+        if tilted and not shifts.network.normals.condition()[0] < STEADY:
+            return None
+        index = {doubt: k for k, doubt in enumerate(doubts)}
+        found = search(shifts, [index[doubt] for doubt in left if doubt in index])
+        size = tilt_shifts(block, solution.kind, tilted, shifts.unknowns(found.taken))
+        return Trial(size, shifts, labels, doubts, found)
+
+    return search_with

@@ -1,0 +1,197 @@
+"""Solution of a planar block: transformations, residuals, standard deviations and cofactors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from geomosaic.estimation.normal_equations import Normals
+from geomosaic.orientation.planar.measurements import PlanarBlock
+from geomosaic.orientation.planar.observation_equations import GROUND, Problem, Views
+from geomosaic.orientation.planar.transformations import (
+    NAMES,
+    Frame,
+    PlanarTransform,
+    by_parameters,
+    by_photo,
+    photo_coordinates,
+)
+from geomosaic.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarSolution:
+    """An adjusted block.
+
+    Attributes
+    ----------
+    block : PlanarBlock
+    kind : str
+    frame : Frame
+        Normalised ground coordinates of `values` and `cofactors`.
+    values : array (K, P)
+        Parameters of each photo, normalised photo → normalised ground, see `kinds`.
+    cofactors : mapping of (int, int) to array (P, P)
+        Of the parameters of two photos that show a common point, by their numbers; zeros where a photo is held fixed.
+        Times `sigma0`², or as they are where the standard deviations of the measurements are trusted, they are
+        covariances.
+    views : Views
+        The measurements.
+    points : array (M, 2)
+        Adjusted map position of each of `views.ids`.
+    residuals : array (N, 2)
+        Measured minus computed (col, row) of each view in pixels; NaN for ground coordinates.
+    standardised : array (N, 2)
+        The same over their own standard deviations, a-priori; NaN where no redundancy controls a measurement.
+    sigma0 : float
+        Standard deviation of unit weight: 1 where the measurements are as good as their sigmas say; NaN without
+        redundancy.
+    redundancy : int
+        Independent equations less unknowns.
+    equations : int
+        Observation equations (9-3) and (9-4) that were written.
+    condition : float
+        Condition number of the design with columns of unit length.
+    rounds : int
+        Solutions of the normal equations it took.
+    """
+
+    block: PlanarBlock
+    kind: str
+    frame: Frame
+    values: FloatArray
+    cofactors: Mapping[tuple[int, int], FloatArray]
+    views: Views
+    points: FloatArray
+    residuals: FloatArray
+    standardised: FloatArray
+    sigma0: float
+    redundancy: int
+    equations: int
+    condition: float
+    rounds: int
+
+    @cached_property
+    def transforms(self) -> dict[str, PlanarTransform]:
+        """Transformation of each photo, by name."""
+        return {
+            photo.name: PlanarTransform(photo, self.kind, self.frame, values)
+            for photo, values in zip(self.block.photos, self.values, strict=True)
+        }
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the columns of `values`."""
+        return NAMES[self.kind]
+
+    def sigmas(self, photo: str) -> FloatArray:
+        """A-priori standard deviations (P,) of a photo's `values`."""
+        number = self.block.index[photo]
+        spread: FloatArray = np.sqrt(np.diag(self.cofactors[number, number]))
+        return spread
+
+    def position_sigmas(self, photo: str, colrow: FloatArray) -> FloatArray:
+        """A-priori standard deviations (N,) in map units of where image places (N, 2) lie: √((σX² + σY²)/2)."""
+        number = self.block.index[photo]
+        xy = photo_coordinates(self.block.photos[number].size, colrow)
+        by = by_parameters(self.kind, self.values[number], xy)
+        variance = np.einsum("nip,pq,niq->n", by, self.cofactors[number, number], by) / 2.0
+        spread: FloatArray = np.sqrt(variance) * self.frame.scale
+        return spread
+
+    @property
+    def rms(self) -> float:
+        """Root mean square length of the residuals, pixels."""
+        lengths = (self.residuals[~self.views.is_ground] ** 2).sum(axis=1)
+        return float(np.sqrt(lengths.mean())) if len(lengths) else float("nan")
+
+
+UNCONTROLLED = 1e-6
+"""A residual whose variance is a smaller part of its measurement's tells nothing of it."""
+
+
+def cofactor_blocks(problem: Problem, normals: Normals) -> dict[tuple[int, int], FloatArray]:
+    """Cofactors (P, P) of the parameters of every two photos that show a common point."""
+    photo, count = problem.views.photo, problem.count
+    near: dict[int, set[int]] = {i: {i} for i in range(len(problem.block.photos))}
+    for a, b in photo[problem.views.pairs]:
+        if a != GROUND and b != GROUND:
+            near[int(a)].add(int(b))
+            near[int(b)].add(int(a))
+
+    def columns(i: int) -> IntArray:
+        own: IntArray = problem.first[i] + np.arange(count)
+        return own
+
+    free = [i for i in near if not problem.held[i]]
+    found = normals.cofactors(
+        (columns(i), {(j, i): columns(j) for j in sorted(near[i]) if not problem.held[j]}) for i in free
+    )
+    zero = np.zeros((count, count))
+    return {(j, i): found.get((j, i), zero) for i in near for j in sorted(near[i])}
+
+
+def image_residuals(problem: Problem, values: FloatArray, points: FloatArray) -> FloatArray:
+    """Measured minus computed (col, row) (N, 2) in pixels at the adjusted points (M, 2), normalised ground."""
+    views = problem.views
+    computed = np.full((len(views.photo), 2), np.nan)
+    place = problem.frame.map(points[views.point])
+    for i, photo in enumerate(problem.block.photos):
+        own = np.flatnonzero(views.photo == i)
+        computed[own] = PlanarTransform(photo, problem.kind, problem.frame, values[i]).to_image(place[own])
+    left: FloatArray = views.colrow - computed
+    return left
+
+
+def standardised(
+    problem: Problem,
+    values: FloatArray,
+    at: FloatArray,
+    sigma: FloatArray,
+    cofactors: Mapping[tuple[int, int], FloatArray],
+    residuals: FloatArray,
+) -> FloatArray:
+    """Residuals (N, 2) over their a-priori standard deviations; NaN where these are next to nothing.
+
+    On the ground a view of weight w at a point of weights W deviates from the adjusted point by e, whose cofactors are
+    I/w − I/W − A·Q·Aᵀ, A the derivatives of e by all parameters.
+    """
+    views = problem.views
+    out = np.full_like(residuals, np.nan)
+    slopes, across = np.zeros((len(views.photo), 2, problem.count)), np.zeros((len(views.photo), 2, 2))
+    own = problem.of_views(values)
+    slopes[problem.in_photo] = by_parameters(problem.kind, own, at[problem.in_photo])
+    turn = np.array([1.0, -1.0]) / problem.half[views.photo[problem.in_photo], None]
+    across[problem.in_photo] = by_photo(problem.kind, own, at[problem.in_photo]) * turn[:, None, :]
+    starts = np.searchsorted(views.point, np.arange(len(views.ids) + 1))
+    for first, last in pairwise(starts):
+        if last - first < 2:
+            continue
+        seen = np.arange(first, last)
+        share, spread = _shares(sigma[seen])
+        photos = views.photo[seen]
+        inner = [k for k in range(len(seen)) if photos[k] != GROUND]
+        for k in inner:
+            by = {m: (float(m == k) - share[m]) * slopes[seen[m]] for m in inner if m == k or share[m] > 0.0}
+            known = np.zeros((2, 2))
+            for a in by:
+                for b in by:
+                    known += by[a] @ cofactors[int(photos[a]), int(photos[b])] @ by[b].T
+            ground = np.eye(2) * (sigma[seen[k]] ** 2 - spread) - known
+            to_pixels = np.linalg.inv(across[seen[k]])
+            variance = np.diag(to_pixels @ ground @ to_pixels.T)
+            enough = variance > UNCONTROLLED * views.sigma[seen[k]] ** 2
+            out[seen[k]] = np.where(enough, residuals[seen[k]] / np.sqrt(np.where(enough, variance, 1.0)), np.nan)
+    return out
+
+
+def _shares(sigma: FloatArray) -> tuple[FloatArray, float]:
+    """Share (V,) of each view in the adjusted point, and that point's variance; control of σ = 0 takes all."""
+    if (sigma == 0.0).any():
+        return (sigma == 0.0).astype(np.float64), 0.0
+    weight = 1.0 / sigma**2
+    return weight / weight.sum(), float(1.0 / weight.sum())

@@ -1,0 +1,1 @@
+"""One image on its control points: fits, model selection, leave-one-out errors, blunders."""

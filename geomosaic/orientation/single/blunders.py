@@ -1,0 +1,201 @@
+"""Blunders in control, looked for in two ways that must agree: data snooping and an M-estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.errors import SolveError
+from geomosaic.orientation.single.data_snooping import ALPHA, Snooping, snoop_problem
+from geomosaic.orientation.single.fit import ControlFit, fit_problem, judge
+from geomosaic.orientation.single.least_trimmed_squares import RobustStart, trimmed_start
+from geomosaic.orientation.single.problem import Build, Problem
+from geomosaic.types import AnyArray, FloatArray
+
+TUKEY = 5.12
+"""Standard deviations at which a point loses all weight: 95 % efficiency for normal errors in two axes."""
+LEAST_WEIGHT = 1e-6
+ROUNDS = 100
+SETTLED = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class MEstimate:
+    """A fit by iterated weights.
+
+    Attributes
+    ----------
+    blunders : tuple of str
+        Points whose error is no chance, in the order of the control.
+    weights : array (N,)
+        Tukey's, 0 to 1, at the end.
+    residuals : array (N, 2)
+        Of all points, pixels, under the weighted fit.
+    probability : array (N,)
+        Of the error of each point, by chance alone, under the fit to the others that are no blunders.
+    scale : float
+        Standard deviation of unit weight.
+    fit : ControlFit
+        Least squares on the points that are no blunders, with leave-one-out errors.
+    rounds : int
+    settled : bool
+        Whether the weights came to rest.
+    """
+
+    blunders: tuple[str, ...]
+    weights: FloatArray
+    residuals: FloatArray
+    probability: FloatArray
+    scale: float
+    fit: ControlFit
+    rounds: int
+    settled: bool
+
+
+@dataclass(frozen=True, eq=False)
+class BlunderSearch:
+    """What both methods found.
+
+    Attributes
+    ----------
+    snooping : Snooping
+    estimate : MEstimate
+    agree : bool
+    blunders : tuple of str
+        Found by both.
+    bearable : float
+        Share of blunders that the samples of the start can bear; 0.5 where all samples were tried.
+    said : str
+        In a sentence or two.
+    bent : tuple of str
+        Found by one or both, and pardoned since: a smooth bend of the image explains them.
+    """
+
+    snooping: Snooping
+    estimate: MEstimate
+    agree: bool
+    blunders: tuple[str, ...]
+    bearable: float
+    said: str
+    bent: tuple[str, ...] = ()
+
+    @property
+    def accused(self) -> tuple[str, ...]:
+        """Points that any of the two methods finds wrong."""
+        return tuple(dict.fromkeys((*self.snooping.blunders, *self.estimate.blunders)))
+
+
+def search_blunders(
+    build: Build,
+    ids: Sequence[str],
+    ground: AnyArray,
+    colrow: AnyArray,
+    sigma: AnyArray | float | None = None,
+    *,
+    alpha: float = ALPHA,
+    sigma0: float | None = None,
+    seed: int = 0,
+) -> BlunderSearch:
+    """Look for blunders by data snooping and by an M-estimator, and say whether they agree.
+
+    Parameters are those of `snooping.snoop`.
+
+    Raises
+    ------
+    InputError
+        `alpha` or `sigma0` out of range.
+    SolveError
+        Too few points, or a model that passes through all of them.
+    """
+    problem = Problem.of(build, ids, ground, colrow, sigma)
+    start = trimmed_start(problem, seed)
+    snooping = snoop_problem(problem, start, alpha, sigma0)
+    estimate = estimate_problem(problem, start, alpha, sigma0)
+    first, second = set(snooping.blunders), set(estimate.blunders)
+    both = tuple(name for name in problem.ids if name in first & second)
+    return BlunderSearch(
+        snooping, estimate, first == second, both, start.bearable, _said(problem, first, second, both, start)
+    )
+
+
+def m_estimate(
+    build: Build,
+    ids: Sequence[str],
+    ground: AnyArray,
+    colrow: AnyArray,
+    sigma: AnyArray | float | None = None,
+    *,
+    alpha: float = ALPHA,
+    sigma0: float | None = None,
+    seed: int = 0,
+) -> MEstimate:
+    """Fit by Tukey's weights from a robust start, its scale held (MM-estimator, Yohai 1987).
+
+    Parameters and errors are those of `snooping.snoop`.
+    """
+    problem = Problem.of(build, ids, ground, colrow, sigma)
+    return estimate_problem(problem, trimmed_start(problem, seed), alpha, sigma0)
+
+
+def estimate_problem(
+    problem: Problem, start: RobustStart, alpha: float = ALPHA, sigma0: float | None = None
+) -> MEstimate:
+    """Estimate with a robust start at hand; see `m_estimate`."""
+    scale, freedom = (start.scale, float(start.freedom)) if sigma0 is None else (sigma0, float("inf"))
+    weights, errors = start.inliers.astype(np.float64), problem.errors(problem.model(start.inliers))
+    settled, rounds = False, 0
+    while not settled and rounds < ROUNDS:
+        rounds += 1
+        before, weights = weights, _tukey(np.hypot(*errors.T) / problem.sigma / scale)
+        part = weights > LEAST_WEIGHT
+        try:
+            model = problem.model(part, problem.sigma / np.sqrt(np.where(part, weights, 1.0)))
+        except SolveError:  # too few points keep a weight: the last fit stands
+            weights = before
+            break
+        errors = problem.errors(model)
+        settled = bool(np.abs(weights - before).max() < SETTLED)
+    kept = (weights > 0.0) & start.inliers
+    probability = judge(problem, kept, scale, freedom)
+    for _ in range(10):
+        better = probability >= alpha
+        if (better == kept).all() or better.sum() <= start.needed:
+            break
+        try:
+            probability = judge(problem, better, scale, freedom)
+        except SolveError:
+            break
+        kept = better
+    blunders = tuple(name for name, good in zip(problem.ids, kept, strict=True) if not good)
+    fit = fit_problem(problem.subset(kept), omission=True)
+    return MEstimate(blunders, weights, errors, probability, scale, fit, rounds, settled)
+
+
+def _tukey(lengths: FloatArray) -> FloatArray:
+    """Weights (1 − (r/c)²)² of lengths in standard deviations; 0 beyond c, and for points without a place."""
+    known = np.where(np.isfinite(lengths), lengths, np.inf)
+    weights: FloatArray = np.maximum(1.0 - np.minimum(known / TUKEY, 1.0) ** 2, 0.0) ** 2
+    return weights
+
+
+def _said(problem: Problem, first: set[str], second: set[str], both: tuple[str, ...], start: RobustStart) -> str:
+    def names(chosen: set[str]) -> str:
+        found = [name for name in problem.ids if name in chosen]
+        return ", ".join(found[:8]) + (f" and {len(found) - 8} more" if len(found) > 8 else "")
+
+    if first == second:
+        text = (
+            f"both methods find {len(both)} blunder{'s' * (len(both) != 1)}: {names(first)}"
+            if both
+            else ("no blunder: data snooping and the M-estimator keep all points")
+        )
+    else:
+        text = (
+            f"the methods disagree: data snooping alone rejects {names(first - second) or 'nothing'}, the M-estimator "
+            f"alone {names(second - first) or 'nothing'}, both {names(first & second) or 'nothing'}; look at them"
+        )
+    if len(first | second) > start.bearable * len(problem):
+        text += f"; samples of this kind are sure to show only up to {start.bearable:.0%} of blunders"
+    return text

@@ -1,0 +1,267 @@
+"""Check point statistics, and check points that are wrong themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.orientation.single.fit import axis_rms, textbook95, total_rms
+from geomosaic.orientation.single.problem import map_by_image
+from geomosaic.sensor.model import SensorModel
+from geomosaic.types import AnyArray, BoolArray, FloatArray
+
+NSSDA_FACTOR = 1.7308
+"""RMSE_r to the 95 % radius of equal normal errors in x and y (FGDC-STD-007.3-1998)."""
+NSSDA_POINTS = 20
+ASPRS_POINTS = 30
+CIRCULAR = 0.6
+"""Smallest ratio of the RMSE of both axes for which the NSSDA lets errors pass as circular."""
+SHIFT_ALPHA = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class CheckStatistics:
+    """Errors of check points, found minus true.
+
+    Attributes
+    ----------
+    ids : tuple of str
+    errors : array (N, 2)
+        x, y in map units.
+    unit : str
+        Of them, for sentences, such as 'm'.
+    survey_rms : float
+        RMS length of the errors of the check points' own survey, in the same unit.
+    """
+
+    ids: tuple[str, ...]
+    errors: FloatArray
+    unit: str
+    survey_rms: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def rms(self) -> tuple[float, float]:
+        """RMSE in x and y."""
+        return axis_rms(self.errors)
+
+    @property
+    def rms_total(self) -> float:
+        """RMSE_r, the RMS length."""
+        return total_rms(self.errors)
+
+    @property
+    def figure95(self) -> float:
+        """The textbook's 95 % radius, 2.5 × RMS of one axis."""
+        return textbook95(self.errors)
+
+    @property
+    def nssda(self) -> float:
+        """95 % radius of the NSSDA, 1.7308 × RMSE_r; see `statement` for when it may be claimed."""
+        return NSSDA_FACTOR * self.rms_total
+
+    @property
+    def rms_with_survey(self) -> float:
+        """RMSE_H of ASPRS Edition 2: the errors found and those of the survey of the check points, in quadrature."""
+        return float(np.hypot(self.rms_total, self.survey_rms))
+
+    @property
+    def mean(self) -> tuple[float, float]:
+        """Mean shift in x and y."""
+        x, y = self.errors.mean(axis=0)
+        return float(x), float(y)
+
+    @property
+    def spread(self) -> tuple[float, float]:
+        """Standard deviations about the mean shift; NaN for one point."""
+        if len(self) < 2:
+            return float("nan"), float("nan")
+        x, y = self.errors.std(axis=0, ddof=1)
+        return float(x), float(y)
+
+    @property
+    def shift_probability(self) -> float:
+        """Probability of a mean shift as long as this by chance alone (Hotelling's T²); NaN for fewer than 4 points."""
+        return shift_probability(self.errors)
+
+    @property
+    def shifted(self) -> bool:
+        """Whether the mean shift is systematic: less than 1 % probable by chance."""
+        return self.shift_probability < SHIFT_ALPHA
+
+    @property
+    def shift_statement(self) -> str:
+        """What the mean shift says, in a sentence."""
+        x, y = self.mean
+        length = f"{np.hypot(x, y):.3g} {self.unit} (x {x:+.3g}, y {y:+.3g})"
+        if np.isnan(self.shift_probability):
+            few = "one check point is" if len(self) == 1 else f"{len(self)} check points are"
+            return f"the {'mean ' * (len(self) > 1)}shift is {length}; {few} too few to tell whether it is systematic"
+        if self.shifted:
+            return (
+                f"the map is shifted by {length}, which chance would bring with a probability of "
+                f"{self.shift_probability:.1g}: look for an error common to all control (datum, map, survey)"
+            )
+        return f"the mean shift of {length} is within chance (probability {self.shift_probability:.2g})"
+
+    @property
+    def nssda_statement(self) -> str:
+        """The sentence the NSSDA has for it, or why it may not be said."""
+        if len(self) < NSSDA_POINTS:
+            return f"not tested after the NSSDA: it asks for {NSSDA_POINTS} check points, there are {len(self)}"
+        text = f"Tested {self.nssda:.3g} {self.unit} horizontal accuracy at 95% confidence level (NSSDA)"
+        low, high = sorted(self.rms)
+        if low < CIRCULAR * high:
+            text += "; the errors of x and y differ too much for this radius to be exact"
+        return text
+
+    @property
+    def asprs_statement(self) -> str:
+        """What ASPRS Edition 2 lets one say, or why it may not be said."""
+        if len(self) < ASPRS_POINTS:
+            return f"not tested after ASPRS Edition 2: it asks for {ASPRS_POINTS} check points, there are {len(self)}"
+        survey = "" if self.survey_rms > 0.0 else ", the survey of the check points taken as free of errors"
+        return (
+            f"Tested after the ASPRS Positional Accuracy Standards, Edition 2 (2024): horizontal accuracy "
+            f"RMSE_H = {self.rms_with_survey:.3g} {self.unit} from {len(self)} check points{survey}"
+        )
+
+
+def shift_probability(errors: FloatArray) -> float:
+    """Probability of a mean of vectors (N, 2) this far from 0, by chance: Hotelling's T², (N − 2)/(2 (N − 1)) T² ~ F.
+
+    Returns
+    -------
+    float
+        NaN for fewer than 4 vectors, or where they all lie on a line.
+    """
+    from scipy.special import fdtrc
+
+    count = len(errors)
+    if count < 4:
+        return float("nan")
+    mean = errors.mean(axis=0)
+    covariance = np.cov(errors.T)
+    size = float(np.trace(covariance))
+    if not np.linalg.det(covariance) > 1e-12 * size**2:
+        return float("nan")
+    squared = count * float(mean @ np.linalg.solve(covariance, mean))
+    return float(fdtrc(2, count - 2, squared * (count - 2) / (2 * (count - 1))))
+
+
+def check_errors(
+    ids: Sequence[str], errors: AnyArray, unit: str = "map units", survey_rms: float = 0.0
+) -> CheckStatistics:
+    """Statistics of errors (N, 2), found minus true, in map units.
+
+    Raises
+    ------
+    InputError
+        There are none, or one is not finite; the point is named.
+    """
+    found = np.array(errors, dtype=np.float64).reshape(-1, 2)
+    if len(found) != len(ids):
+        raise ValueError(f"{len(ids)} ids for {len(found)} errors")
+    if not len(found):
+        raise InputError("there are no check points", hint="give points of role 'check'")
+    bad = ~np.isfinite(found).all(axis=1)
+    if bad.any():
+        raise InputError(
+            f"check point '{ids[int(np.argmax(bad))]}' has no place on the map or in the image",
+            hint="look whether it lies beyond the horizon of the fit, or leave it out",
+        )
+    if not survey_rms >= 0.0:
+        raise InputError(f"an RMS error of {survey_rms} for the survey of check points is not 0 or more")
+    return CheckStatistics(tuple(map(str, ids)), found, unit, float(survey_rms))
+
+
+def check_model(
+    model: SensorModel,
+    ids: Sequence[str],
+    ground: AnyArray,
+    colrow: AnyArray,
+    unit: str = "map units",
+    survey_rms: float = 0.0,
+) -> CheckStatistics:
+    """Statistics of check points measured in an image with a model.
+
+    The error of a point is where its measured image lies on the map, minus its true place: the residual in pixels,
+    brought to the map by the local derivative.
+
+    Parameters
+    ----------
+    model : SensorModel
+    ids : sequence of str
+    ground : array (N, 2) or (N, 3)
+        True places in `model.crs`.
+    colrow : array (N, 2)
+        Measured pixels.
+    unit : str
+        Of the map, for sentences.
+    survey_rms : float
+        RMS length of the errors of `ground`.
+    """
+    places = np.asarray(ground, dtype=np.float64)
+    xyz = np.zeros((len(places), 3))
+    xyz[:, : places.shape[1]] = places
+    pixels = np.asarray(colrow, dtype=np.float64) - model.ground_to_image(xyz)
+    errors = np.einsum("nij,nj->ni", map_by_image(model, xyz), pixels)
+    return check_errors(ids, errors, unit, survey_rms)
+
+
+TIMES = 6.0
+"""Median distances from the median error, from which on a point is wrong; of few points more, by 1 + 12 / N²."""
+SEEN, FEW_SEEN = 1.5, 5.0
+"""Pixels below which nothing is named, and those of fewer than four points, which tell little."""
+MOST = 0.4
+"""Share of the points, beyond which it is the map that is wrong, not they."""
+
+
+@dataclass(frozen=True, eq=False)
+class OddChecks:
+    """Which check points contradict the others.
+
+    Attributes
+    ----------
+    odd : bool array (N,)
+    centre : array (2,)
+        Median error of all, pixels: of what is systematic in the map.
+    rms : float
+        RMS length of the errors of the others, pixels.
+    """
+
+    odd: BoolArray
+    centre: FloatArray
+    rms: float
+
+
+def odd_checks(errors: FloatArray, expected: float = 0.0) -> OddChecks:
+    """Find check points whose errors are far from the median error.
+
+    A shift of the whole map moves the median and makes none of them odd. With normal errors in both axes a good point
+    is named in less than one of 200 sets of four points or more.
+
+    Parameters
+    ----------
+    errors : array (N, 2)
+        Pixels.
+    expected : float
+        RMS length of the errors to be expected of the map, pixels, where the fit tells (leave-one-out); with it fewer
+        than three points can be judged, too.
+    """
+    count = len(errors)
+    centre: FloatArray = np.median(errors, axis=0) if count >= 3 else np.zeros(2)
+    apart = np.hypot(*(errors - centre).T)
+    if count >= 3:
+        limit = TIMES * (1.0 + 12.0 / count**2) * max(float(np.median(apart)), expected)
+        odd = apart > max(limit, SEEN if count > 3 else FEW_SEEN)
+    else:
+        odd = (apart > max(TIMES * expected, FEW_SEEN)) & (expected > 0.0)
+    if count >= 3 and odd.mean() > MOST:
+        odd = np.zeros(count, dtype=np.bool_)
+    return OddChecks(odd, centre, total_rms(errors[~odd]))

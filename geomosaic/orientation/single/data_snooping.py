@@ -1,0 +1,151 @@
+"""Data snooping after Baarda (1968), and the probability of each point's error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.errors import InputError, SolveError
+from geomosaic.orientation.single.fit import ControlFit, fit_problem, judge
+from geomosaic.orientation.single.least_trimmed_squares import RobustStart, check_count, trimmed_start
+from geomosaic.orientation.single.problem import Build, Problem
+from geomosaic.types import AnyArray, BoolArray, FloatArray
+
+ALPHA = 0.001
+"""Baarda's usual probability of putting out a good point, for one test."""
+
+
+@dataclass(frozen=True, eq=False)
+class Snooping:
+    """Blunders by data snooping.
+
+    Attributes
+    ----------
+    blunders : tuple of str
+        In the order they were put out.
+    readmitted : tuple of str
+        Put out on the way, let in again: errors of others had been laid to them.
+    probability : array (N,)
+        Of the error of each point under the last fit, by chance alone.
+    alpha : float
+        Probability below which a point is put out.
+    scale : float
+        Standard deviation of unit weight that the tests used.
+    freedom : float
+        Redundancy it rests on; inf where it was given.
+    fit : ControlFit
+        To the points kept, with leave-one-out errors.
+    """
+
+    blunders: tuple[str, ...]
+    readmitted: tuple[str, ...]
+    probability: FloatArray
+    alpha: float
+    scale: float
+    freedom: float
+    fit: ControlFit
+
+
+def snoop(
+    build: Build,
+    ids: Sequence[str],
+    ground: AnyArray,
+    colrow: AnyArray,
+    sigma: AnyArray | float | None = None,
+    *,
+    alpha: float = ALPHA,
+    sigma0: float | None = None,
+    seed: int = 0,
+) -> Snooping:
+    """Put out the point whose error is least probable, fit again, until every error may be chance.
+
+    Parameters
+    ----------
+    build, ids, ground, colrow, sigma
+        See `fit.fit_control`.
+    alpha : float
+        Probability below which an error is no chance.
+    sigma0 : float, optional
+        Standard deviation of unit weight, known beforehand (1 where `sigma` are true standard deviations in pixels).
+        Left out, it is taken from a robust start, because that of a fit with several blunders hides them all.
+    seed : int
+        Of that start.
+
+    Raises
+    ------
+    InputError
+        `alpha` or `sigma0` out of range.
+    SolveError
+        Too few points, or a model that passes through all of them.
+    """
+    problem = Problem.of(build, ids, ground, colrow, sigma)
+    if sigma0 is not None and _fits(problem):
+        everyone = np.ones(len(problem), dtype=np.bool_)
+        start = RobustStart(everyone, sigma0, 0, check_count(problem, seed), 0.0)
+    else:
+        start = trimmed_start(problem, seed)
+    return snoop_problem(problem, start, alpha, sigma0)
+
+
+def _fits(problem: Problem) -> bool:
+    try:
+        problem.model()
+    except SolveError:
+        return False
+    return True
+
+
+def snoop_problem(problem: Problem, start: RobustStart, alpha: float = ALPHA, sigma0: float | None = None) -> Snooping:
+    """Snoop with a robust start at hand; see `snoop`."""
+    if not 0.0 < alpha < 1.0:
+        raise InputError(f"a probability of {alpha} is not between 0 and 1")
+    if sigma0 is not None and not (np.isfinite(sigma0) and sigma0 > 0.0):
+        raise InputError(f"sigma0 {sigma0} is not a positive number")
+    scale, freedom = (start.scale, float(start.freedom)) if sigma0 is None else (sigma0, float("inf"))
+    kept, order = np.ones(len(problem), dtype=np.bool_), list[int]()
+    try:
+        probability = judge(problem, kept, scale, freedom)
+    except SolveError:  # all points together contradict each other too much for any fit
+        kept = start.inliers.copy()
+        order = np.flatnonzero(~kept).tolist()
+        probability = judge(problem, kept, scale, freedom)
+    while kept.sum() > start.needed + 1:
+        worst = int(np.argmin(np.where(kept, probability, np.inf)))
+        if not probability[worst] < alpha:
+            break
+        try:
+            fewer = kept & (np.arange(len(kept)) != worst)
+            probability = judge(problem, fewer, scale, freedom)
+        except SolveError:
+            break
+        kept = fewer
+        order.append(worst)
+    kept, probability, back = _readmit(problem, kept, probability, alpha, scale, freedom)
+    names = tuple(problem.ids[i] for i in order if not kept[i])
+    again = tuple(problem.ids[i] for i in back)
+    last = fit_problem(problem.subset(kept), omission=True)
+    return Snooping(names, again, probability, alpha, scale, freedom, last)
+
+
+def _readmit(
+    problem: Problem, kept: BoolArray, probability: FloatArray, alpha: float, scale: float, freedom: float
+) -> tuple[BoolArray, FloatArray, list[int]]:
+    """Let points in again, the best first, as long as no point that takes part fails for it."""
+    back: list[int] = []
+    while not kept.all():
+        best = int(np.argmax(np.where(kept, -1.0, probability)))
+        if probability[best] < alpha:
+            break
+        more = kept.copy()
+        more[best] = True
+        try:
+            found = judge(problem, more, scale, freedom)
+        except SolveError:
+            break
+        if (found[more] < alpha).any():
+            break
+        kept, probability = more, found
+        back.append(best)
+    return kept, probability, back

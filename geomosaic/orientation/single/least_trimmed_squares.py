@@ -1,0 +1,200 @@
+"""A start that blunders do not pull: least trimmed squares from many small samples (Rousseeuw & van Driessen 2006)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from math import comb
+
+import numpy as np
+
+from geomosaic.errors import GeomosaicError, SolveError, counted
+from geomosaic.orientation.single.fit import probabilities, statistics
+from geomosaic.orientation.single.problem import Problem
+from geomosaic.sensor.model import SensorModel
+from geomosaic.types import BoolArray, FloatArray, IntArray
+
+CLEAN = 0.7
+"""Share of good points that the number of samples allows for."""
+ENOUGH = 4
+FEWEST, MOST = 80, 500
+BEST = 6
+STEPS = 20
+REJECTED = 0.001
+"""Probability of an error by chance below which a point is not let in."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobustStart:
+    """Points that agree with each other, and how well.
+
+    Attributes
+    ----------
+    inliers : bool array (N,)
+        Points whose errors may be chance under a fit to all of them.
+    scale : float
+        Standard deviation of unit weight from the inliers; not 0.
+    freedom : int
+        Redundancy it rests on.
+    needed : int
+        Fewest points the model needs.
+    bearable : float
+        Share of blunders up to which three of the samples may be expected to be free of them.
+    """
+
+    inliers: BoolArray
+    scale: float
+    freedom: int
+    needed: int
+    bearable: float
+
+
+def points_needed(problem: Problem, seed: int = 0) -> int:
+    """Fewest points the model needs, found by trying: all points together may contradict each other too much.
+
+    Raises
+    ------
+    SolveError
+        No sample determines the model, or it passes through any number of points.
+    """
+    random = np.random.default_rng(seed)
+    count = len(problem)
+    for size in range(1, count + 1):
+        model = _any_model(problem, size, random)
+        if model is None:
+            continue
+        free = int(np.count_nonzero(model.parameters.sigmas > 0.0))
+        larger = _any_model(problem, min(size + 2, count), random)
+        if larger is not None and np.count_nonzero(larger.parameters.sigmas > 0.0) > free:
+            raise SolveError(
+                "the fit passes through all of its control points, blunders too",
+                hint="look for blunders with a kind of fewer parameters (not tps)",
+            )
+        return max(-(-free // 2), size if free > 2 * size else 0)
+    raise SolveError("no sample of the control points determines the model", hint="add points, or spread them")
+
+
+def _any_model(problem: Problem, size: int, random: np.random.Generator) -> SensorModel | None:
+    for _ in range(8):
+        model = _fit(problem, random.choice(len(problem), size, replace=False))
+        if model is not None:
+            return model
+    return None
+
+
+def _fit(problem: Problem, chosen: IntArray) -> SensorModel | None:
+    try:
+        return problem.model(chosen)
+    except GeomosaicError:
+        return None
+
+
+def check_count(problem: Problem, seed: int = 0) -> int:
+    """Fewest points the model needs, refusing fewer than two more.
+
+    Raises
+    ------
+    SolveError
+    """
+    needed, count = points_needed(problem, seed), len(problem)
+    if count < needed + 2:
+        raise SolveError(
+            f"{counted(count, 'point')} {'is' if count == 1 else 'are'} too few to look for blunders: the kind needs "
+            f"{needed}, and two more to show it",
+            hint=f"give {needed + 2} points or more, better twice as many",
+        )
+    return needed
+
+
+def trimmed_start(problem: Problem, seed: int = 0) -> RobustStart:
+    """Find the points that agree: small samples are fitted, concentrated on the better half, and the best is kept.
+
+    Parameters
+    ----------
+    problem : Problem
+    seed : int
+        Of the samples; the same gives the same.
+
+    Raises
+    ------
+    SolveError
+        Too few points to tell blunders from good ones, or a model that passes through all of them.
+    """
+    needed, count = check_count(problem, seed), len(problem)
+    half = (count + needed + 1) // 2
+    # One point more than needed: a conformal fit of two cannot tell a mirrored image.
+    size = min(needed + 1, half)
+    samples = _samples(count, size, seed)
+    tried = _best(problem, samples, half)
+    if not tried:
+        raise SolveError("no sample of the control points determines the model", hint="spread the points")
+    # Most samples hold a blunder, and show it at once: only the better ones are worth the next fit.
+    tried = _best(problem, [chosen for _, chosen in tried[: max(BEST, len(tried) // 3)]], half)
+    finished = [_concentrate(problem, each[1], half, STEPS) or each for each in tried[:BEST]]
+    best = min(finished, key=lambda each: each[0])
+    inliers, scale, freedom = _grow(problem, best[1])
+    bearable = 1.0 - min(1.0, 3.0 / len(samples)) ** (1.0 / size)
+    return RobustStart(inliers, scale, freedom, needed, 0.5 if comb(count, size) <= len(samples) else bearable)
+
+
+def _samples(count: int, size: int, seed: int) -> list[IntArray]:
+    wanted = int(np.clip(np.ceil(ENOUGH / CLEAN**size), FEWEST, MOST))
+    if comb(count, size) <= wanted:
+        return [np.array(chosen, dtype=np.int64) for chosen in combinations(range(count), size)]
+    random = np.random.default_rng(seed)
+    return [random.choice(count, size, replace=False) for _ in range(wanted)]
+
+
+def _best(problem: Problem, samples: list[IntArray], half: int) -> list[tuple[float, IntArray]]:
+    """Concentrate samples; the best first."""
+    found = (_concentrate(problem, sample, half, 0) for sample in samples)
+    return sorted((each for each in found if each is not None), key=lambda each: each[0])
+
+
+def _lengths(problem: Problem, model: SensorModel) -> FloatArray:
+    lengths: FloatArray = np.hypot(*problem.errors(model).T) / problem.sigma
+    return np.where(np.isfinite(lengths), lengths, np.inf)
+
+
+def _concentrate(problem: Problem, chosen: IntArray, half: int, steps: int) -> tuple[float, IntArray] | None:
+    """Fit, take the better half, fit that, ...: the sum of its squares never grows. The sum and the half."""
+    best: tuple[float, IntArray] | None = None
+    for _ in range(steps + 1):
+        model = _fit(problem, chosen)
+        if model is None:
+            return best
+        lengths = _lengths(problem, model)
+        chosen = np.sort(np.argsort(lengths, kind="stable")[:half])
+        total = float((lengths[chosen] ** 2).sum())
+        if not np.isfinite(total) or (best is not None and total >= best[0] * (1.0 - 1e-9)):
+            return best
+        best = total, chosen
+    return best
+
+
+def _grow(problem: Problem, half: IntArray) -> tuple[BoolArray, float, int]:
+    """Let in the points outside, the best first, while their errors of prediction may be chance (a forward search).
+
+    The errors of the best m of N points are smaller than those of all: for normal errors in two axes the mean square
+    of the best share p is 1 + (1 − p) ln(1 − p) / p of the true one. The scale is corrected by it while points are let
+    in, and not at the end, where those outside are taken for blunders.
+    """
+    count = len(problem)
+    floor = 1e-9 * max(1.0, float(np.abs(problem.colrow).max())) / float(np.median(problem.sigma))
+    inliers = np.zeros(count, dtype=np.bool_)
+    inliers[half] = True
+    while True:
+        fit, statistic = statistics(problem, inliers)
+        scale = max(fit.sigma0, floor)
+        outside = np.flatnonzero(~inliers)
+        if not len(outside):
+            break
+        share = float(inliers.mean())
+        short = np.sqrt(1.0 + (1.0 - share) * np.log(1.0 - share) / share)
+        chance = probabilities(statistic[outside], scale / short, float(fit.redundancy))
+        order = outside[np.argsort(-chance, kind="stable")][: max(1, len(outside) // 10)]
+        chosen = order[np.sort(-chance, kind="stable")[: len(order)] <= -REJECTED]
+        if not len(chosen):
+            break
+        inliers[chosen] = True
+    return inliers, scale, fit.redundancy

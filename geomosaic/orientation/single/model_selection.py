@@ -1,0 +1,242 @@
+"""Model selection by leave-one-out prediction, with Wilcoxon's signed-rank test."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import erfc, sqrt
+from typing import Any
+
+import numpy as np
+
+from geomosaic.errors import GeomosaicError, SolveError
+from geomosaic.orientation.single.fit import ControlFit, fit_problem, total_rms
+from geomosaic.orientation.single.problem import Build, Problem, registry_build
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.types import AnyArray, BoolArray, FloatArray
+
+EXACT = 50
+"""Differences up to which all signs are counted; the normal distribution serves beyond, and where lengths are equal."""
+
+
+def signed_rank_probability(differences: FloatArray) -> float:
+    """Probability by chance of differences (N,) that are so much above 0 (Wilcoxon 1945).
+
+    Differences of 0 say nothing and are left out; 1 where none is left.
+    """
+    told = differences[differences != 0.0]
+    count = len(told)
+    if not count:
+        return 1.0
+    _, group, sizes = np.unique(np.abs(told), return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(sizes) - (sizes - 1) / 2.0)[group]
+    above = float(ranks[told > 0.0].sum())
+    if count <= EXACT and (sizes == 1).all():
+        return _exact(count, round(above))
+    variance = count * (count + 1) * (2 * count + 1) / 24.0 - float((sizes**3 - sizes).sum()) / 48.0
+    return 0.5 * erfc((above - count * (count + 1) / 4.0) / sqrt(2.0 * variance)) if variance > 0.0 else 0.5
+
+
+def _exact(count: int, above: int) -> float:
+    """Share of all choices of signs whose positive ranks sum to `above` or more."""
+    ways = np.zeros(count * (count + 1) // 2 + 1)
+    ways[0] = 1.0
+    for rank in range(1, count + 1):
+        ways[rank:] += ways[:-rank].copy()
+    return float(ways[above:].sum() / 2.0**count)
+
+
+PLANAR: Mapping[str, Mapping[str, Any]] = {
+    "conformal": {"kind": "conformal"},
+    "affine": {"kind": "affine"},
+    "projective": {"kind": "projective"},
+    **{f"poly{order}": {"kind": "polynomial", "order": order} for order in range(2, 6)},
+    "tps": {"kind": "tps"},
+}
+"""Options of the sensor 'planar' for each kind, the simplest first; poly1 is affine."""
+SIGNIFICANT = 0.02
+FEW = 6
+"""Points below which no test can tell; the gain must then be threefold."""
+ODD = 6.0
+"""A point that kinds miss by so many times their median error is left out of the comparison."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One row of the table.
+
+    Attributes
+    ----------
+    name : str
+    parameters : int
+        Free ones, in col and row together.
+    redundancy : int
+    rms : float
+        Total RMS of the residuals, pixels.
+    leave_one_out : float
+        RMS length of the leave-one-out errors, pixels, over the points compared; NaN where it could not be had.
+    gain : float
+        Probability of errors so much smaller than those of the kind preferred before it, by chance; NaN for the first.
+    refused : str
+        Why the kind is not possible; empty where it is.
+    fit : ControlFit or None
+    """
+
+    name: str
+    parameters: int
+    redundancy: int
+    rms: float
+    leave_one_out: float
+    gain: float
+    refused: str
+    fit: ControlFit | None
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The kind chosen.
+
+    Attributes
+    ----------
+    name : str
+    fit : ControlFit
+    table : tuple of Candidate
+        The simplest first.
+    odd : tuple of str
+        Points that no kind predicts: left out of the comparison, though not of the fits.
+    said : str
+        Why, in a sentence.
+    """
+
+    name: str
+    fit: ControlFit
+    table: tuple[Candidate, ...]
+    odd: tuple[str, ...]
+    said: str
+
+
+def planar_builds(
+    request: SensorRequest, ground: AnyArray, colrow: AnyArray, sensor: str = "planar"
+) -> dict[str, Build]:
+    """Functions for every kind of `PLANAR`; see `problem.registry_build`."""
+    return {
+        name: registry_build(
+            sensor,
+            SensorRequest(request.image, request.size, {**request.options, **options}, request.crs, request.base),
+            ground,
+            colrow,
+        )
+        for name, options in PLANAR.items()
+    }
+
+
+def choose_model(
+    builds: Mapping[str, Build],
+    ids: Sequence[str],
+    ground: AnyArray,
+    colrow: AnyArray,
+    sigma: AnyArray | float | None = None,
+) -> Choice:
+    """Choose among kinds by their leave-one-out errors.
+
+    The kinds are gone through from the simplest. A kind takes the place of the one preferred so far if its
+    leave-one-out RMS is smaller, and the errors of the same points are smaller beyond chance (Wilcoxon's signed-rank
+    test, 2 %, one-sided); with fewer than six points, which no test can tell apart, if the RMS is less than a third.
+
+    Parameters
+    ----------
+    builds : mapping of str to Build
+        The simplest kind first.
+    ids, ground, colrow, sigma
+        See `fit.fit_control`.
+
+    Raises
+    ------
+    SolveError
+        No kind leaves a point to judge it by.
+    """
+    fits: dict[str, ControlFit | str] = {}
+    for name, build in builds.items():
+        try:
+            fits[name] = fit_problem(Problem.of(build, ids, ground, colrow, sigma), omission=True)
+        except GeomosaicError as error:
+            fits[name] = error.what
+    lengths = {
+        name: np.hypot(*fit.leave_one_out.T)
+        for name, fit in fits.items()
+        if not isinstance(fit, str) and np.isfinite(fit.leave_one_out).all(axis=1).sum() >= 0.5 * len(ids)
+    }
+    if not lengths:
+        raise SolveError(
+            f"{len(ids)} control points leave none to choose a kind of fit by",
+            hint="give more points, or name the kind; conformal needs 3 to be chosen",
+        )
+    odd = _odd(list(lengths.values()))
+    chosen, gains = "", dict[str, float]()
+    for name, errors in lengths.items():
+        if not chosen:
+            chosen = name
+            continue
+        gains[name] = _gain(lengths[chosen], errors, ~odd)
+        if gains[name] < SIGNIFICANT:
+            chosen = name
+    table = tuple(_row(name, fit, name in lengths, gains.get(name, float("nan")), ~odd) for name, fit in fits.items())
+    best = fits[chosen]
+    if isinstance(best, str):  # cannot be: only fits have errors
+        raise SolveError(best)
+    names = tuple(str(name) for name, out in zip(ids, odd, strict=True) if out)
+    return Choice(chosen, best, table, names, _said(chosen, table, names))
+
+
+def _odd(lengths: Sequence[FloatArray]) -> BoolArray:
+    """Points (N,) that the better half of the kinds miss by far more than they miss others.
+
+    The worse half may miss all points: a blunder bends kinds of many parameters everywhere.
+    """
+    count = len(lengths[0])
+    better = sorted(lengths, key=lambda errors: float(np.nanmedian(errors)))[: -(-len(lengths) // 2)]
+    odd = np.full(count, count >= 8)
+    for errors in better:
+        odd &= ~(errors <= ODD * np.nanmedian(errors))
+    return odd
+
+
+def _gain(before: FloatArray, after: FloatArray, compared: BoolArray) -> float:
+    """Probability by chance of errors (N,) so much smaller than those before; 1 where their RMS is not smaller."""
+    both = compared & np.isfinite(before) & np.isfinite(after)
+    first, second = before[both], after[both]
+    old, new = float(np.sqrt((first**2).mean())), float(np.sqrt((second**2).mean()))
+    # Differences of rounding are none.
+    if not both.any() or both.sum() < 0.5 * np.isfinite(before).sum() or not new < old or old < 1e-6:
+        return 1.0
+    if both.sum() < FEW:
+        return 0.0 if new < old / 3.0 else 1.0
+    return signed_rank_probability(first - second)
+
+
+def _row(name: str, fit: ControlFit | str, compared: bool, gain: float, points: BoolArray) -> Candidate:
+    if isinstance(fit, str):
+        nan = float("nan")
+        return Candidate(name, 0, 0, nan, nan, nan, fit, None)
+    error = total_rms(fit.leave_one_out[points])
+    refused = "" if compared else "it takes all points to determine it: none can be left out to judge it by"
+    free = 2 * len(fit.ids) - fit.redundancy
+    return Candidate(name, free, fit.redundancy, fit.rms_total, error, gain, refused, fit)
+
+
+def _said(chosen: str, table: tuple[Candidate, ...], odd: tuple[str, ...]) -> str:
+    rows = [row for row in table if not row.refused]
+    own = next(row for row in rows if row.name == chosen)
+    text = f"{chosen}: points left out of the fit are predicted within {own.leave_one_out:.3g} px (RMS)"
+    simpler = [row for row in rows if row.parameters < own.parameters]
+    if simpler:
+        nearest = min(simpler, key=lambda row: row.leave_one_out)
+        text += f", by the best simpler kind ({nearest.name}) within {nearest.leave_one_out:.3g} px"
+    richer = [row for row in rows if row.parameters > own.parameters]
+    if richer:
+        nearest = min(richer, key=lambda row: row.leave_one_out)
+        verdict = "no better" if nearest.leave_one_out >= own.leave_one_out else "not better beyond chance"
+        text += f"; {nearest.name}, with more parameters, is {verdict} ({nearest.leave_one_out:.3g} px)"
+    if odd:
+        text += f"; no kind predicts {', '.join(odd[:6])}{' and others' if len(odd) > 6 else ''}: look at them first"
+    return text

@@ -1,0 +1,235 @@
+"""Neighbour tests: blunders that a smooth fit passes through, and image distortion mistaken for blunders.
+
+A thin plate spline has no residuals. What it says of a point left out has (`polyharmonic`). Errors are divided by
+their standard deviation, so that a corner which the others only extrapolate is no blunder. The start is a robust one:
+a plane through every three of the eight neighbours of a point, the one that most of them agree with (least quantile of
+squares, Rousseeuw 1984).
+
+A polynomial of a bent image misses the corners most, and a thin plate spline, straight outside its points, misses
+them more. Splines of higher orders follow the bend outwards, and know how little they know there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from geomosaic.errors import SolveError
+from geomosaic.orientation.single.fit import total_rms
+from geomosaic.orientation.single.local_prediction import predictions, without_perspective
+from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
+
+NEIGHBOURS = 8
+AGREE = 5
+"""Of them, a plane must fit so many: three may be wrong."""
+FEWEST = 12
+"""Points from which on neighbours tell."""
+MOST = 1500
+"""Points up to which the spline of all the others is tried; beyond, neighbours alone judge."""
+OUT, BACK = 8.0, 6.0
+"""Median errors from which on a point is put out, and within which it is let in again."""
+BETTER = 0.4
+"""Share of the median error below which a perspective is taken off."""
+SMOOTH = 0.01
+"""Smoothing, in squares of the usual distance of points: noise of two that nearly touch must not tilt the spline."""
+NEIGHBOUR_ROUNDS = 60
+BLOCK = 512
+
+
+@dataclass(frozen=True, eq=False)
+class NeighbourSearch:
+    """Points that contradict those around them.
+
+    Attributes
+    ----------
+    ids : tuple of str
+    blunders : tuple of str
+    errors : array (N, 2)
+        Measured minus what the points that are no blunders say, without the point itself, pixels.
+    rms : float
+        Length, RMS, of the errors of the points that are no blunders.
+    """
+
+    ids: tuple[str, ...]
+    blunders: tuple[str, ...]
+    errors: FloatArray
+    rms: float
+
+    @property
+    def said(self) -> str:
+        """What was found, in a sentence."""
+        how = "each point held against a spline through the others: "
+        if not self.blunders:
+            return f"{how}none contradicts its neighbours ({self.rms:.3g} px RMS)"
+        more = f" and {len(self.blunders) - 8} more" if len(self.blunders) > 8 else ""
+        verb = "contradicts its" if len(self.blunders) == 1 else "contradict their"
+        return f"{how}{', '.join(self.blunders[:8])}{more} {verb} neighbours, the others agree within {self.rms:.3g} px"
+
+
+def search_neighbours(ids: Sequence[str], ground: AnyArray, colrow: AnyArray) -> NeighbourSearch:
+    """Look for points that contradict those around them, whatever smooth bend the image has.
+
+    Parameters
+    ----------
+    ids : sequence of str
+    ground : array (N, 2) or (N, 3)
+        Places on the map; x and y count.
+    colrow : array (N, 2)
+        Measured pixels.
+
+    Raises
+    ------
+    SolveError
+        Too few points.
+    """
+    count = len(ids)
+    if count < FEWEST:
+        raise SolveError(
+            f"{count} points are too few to hold each against its neighbours",
+            hint=f"give {FEWEST} points or more, or look for blunders with a kind of fewer parameters (not tps)",
+        )
+    image = np.array(colrow, dtype=np.float64)
+    places = np.array(ground, dtype=np.float64)[:, :2]
+    places = (places - places.mean(axis=0)) / max(float(np.abs(places - places.mean(axis=0)).max()), 1e-300)
+    near = _nearest(places)
+    # The image itself, and what a perspective leaves of it: the one of which points tell more about their neighbours.
+    found = [_contradicting(places, values, near) for values in (image, without_perspective(places, image))]
+    plain, flat = (float(np.median(np.hypot(*each[1].T))) for each in found)
+    kept, errors = found[1] if flat < BETTER * plain else found[0]
+    names = tuple(str(name) for name, good in zip(ids, kept, strict=True) if not good)
+    return NeighbourSearch(tuple(map(str, ids)), names, errors, total_rms(errors[kept]))
+
+
+def _contradicting(places: FloatArray, image: FloatArray, near: IntArray) -> tuple[BoolArray, FloatArray]:
+    """Points kept (N,) and the errors (N, 2) of all."""
+    errors, weight = _by_planes(places, image, near)
+    length = np.hypot(*errors.T) / np.sqrt(weight)
+    if len(places) > MOST:
+        return length <= OUT * np.median(length), errors
+    return _by_spline(places, image, near, length <= 3.0 * np.median(length))
+
+
+def _nearest(places: FloatArray) -> IntArray:
+    """Indices (N, 8) of the nearest other points."""
+    found = []
+    for start in range(0, len(places), BLOCK):
+        part = places[start : start + BLOCK]
+        apart = ((part[:, None, :] - places) ** 2).sum(axis=2)
+        apart[np.arange(len(part)), start + np.arange(len(part))] = np.inf
+        chosen = np.argpartition(apart, NEIGHBOURS - 1, axis=1)[:, :NEIGHBOURS]
+        found.append(np.sort(chosen, axis=1))
+    return np.vstack(found).astype(np.int64)
+
+
+def _by_planes(places: FloatArray, image: FloatArray, near: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Errors (N, 2) of points against planes through their neighbours, and the variances (N,) of them."""
+    around = places[near] - places[:, None, :]
+    around /= np.maximum(np.abs(around).max(axis=(1, 2), keepdims=True), 1e-300)
+    design = np.concatenate([np.ones((*near.shape, 1)), around], axis=2)
+    seen = image[near]
+    triples = np.array(list(combinations(range(NEIGHBOURS), 3)))
+    corner = design[:, triples]
+    good = np.abs(np.linalg.det(corner)) > 1e-3
+    corner = np.where(good[:, :, None, None], corner, np.eye(3))
+    planes = np.linalg.solve(corner, seen[:, triples])
+    missed = np.linalg.norm(seen[:, None] - design[:, None] @ planes, axis=3)
+    quantile = np.where(good, np.sort(missed, axis=2)[:, :, AGREE - 1], np.inf)
+    best = np.argmin(quantile, axis=1)
+    rows = np.arange(len(near))
+    own = missed[rows, best]
+    # Those that agree with the plane are averaged; where most of all planes fit badly, more may take part.
+    limit = np.maximum(2.5 * quantile[rows, best], 2.5 * np.median(quantile[rows, best]))
+    part = (own <= limit[:, None]).astype(np.float64)[:, :, None]
+    normal = np.einsum("nki,nkj->nij", design * part, design) + 1e-9 * np.eye(3)
+    inverse = np.linalg.inv(normal)
+    plane = inverse @ np.einsum("nki,nkj->nij", design * part, seen)
+    return image - plane[:, 0], 1.0 + inverse[:, 0, 0]
+
+
+def _by_spline(places: FloatArray, image: FloatArray, near: IntArray, kept: BoolArray) -> tuple[BoolArray, FloatArray]:
+    """Put out points that the spline through the others misses most, let in those it meets, until none changes."""
+    errors = np.zeros_like(image)
+    for _ in range(NEIGHBOUR_ROUNDS):
+        errors, variance = predictions(places, image, kept, SMOOTH / len(places))
+        # Closer points than usual are predicted within what they are measured within, not better.
+        length = np.hypot(*errors.T) / np.sqrt(variance + np.median(variance[kept]))
+        typical = max(float(np.median(length[kept])), 1e-12)
+        back = ~kept & (length <= BACK * typical)
+        # A blunder shows at its neighbours, too: of those around one place only the worst goes.
+        worst = np.where(kept[near], length[near], 0.0).max(axis=1)
+        out = kept & (length > OUT * typical) & (length >= worst)
+        more = (kept | back) & ~out
+        if (more == kept).all() or more.sum() < 0.5 * len(kept):
+            break
+        kept = more
+    return kept, errors
+
+
+ORDERS = (3, 4)
+AROUND = 60
+"""Points that predict one."""
+WITHIN = 3.0
+"""Median errors to be expected of it, within which a point agrees with those around it."""
+TELLING = 7.0
+"""Pixels, the median error to be expected beyond which an order, extrapolating, tells nothing: any blunder agrees."""
+COMPARABLE = 2.0
+"""Times the least median error, up to which an order is a witness."""
+ROUNDS = 10
+
+
+def explained_by_bend(ground: AnyArray, colrow: AnyArray, accused: BoolArray) -> BoolArray:
+    """Which of the accused a smooth bend explains, as the points around them have it.
+
+    Those that are explained help to explain the next ones, from the inside outwards.
+
+    Parameters
+    ----------
+    ground : array (N, 2) or (N, 3)
+        Places on the map; x and y count.
+    colrow : array (N, 2)
+        Measured pixels.
+    accused : bool array (N,)
+
+    Returns
+    -------
+    bool array (N,)
+        None where fewer than 12 others are left.
+    """
+    places, image = np.array(ground, dtype=np.float64)[:, :2], np.array(colrow, dtype=np.float64)
+    kept = ~accused
+    for _ in range(ROUNDS):
+        if kept.sum() < FEWEST:
+            break
+        agree = [i for i in np.flatnonzero(~kept) if _agrees(places, image, kept, int(i))]
+        if not agree:
+            break
+        kept = kept.copy()
+        kept[agree] = True
+    found: BoolArray = kept & accused
+    return found
+
+
+def _agrees(places: FloatArray, image: FloatArray, kept: BoolArray, index: int) -> bool:
+    apart = np.where(kept, np.hypot(*(places - places[index]).T), np.inf)
+    near = np.append(np.argsort(apart, kind="stable")[: min(AROUND, int(kept.sum()))], index)
+    local = places[near] - places[near].mean(axis=0)
+    local /= max(float(np.abs(local).max()), 1e-300)
+    others = np.arange(len(near)) < len(near) - 1
+    medians, agree = list[float](), list[bool]()
+    for order in ORDERS:
+        if len(near) < order * (order + 1):  # twice the powers it needs
+            continue
+        try:
+            errors, variance = predictions(local, image[near], others, order=order)
+        except np.linalg.LinAlgError:
+            continue
+        lengths = np.hypot(*errors.T)
+        spread = np.sqrt(np.maximum(variance, 1e-300))
+        expected = float(spread[-1] * np.median(lengths[others] / spread[others]))
+        medians.append(float(np.median(lengths[others])))
+        agree.append(expected <= TELLING and bool(lengths[-1] <= WITHIN * expected))
+    least = min(medians, default=0.0)
+    return any(told and m <= COMPARABLE * least for told, m in zip(agree, medians, strict=True))

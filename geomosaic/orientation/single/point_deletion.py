@@ -1,0 +1,149 @@
+"""Point deletion (Jensen, geometric correction): the worst point out, fit again, until the RMS is small enough."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.errors import InputError, SolveError
+from geomosaic.orientation.single.fit import ControlFit, fit_problem
+from geomosaic.orientation.single.problem import Build, Problem
+from geomosaic.types import AnyArray
+
+
+@dataclass(frozen=True)
+class DeletedPoint:
+    """One row of the table of deletions.
+
+    Attributes
+    ----------
+    order : int
+        1 for the point deleted first.
+    id : str
+    residual : tuple of float
+        Of col and row in the last fit that had it, pixels.
+    rms_before, rms_after : float
+        Total RMS of the control points with and without it, pixels.
+    left : int
+        Points that remain.
+    """
+
+    order: int
+    id: str
+    residual: tuple[float, float]
+    rms_before: float
+    rms_after: float
+    left: int
+
+
+@dataclass(frozen=True, eq=False)
+class Deletion:
+    """What deleting points came to.
+
+    Attributes
+    ----------
+    threshold : float
+        Total RMS to come below, pixels.
+    reached : bool
+    deleted : tuple of DeletedPoint
+        In the order of deletion.
+    fit : ControlFit
+        To the points that remain, leave-one-out errors among it.
+    kept : tuple of str
+    said : str
+        How it ended, in a sentence.
+    """
+
+    threshold: float
+    reached: bool
+    deleted: tuple[DeletedPoint, ...]
+    fit: ControlFit
+    kept: tuple[str, ...]
+    said: str
+
+
+def delete_points(
+    build: Build,
+    ids: Sequence[str],
+    ground: AnyArray,
+    colrow: AnyArray,
+    sigma: AnyArray | float | None = None,
+    *,
+    threshold: float,
+) -> Deletion:
+    """Delete the point of largest residual and fit again, until the total RMS is below a threshold.
+
+    The RMS falls with every deletion whether or not the fit gets better, so deletion ends while one point more than
+    the kind needs is left: see the leave-one-out errors of the fit, and compare with `robust.snoop`.
+
+    Parameters
+    ----------
+    build, ids, ground, colrow, sigma
+        See `fit.fit_control`.
+    threshold : float
+        Total RMS in pixels.
+
+    Returns
+    -------
+    Deletion
+        `reached` is false where the threshold would take more points than the kind can spare.
+
+    Raises
+    ------
+    InputError
+        The threshold is not a positive number.
+    SolveError
+        The points do not determine the model, or it passes through all of them.
+    """
+    if not (np.isfinite(threshold) and threshold > 0.0):
+        raise InputError(f"a threshold of {threshold} is not a positive number of pixels")
+    problem = Problem.of(build, ids, ground, colrow, sigma)
+    fit = fit_problem(problem)
+    need_residuals(fit)
+    kept, rows = np.arange(len(problem)), list[DeletedPoint]()
+    while not fit.rms_total < threshold and len(kept) > least_points(fit) + 1:
+        worst = int(np.argmax(fit.lengths))
+        rest = np.delete(kept, worst)
+        try:
+            after = fit_problem(problem.subset(rest))
+        except SolveError as error:
+            said = f"without '{problem.ids[kept[worst]]}' the points do not determine the fit: {error.what}"
+            return _ended(problem, kept, rows, threshold, said)
+        col, row = fit.residuals[worst].tolist()
+        name = problem.ids[kept[worst]]
+        rows.append(DeletedPoint(len(rows) + 1, name, (col, row), fit.rms_total, after.rms_total, len(rest)))
+        kept, fit = rest, after
+    return _ended(problem, kept, rows, threshold, None)
+
+
+def least_points(fit: ControlFit) -> int:
+    """Fewest points that the parameters of a fit need."""
+    return -(-(2 * len(fit.ids) - fit.redundancy) // 2)
+
+
+def need_residuals(fit: ControlFit) -> None:
+    """Refuse a fit without redundancy: its residuals are 0 and tell nothing.
+
+    Raises
+    ------
+    SolveError
+    """
+    if fit.redundancy <= 0:
+        raise SolveError(
+            "the fit passes through all of its control points: their residuals say nothing about errors",
+            hint="look for them with a kind of fewer parameters (not tps), or give more points",
+        )
+
+
+def _ended(problem: Problem, kept: AnyArray, rows: list[DeletedPoint], threshold: float, stuck: str | None) -> Deletion:
+    fit = fit_problem(problem.subset(kept), omission=True)
+    reached = fit.rms_total < threshold
+    count = f"{len(rows)} point{'s' * (len(rows) != 1)} deleted"
+    if reached:
+        said = f"{count}: the total RMS of the {len(kept)} left is {fit.rms_total:.3g} px, below {threshold:g} px"
+    else:
+        why = stuck or "no more can be spared: one point more than the kind needs is left"
+        said = f"{count}, and the total RMS of {fit.rms_total:.3g} px is not below {threshold:g} px; {why}"
+    return Deletion(threshold, reached, tuple(rows), fit, fit.ids, said)

@@ -1,0 +1,122 @@
+"""From the quality a photo map shall have to what its inputs must be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from geomosaic.errors import InputError
+from geomosaic.planning import k28
+from geomosaic.planning.quantities import checked
+from geomosaic.planning.relations import GROUND_PIXEL, SCALE, SCAN, SCAN_PIXEL
+
+HEIGHTS = "K-2.8: m_O · 140/r · c/150"
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """One line of a plan: what, its least and largest value (None where open), unit, and where it comes from."""
+
+    name: str
+    text: str
+    least: float | None
+    most: float | None
+    unit: str
+    source: str
+
+
+def requirements(
+    ortho_scale: float,
+    *,
+    camera_constant: float,
+    film: k28.Film = "colour",
+    ratio: float | None = None,
+    position_error: float | None = None,
+    other_errors: tuple[float, ...] = (),
+    radius: float = k28.CORNER,
+) -> list[Requirement]:
+    """What the inputs of a photo map must be.
+
+    Parameters
+    ----------
+    ortho_scale : float
+        Denominator.
+    camera_constant : float
+        mm.
+    film : 'grey' or 'colour'
+    ratio : float, optional
+        K = M_photo / M_ortho; by default that of K-2.8, which has it for three scales.
+    position_error : float, optional
+        Target in metres; by default 0.3 mm on the map.
+    other_errors : tuple of float
+        Errors of position in metres that do not come from the DEM: orientation, scanning, identification. Independent
+        errors add as squares, and what they leave of the target is the DEM's.
+    radius : float
+        mm from the principal point up to which photos are used.
+
+    Raises
+    ------
+    InputError
+        No ratio is known for the scale, or the other errors alone exceed the target.
+    """
+    scale = checked("ortho_scale", ortho_scale)
+    target = k28.position_error(scale) if position_error is None else checked("position_error", position_error)
+    k = k28.RATIOS.get(round(scale)) if ratio is None else checked("ratio", ratio)
+    if k is None:
+        raise InputError(
+            f"K-2.8 has no ratio K for 1:{scale:g}",
+            where="--ortho-scale",
+            hint=f"give --ratio; the table has {', '.join(f'1:{s}: {v:g}' for s, v in k28.RATIOS.items())}",
+        )
+    for error in other_errors:
+        if not 0 <= error < math.inf:
+            raise InputError(f"{error:g} m is no error", where="--other-error", hint="give metres, 0 or more")
+    left = target**2 - sum(error**2 for error in other_errors)
+    if not left > 0:
+        total = math.sqrt(sum(error**2 for error in other_errors))
+        raise InputError(
+            f"the other errors make {total:.3g} m, the target is {target:.3g} m",
+            where="--other-error",
+            hint="better control and orientation, or a smaller scale",
+        )
+    photo = k * scale
+    c, share = checked("camera_constant", camera_constant), math.sqrt(left) / k28.position_error(scale)
+    height = k28.height_error(scale, c, radius) * share
+    dpi = _given(SCAN.solve("scan_dpi", {"ratio": k}))
+    pixel = _given(SCAN_PIXEL.solve("scan_pixel", {"scan_dpi": dpi}))
+    ground = _given(GROUND_PIXEL.solve("ground_pixel", {"scan_pixel": pixel, "photo_scale": photo}))
+    flown = _given(SCALE.solve("height", {"photo_scale": photo, "camera_constant": c}))
+    out = [
+        Requirement("position_error", "error of position at check points", None, target, "m", "K-2.8: 0.3 mm of map"),
+        Requirement("photo_scale", "scale of the photos", None, photo, "1:", "K-2.8: K = M_photo / M_ortho"),
+        Requirement("height", "flying height above the ground", None, flown, "m", SCALE.formula),
+        Requirement("scan_dpi", "scanning resolution", dpi, None, "dpi", SCAN.formula),
+        Requirement("scan_pixel", "pixel of the scan", None, pixel, "µm", SCAN_PIXEL.formula),
+        Requirement("scan_pixel_usual", "usual scanning pixel", *k28.SCAN_UM[film], "µm", "K-2.8: scanning"),
+        Requirement("ground_pixel", "pixel of the scan on the ground", None, ground, "m", GROUND_PIXEL.formula),
+        Requirement(
+            "ortho_pixel", "pixel of the photo map", None, k28.ortho_pixel(scale, film), "m",
+            "K-2.8: 0.08 mm of the map in grey, 0.10 mm in colour",
+        ),
+        Requirement(
+            "ortho_pixel_of_scan", "pixel of the photo map that such a scan gives", k28.PIXEL_GAIN[0] * ground,
+            k28.PIXEL_GAIN[1] * ground, "m", "K-2.8: 10 to 20 % more than that of the scan",
+        ),
+        Requirement("dem_error", f"error of heights at r = {radius:g} mm", None, height, "m", HEIGHTS),
+        Requirement(
+            "control_error", "error of control and check points", None, target / 3, "m",
+            "a third of the target: then they take 5 % of it (errors add as squares)",
+        ),
+    ]  # fmt: skip
+    if round(scale) in k28.INTERVALS:
+        for terrain, text in (("easy", "easy"), ("difficult", "difficult")):
+            low, high = k28.interval(scale, "easy" if terrain == "easy" else "difficult")
+            name = f"dem_interval_{terrain}"
+            out.append(Requirement(name, f"grid of the DEM, {text} terrain", low, high, "m", "K-2.8: grid interval"))
+    return out
+
+
+def _given(value: float | None) -> float:
+    if value is None:
+        raise InputError("the values given leave the plan open", hint="give positive numbers")
+    return value

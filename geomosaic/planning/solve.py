@@ -1,0 +1,133 @@
+"""From what is given to all that follows from it, in whatever direction the formulas allow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from geomosaic.errors import InputError
+from geomosaic.planning.quantities import QUANTITIES, checked, flags, shown
+from geomosaic.planning.relations import Relation
+
+AGREES = 1e-6
+"""Relative difference below which two ways to one quantity agree."""
+
+
+@dataclass(frozen=True)
+class Derived:
+    """A quantity that follows: its value, and the relation it came from."""
+
+    name: str
+    value: float
+    relation: Relation
+
+
+def derive(relations: Sequence[Relation], given: Mapping[str, float]) -> list[Derived]:
+    """Everything that follows from the given quantities, in the order in which it does.
+
+    Parameters
+    ----------
+    relations : sequence of Relation
+    given : mapping of str to float
+        By name, in the units of `QUANTITIES`.
+
+    Raises
+    ------
+    InputError
+        A value is out of range, values contradict each other, or nothing follows.
+    """
+    known = {name: checked(name, value) for name, value in given.items()}
+    found: list[Derived] = []
+    ordered = sorted(relations, key=lambda relation: bound(relation) is not None)  # equations before limits
+    while True:
+        new = next((made for relation in ordered if (made := _next(relation, known)) is not None), None)
+        if new is None:
+            break
+        known[new.name] = new.value
+        found.append(new)
+    for relation in relations:
+        if bound(relation) is None:
+            _agree(relation, known)
+    if not found and not limits(relations, known):
+        short = min(relations, key=lambda relation: len([n for n in relation.names if n not in known]))
+        open_ = [name for name in short.names if name not in known]
+        raise InputError(
+            f"nothing follows from {flags(given) or 'nothing'}",
+            where=short.formula,
+            hint=f"give all but one of {flags(short.names)}" if len(open_) > 1 else "give another quantity",
+        )
+    return found
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A limit to a quantity that was given, and whether it is kept."""
+
+    name: str
+    limit: float
+    relation: Relation
+    kept: bool
+
+
+def bound(relation: Relation) -> str | None:
+    """'>=' or '<=' where a formula is a limit to its first quantity, None of an equation."""
+    return next((sign for sign in (">=", "<=") if f" {sign} " in relation.formula), None)
+
+
+def limits(relations: Sequence[Relation], known: Mapping[str, float]) -> list[Limit]:
+    """Limits to quantities that are all known, each with whether it is kept."""
+    found = []
+    for relation in relations:
+        sign, name = bound(relation), relation.names[0]
+        if sign is None or any(other not in known for other in relation.names):
+            continue
+        limit = relation.solve(name, known)
+        if limit is not None and math.isfinite(limit):
+            over = (known[name] - limit) * (1.0 if sign == ">=" else -1.0)
+            found.append(Limit(name, limit, relation, over >= -AGREES * abs(limit)))
+    return found
+
+
+def _next(relation: Relation, known: Mapping[str, float]) -> Derived | None:
+    unknown = [name for name in relation.names if name not in known]
+    if len(unknown) != 1:
+        return None
+    try:
+        value = relation.solve(unknown[0], known)
+    except ZeroDivisionError:
+        value = None
+    if value is None or not math.isfinite(value):
+        return None
+    return Derived(unknown[0], _inside(unknown[0], value, relation), relation)
+
+
+def _inside(name: str, value: float, relation: Relation) -> float:
+    try:
+        return checked(name, value)
+    except InputError as error:
+        raise InputError(
+            f"{QUANTITIES[name].text} would be {value:g} {QUANTITIES[name].unit}".rstrip(),
+            where=relation.formula,
+            hint="the values given do not go together",
+        ) from error
+
+
+def _agree(relation: Relation, known: Mapping[str, float]) -> None:
+    """Refuse values that contradict a relation."""
+    if any(name not in known for name in relation.names):
+        return
+    for name in relation.names:
+        try:
+            value = relation.solve(name, known)
+        except ZeroDivisionError:
+            continue
+        if value is not None and math.isfinite(value):
+            if abs(value - known[name]) > AGREES * max(abs(value), abs(known[name])):
+                raise InputError(
+                    f"{QUANTITIES[name].text} is {shown(name, known[name])}, "
+                    f"and {shown(name, value)} by {relation.formula}",
+                    where=flags(relation.names),
+                    hint="leave out one of them",
+                )
+            return

@@ -1,1 +1,0 @@
-"""Values of several images to one: across seams, over overlaps, or by rule."""

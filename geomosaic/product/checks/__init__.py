@@ -1,1 +1,0 @@
-"""Products held against what is known better, and against what was planned."""

@@ -1,1 +1,0 @@
-"""Georeferencing one image by its control: read, examined, fitted, judged, drawn and told."""

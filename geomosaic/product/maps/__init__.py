@@ -1,1 +1,0 @@
-"""From a raster to a finished map: enhancement, contours, sheets and series of them."""

@@ -1,1 +1,0 @@
-"""What a run takes over from an earlier one of the same product."""

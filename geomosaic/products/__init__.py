@@ -1,0 +1,1 @@
+"""Products from plain inputs: orthos, mosaics, planar and edge-matched mosaics."""

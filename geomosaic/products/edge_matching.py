@@ -1,0 +1,163 @@
+"""Photos with tables of control and common points to a mosaic whose edges meet."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.block.block import Block, ControlPoint, Scene
+from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
+from geomosaic.geo.crs import parse_map
+from geomosaic.inputs.area import Area, plan
+from geomosaic.inputs.control_points import read_control
+from geomosaic.inputs.planar.tables import examine
+from geomosaic.inputs.tables import read_table, stem
+from geomosaic.orientation.edges import CommonPoint, EdgeMatch, match_edges
+from geomosaic.products.from_inputs import refuse_existing
+from geomosaic.raster.info import inspect
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.registry import build
+from geomosaic.sensor.solve import image_to_height
+from geomosaic.types import PathLike
+
+if TYPE_CHECKING:
+    from geomosaic.mosaic.options import MosaicOptions
+    from geomosaic.mosaic.result import MosaicResult
+
+
+COLUMNS = ("id", "image", "col", "row")
+
+
+@dataclass(frozen=True)
+class EdgeInputs:
+    """Photos and tables.
+
+    Attributes
+    ----------
+    images : tuple of Path
+    control : Path
+        id, x, y, z, image, col, row, as everywhere; z plays no part.
+    common : Path
+        id, image, col, row and optionally sigma_px.
+    crs : str
+        Map of the control.
+    kind : str
+        Model of the photos: 'conformal', 'affine', 'projective'.
+    reach : float, optional
+        Pixels, see `match_edges`.
+    bands : tuple of int, optional
+    wrong : str
+        See `match_edges`.
+    """
+
+    images: tuple[Path, ...]
+    control: Path
+    common: Path
+    crs: str
+    kind: str = "affine"
+    reach: float | None = None
+    bands: tuple[int, ...] | None = None
+    wrong: str = "stop"
+
+
+def read_common(path: PathLike, images: Sequence[str]) -> tuple[CommonPoint, ...]:
+    """Read common points: columns id, image, col, row and optionally sigma_px and z.
+
+    Other images are left out, and so are points that only one of these shows: a note counts them.
+
+    Raises
+    ------
+    InputError
+        Names file and line.
+    """
+    table = read_table(path, "table of common points", ",".join(COLUMNS))
+    table.require(*COLUMNS, what="common points")
+    by_stem = {stem(image): image for image in images}
+    points = []
+    for row in table:
+        image = by_stem.get(stem(row.text("image")))
+        if image is not None:
+            place = (row.number("col"), row.number("row"))
+            sigma, z = row.number("sigma_px", 1.0), row.number("z", 0.0)
+            points.append(CommonPoint(row.text("id"), image, place, sigma, z, row.where))
+    if not points:
+        raise InputError(
+            "the table has no point of these images", where=str(path), hint="check the names of the images"
+        )
+    seen = Counter(point.id for point in points)
+    alone = [point.id for point in points if seen[point.id] == 1]
+    if alone:
+        some = ", ".join(alone[:4]) + (" and more" if len(alone) > 4 else "")
+        what = f"{path}: {counted(len(alone), 'point')} in one of these photos only, left out: {some}"
+        warnings.warn(what, GeomosaicWarning, stacklevel=2)
+    return tuple(point for point in points if seen[point.id] > 1)
+
+
+def match_photos(inputs: EdgeInputs) -> EdgeMatch:
+    """Read the tables and match the edges."""
+    names = [path.name for path in inputs.images]
+    control, common = read_control(inputs.control, names), read_common(inputs.common, names)
+    crs = parse_map(inputs.crs, "CRS of the control")
+    examine(control, crs, inputs.control, inputs.wrong)
+    photos, tables = _started(inputs, crs, control, common), f"{inputs.control.name} and {inputs.common.name}"
+    matched = match_edges(photos, control, common, crs=crs, reach=inputs.reach, wrong=inputs.wrong, tables=tables)
+    if not matched.after.ids:
+        raise InputError(
+            "the photos share no point: there is no edge to match",
+            where=tables,
+            hint="measure common points in their overlaps, or georeference each photo by itself",
+        )
+    return matched
+
+
+def make_edge_mosaic(
+    inputs: EdgeInputs, area: Area, output: Path, options: MosaicOptions
+) -> tuple[EdgeMatch, MosaicResult]:
+    """Match the edges and make the mosaic."""
+    from geomosaic.mosaic.mosaic import mosaic
+
+    refuse_existing(output, options.render.overwrite)
+    matched = match_photos(inputs)
+    grid, outlines = plan(matched.photos, None, area)
+    return matched, mosaic(Block(matched.photos, None), grid, outlines, output, options)
+
+
+def _started(
+    inputs: EdgeInputs, crs: CRS, control: Sequence[ControlPoint], common: Sequence[CommonPoint]
+) -> list[Scene]:
+    """Start models: by the photo's own control, else by what photos that have one show of the common points."""
+    scenes: dict[str, Scene] = {}
+    waiting = {path.name: path for path in inputs.images}
+    reason: SolveError | None = None
+    while waiting:
+        known: dict[str, list[np.ndarray]] = {}
+        for point in common:
+            if point.image in scenes:
+                place = image_to_height(scenes[point.image].model, np.array([point.colrow]), 0.0, crs)[0, :2]
+                known.setdefault(point.id, []).append(place)
+        made = {}
+        for name, path in waiting.items():
+            rows = [(*p.xyz[:2], *p.colrow) for p in control if p.image == name and p.role == "control"]
+            rows += [(*np.mean(known[p.id], axis=0), *p.colrow) for p in common if p.image == name and p.id in known]
+            points = [dict(zip(("x", "y", "col", "row"), map(float, row), strict=True)) for row in rows]
+            size = inspect(path, inputs.bands).size
+            try:
+                if not points:
+                    raise SolveError("the photo has no control and shares no point with one that has", where=name)
+                model = build("planar", SensorRequest(name, size, {"points": points, "kind": inputs.kind}, crs))
+            except SolveError as error:
+                reason = error
+                continue
+            made[name] = Scene(name, str(path), "planar", model, bands=inputs.bands)
+        if not made:
+            raise reason or SolveError("no photo can be placed")
+        scenes.update(made)
+        waiting = {name: path for name, path in waiting.items() if name not in made}
+    return [scenes[path.name] for path in inputs.images]

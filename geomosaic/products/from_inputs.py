@@ -1,0 +1,135 @@
+"""One ortho or one mosaic from plain declarations."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from geomosaic.block.block import Scene
+from geomosaic.inputs.area import Area, plan
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
+from geomosaic.raster.output_files import check_output
+
+if TYPE_CHECKING:
+    from geomosaic.mosaic.options import MosaicOptions
+    from geomosaic.mosaic.result import MosaicResult
+    from geomosaic.render.options import RenderOptions
+    from geomosaic.render.ortho import OrthoResult
+
+
+def refuse_existing(path: Path, overwrite: bool, inputs: BlockInputs | None = None) -> None:
+    """Stop before any work where the output exists; an input is never written over, asked for or not."""
+    read = () if inputs is None else (*inputs.images, *inputs.tables, *inputs.ground)
+    check_output(path, overwrite=overwrite, inputs=read)
+
+
+def make_ortho(inputs: BlockInputs, area: Area, output: Path, options: RenderOptions) -> OrthoResult:
+    """Rectify the one image of `inputs`.
+
+    Parameters
+    ----------
+    inputs : BlockInputs
+    area : Area
+    output : Path
+        GeoTIFF to write.
+    options : RenderOptions
+
+    Raises
+    ------
+    GeomosaicError
+        InputError, OutputError, SensorError or SolveError; nothing is left under the final name.
+    """
+    from geomosaic.render.ortho import ortho
+
+    refuse_existing(output, options.overwrite, inputs)
+    block = build_block(inputs)
+    grid, outlines = plan(block.scenes, block.surface, area)
+    return ortho(block.scenes[0], block.surface, grid, outlines[0], output, options)
+
+
+def reference_scene(path: Path, bands: Sequence[int] | None) -> Scene:
+    """Open a georeferenced raster as a scene, to match histograms to."""
+    return build_block(BlockInputs((path,), "planar", bands=None if bands is None else tuple(bands))).scenes[0]
+
+
+def make_mosaic(inputs: BlockInputs, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
+    """Make a mosaic of all images of `inputs`.
+
+    Parameters
+    ----------
+    inputs : BlockInputs
+    area : Area
+    output : Path
+        GeoTIFF to write; labels, vectors and the STAC item go beside it.
+    options : MosaicOptions
+
+    Raises
+    ------
+    GeomosaicError
+        InputError, OutputError, SensorError or SolveError; nothing is left under the final names.
+    """
+    from geomosaic.inputs.area import note_scattered, plan_mosaic
+    from geomosaic.inputs.rasters import check_same_bands, with_named_bands
+    from geomosaic.mosaic.mosaic import mosaic
+
+    for file in _files(output, options):
+        refuse_existing(file, options.render.overwrite, inputs)
+    block = build_block(inputs)
+    if inputs.band_names is not None:
+        block = replace(block, scenes=with_named_bands(block.scenes, inputs.band_names))
+    check_same_bands(block.scenes)
+    grid, outlines = plan_mosaic(block.scenes, block.surface, area)
+    note_scattered(grid, outlines)
+    return mosaic(block, grid, outlines, output, options)
+
+
+def _files(output: Path, options: MosaicOptions) -> list[Path]:
+    """The mosaic and what is written beside it."""
+    from geomosaic.mosaic.mosaic import beside
+
+    named = (("-labels", ".tif", options.labels), ("", ".gpkg", options.vectors), ("", ".stac.json", options.stac))
+    return [output, *(beside(output, mark, suffix) for mark, suffix, wanted in named if wanted)]
+
+
+def make_planar_mosaic(
+    inputs: BlockInputs, wanted: PlanarInputs, area: Area, output: Path, options: MosaicOptions
+) -> tuple[MosaicResult, dict[str, Any], Path]:
+    """Place photos of flat ground together and make their mosaic.
+
+    Parameters
+    ----------
+    inputs : BlockInputs
+    wanted : PlanarInputs
+        How they are placed.
+    area : Area
+    output : Path
+        GeoTIFF to write; labels, vectors, the STAC item and the facts go beside it.
+    options : MosaicOptions
+
+    Returns
+    -------
+    result : MosaicResult
+    facts : dict
+        How the photos were placed, see `planar_facts`.
+    path : Path
+        Where the facts were written, beside the mosaic.
+    """
+    from geomosaic.accuracy.product_check import check_control
+    from geomosaic.inputs.planar.build import build_planar
+    from geomosaic.inputs.planar.facts import control_facts
+    from geomosaic.mosaic.mosaic import beside, mosaic
+    from geomosaic.whole_files import write_atomic
+
+    facts_path = beside(output, "-placement", ".json")
+    for file in (facts_path, *_files(output, options)):
+        refuse_existing(file, options.render.overwrite, inputs)
+    block, placed = build_planar(inputs, wanted)
+    facts = {**placed, **control_facts(check_control(block))}
+    grid, outlines = plan(block.scenes, block.surface, area)
+    result = mosaic(block, grid, outlines, output, options)
+    write_atomic(facts_path, json.dumps(facts, indent=1) + "\n")
+    return result, facts, facts_path

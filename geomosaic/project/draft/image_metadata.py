@@ -1,0 +1,238 @@
+"""What images say of how they were taken: their own sensor model, a georeference, or position and attitude in EXIF."""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from geomosaic.errors import GeomosaicError, InputError, OutputExistsError
+from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
+from geomosaic.project.draft.exif import PhotoFacts, photo_facts
+from geomosaic.raster.info import control_point_count, inspect
+from geomosaic.raster.photo_metadata import read_photo_tags
+from geomosaic.raster.rpc_tags import read_rpc_tags
+from geomosaic.sensor.plugin import HasFiles, SensorRequest
+from geomosaic.sensor.registry import build, installed, plugin
+from geomosaic.whole_files import write_atomic
+
+RASTERS = (".tif", ".tiff", ".jp2", ".ntf", ".img", ".jpg")
+SCENES = ("pushbroom", "rpc")
+"""Sensors whose model may lie in or beside an image: the rigorous one first."""
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What was found.
+
+    Attributes
+    ----------
+    inputs : BlockInputs
+    tables : dict of Path to str
+        Files to write beside the project.
+    lines : list of str
+        What was understood.
+    needed : list of str
+        What no image says.
+    """
+
+    inputs: BlockInputs
+    tables: dict[Path, str] = field(default_factory=dict)
+    lines: list[str] = field(default_factory=list)
+    needed: list[str] = field(default_factory=list)
+
+
+def images_of(paths: Sequence[Path]) -> tuple[Path, ...]:
+    """Image files of what was named: folders of scenes and metadata files stand for the images in them.
+
+    Raises
+    ------
+    InputError
+        A folder or a metadata file has no image.
+    """
+    found: dict[Path, None] = {}
+    for path in paths:
+        if path.is_dir():
+            within = [file for file in sorted(path.iterdir()) if file.suffix.lower() in RASTERS]
+            scenes = [file for file in within if file.stem.upper().startswith(("IMAGERY", "IMG_"))]
+            images = scenes or within
+        elif path.suffix.lower() == ".dim":
+            near = [path.with_suffix(suffix) for suffix in RASTERS]
+            images = [file for file in near if file.is_file()] or images_in_scene(path.parent)
+        else:
+            images = [path]
+        if not images:
+            raise InputError(
+                "there is metadata, but no image" if path.is_file() else "the folder has no image",
+                where=str(path),
+                hint="name the image that belongs to it; its metadata is found beside it",
+            )
+        found.update(dict.fromkeys(images))
+    return tuple(found)
+
+
+def images_in_scene(folder: Path) -> list[Path]:
+    """Images of a scene's folder by the names its producer gives them."""
+    return [file for file in sorted(folder.glob("IMAGERY*")) if file.suffix.lower() in RASTERS]
+
+
+def carried_by(inputs: BlockInputs, project: Path) -> Carried:
+    """Complete the inputs of a project from its images, where no sensor was named."""
+    own = _own_models(inputs)
+    infos = [inspect(path, inputs.bands) for path in inputs.images]
+    placed = all(info.crs is not None and info.transform is not None for info in infos)
+    if own:
+        lines = [f"model: each image carries one for the sensor {own[0]}"]
+        if len(own) > 1:
+            lines.append(f"  and one for {' and '.join(own[1:])}: say --sensor to take that")
+        if placed:
+            lines.append("  they are georeferenced too: say --sensor planar to take them as they lie")
+        return Carried(replace(inputs, sensor=own[0]), lines=lines)
+    if placed or inputs.control is not None:
+        return Carried(inputs)
+    facts = [photo_facts(read_photo_tags(path), info.size) for path, info in zip(inputs.images, infos, strict=True)]
+    if any(fact.position or fact.gimbal for fact in facts):
+        if inputs.camera is None:
+            _one_camera(inputs.images, facts, [info.size for info in infos])
+        return _photos(inputs, facts, infos[0].size, project)
+    lines = [_camera_line(facts[0])] if facts[0].camera else []
+    tagged = [(path, control_point_count(path)) for path in inputs.images]
+    with_points = [f"{path.name} carries {count} control points" for path, count in tagged if count]
+    if with_points:
+        hint = "images placed by their own control points: geomosaic georeference IMAGE ... -o PLACED, and PLACED here"
+        return Carried(inputs, lines=[*lines, *with_points], needed=[hint])
+    return Carried(inputs, lines=[*lines, "no image says where it was taken: no georeference, RPC, DIMAP or GPS"])
+
+
+def planar_of(kind: str | None, ties: Path | None) -> PlanarInputs | None:
+    """How photos of flat ground are placed; None where neither a kind nor tie points are named."""
+    if kind is None and ties is None:
+        return None
+    return PlanarInputs(kind or "uncontrolled", ties=ties)
+
+
+def write_tables(carried: Carried, *, overwrite: bool = False) -> None:
+    """Write the tables beside the project, never over existing ones unasked."""
+    for path in carried.tables:
+        if path.exists() and not overwrite:
+            raise OutputExistsError("the table exists", where=str(path), hint="give another name, or --overwrite")
+    for path, text in carried.tables.items():
+        write_atomic(path, text)
+
+
+def _own_models(inputs: BlockInputs) -> list[str]:
+    """Sensors for which every image carries its model, tried out."""
+    names = {entry.name for entry in installed()}
+    return [name for name in SCENES if name in names and all(_carries(name, path) for path in inputs.images)]
+
+
+def _carries(name: str, path: Path) -> bool:
+    if name == "rpc" and not read_rpc_tags(path) and not _beside(name, path):
+        return False
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            build(name, SensorRequest(path.name, inspect(path).size, {}, None, str(path.parent), str(path)))
+    except GeomosaicError:
+        return False
+    return True
+
+
+def _beside(name: str, path: Path) -> tuple[Path, ...]:
+    """Files of a sensor's model beside an image."""
+    sensor = plugin(name)
+    return sensor.files(path) if isinstance(sensor, HasFiles) else ()
+
+
+def _one_camera(images: Sequence[Path], facts: Sequence[PhotoFacts], sizes: Sequence[tuple[int, int]]) -> None:
+    """Refuse photos of several cameras or focal lengths: a project has one, and the first must not stand for all.
+
+    Raises
+    ------
+    InputError
+        Names a photo of each.
+    """
+    kinds: dict[tuple[str, int | None], Path] = {}
+    for path, fact, size in zip(images, facts, sizes, strict=True):
+        # In thousandths of the diagonal, so that copies of several sizes are alike.
+        focal = None if fact.focal is None else round(1000.0 * fact.focal / math.hypot(*size))
+        kinds.setdefault((fact.camera, focal), path)
+    if len(kinds) > 1:
+        (first, one), (second, other), *_ = kinds.items()
+        what = [f"{path.name} ({name or 'no name'}, focal length {_share(focal)})" for (name, focal), path in
+                ((first, one), (second, other))]  # fmt: skip
+        raise InputError(
+            f"the photos were taken with {len(kinds)} cameras or focal lengths: {' and '.join(what)}",
+            hint="make a project for the photos of each, or give --camera that holds for all",
+        )
+
+
+def _share(focal: int | None) -> str:
+    return "unknown" if focal is None else f"{focal / 1000.0:.3f} of the diagonal"
+
+
+def _photos(inputs: BlockInputs, facts: Sequence[PhotoFacts], size: tuple[int, int], project: Path) -> Carried:
+    """Tables of the positions and attitudes of photos, and a camera of their focal length."""
+    lines, needed, tables = [], [], {}
+    change: dict[str, object] = {"sensor": "frame"}
+    if facts[0].camera:
+        lines.append(_camera_line(facts[0]))
+    with_place = sum(fact.position is not None for fact in facts)
+    with_attitude = sum(fact.gimbal is not None for fact in facts)
+    lines.append(
+        f"EXIF and XMP: {with_place} of {len(facts)} photos have a position, {with_attitude} a gimbal attitude"
+    )
+    if any(fact.turned for fact in facts):
+        lines.append("  EXIF asks viewers to turn some photos: they are taken as they are stored")
+    start = [fact.above_start for fact in facts if fact.above_start is not None]
+    if start:
+        lines.append(f"  {min(start):g} to {max(start):g} m above the place of take-off")
+    whole = with_place == len(facts) == with_attitude and all(
+        math.isfinite(fact.position[2]) for fact in facts if fact.position
+    )
+    if whole and inputs.exterior is None:
+        table = project.with_name(f"{project.stem}-exterior.csv")
+        rows = ["image,x,y,z,gimbal_yaw,gimbal_pitch,gimbal_roll"]
+        for path, fact in zip(inputs.images, facts, strict=True):
+            if fact.position is not None and fact.gimbal is not None:
+                lon, lat, up = fact.position
+                angles = ",".join(f"{value:g}" for value in fact.gimbal)
+                rows.append(f"{_quoted(path.name)},{lon:.9f},{lat:.9f},{up:.4f},{angles}")
+        tables[table] = "\n".join(rows) + "\n"
+        change |= {"exterior": table, "angles": "dji", "crs": inputs.crs or "EPSG:4326"}
+        lines.append(
+            f"  written to {table.name}: longitude, latitude (WGS 84), altitude as the camera wrote it, gimbal"
+        )
+        lines.append(
+            "  the accuracy is that of the receiver and the gimbal, metres and degrees: adjust, or expect that"
+        )
+    elif inputs.exterior is None:
+        missing = [
+            name
+            for name, there in (("positions", with_place), ("gimbal attitudes", with_attitude))
+            if there < len(facts)
+        ]
+        missing += [] if missing else ["altitudes"]
+        needed.append(f"{' and '.join(missing)}: not all photos have them")
+    if facts[0].focal is not None and inputs.camera is None:
+        camera = project.with_name(f"{project.stem}-camera.toml")
+        tables[camera] = (
+            f"# From {facts[0].focal_from}. Lens distortion and principal point are not in the photos.\n"
+            f"name = {json.dumps(facts[0].camera, ensure_ascii=False)}\nsize = [{size[0]}, {size[1]}]\n"
+            f"focal_length_px = {facts[0].focal:.3f}\n"
+        )
+        change["camera"] = camera
+        lines.append(f"  written to {camera.name}: {facts[0].focal:.1f} px, from {facts[0].focal_from}; no distortion")
+    return Carried(replace(inputs, **change), tables, lines, needed)  # type: ignore[arg-type]
+
+
+def _camera_line(fact: PhotoFacts) -> str:
+    focal = f", focal length {fact.focal:.1f} px from {fact.focal_from}" if fact.focal else ""
+    return f"camera: {fact.camera}{focal}"
+
+
+def _quoted(name: str) -> str:
+    return json.dumps(name, ensure_ascii=False) if any(mark in name for mark in ",; \t\"'#") else name

@@ -1,1 +1,0 @@
-"""One photo and its map: plotting from it and drawing into it."""

@@ -1,1 +1,0 @@
-"""Orientations from tables and lists, and whether they can be meant."""

@@ -1,1 +1,0 @@
-"""Photos without a rigorous model, from their tables to a block."""

@@ -1,1 +1,0 @@
-"""RPCs from plain declarations."""

@@ -1,1 +1,0 @@
-"""What describes sheets and series, to values."""

@@ -1,1 +1,0 @@
-"""Surfaces of things that are no terrain, from files."""

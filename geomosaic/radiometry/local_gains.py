@@ -1,0 +1,179 @@
+"""Local gains: corrections by place and value on a coarse net, and dodging of slow differences.
+
+What is left between corrected views, relative to their mean, is log dᵢ − log dⱼ at the place of the sample, each log d
+bilinear between the nodes of a net over its image. Nodes are held to 0 and to each other, so that the net follows what
+overlaps show, fades to nothing where there are none, and adds up to no creep.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from geomosaic.radiometry import bases
+from geomosaic.radiometry.fields import Fields
+from geomosaic.radiometry.normal_equations import LEAST_SIGMA
+from geomosaic.radiometry.overlap_samples import Views
+from geomosaic.radiometry.regression import BIWEIGHT, TO_SIGMA
+from geomosaic.types import AnyArray, FloatArray
+
+STEPS = 4096
+"""Steps of a curve over the range of values; between them it is straight."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shade:
+    """corrected = net(place) · curve(value + dark − haze · path(place)) + offset, per band.
+
+    Attributes
+    ----------
+    net : array (rows, cols, bands)
+        Gains at nodes; at least 2 × 2 of them.
+    origin : (float, float)
+        Column and row of the first node, in output pixels (the centre of the first pixel is 0.5, 0.5).
+    spacing : (float, float)
+        Output pixels between nodes, across and down.
+    dark, offset : array (bands,)
+    curve : array (bands, STEPS + 1)
+        Values for dark-corrected ones of 0, reach / STEPS, ... reach; (bands, 0) where they stay as they are.
+    reach : float
+    path : array (rows, cols)
+        At the nodes of the net; (0, 0) where there is no haze.
+    haze : array (bands,)
+    """
+
+    net: FloatArray
+    origin: tuple[float, float]
+    spacing: tuple[float, float]
+    dark: FloatArray
+    offset: FloatArray
+    curve: FloatArray
+    reach: float
+    path: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    haze: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @classmethod
+    def of(
+        cls,
+        net: FloatArray,
+        origin: tuple[float, float],
+        spacing: tuple[float, float],
+        dark: FloatArray,
+        gamma: FloatArray,
+        reach: float,
+        pivot: float,
+    ) -> Shade:
+        """Tabulate curves of a power that leaves `pivot` as it is; `net` holds all gains."""
+        bands = len(dark)
+        curve = np.zeros((bands, 0))
+        if (gamma != 1.0).any():
+            curve = pivot * (reach / pivot * np.arange(STEPS + 1) / STEPS)[None, :] ** gamma[:, None]
+        return cls(np.ascontiguousarray(net, dtype=np.float64), origin, spacing, dark, np.zeros(bands), curve, reach)
+
+    def then(self, gain: FloatArray, offset: FloatArray) -> Shade:
+        """Gain · corrected + offset."""
+        return replace(self, net=np.ascontiguousarray(self.net * gain), offset=self.offset * gain + offset)
+
+    def at(self, col: float, row: float) -> tuple[float, float]:
+        """Place in the net, in nodes, of a place in output pixels."""
+        return (col - self.origin[0]) / self.spacing[0], (row - self.origin[1]) / self.spacing[1]
+
+    def __call__(self, values: AnyArray, cols: FloatArray, rows: FloatArray) -> FloatArray:
+        """Correct values (R, C, bands) of a raster whose columns (C,) and rows (R,) lie there in output pixels."""
+        i, u = between((cols - self.origin[0]) / self.spacing[0], self.net.shape[1])
+        j, v = between((rows - self.origin[1]) / self.spacing[1], self.net.shape[0])
+        lines = self.net[j] + (self.net[j + 1] - self.net[j]) * v[:, None, None]
+        gain = lines[:, i] + (lines[:, i + 1] - lines[:, i]) * u[None, :, None]
+        clear = np.asarray(values, dtype=np.float64)
+        if self.path.size:
+            ways = self.path[j] + (self.path[j + 1] - self.path[j]) * v[:, None]
+            clear = clear - self.haze * (ways[:, i] + (ways[:, i + 1] - ways[:, i]) * u)[..., None]
+        return np.asarray(gain * self.tone(clear) + self.offset)
+
+    def tone(self, values: FloatArray) -> FloatArray:
+        """Values (..., bands) of the curve."""
+        plain = values + self.dark
+        if not self.curve.shape[1]:
+            return plain
+        at = np.maximum(plain * (STEPS / self.reach), 0.0)
+        step = np.minimum(at.astype(np.int64), STEPS - 1)
+        band = np.arange(self.curve.shape[0])
+        low, high = self.curve[band, step], self.curve[band, step + 1]
+        return np.asarray(low + (high - low) * (at - step))
+
+    def line(self) -> tuple[FloatArray, FloatArray]:
+        """Gain and offset (bands,) that the correction comes to in the middle of values and places."""
+        mean = self.net.mean(axis=(0, 1))
+        ends = np.stack([np.full(len(self.dark), self.reach / 4), np.full(len(self.dark), self.reach / 2)])
+        veil = self.haze * self.path.mean() if self.path.size else 0.0
+        low, high = mean * self.tone(ends - veil) + self.offset
+        gain = (high - low) / (ends[1] - ends[0])
+        return gain, low - gain * ends[0]
+
+    def digest(self) -> bytes:
+        """All that decides about values."""
+        numbers = np.array([*self.origin, *self.spacing, self.reach])
+        return b"".join(
+            part.tobytes() for part in (self.net, numbers, self.dark, self.offset, self.curve, self.path, self.haze)
+        )
+
+
+def between(at: FloatArray, count: int) -> tuple[AnyArray, FloatArray]:
+    """Node before each place and the part of the way to the next, within the net."""
+    inside = np.minimum(np.maximum(at, 0.0), count - 1.0)
+    node = np.minimum(inside.astype(np.int64), count - 2)
+    return node, inside - node
+
+
+NODES = 6
+SIGMA_NODE, SIGMA_BEND = 0.1, 0.05
+"""Of a node, and of a second difference of nodes."""
+ROUNDS = 3
+
+
+def dodge(fields: Fields, views: Views) -> Fields:
+    """Add nets to a solution."""
+    from scipy.sparse import block_diag, coo_matrix, csr_matrix
+    from scipy.sparse.linalg import cg
+
+    images, size = fields.setting.images, NODES * NODES
+    one, other = fields.corrected(views)
+    known = views.known
+    number_a, weight_a = bases.hats(views.image_a[known], NODES)
+    number_b, weight_b = bases.hats(views.image_b[known], NODES)
+    index_a = np.broadcast_to(views.first[:, None], known.shape)[known]
+    index_b = np.broadcast_to(views.second[:, None], known.shape)[known]
+    camera = fields.setting.camera
+    count = len(index_a)
+    cols = np.concatenate([number_a + size * index_a[:, None], number_b + size * index_b[:, None]], axis=1)
+    values = np.concatenate(
+        [weight_a * (camera[index_a] >= 0)[:, None], -weight_b * (camera[index_b] >= 0)[:, None]], axis=1
+    )
+    rows = np.repeat(np.arange(count), 8)
+    design = csr_matrix(coo_matrix((values.ravel(), (rows, cols.ravel())), shape=(count, images * size)))
+    smooth = np.eye(size) / SIGMA_NODE**2 + bases.roughness(NODES, NODES) / SIGMA_BEND**2
+    prior = csr_matrix(block_diag([smooth] * images))
+    per_overlap = np.repeat(known.sum(axis=1), known.sum(axis=1))
+    nets = np.zeros((images, size, one.shape[2]))
+    for band in range(one.shape[2]):
+        a, b = one[..., band][known], other[..., band][known]
+        left = (b - a) / np.maximum((np.abs(a) + np.abs(b)) / 2, 1e-9)
+        net: FloatArray = np.zeros(images * size)
+        for _ in range(ROUNDS):
+            off = left - design @ net
+            sigma = max(TO_SIGMA * float(np.median(np.abs(off))), 1e-4)
+            weight = np.maximum(1 - (off / (BIWEIGHT * sigma)) ** 2, 0.0) ** 2 / sigma**2
+            weight = np.minimum(weight, 4 / (LEAST_SIGMA**2 * per_overlap))
+            normal = (design.T @ design.multiply(weight[:, None]) + prior).tocsr()
+            scale = normal.diagonal()
+            net, _ = cg(normal, design.T @ (weight * left), x0=net, rtol=1e-6, M=_diagonal(scale))
+        nets[:, :, band] = net.reshape(images, size)
+    return replace(fields, dodging=nets)
+
+
+def _diagonal(scale: FloatArray) -> Any:
+    from scipy.sparse import diags
+
+    return diags(1 / scale)

@@ -1,0 +1,225 @@
+"""Normal equations of one band of the block's colour.
+
+The derivative of a difference D = c_a − c_b by the logarithm of a gain is taken as the mean M = (c_a + c_b) / 2 of both
+views: like the standardised major axis of `relation` it treats both alike, and noise, which M and D do not share, does
+not pull gains towards 0 (J. Riggs et al., Fitting straight lines when both variables are subject to error, Life Sci.
+22, 1978).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.radiometry import bases, drift
+from geomosaic.radiometry.overlap_samples import Views
+from geomosaic.types import BoolArray, FloatArray, IntArray
+
+ROUNDS = 10
+LEAST_SIGMA = 0.003
+"""With which one overlap is believed at best, as in `gain_offset`."""
+SIGMA_LEVEL = 0.15
+"""Of the logarithm of the level of the ground that a photo shows, about that of its neighbours."""
+SIGMA_GAIN, SIGMA_DARK, SIGMA_GAMMA, SIGMA_HAZE = 1.0, 0.1, 0.3, 0.1
+"""Priors; of the dark offset and of haze in mean grey values."""
+MOST_DENSE = 1500
+"""Parameters of a band beyond which the normal equations are kept sparse."""
+LEAST_LIGHT = 1e-3
+"""Of the range: values after the dark offset are no less, so that powers exist."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is to be solved.
+
+    Attributes
+    ----------
+    images, cameras : int
+    camera : int array (images,)
+        Of each image; below 0 for one that no camera of the block took, whose values stay in proportion.
+    terms : frozenset of str
+        See `bases.TERMS`.
+    reach : float
+        R, the range of values.
+    level : array (images, bands), optional
+        Median of all that each image shows, NaN where unknown: after correction they are about alike.
+    rounds : int
+        Most steps.
+    middle : float
+        Value that powers leave as it is, so that they change no level; `reach` unless given.
+    """
+
+    images: int
+    cameras: int
+    camera: IntArray
+    terms: frozenset[str]
+    reach: float
+    level: FloatArray | None = None
+    rounds: int = ROUNDS
+    middle: float = 0.0
+
+    @property
+    def pivot(self) -> float:
+        """Value that powers leave as it is."""
+        return self.middle or self.reach
+
+
+def levels_of(setting: Setting, bands: int) -> FloatArray:
+    """The images' own levels (images, bands); NaN where they say nothing."""
+    level = np.full((setting.images, bands), np.nan)
+    if setting.level is not None:
+        known = np.isfinite(setting.level).all(axis=1) & (setting.level > 0).all(axis=1) & (setting.camera >= 0)
+        if np.count_nonzero(known) > 1:
+            level[known] = setting.level[known]
+    return level
+
+
+@dataclass(frozen=True)
+class Band:
+    """What one band is solved from."""
+
+    views: Views
+    setting: Setting
+    shared_a: FloatArray
+    shared_b: FloatArray
+    a: FloatArray
+    b: FloatArray
+    firm: BoolArray
+    near: list[IntArray]
+    level: FloatArray
+    """The images' own levels (images,); NaN where they say nothing."""
+    path_a: FloatArray
+    path_b: FloatArray
+
+    @property
+    def kinds(self) -> list[int]:
+        """Parameters of each image's own that are solved, as numbers in the state: gain, dark, gamma, haze."""
+        return [0, 1, *([] if self.firm.all() else [2]), *([3] if "haze" in self.setting.terms else [])]
+
+    def look(self, state: list[FloatArray]) -> tuple[FloatArray, FloatArray, list[FloatArray], list[FloatArray]]:
+        """Difference and mean of both views (P, K), and derivatives of each by its image's own parameters."""
+        gain, dark, gamma, haze, shared = state
+        reach, shown, light, slope = self.setting.pivot, [], [], []
+        for number, values, base, path in (
+            (self.views.first, self.a, self.shared_a, self.path_a),
+            (self.views.second, self.b, self.shared_b, self.path_b),
+        ):
+            factor = np.exp(gain[number][:, None] + base @ shared)
+            clear = values + dark[number][:, None] - haze[number][:, None] * path
+            plain = np.maximum(clear / reach, LEAST_LIGHT)
+            power = gamma[number][:, None]
+            shown.append(factor * reach * plain**power)
+            slope.append(factor * power * plain ** (power - 1))
+            light.append(plain)
+        mean = (shown[0] + shown[1]) / 2
+        curve = mean * np.log((light[0] + light[1]) / 2)
+        by_a = [mean, slope[0], curve, -slope[0] * self.path_a]
+        by_b = [-mean, -slope[1], -curve, slope[1] * self.path_b]
+        return shown[0] - shown[1], mean, by_a, by_b
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Weights of what is known beforehand of each image's own parameters and of the shared ones."""
+
+    own: FloatArray
+    shared: FloatArray
+    rows: IntArray
+    cols: IntArray
+    held: FloatArray
+
+    @classmethod
+    def of(cls, band: Band) -> Prior:
+        """Weights for a band."""
+        setting, images = band.setting, band.setting.images
+        known = band.views.known
+        grey = float(np.abs(band.a[known]).mean() + np.abs(band.b[known]).mean()) / 2 if known.any() else 1.0
+        own = np.empty((4, images))
+        own[0], own[1] = SIGMA_GAIN**-2, (SIGMA_DARK * max(grey, 1e-12)) ** -2
+        own[2] = np.where(band.firm, 1e16, SIGMA_GAMMA**-2)
+        own[3] = (SIGMA_HAZE * max(grey, 1e-12)) ** -2
+        # Overlaps cannot tell a ramp of gains from a trend: held gains leave long ramps to the trend.
+        strength = (drift.FIRM * 0.1) ** -2
+        return cls(
+            own, bases.prior(setting.terms & set(bases.SHARED), setting.cameras), *drift.entries(band.near, strength)
+        )
+
+
+def change_of(
+    band: Band,
+    state: list[FloatArray],
+    prior: Prior,
+    weight: FloatArray,
+    difference: FloatArray,
+    mean: FloatArray,
+    by_a: list[FloatArray],
+    by_b: list[FloatArray],
+) -> list[FloatArray]:
+    """Changes of the state; parameters are ordered image by image, shared ones last."""
+    views, images, shared = band.views, band.setting.images, state[4]
+    chosen = band.kinds
+    kinds, size = len(chosen), shared.size
+    first = views.first[:, None] * kinds + np.arange(kinds)
+    second = views.second[:, None] * kinds + np.arange(kinds)
+    number = np.concatenate([first, second], axis=1)  # (P, 2·kinds)
+    jacobian = np.stack([by[kind] for by in (by_a, by_b) for kind in chosen], axis=1)  # (P, 2·kinds, K)
+    weighted = jacobian * weight[:, None, :]
+    own = weighted @ jacobian.transpose(0, 2, 1)
+    total = images * kinds + size
+    rows, cols = (
+        np.broadcast_to(number[:, :, None], own.shape).ravel(),
+        np.broadcast_to(number[:, None, :], own.shape).ravel(),
+    )
+    values: FloatArray = own.ravel()
+    push = (weighted @ difference[..., None])[..., 0].ravel()
+    pull = -np.asarray(np.bincount(number.ravel(), push, total), dtype=np.float64)
+    at = np.arange(images * kinds).reshape(images, kinds)
+    beforehand, known = [state[0], state[1], state[2] - 1.0, state[3]], prior.own[chosen].T
+    pull[at] -= known * np.stack([beforehand[kind] for kind in chosen], axis=1)
+    held = np.zeros(images)
+    np.add.at(held, prior.rows, prior.held * state[0][prior.cols])
+    pull[at[:, 0]] -= held
+    parts = [(rows, cols, values), (at.ravel(), at.ravel(), known.ravel())]
+    parts.append((prior.rows * kinds, prior.cols * kinds, prior.held))
+    told, off, by_dark = _levels(band.level, state, band.setting.pivot)
+    if len(told):
+        weight_of = np.full(len(told), SIGMA_LEVEL**-2)
+        pull[at[told, 0]] -= weight_of * off
+        pull[at[told, 1]] -= weight_of * off * by_dark
+        gain_at, dark_at = at[told, 0], at[told, 1]
+        parts += [(gain_at, gain_at, weight_of), (dark_at, dark_at, weight_of * by_dark**2)]
+        parts += [(gain_at, dark_at, weight_of * by_dark), (dark_at, gain_at, weight_of * by_dark)]
+    if size:
+        across = mean[..., None] * (band.shared_a - band.shared_b)
+        flat = (weight[..., None] * across).reshape(-1, size)
+        both = flat.T @ across.reshape(-1, size) + prior.shared
+        pull[images * kinds :] = -(flat.T @ difference.ravel()) - prior.shared @ shared
+        mixed = weighted @ across  # (P, 2·kinds, size)
+        here = np.arange(images * kinds, total)
+        r, c = np.broadcast_to(number[:, :, None], mixed.shape).ravel(), np.broadcast_to(here, mixed.shape).ravel()
+        parts += [(r, c, mixed.ravel()), (c, r, mixed.ravel())]
+        parts.append((np.repeat(here, size), np.tile(here, size), both.ravel()))
+    change = _solution(total, parts, pull)
+    mine = change[: images * kinds].reshape(images, kinds)
+    own_change = [mine[:, chosen.index(kind)] if kind in chosen else np.zeros(images) for kind in range(4)]
+    return [*own_change, change[images * kinds :]]
+
+
+def _levels(level: FloatArray, state: list[FloatArray], pivot: float) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Images whose level is known, how far its logarithm is off the mean once corrected, and derivatives by dark."""
+    told = np.flatnonzero(np.isfinite(level))
+    light = np.maximum(level[told] + state[1][told], 0.05 * level[told])
+    reached = state[0][told] + state[2][told] * np.log(light / pivot)
+    return told, reached - np.log(level[told] / pivot).mean() if len(told) else reached, state[2][told] / light
+
+
+def _solution(total: int, parts: list[tuple[IntArray, IntArray, FloatArray]], pull: FloatArray) -> FloatArray:
+    rows, cols, values = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    if total <= MOST_DENSE:
+        normal = np.bincount(rows * total + cols, values, total * total).reshape(total, total)
+        return np.asarray(np.linalg.solve(normal, pull))
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.linalg import spsolve
+
+    return np.asarray(spsolve(coo_matrix((values, (rows, cols)), shape=(total, total)).tocsc(), pull))

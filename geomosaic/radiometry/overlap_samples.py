@@ -1,0 +1,221 @@
+"""Overlap samples: what pairs of images show of the same ground, as few samples as serve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geomosaic.geo.grid import Window
+from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
+
+LEAST_CELLS = 25
+"""An overlap of fewer cells says nothing."""
+MOST_CELLS = 500
+"""Cells that are kept of an overlap: sampling then leaves (1 − ρ²)^½ · 4.5 % of a ratio of gains open."""
+_GOLDEN = (5**0.5 - 1) / 2
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """The same ground in two images.
+
+    Attributes
+    ----------
+    first, second : int
+        Numbers of the images.
+    a, b : array (N, bands)
+        Values in the first and in the second.
+    cells : int array (N, 2), optional
+        Column and row of each sample in the coarse grid that all images share.
+    """
+
+    first: int
+    second: int
+    a: AnyArray
+    b: AnyArray
+    cells: AnyArray | None = None
+
+
+@dataclass(frozen=True)
+class Thumbnail:
+    """One image on the coarse grid that all share.
+
+    Attributes
+    ----------
+    window : Window
+        Of the coarse grid.
+    values : float32 array (rows, cols, bands)
+    valid : uint8 array (rows, cols)
+    """
+
+    window: Window
+    values: AnyArray
+    valid: ByteArray
+
+
+class Overlaps:
+    """Overlaps of thumbnails that come one by one, in any order.
+
+    Parameters
+    ----------
+    windows : sequence of Window
+        Of all thumbnails to come.
+    clipped : (float, float), optional
+        Ends of the range of values; cells at them are left out.
+    """
+
+    def __init__(self, windows: Sequence[Window], clipped: tuple[float, float] | None = None) -> None:
+        self._low = np.array([(w.col, w.row) for w in windows]).reshape(-1, 2)
+        self._high = np.array([(w.stop_col, w.stop_row) for w in windows]).reshape(-1, 2)
+        self._clipped = clipped
+        self._kept: dict[int, Thumbnail] = {}
+        self._came = np.zeros(len(windows), dtype=bool)
+        self._missing = np.zeros(len(windows), dtype=np.int64)
+        self._found: list[Overlap] = []
+
+    @property
+    def kept(self) -> int:
+        """Thumbnails that wait for a partner."""
+        return len(self._kept)
+
+    @property
+    def found(self) -> list[Overlap]:
+        """All pairs so far, by their numbers."""
+        return sorted(self._found, key=lambda pair: (pair.first, pair.second))
+
+    def add(self, index: int, piece: Thumbnail) -> None:
+        """Compare a thumbnail with those that came before, and forget those that have met all their partners."""
+        common = np.minimum(self._high, self._high[index]) - np.maximum(self._low, self._low[index])
+        partners = (common > 0).all(axis=1)
+        partners[index] = False
+        self._came[index] = True
+        self._kept[index] = piece
+        self._missing[index] = np.count_nonzero(partners & ~self._came)
+        for other in np.flatnonzero(partners & self._came).tolist():
+            first, second = min(index, other), max(index, other)
+            pair = compare(first, second, self._kept[first], self._kept[second], self._clipped)
+            if pair is not None:
+                self._found.append(pair)
+            self._missing[other] -= 1
+            if not self._missing[other]:
+                del self._kept[other]
+        if not self._missing[index]:
+            del self._kept[index]
+
+
+def compare(
+    first: int, second: int, one: Thumbnail, other: Thumbnail, clipped: tuple[float, float] | None = None
+) -> Overlap | None:
+    """Values that both have, at most `MOST_CELLS` of them; None where there are too few."""
+    common = one.window.intersection(other.window)
+    if common.empty:
+        return None
+    views, seen = [], np.ones((common.height, common.width), dtype=bool)
+    for piece in (one, other):
+        here = common.slices_in(piece.window)
+        values = piece.values[here]
+        seen &= piece.valid[here] > 0
+        if clipped is not None:
+            seen &= (values > clipped[0] + 0.5).all(axis=2) & (values < clipped[1] - 0.5).all(axis=2)
+        views.append(values)
+    rows, cols = np.nonzero(seen)
+    if len(rows) < LEAST_CELLS:
+        return None
+    chosen = spread_out(len(rows))
+    rows, cols = rows[chosen], cols[chosen]
+    a, b = (values[rows, cols] for values in views)
+    return Overlap(first, second, a, b, np.stack([cols + common.col, rows + common.row], axis=1))
+
+
+def spread_out(count: int) -> AnyArray:
+    """Indices of at most `MOST_CELLS` of `count` items, evenly and in no rhythm.
+
+    A plain stride could fall in step with the columns, and see one side of each image only. Multiples of the golden
+    ratio modulo 1 are as even, and in step with nothing.
+    """
+    if count <= MOST_CELLS:
+        return np.arange(count)
+    return np.unique((np.arange(MOST_CELLS) * _GOLDEN % 1.0 * count).astype(np.int64))
+
+
+MOST_SAMPLES = 40_000
+"""Of all overlaps together: fields that images share need no more, and time stays bounded."""
+Places = Callable[[int, AnyArray], tuple[FloatArray, FloatArray]]
+"""Image and cells (N, 2) of the coarse grid → places in the image and on the ground, each (N, 2); see `bases`."""
+
+
+@dataclass(frozen=True)
+class Views:
+    """The same ground in pairs of images; P pairs of at most K samples, the rest is padding.
+
+    Attributes
+    ----------
+    first, second : int array (P,)
+    a, b : array (P, K, bands)
+        Values, finite.
+    known : bool array (P, K)
+    image_a, view_a, image_b, view_b : array (P, K, 2)
+        Places in each image and on the ground, see `bases`.
+    """
+
+    first: IntArray
+    second: IntArray
+    a: FloatArray
+    b: FloatArray
+    known: BoolArray
+    image_a: FloatArray
+    view_a: FloatArray
+    image_b: FloatArray
+    view_b: FloatArray
+
+    def only(self, known: BoolArray) -> Views:
+        """With some of the samples."""
+        return replace(self, known=self.known & known)
+
+    def halves(self) -> tuple[BoolArray, BoolArray]:
+        """Two halves of the samples, each in four bands that alternate across every overlap."""
+        count = np.maximum(self.known.sum(axis=1), 1)[:, None]
+        odd = (np.arange(self.known.shape[1]) * 8 // count) % 2 == 1
+        return ~odd & self.known, odd & self.known
+
+
+def gather(overlaps: Sequence[Overlap], places: Places, most: int = MOST_SAMPLES) -> Views | None:
+    """Put the samples of all overlaps together; None where there are none with places.
+
+    Places are asked for once per image. An overlap that has more than its part of `most` gives every second, third ...
+    sample.
+    """
+    used = [pair for pair in overlaps if len(pair.a) and pair.cells is not None]
+    if not used:
+        return None
+    each = max(LEAST_CELLS, most // len(used))
+    chosen = [np.arange(0, len(pair.a), -(-len(pair.a) // each)) for pair in used]
+    shape, bands = (len(used), max(len(own) for own in chosen)), used[0].a.shape[1]
+    a, b, known = np.ones((*shape, bands)), np.ones((*shape, bands)), np.zeros(shape, dtype=bool)
+    place = np.zeros((4, *shape, 2))
+    of_image: dict[int, list[tuple[int, int]]] = {}
+    for p, (pair, own) in enumerate(zip(used, chosen, strict=True)):
+        a[p, : len(own)], b[p, : len(own)], known[p, : len(own)] = pair.a[own], pair.b[own], True
+        of_image.setdefault(pair.first, []).append((p, 0))
+        of_image.setdefault(pair.second, []).append((p, 2))
+    for image, where in of_image.items():
+        cells = np.concatenate([_cells(used[p], chosen[p]) for p, _ in where])
+        found = places(image, cells)
+        at = 0
+        for p, side in where:
+            count = len(chosen[p])
+            for k in range(2):
+                place[side + k, p, :count] = found[k][at : at + count]
+            at += count
+    known &= np.isfinite(place).all(axis=(0, 3)) & np.isfinite(a).all(axis=2) & np.isfinite(b).all(axis=2)
+    place = np.where(known[None, :, :, None], place, 0.0)
+    a, b = (np.where(known[..., None], values, 1.0) for values in (a, b))
+    first, second = np.array([(pair.first, pair.second) for pair in used], dtype=np.int64).T
+    return Views(first, second, a, b, known, place[0], place[1], place[2], place[3])
+
+
+def _cells(pair: Overlap, chosen: AnyArray) -> AnyArray:
+    assert pair.cells is not None  # those without were left out
+    return pair.cells[chosen]

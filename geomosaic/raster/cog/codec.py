@@ -1,0 +1,168 @@
+"""GDAL as the maker of the pieces of a TIFF: one tile, compressed, and the tags that describe a raster."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+import rasterio.crs
+from rasterio.errors import RasterioError
+from rasterio.io import MemoryFile
+
+from geomosaic.errors import InputError
+from geomosaic.geo.grid import Grid
+from geomosaic.raster.cog import tiff
+from geomosaic.raster.cog.tiff import Directory, Field
+from geomosaic.raster.environment import environment
+from geomosaic.types import AnyArray, ByteArray
+
+BLOCK = 512
+Meaning = tuple[float, float, str | None]
+"""Of the samples of a band: value = sample · scale + offset, and the unit of the value."""
+PLAIN: Meaning = (1.0, 0.0, None)
+PIXEL_TAGS = {
+    tiff.BITS, tiff.COMPRESSION, tiff.PHOTOMETRIC, tiff.SAMPLES, tiff.PLANAR, tiff.TILE_WIDTH, tiff.TILE_LENGTH,
+    tiff.PREDICTOR, tiff.EXTRA_SAMPLES, tiff.SAMPLE_FORMAT,
+}  # fmt: skip
+
+
+def tile_profile(bands: int, dtype: str, options: Mapping[str, str]) -> dict[str, Any]:
+    """Return rasterio's arguments for a GeoTIFF of one tile."""
+    return {
+        "driver": "GTiff",
+        "width": BLOCK,
+        "height": BLOCK,
+        "count": bands,
+        "dtype": dtype,
+        "tiled": True,
+        "blockxsize": BLOCK,
+        "blockysize": BLOCK,
+        "interleave": "pixel",
+        **{key.lower(): value for key, value in options.items()},
+    }
+
+
+def encode_tile(values: AnyArray, profile: Mapping[str, Any], *, classes: bool = False) -> bytes:
+    """Compress one tile of shape (BLOCK, BLOCK, bands) as the profile says; the bytes that stand in a TIFF.
+
+    A pure function of its arguments, safe in any thread. Tiles of `classes` hold long runs of the same values: there
+    making a file in memory takes GDAL longer than all the rest.
+    """
+    first = values[0, 0]
+    if (values == first).all():  # labels are so nearly everywhere
+        return _encode_constant(first.tobytes(), tuple(sorted(profile.items())))
+    if classes and values.dtype.kind in "ui" and (profile["compress"], profile["predictor"]) == ("DEFLATE", "2"):
+        steps = values.copy()
+        steps[:, 1:] -= values[:, :-1]
+        return zlib.compress(steps.tobytes(), int(profile["zlevel"]))
+    return _one_tile_file(values, profile)
+
+
+@lru_cache(maxsize=256)
+def _encode_constant(pixel: bytes, profile: tuple[tuple[str, Any], ...]) -> bytes:
+    options = dict(profile)
+    values = np.empty((BLOCK, BLOCK, options["count"]), dtype=options["dtype"])
+    values[:] = np.frombuffer(pixel, dtype=options["dtype"])
+    return _one_tile_file(values, options)
+
+
+def _one_tile_file(values: AnyArray, profile: Mapping[str, Any]) -> bytes:
+    with environment(), MemoryFile() as memory:
+        with memory.open(**profile) as dataset:
+            dataset.write(np.moveaxis(values, -1, 0))
+        data = bytes(memory.getbuffer())
+    directory = tiff.read_directories(BytesIO(data))[0]
+    offset, count = directory[tiff.TILE_OFFSETS].integers[0], directory[tiff.TILE_COUNTS].integers[0]
+    return data[offset : offset + count]
+
+
+def decode_tile(directory: Directory, data: bytes) -> AnyArray:
+    """Values (BLOCK, BLOCK, bands) of a tile as it stands in a TIFF of that directory.
+
+    Raises
+    ------
+    ValueError
+        GDAL cannot read it.
+    """
+    one = {tag: field for tag, field in directory.items() if tag in PIXEL_TAGS}
+    one |= {tiff.WIDTH: Field.of(4, BLOCK), tiff.LENGTH: Field.of(4, BLOCK)}
+    one |= {tiff.TILE_OFFSETS: Field.of(4, 8), tiff.TILE_COUNTS: Field.of(4, len(data))}
+    at = 8 + len(data) + len(data) % 2
+    whole = tiff.header(at, big=False) + data + bytes(len(data) % 2) + tiff.lay_out([one], at, big=False)
+    try:
+        with environment(), MemoryFile(whole) as memory, memory.open() as dataset:
+            values = np.empty((BLOCK, BLOCK, dataset.count), dtype=dataset.dtypes[0])
+            dataset.read(out=np.moveaxis(values, -1, 0))
+    except RasterioError as error:
+        raise ValueError(f"a tile cannot be read ({error})") from error
+    return values
+
+
+def describe_raster(
+    grid: Grid,
+    profile: Mapping[str, Any],
+    *,
+    nodata: float | None,
+    descriptions: Sequence[str | None],
+    meanings: Sequence[Meaning],
+    tags: Mapping[str, str],
+    where: str,
+) -> Directory:
+    """Return the tags that GDAL writes for a raster of this grid and profile, without the tiles' places.
+
+    Raises
+    ------
+    InputError
+        GDAL refuses the creation options.
+    """
+    try:
+        with environment(), MemoryFile() as memory:
+            crs = rasterio.crs.CRS.from_wkt(grid.crs.to_wkt())
+            with memory.open(**profile, crs=crs, transform=grid.transform, nodata=nodata) as dataset:
+                for band, text in enumerate(descriptions, start=1):
+                    if text:
+                        dataset.set_band_description(band, text)
+                if any(meaning != PLAIN for meaning in meanings):
+                    dataset.scales, dataset.offsets = [m[0] for m in meanings], [m[1] for m in meanings]
+                    dataset.units = [m[2] or "" for m in meanings]
+                if tags:
+                    dataset.update_tags(**tags)
+                if profile.get("compress", "NONE").upper() != "NONE":  # only a tile shows what the codec cannot do
+                    dataset.write(np.ones((profile["count"], BLOCK, BLOCK), dtype=profile["dtype"]))
+            directory = tiff.read_directories(BytesIO(bytes(memory.getbuffer())))[0]
+    except (RasterioError, ValueError, OSError) as error:
+        raise InputError(
+            f"GDAL refuses these creation options ({error.__cause__ or error})",
+            where=where,
+            hint="see the creation options of GDAL's GTiff driver",
+        ) from error
+    for tag in (tiff.TILE_OFFSETS, tiff.TILE_COUNTS):
+        del directory[tag]
+    return {**directory, tiff.WIDTH: Field.of(4, grid.width), tiff.LENGTH: Field.of(4, grid.height)}
+
+
+MASK_TAGS: Directory = {
+    tiff.NEW_SUBFILE_TYPE: Field.of(4, 4),
+    tiff.BITS: Field.of(3, 1),
+    tiff.COMPRESSION: Field.of(3, 8),
+    tiff.PHOTOMETRIC: Field.of(3, 4),
+    tiff.SAMPLES: Field.of(3, 1),
+    tiff.PLANAR: Field.of(3, 1),
+    tiff.TILE_WIDTH: Field.of(3, BLOCK),
+    tiff.TILE_LENGTH: Field.of(3, BLOCK),
+}
+"""Tags of an internal mask: one bit per pixel, deflate, as GDAL makes them."""
+
+
+def encode_mask(valid: ByteArray | None) -> bytes:
+    """Compress a mask tile of 1 and 0, shape (BLOCK, BLOCK), to one bit per pixel; None is all ones."""
+    return _ones() if valid is None else zlib.compress(np.packbits(valid, axis=1).tobytes(), 6)
+
+
+@lru_cache
+def _ones() -> bytes:
+    return zlib.compress(b"\xff" * (BLOCK * BLOCK // 8), 6)

@@ -1,0 +1,198 @@
+"""Tiles of half the resolution from tiles, one after the other, for overviews."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.raster.cog.codec import BLOCK
+from geomosaic.types import AnyArray, ByteArray
+
+HALF = BLOCK // 2
+
+
+@dataclass(frozen=True, eq=False)
+class Tile:
+    """A whole tile of one level.
+
+    Attributes
+    ----------
+    level : int
+        0 is full resolution.
+    index : int
+        Row by row.
+    values : array (BLOCK, BLOCK, bands)
+    valid : uint8 array (BLOCK, BLOCK) of 1 and 0, or None
+        0 outside the image too; None where all are 1.
+    """
+
+    level: int
+    index: int
+    values: AnyArray
+    valid: ByteArray | None
+
+
+@dataclass(frozen=True)
+class Level:
+    """Size of one level in pixels."""
+
+    width: int
+    height: int
+
+    @property
+    def across(self) -> int:
+        """Tiles in a row."""
+        return -(-self.width // BLOCK)
+
+    @property
+    def down(self) -> int:
+        """Tiles in a column."""
+        return -(-self.height // BLOCK)
+
+
+def levels(width: int, height: int) -> list[Level]:
+    """Sizes from the full one down to one that fits a tile."""
+    sizes = [Level(width, height)]
+    while max(sizes[-1].width, sizes[-1].height) > BLOCK:
+        sizes.append(Level(-(-sizes[-1].width // 2), -(-sizes[-1].height // 2)))
+    return sizes
+
+
+def halve(values: AnyArray, valid: ByteArray | None, how: str) -> tuple[AnyArray, ByteArray | None]:
+    """Reduce an array (2R, 2C, bands) to (R, C, bands).
+
+    Parameters
+    ----------
+    values, valid
+        As in `Tile`.
+    how : str
+        'average': mean of the valid ones of four pixels, ties to even, so that no level is brighter than the one
+        above; 'nearest': the upper left of four.
+
+    Returns
+    -------
+    values, valid
+        Valid where any of the four (average) or the upper left (nearest) is.
+    """
+    if how == "nearest":
+        return values[0::2, 0::2].copy(), None if valid is None else valid[0::2, 0::2].copy()
+    kind = np.int32 if values.dtype.kind in "ui" and values.dtype.itemsize <= 2 else np.float64
+    if valid is not None:
+        values = np.where(valid[:, :, None] != 0, values, values.dtype.type(0))
+    # Whole rows first: they lie together in memory.
+    rows = np.add(values[0::2], values[1::2], dtype=kind)
+    total = np.empty((rows.shape[0], rows.shape[1] // 2, rows.shape[2]), dtype=kind)
+    for band in range(rows.shape[2]):
+        np.add(rows[:, 0::2, band], rows[:, 1::2, band], out=total[:, :, band])
+    if valid is None:
+        if kind is np.int32:
+            return ((total + 1 + ((total >> 2) & 1)) >> 2).astype(values.dtype), None
+        return _rounded(total * 0.25, values.dtype), None
+    count = valid[0::2, 0::2] + valid[0::2, 1::2] + valid[1::2, 0::2] + valid[1::2, 1::2]
+    means = _rounded(total / np.maximum(count, 1)[:, :, None], values.dtype)
+    return means, (count > 0).view(np.uint8)
+
+
+def _rounded(means: AnyArray, dtype: np.dtype[np.generic]) -> AnyArray:
+    return (means if dtype.kind == "f" else np.rint(means)).astype(dtype)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A tile that is as it was in an earlier file."""
+
+    level: int
+    index: int
+
+
+@dataclass(frozen=True)
+class Blank:
+    """A tile without a valid pixel."""
+
+    level: int
+    index: int
+
+
+Half = tuple[AnyArray, ByteArray | None]
+
+
+@dataclass
+class _Open:
+    """A tile under construction: the number of parts to come, those that show something, those that were kept unread.
+
+    Parts stay apart until the last one is there: whole tiles would take the place of parts that are still to come, for
+    every tile of a row.
+    """
+
+    count: int
+    left: int
+    parts: dict[int, Half]
+    kept: list[int]
+
+
+class Parents:
+    """Tiles of the next levels under construction from the halves of four tiles each.
+
+    Parameters
+    ----------
+    sizes : list of Level
+    bands, dtype
+        Of the raster.
+    again : callable
+        Gives (level, index) of a kept tile's half, where a tile beside it has changed.
+    """
+
+    def __init__(
+        self, sizes: list[Level], bands: int, dtype: np.dtype[np.generic], again: Callable[[int, int], Half]
+    ) -> None:
+        self._sizes, self._bands, self._dtype, self._again = sizes, bands, dtype, again
+        self._open: dict[tuple[int, int], _Open] = {}
+
+    def add(self, level: int, index: int, half: Half | None) -> Tile | Kept | Blank | None:
+        """Put the half of a tile in its place, None where nothing is valid; returns the parent with its last part."""
+        parent = self._parent(level, index)
+        if half is not None:
+            parent.parts[index] = half
+        return self._arrived(level, index)
+
+    def keep(self, level: int, index: int) -> Tile | Kept | Blank | None:
+        """Note that a tile is as it was; so is the parent, where all its parts are."""
+        self._parent(level, index).kept.append(index)
+        return self._arrived(level, index)
+
+    def _key(self, level: int, index: int) -> tuple[int, int]:
+        row, col = divmod(index, self._sizes[level].across)
+        return level + 1, (row // 2) * self._sizes[level + 1].across + col // 2
+
+    def _parent(self, level: int, index: int) -> _Open:
+        key, size = self._key(level, index), self._sizes[level]
+        if key not in self._open:
+            row, col = divmod(index, size.across)
+            children = min(2, size.down - row // 2 * 2) * min(2, size.across - col // 2 * 2)
+            self._open[key] = _Open(children, children, {}, [])
+        return self._open[key]
+
+    def _arrived(self, level: int, index: int) -> Tile | Kept | Blank | None:
+        key = self._key(level, index)
+        parent = self._open[key]
+        parent.left -= 1
+        if parent.left:
+            return None
+        del self._open[key]
+        if len(parent.kept) == parent.count:
+            return Kept(*key)
+        if not parent.parts and not parent.kept:
+            return Blank(*key)
+        return self._joined(key, level, parent.parts | {child: self._again(level, child) for child in parent.kept})
+
+    def _joined(self, key: tuple[int, int], level: int, parts: dict[int, Half]) -> Tile:
+        values = np.zeros((BLOCK, BLOCK, self._bands), dtype=self._dtype)
+        valid = np.zeros((BLOCK, BLOCK), dtype=np.uint8)
+        for index, (part, part_valid) in parts.items():
+            row, col = divmod(index, self._sizes[level].across)
+            place = np.s_[row % 2 * HALF : row % 2 * HALF + HALF, col % 2 * HALF : col % 2 * HALF + HALF]
+            values[place] = part
+            valid[place] = 1 if part_valid is None else part_valid
+        return Tile(*key, values, None if valid.all() else valid)

@@ -1,0 +1,224 @@
+"""Tiles on their way to a file: compressed values, masks, halves for the next overview; blank tiles; order."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from geomosaic.raster.cog import codec, tiff
+from geomosaic.raster.cog.codec import BLOCK
+from geomosaic.raster.cog.overviews import Half, Tile, halve
+from geomosaic.raster.cog.tiff import Field
+from geomosaic.types import AnyArray, ByteArray
+
+
+def filled(values: AnyArray, valid: ByteArray | None, nodata: float | None) -> AnyArray:
+    """Set invalid pixels to nodata, or zero, and move valid ones off nodata."""
+    if nodata is not None:
+        values = _off_nodata(values, nodata)
+    if valid is None:
+        return values
+    blank = values.dtype.type(0 if nodata is None else nodata)
+    if not valid.any():
+        return np.full_like(values, blank)
+    if nodata is None and values.dtype.kind in "iu":  # several times as fast as choosing
+        filled: AnyArray = values * valid[..., None].astype(values.dtype)
+        return filled
+    return np.where(valid[..., None] != 0, values, blank)
+
+
+def _off_nodata(values: AnyArray, nodata: float) -> AnyArray:
+    """Move valid pixels that happen to equal nodata to the next value, so that they stay valid."""
+    if np.isnan(nodata):
+        return values
+    same = values == nodata
+    if values.dtype.kind == "u" and values.shape[2] > 1:  # see validity.missing_by_value
+        same = same.all(axis=2, keepdims=True)
+    if not same.any():
+        return values
+    if values.dtype.kind == "f":
+        near = np.nextafter(values.dtype.type(nodata), values.dtype.type(0 if nodata else 1))
+    else:
+        near = nodata - 1 if nodata == np.iinfo(values.dtype).max else nodata + 1
+    return np.where(same, values.dtype.type(near), values)
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """A tile made ready to be put in its place.
+
+    Attributes
+    ----------
+    level, index : int
+        As in `pyramid.Tile`.
+    data : bytes-like
+        As they stand in the file.
+    zero : bool
+        Whether these are all 0 and take no room in the file.
+    mask : bytes
+        Of the internal mask; empty where none is kept.
+    half : Half, optional
+        None where the tile has no valid pixel, and on the last level.
+    """
+
+    level: int
+    index: int
+    data: bytes | memoryview
+    zero: bool
+    mask: bytes
+    half: Half | None
+
+
+@dataclass(frozen=True, eq=False)
+class TileMaker:
+    """Makes the pieces of tiles; pure, for any thread.
+
+    Attributes
+    ----------
+    profile : mapping
+        Of a GeoTIFF of one tile, see `codec.tile_profile`.
+    raw : bool
+        Whether nothing is compressed.
+    nodata : float, optional
+    classes : bool
+        See `codec.encode_tile`.
+    overviews : str
+        How tiles are halved.
+    masked : bool
+        Whether masks are kept.
+    last : int
+        Level of which no half is wanted.
+    """
+
+    profile: Mapping[str, Any]
+    raw: bool
+    nodata: float | None
+    classes: bool
+    overviews: str
+    masked: bool
+    last: int
+
+    def pieces(self, tile: Tile, blank: bool) -> Pieces:
+        """Fill (unless `blank` says that it is), compress and halve a tile."""
+        values, valid = np.ascontiguousarray(tile.values), tile.valid
+        if not blank:
+            values = filled(values, valid, self.nodata)
+        mask = codec.encode_mask(valid) if self.masked else b""
+        half = halve(values, valid, self.overviews) if tile.level < self.last else None
+        if self.raw:
+            middle = values[BLOCK // 2, BLOCK // 2]
+            zero = not (middle.any() or values.any())  # the middle spares the rest, nearly everywhere
+            return Pieces(tile.level, tile.index, values.data.cast("B"), zero, mask, half)
+        data = codec.encode_tile(values, self.profile, classes=self.classes)
+        return Pieces(tile.level, tile.index, data, False, mask, half)
+
+    def nothing(self, level: int, index: int) -> Pieces:
+        """Pieces of a tile without a valid pixel: all of them are alike, and made once."""
+        one = self._nothing
+        return Pieces(level, index, one.data, one.zero, one.mask, None)
+
+    @cached_property
+    def _nothing(self) -> Pieces:
+        values = np.zeros((BLOCK, BLOCK, self.profile["count"]), dtype=self.profile["dtype"])
+        return self.pieces(Tile(self.last, 0, values, np.zeros((BLOCK, BLOCK), dtype=np.uint8)), blank=False)
+
+
+_SMALL = 1 << 16
+"""Bytes of a tile that are rather copied than written in three pieces."""
+
+
+class TileStore:
+    """Appends tiles to a file in the order of their numbers.
+
+    A tile that comes early waits in memory for its turn. Mask tiles, some tens of bytes each, stay in memory.
+
+    Parameters
+    ----------
+    file : binary file
+        Unbuffered; the store writes from `start` on.
+    start : int
+    count : int
+        Number of tiles.
+    framed : bool
+        Put a tile's size (4 bytes) before it and its last 4 bytes once more behind it, as GDAL's COGs have them: a
+        reader then needs no table of sizes, and sees if another program has changed the tile.
+    """
+
+    def __init__(self, file: BinaryIO, start: int, count: int, *, framed: bool = False) -> None:
+        self.file, self.start, self.end, self.framed = file, start, start, framed
+        self.offsets, self.counts = [0] * count, [0] * count
+        self.masks: dict[int, bytes] = {}
+        self._waiting: dict[int, bytes | None] = {}
+        self._next = 0
+        self._at = 0
+
+    @property
+    def complete(self) -> bool:
+        """Whether every tile is there."""
+        return self._next == len(self.offsets)
+
+    def add(self, index: int, data: bytes | memoryview, *, zero: bool = False) -> None:
+        """Add a tile; of one that is all zero bytes the file keeps a hole."""
+        self.counts[index] = len(data)
+        if index == self._next:
+            self._append(index, None if zero else data)
+            while self._next in self._waiting:
+                self._append(self._next, self._waiting.pop(self._next))
+        else:
+            self._waiting[index] = None if zero else bytes(data)
+
+    def _append(self, index: int, data: bytes | memoryview | None) -> None:
+        size = self.counts[index]
+        edge = 4 if self.framed else 0
+        self.offsets[index] = self.end + edge
+        if self._at != self.end:
+            self.file.seek(self.end)
+        if self.framed and data is not None and size <= _SMALL:
+            write_all(self.file, b"".join((struct.pack("<I", size), data, data[-4:])))
+        else:
+            if self.framed:
+                write_all(self.file, struct.pack("<I", size))
+            if data is not None:
+                write_all(self.file, data)
+                if self.framed:
+                    write_all(self.file, data[-4:])
+        self.end += size + 2 * edge
+        self._at = self.end if data is not None else -1
+        self._next += 1
+
+    def fields(self, base: int, *, big: bool) -> dict[int, Field]:
+        """Return the tags that say where the tiles are, when `start` is at `base` of the final file."""
+        kind, shift = 16 if big else 4, base - self.start
+        return {
+            tiff.TILE_OFFSETS: Field.of(kind, *(offset + shift for offset in self.offsets)),
+            tiff.TILE_COUNTS: Field.of(kind, *self.counts),
+        }
+
+    def mask_fields(self, base: int, *, big: bool) -> dict[int, Field]:
+        """Return the same for the mask's tiles, when they follow each other from `base` on."""
+        kind, offsets = 16 if big else 4, []
+        counts = [len(self.masks[index]) for index in range(len(self.offsets))]
+        edge = 4 if self.framed else 0
+        for count in counts:
+            offsets.append(base + edge)
+            base += count + 2 * edge
+        return {tiff.TILE_OFFSETS: Field.of(kind, *offsets), tiff.TILE_COUNTS: Field.of(kind, *counts)}
+
+    def mask_bytes(self) -> bytes:
+        """All mask tiles."""
+        tiles = [self.masks[index] for index in range(len(self.offsets))]
+        if self.framed:
+            tiles = [struct.pack("<I", len(tile)) + tile + tile[-4:] for tile in tiles]
+        return b"".join(tiles)
+
+
+def write_all(file: BinaryIO, data: bytes | memoryview) -> None:
+    """Write all bytes or raise: an unbuffered file may take only a part."""
+    left = memoryview(data)
+    while len(left):
+        left = left[file.write(left) :]

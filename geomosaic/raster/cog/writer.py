@@ -1,0 +1,301 @@
+"""A tiled GeoTIFF or COG written window by window, with the same bytes whatever the windows and the threads.
+
+The layout of a COG follows OGC 21-026 and the description of GDAL's COG driver: directories first, then the tiles of
+the smallest overview, up to those of full resolution.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections import deque
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.raster.cog import codec, tiff
+from geomosaic.raster.cog.codec import BLOCK
+from geomosaic.raster.cog.overviews import Blank, Half, Kept, Level, Parents, Tile, halve, levels
+from geomosaic.raster.cog.reused_tiles import EarlierTiles, inside_of
+from geomosaic.raster.cog.tiff import Directory, Field
+from geomosaic.raster.cog.tiles import Pieces, TileMaker, TileStore, write_all
+from geomosaic.raster.environment import enter_for_good
+from geomosaic.types import AnyArray, ByteArray
+
+_START = 16
+_OVERVIEW_TAGS = (33550, 33922, 34264, 34735, 34736, 34737, 42112)  # geo-reference and metadata stay with level 0
+
+
+class TileFile:
+    """A GeoTIFF under construction.
+
+    Parameters
+    ----------
+    path : Path
+        Made new; errors of the file system come as OSError. While a COG grows, its levels are in files of this name
+        with a number behind.
+    grid : Grid
+        Place and size.
+    bands, dtype, options
+        Of the raster; `options` are GTiff creation options for compression, colour and BIGTIFF.
+    overviews : str or None
+        'average' or 'nearest': overviews are made so; for a COG only.
+    classes : bool
+        Whether values are names and not measures, which decides how they are compressed.
+    cog : bool
+        A COG instead of a plain GeoTIFF.
+    nodata : float or None
+        Invalid pixels get this value, and there is no mask.
+    mask : bool
+        Keep an internal mask where there is no nodata and any pixel is invalid.
+    threads : int
+        Tiles that are compressed at once.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        grid: Grid,
+        bands: int,
+        dtype: str,
+        options: Mapping[str, str],
+        *,
+        overviews: str | None = None,
+        classes: bool = False,
+        cog: bool = False,
+        nodata: float | None = None,
+        descriptions: Sequence[str | None] = (),
+        meanings: Sequence[codec.Meaning] = (),
+        tags: Mapping[str, str] | None = None,
+        mask: bool = True,
+        threads: int = 1,
+    ) -> None:
+        self._path, self._grid, self._bands, self._dtype = path, grid, bands, np.dtype(dtype)
+        self._nodata, self._keep_mask, self._masked = nodata, mask and nodata is None, False
+        self._halves, self._cog = overviews or "average", cog
+        self._profile: dict[str, Any] = codec.tile_profile(bands, dtype, options)
+        raw_bytes = grid.width * grid.height * bands * self._dtype.itemsize
+        self._big = tiff.needs_big(self._profile.pop("bigtiff", "IF_SAFER"), raw_bytes * (4 / 3 if overviews else 1))
+        self._directory = codec.describe_raster(
+            grid, self._profile, nodata=nodata, descriptions=descriptions, meanings=meanings, tags=tags or {},
+            where=str(path),
+        )  # fmt: skip
+        self._raw = self._directory[tiff.COMPRESSION].integers[0] == 1
+        self._levels = levels(grid.width, grid.height) if overviews else [Level(grid.width, grid.height)]
+        self._maker = TileMaker(
+            self._profile, self._raw, nodata, classes, self._halves, self._keep_mask, len(self._levels) - 1
+        )
+        self._parents = Parents(self._levels, bands, self._dtype, self._half_again)
+        self._earlier: EarlierTiles | None = None
+        self._jobs: deque[Future[Pieces] | Pieces] = deque()
+        self._most_jobs = 4 * threads
+        laborious = not self._raw or len(self._levels) > 1
+        self._pool = ThreadPoolExecutor(threads, "tiles", enter_for_good) if threads > 1 and laborious else None
+        self._files: list[BinaryIO] = []
+        names = [path.with_name(f"{path.name}.{i}") for i in range(len(self._levels))] if cog else [path]
+        try:
+            for name in names:
+                self._files.append(name.open("w+b", buffering=0))
+        except OSError:
+            self.close()
+            raise
+        self._stores = [
+            TileStore(file, 0 if cog else _START, level.across * level.down, framed=cog)
+            for file, level in zip(self._files, self._levels, strict=True)
+        ]
+
+    def __enter__(self) -> TileFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop; without `finish` before, the file is no TIFF. Files of levels stay for the caller to remove."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+        for file in self._files:
+            file.close()
+        if self._earlier is not None:
+            self._earlier.close()
+
+    def write(self, window: Window, values: AnyArray, valid: ByteArray | None, *, blank: bool = False) -> None:
+        """Add a window that covers whole blocks (but for the image's edge).
+
+        Parameters
+        ----------
+        window : Window
+            In pixels of the grid.
+        values : array (rows, cols, bands)
+            Of the file's type. Neither it nor `valid` may change afterwards: parts of them wait for their turn.
+        valid : uint8 array (rows, cols) of 1 and 0, or None
+            None where all are valid.
+        blank : bool
+            Whether invalid pixels, and no others, hold nodata already (zero where there is none).
+        """
+        across = self._levels[0].across
+        if valid is not None and valid.view(np.bool_).all():
+            valid = None
+        for part in window.split(BLOCK, BLOCK):
+            rows = slice(part.row - window.row, part.stop_row - window.row)
+            cols = slice(part.col - window.col, part.stop_col - window.col)
+            index = (part.row // BLOCK) * across + part.col // BLOCK
+            seen = None if valid is None else valid[rows, cols]
+            if seen is not None and not seen.view(np.bool_).any():
+                self._leave(index)
+            else:
+                self._add(self._tile(index, values[rows, cols], seen), blank=blank)
+
+    def leave(self, window: Window) -> None:
+        """Add a window that covers whole blocks and has no valid pixel."""
+        for part in window.split(BLOCK, BLOCK):
+            self._leave((part.row // BLOCK) * self._levels[0].across + part.col // BLOCK)
+
+    def _leave(self, index: int) -> None:
+        self._masked = True
+        self._jobs.append(self._maker.nothing(0, index))  # in its turn, behind those that are being made
+        self._place_done(0 if self._pool is None else self._most_jobs)
+
+    def copies(self, path: Path) -> bool:
+        """Take tiles that are kept from an earlier file from now on; false where it is none of this form."""
+        self._earlier = EarlierTiles.alike(path, self._directory, self._levels)
+        return self._earlier is not None
+
+    def keep(self, window: Window) -> None:
+        """Take a window that covers whole blocks from the earlier file as it stands there."""
+        self._place_done()  # what comes behind them would wait in memory
+        for part in window.split(BLOCK, BLOCK):
+            self._keep(Kept(0, (part.row // BLOCK) * self._levels[0].across + part.col // BLOCK))
+
+    def _keep(self, tile: Kept) -> None:
+        store, earlier, size = self._stores[tile.level], self._earlier, self._levels[tile.level]
+        assert earlier is not None
+        data = earlier.tile(tile.level, tile.index)
+        if self._keep_mask:
+            mask, inside = earlier.mask(tile.level, tile.index), codec.encode_mask(inside_of(size, tile.index))
+            store.masks[tile.index] = mask or inside
+            self._masked = self._masked or (tile.level == 0 and (mask or inside) != inside)
+        store.add(tile.index, data, zero=self._raw and not np.frombuffer(data, dtype=np.uint8).any())
+        if tile.level + 1 < len(self._levels):
+            self._go_on(self._parents.keep(tile.level, tile.index))
+
+    def _half_again(self, level: int, index: int) -> Half:
+        """Half of a tile of the earlier file, whose neighbours have changed."""
+        assert self._earlier is not None
+        values, valid = self._earlier.decoded(level, index, self._levels[level], self._nodata)
+        return halve(values, valid, self._halves)
+
+    def _go_on(self, parent: Tile | Kept | Blank | None) -> None:
+        if isinstance(parent, Kept):
+            self._keep(parent)
+        elif isinstance(parent, Blank):
+            self._place(self._maker.nothing(parent.level, parent.index))
+        elif parent is not None:
+            self._add(parent)
+
+    def _tile(self, index: int, values: AnyArray, valid: ByteArray | None) -> Tile:
+        """Copy to a whole tile."""
+        rows, cols = values.shape[:2]
+        if valid is not None and valid.view(np.bool_).all():
+            valid = None
+        self._masked = self._masked or valid is not None
+        if (rows, cols) == (BLOCK, BLOCK):
+            return Tile(0, index, values, valid)
+        whole = np.zeros((BLOCK, BLOCK, self._bands), dtype=self._dtype)
+        whole[:rows, :cols] = values
+        whole_valid = np.zeros((BLOCK, BLOCK), dtype=np.uint8)
+        whole_valid[:rows, :cols] = 1 if valid is None else valid
+        return Tile(0, index, whole, whole_valid)
+
+    def _add(self, tile: Tile, *, blank: bool = False) -> None:
+        """Make a tile's pieces, here or in another thread, and put what is ready in its place."""
+        if self._pool is None:
+            self._place(self._maker.pieces(tile, blank))
+            return
+        self._jobs.append(self._pool.submit(self._maker.pieces, tile, blank))
+        self._place_done(self._most_jobs)
+
+    def _place_done(self, most: int = 0) -> None:
+        """Put in their places all but so many of the tiles that are being made."""
+        while len(self._jobs) > most:
+            job = self._jobs.popleft()
+            self._place(job.result() if isinstance(job, Future) else job)
+
+    def _place(self, made: Pieces) -> None:
+        store = self._stores[made.level]
+        if self._keep_mask:
+            store.masks[made.index] = made.mask
+        store.add(made.index, made.data, zero=made.zero)
+        if made.level + 1 < len(self._levels):
+            self._go_on(self._parents.add(made.level, made.index, made.half))
+
+    def finish(self) -> None:
+        """Complete the file.
+
+        Raises
+        ------
+        OverflowError
+            BIGTIFF=NO was asked for and the file is too large.
+        ValueError
+            Windows are missing.
+        """
+        self._place_done()
+        if not all(store.complete for store in self._stores):
+            raise ValueError("not every window of the raster was written")
+        if self._cog:
+            self._assemble()
+        else:
+            self._append_directories()
+
+    def _directories(self, bases: list[tuple[int, int]]) -> list[Directory]:
+        """Return the directories of all levels and masks, when tiles and mask tiles start at `bases`."""
+        found: list[Directory] = []
+        for i, (level, store, (base, mask_base)) in enumerate(zip(self._levels, self._stores, bases, strict=True)):
+            size = {tiff.WIDTH: Field.of(4, level.width), tiff.LENGTH: Field.of(4, level.height)}
+            own, mask = dict(self._directory), dict(codec.MASK_TAGS)
+            if i:
+                own = {tag: field for tag, field in own.items() if tag not in _OVERVIEW_TAGS}
+                own[tiff.NEW_SUBFILE_TYPE] = Field.of(4, 1)
+                mask[tiff.NEW_SUBFILE_TYPE] = Field.of(4, 5)
+            found.append({**own, **size, **store.fields(base, big=self._big)})
+            if self._masked and self._keep_mask:
+                found.append({**mask, **size, **store.mask_fields(mask_base, big=self._big)})
+        return found
+
+    def _append_directories(self) -> None:
+        """Finish a GeoTIFF: mask tiles and directories go behind the tiles."""
+        store, file = self._stores[0], self._files[0]
+        masks = store.mask_bytes() if self._masked and self._keep_mask else b""
+        file.truncate(store.end)
+        file.seek(store.end)
+        write_all(file, masks + bytes(-(store.end + len(masks)) % 8))
+        start = file.tell()
+        write_all(file, tiff.lay_out(self._directories([(_START, store.end)]), start, big=self._big))
+        file.seek(0)
+        write_all(file, tiff.header(start, big=self._big))
+
+    def _assemble(self) -> None:
+        """Finish a COG: directories, then the levels from the smallest on, each with its mask."""
+        head = len(tiff.header(0, big=self._big))
+        start = head + len(tiff.COG_MARK)
+        nowhere = [(0, 0)] * len(self._levels)
+        at = start + len(tiff.lay_out(self._directories(nowhere), start, big=self._big))
+        bases = list(nowhere)
+        masks = [store.mask_bytes() if self._masked and self._keep_mask else b"" for store in self._stores]
+        for i in reversed(range(len(self._levels))):
+            bases[i] = (at, at + self._stores[i].end)
+            at += self._stores[i].end + len(masks[i])
+        with self._path.open("wb") as final:
+            final.write(tiff.header(start, big=self._big) + tiff.COG_MARK)
+            final.write(tiff.lay_out(self._directories(bases), start, big=self._big))
+            for i in reversed(range(len(self._levels))):
+                self._files[i].truncate(self._stores[i].end)  # a last tile of zeros is a hole not yet there
+                self._files[i].seek(0)
+                shutil.copyfileobj(self._files[i], final, 1 << 20)
+                final.write(masks[i])

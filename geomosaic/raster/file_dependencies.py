@@ -1,0 +1,76 @@
+"""File dependencies of rasters and databases: sidecars, sources of a VRT, journals; only files of this machine.
+
+QGIS keeps GeoPackages open: an edit that is saved there is in SQLite's journal, which readers see, long before it is
+in the file itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from geomosaic.raster.environment import environment
+from geomosaic.raster.info import SourceInfo, describe, open_raster
+from geomosaic.raster.local_files import named_files
+
+# GDAL knows these formats by such words in the first bytes of a file, whatever the file is called.
+
+
+@dataclass(frozen=True)
+class Companions:
+    """What a raster depends on besides its own bytes.
+
+    Attributes
+    ----------
+    files : tuple of Path
+        World files, mask files, headers, sources of a VRT: those that are there. Not .aux.xml: programs that only look
+        at a raster keep statistics in it. Not .ovr of the raster itself: its pixels are read.
+    said : SourceInfo
+        CRS, transform, nodata, colours and all else that is known without reading a pixel, whatever file says it; its
+        path is left empty.
+    """
+
+    files: tuple[Path, ...]
+    said: SourceInfo
+
+
+def companions(path: Path, bands: Sequence[int] | None = None) -> Companions:
+    """Find what a raster depends on; no pixel is read.
+
+    Raises
+    ------
+    RasterReadError
+        The raster cannot be opened.
+    """
+    files, said = _opened(path, bands, (".aux.xml", ".ovr"))
+    for source in named_files(path):
+        # A VRT that scales its sources takes their overviews.
+        files += [source, *_opened(source, None, (".aux.xml",))[0]]
+    return Companions(tuple(dict.fromkeys(files)), said)
+
+
+def _opened(path: Path, bands: Sequence[int] | None, without: tuple[str, ...]) -> tuple[list[Path], SourceInfo]:
+    with environment(), open_raster(path) as dataset:
+        names = [name for name in dataset.files if name != str(path) and not name.lower().endswith(without)]
+        said = replace(describe(dataset, str(path), bands), path="")
+    return [Path(name) for name in names if Path(name).is_file()], said
+
+
+KINDS = (".gpkg", ".sqlite", ".db", ".mbtiles")
+
+
+def journal_of(path: Path) -> Path | None:
+    """Where SQLite's journal of a file would be; None for files of other kinds.
+
+    Journals of the older kind (`-journal`) need not be looked at: with them the file itself holds what was saved.
+    """
+    return path.with_name(f"{path.name}-wal") if path.suffix.lower() in KINDS else None
+
+
+def holds(journal: Path) -> bool:
+    """Whether a journal is there and not empty."""
+    try:
+        return journal.stat().st_size > 0
+    except OSError:  # it goes when the other program closes the file, perhaps at this moment
+        return False

@@ -1,0 +1,76 @@
+"""Output files: final names taken only with leave, and only by whole files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from geomosaic.errors import InputError, OutputExistsError
+from geomosaic.raster.file_dependencies import holds, journal_of
+from geomosaic.whole_files import under_construction
+
+OTHER_FORMATS = (
+    ".bmp", ".ecw", ".gif", ".gpkg", ".img", ".jp2", ".jpeg", ".jpg", ".json", ".kmz", ".mbtiles", ".nc", ".pdf",
+    ".png", ".shp", ".sid", ".vrt", ".webp", ".zip",
+)  # fmt: skip
+"""Endings of what a raster is not written as."""
+
+
+def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
+    """Refuse a final name that is taken, or whose folder does not exist, or that is one of the inputs.
+
+    Raises
+    ------
+    OutputExistsError
+        The file exists and `overwrite` is false, or it is a database that another program is writing to.
+    InputError
+        The name is a folder's, a device's or an input's, or its folder does not exist.
+    """
+    if path.exists() and any(file.exists() and path.samefile(file) for file in inputs):
+        raise InputError("the output is one of the inputs", where=str(path), hint="give another name for the output")
+    if path.exists() and not (path.is_dir() or path.is_file()):
+        raise InputError("the output is no ordinary file", where=str(path), hint="give another name")
+    if path.is_dir():
+        raise InputError("the output is a folder", where=str(path), hint="give the name of a file in it")
+    if not path.parent.is_dir():
+        raise InputError(
+            "the folder of the output does not exist", where=str(path), hint="make it, or give another path"
+        )
+    if path.exists() and not overwrite:
+        raise OutputExistsError("the output exists", where=str(path), hint="give another name, or --overwrite")
+    if (journal := journal_of(path)) is not None and holds(journal):
+        # Readers would put the journal of the old file into the new one, page by page, and show neither.
+        raise OutputExistsError(
+            f"changes to the output stand beside it ({journal.name}): another program holds it open, or ended badly",
+            where=str(path),
+            hint="save a copy of what you drew there, then close it (in QGIS: remove the layer), or remove both files",
+        )
+
+
+def check_geotiff(path: Path, *, overwrite: bool) -> None:
+    """As `check_output`; names that promise another format are refused too.
+
+    Raises
+    ------
+    OutputExistsError, InputError
+    """
+    check_output(path, overwrite=overwrite)
+    if path.suffix.lower() in OTHER_FORMATS:
+        raise InputError(
+            f"the output would be a GeoTIFF, and is called '{path.suffix}'",
+            where=str(path),
+            hint=f"call it {path.stem}.tif; gdal_translate makes other formats of it",
+        )
+
+
+def write_text(path: Path, text: str, *, overwrite: bool, encoding: str = "utf-8") -> None:
+    """Write a text file, whole under its name or not at all.
+
+    Raises
+    ------
+    OutputExistsError, OutputError
+        The name is taken; writing failed.
+    """
+    check_output(path, overwrite=overwrite)
+    with under_construction(path) as unfinished:
+        unfinished.write_text(text, encoding=encoding, newline="\n")

@@ -1,1 +1,0 @@
-"""TIFF files that grow tile by tile, with overviews; tiles of an earlier file are taken over as they are."""

@@ -1,0 +1,228 @@
+"""Web tiles: MBTiles written row by row, and KML super-overlays through GDAL's driver.
+
+Specification: MBTiles 1.3 (tables `metadata` and `tiles`, rows of tiles counted from the south, XYZ zoom levels).
+"""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+import warnings
+import zipfile
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+import numpy as np
+import rasterio
+import rasterio.crs
+import rasterio.shutil
+from affine import Affine
+from pyproj import Transformer
+from rasterio.enums import Resampling
+from rasterio.errors import RasterioError
+from rasterio.io import MemoryFile
+from rasterio.warp import calculate_default_transform, reproject
+
+from geomosaic.errors import OutputError
+from geomosaic.geo.grid import Grid
+from geomosaic.raster.output_files import check_output
+from geomosaic.types import ByteArray, PathLike
+from geomosaic.whole_files import partial, remove, sync
+
+SIDE = 256
+"""Pixels of a tile."""
+_APPLICATION = 0x4D504258  # 'MPBX', as the specification wants
+
+
+def write_mbtiles(path: Path, pixels: ByteArray, level: int, col: int, row: int, *, title: str) -> None:
+    """Write a picture and all zoom levels below it, down to the one on which it is a single tile.
+
+    Parameters
+    ----------
+    path : Path
+        Made new.
+    pixels : uint8 array (rows, cols, 4)
+        Red, green, blue, opacity, in pixels of web Mercator at the zoom level.
+    level : int
+        Zoom level of the pixels.
+    col, row : int
+        Of the first pixel, from the upper left corner of the world.
+    title : str
+
+    Raises
+    ------
+    sqlite3.Error, OSError
+    """
+    base = sqlite3.connect(path)
+    try:
+        base.executescript(
+            f"PRAGMA application_id = {_APPLICATION}; PRAGMA journal_mode = MEMORY;"
+            "CREATE TABLE metadata (name TEXT, value TEXT);"
+            "CREATE TABLE tiles (zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER, tile_data BLOB);"
+        )
+        box = _degrees(level, col, row, pixels.shape[1], pixels.shape[0])
+        top = level
+        while True:
+            pixels, col, row = _to_tiles(pixels, col, row)
+            rows = _tiles(pixels, level, col // SIDE, row // SIDE)
+            base.executemany("INSERT INTO tiles VALUES (?, ?, ?, ?)", rows)
+            if max(pixels.shape[:2]) == SIDE or level == 0:
+                break
+            pixels, col, row, level = _halved(pixels), col // 2, row // 2, level - 1
+        facts = {
+            "name": title, "type": "overlay", "version": "1.3", "description": title, "format": "png",
+            "bounds": ",".join(f"{v:.7f}" for v in box), "minzoom": str(level), "maxzoom": str(top),
+        }  # fmt: skip
+        base.executemany("INSERT INTO metadata VALUES (?, ?)", list(facts.items()))
+        base.execute("CREATE UNIQUE INDEX tile_index ON tiles (zoom_level, tile_column, tile_row)")
+        base.commit()
+    finally:
+        base.close()
+
+
+def _to_tiles(pixels: ByteArray, col: int, row: int) -> tuple[ByteArray, int, int]:
+    """Add empty pixels around, up to whole tiles."""
+    height, width = pixels.shape[:2]
+    before = row % SIDE, col % SIDE
+    after = -(row + height) % SIDE, -(col + width) % SIDE
+    padded: ByteArray = np.pad(pixels, ((before[0], after[0]), (before[1], after[1]), (0, 0)))
+    return padded, col - before[1], row - before[0]
+
+
+def _tiles(pixels: ByteArray, level: int, left: int, top: int) -> Iterator[tuple[int, int, int, bytes]]:
+    """Rows of the table; tiles without a picture are left out."""
+    from PIL import Image
+
+    for i in range(pixels.shape[0] // SIDE):
+        for j in range(pixels.shape[1] // SIDE):
+            tile = pixels[i * SIDE : (i + 1) * SIDE, j * SIDE : (j + 1) * SIDE]
+            if tile[..., 3].any():
+                file = BytesIO()
+                Image.fromarray(np.ascontiguousarray(tile)).save(file, format="PNG")
+                yield level, left + j, 2**level - 1 - (top + i), file.getvalue()
+
+
+def _halved(pixels: ByteArray) -> ByteArray:
+    """Means of two by two pixels, colours weighted by opacity."""
+    rows, cols = pixels.shape[:2]
+    blocks = pixels.reshape(rows // 2, 2, cols // 2, 2, 4)
+    weight = blocks[..., 3].sum(axis=(1, 3), dtype=np.uint32)
+    out = np.empty((rows // 2, cols // 2, 4), dtype=np.uint8)
+    for band in range(3):
+        total = (blocks[..., band].astype(np.uint32) * blocks[..., 3]).sum(axis=(1, 3), dtype=np.uint32)
+        out[..., band] = (total + weight // 2) // np.maximum(weight, 1)
+    out[..., 3] = (weight + 2) // 4
+    return out
+
+
+def _degrees(level: int, col: int, row: int, width: int, height: int) -> tuple[float, float, float, float]:
+    """West, south, east, north of pixels of a level."""
+    half = 20037508.342789244
+    size = 2 * half / SIDE / 2**level
+    xs, ys = np.array([col, col + width]) * size - half, half - np.array([row + height, row]) * size
+    (west, east), (south, north) = Transformer.from_crs(3857, 4326, always_xy=True).transform(xs, ys)
+    return float(west), float(south), float(east), float(north)
+
+
+MERCATOR = 20037508.342789244
+"""Half the side of the world in web Mercator, metres."""
+_DATE = (1980, 1, 1, 0, 0, 0)
+
+
+def write_web(path: PathLike, grid: Grid, pixels: ByteArray, *, title: str, overwrite: bool = False) -> Path:
+    """Write a picture as MBTiles (web Mercator, PNG, all levels) or as a KMZ of tiles (longitude, latitude).
+
+    Parameters
+    ----------
+    path : path
+        Ends in .mbtiles or .kmz.
+    grid : Grid
+        Of the pixels.
+    pixels : uint8 array (rows, cols, 4)
+        Red, green, blue, and 255 where there is a picture.
+    title : str
+    overwrite : bool
+
+    Raises
+    ------
+    OutputExistsError, OutputError
+    """
+    path = Path(path)
+    check_output(path, overwrite=overwrite)
+    target = rasterio.crs.CRS.from_epsg(3857 if path.suffix.lower() == ".mbtiles" else 4326)
+    unfinished: Path | None = None
+    try:
+        # The driver of KMZ takes the first .kmz in the name for the archive, and wants it to end so.
+        unfinished = partial(path.resolve().with_suffix(""), path.suffix.lower())
+        with warnings.catch_warnings():
+            # rasterio multiplies affines in a way that the affine library wants to end.
+            warnings.simplefilter("ignore", PendingDeprecationWarning)
+            warped, affine = _warped(grid, pixels, target)
+            if path.suffix.lower() == ".mbtiles":
+                level = round(np.log2(2 * MERCATOR / SIDE / affine.a))
+                col, row = round((affine.c + MERCATOR) / affine.a), round((MERCATOR - affine.f) / affine.a)
+                write_mbtiles(unfinished, np.moveaxis(warped, 0, 2), level, col, row, title=title)
+            else:
+                _overlay(unfinished, warped, affine, target)
+                _finished(unfinished, title)
+        sync(unfinished)
+        unfinished.replace(path)
+        sync(path.parent)
+    except (OSError, RasterioError, sqlite3.Error, zipfile.BadZipFile) as error:
+        raise OutputError(f"writing failed ({error})", where=str(path), hint="check the space on the disk") from error
+    finally:
+        if unfinished is not None:
+            remove(unfinished)
+    return path
+
+
+def _warped(grid: Grid, pixels: ByteArray, target: rasterio.crs.CRS) -> tuple[ByteArray, Affine]:
+    """Bring the pixels to the CRS of the web: cubic, on pixels of about the same size; those of tiles in Mercator."""
+    source = rasterio.crs.CRS.from_wkt(grid.crs.to_wkt())
+    affine, width, height = calculate_default_transform(source, target, grid.width, grid.height, *grid.bounds)
+    if target.to_epsg() == 3857:
+        # Pixels of the zoom level above: nothing is lost.
+        level = int(np.ceil(np.log2(2 * MERCATOR / SIDE / affine.a) - 1e-9))
+        size = 2 * MERCATOR / SIDE / 2**level
+        left, top = (np.floor((affine.c + MERCATOR) / size), np.floor((MERCATOR - affine.f) / size))
+        stop = affine.c + affine.a * width, affine.f + affine.e * height
+        width = int(np.ceil((stop[0] + MERCATOR) / size) - left)
+        height = int(np.ceil((MERCATOR - stop[1]) / size) - top)
+        affine = Affine(size, 0.0, left * size - MERCATOR, 0.0, -size, MERCATOR - top * size)
+    out = np.zeros((4, height, width), dtype=np.uint8)
+    reproject(
+        np.ascontiguousarray(np.moveaxis(pixels, 2, 0)), out, src_transform=grid.transform, src_crs=source,
+        dst_transform=affine, dst_crs=target, resampling=Resampling.cubic, src_alpha=4, dst_alpha=4, tolerance=0.01,
+    )  # fmt: skip
+    return out, affine
+
+
+def _overlay(path: Path, pixels: ByteArray, affine: Affine, crs: rasterio.crs.CRS) -> None:
+    """Write pixels (4, rows, cols) as a KML super-overlay in a KMZ, by GDAL."""
+    with MemoryFile() as memory:
+        with memory.open(
+            driver="GTiff", width=pixels.shape[2], height=pixels.shape[1], count=4, dtype="uint8", crs=crs,
+            transform=affine, photometric="RGB", alpha="YES",
+        ) as made:  # fmt: skip
+            made.write(pixels)
+        with memory.open() as source:
+            try:
+                rasterio.shutil.copy(source, path, driver="KMLSUPEROVERLAY", FORMAT="PNG")
+            except Exception as error:  # of GDAL, in a class that rasterio keeps to itself
+                raise OSError(str(error)) from error
+
+
+def _finished(path: Path, title: str) -> None:
+    """Write the members of a KMZ again with its title, without the time, in the order of their names, doc.kml first."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    # As an option of the driver it would become capitals.
+    heading = f"<name>{escape(title)}</name>".encode()
+    members["doc.kml"] = re.sub(rb"<name>.*?</name>|<name/>", lambda _: heading, members["doc.kml"], count=1)
+    order = sorted(members, key=lambda name: (name != "doc.kml", name))
+    with zipfile.ZipFile(path, "w") as archive:
+        for name in order:
+            kind = zipfile.ZIP_STORED if name.endswith((".png", ".jpg")) else zipfile.ZIP_DEFLATED
+            archive.writestr(zipfile.ZipInfo(name, _DATE), members[name], compress_type=kind)

@@ -1,0 +1,1 @@
+"""Relief: contours, spot heights and prominence of height grids."""

@@ -1,0 +1,77 @@
+"""Spot heights: the summits and hollows that stand out, not too close to each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.relief.contours import Heights
+
+
+@dataclass(frozen=True)
+class SpotHeight:
+    """A summit or a hollow.
+
+    Attributes
+    ----------
+    x, y : float
+        In the CRS of the heights.
+    height : float
+        Metres, of the node itself.
+    prominence : float
+        Metres between it and the saddle to higher ground (of a hollow: to lower ground).
+    hollow : bool
+    """
+
+    x: float
+    y: float
+    height: float
+    prominence: float
+    hollow: bool
+
+
+def find_spots(heights: Heights, prominence: float, spacing: float) -> list[SpotHeight]:
+    """Find the spot heights of a grid, the most prominent first.
+
+    Parameters
+    ----------
+    heights : Heights
+    prominence : float
+        Metres; what stands out less is left out. So are summits and hollows at the edge of what is known.
+    spacing : float
+        Map units; of two that are closer the more prominent one stays.
+
+    Raises
+    ------
+    InputError
+        The prominence is not positive.
+    """
+    from geomosaic.relief.prominence import prominences
+
+    if not (prominence > 0 and np.isfinite(prominence)):
+        raise InputError(f"{prominence:g} is no prominence of spot heights", hint="give metres, such as 5")
+    if not np.isfinite(heights.values).any():
+        return []
+    found: list[SpotHeight] = []
+    t = heights.transform
+    for hollow in (False, True):
+        rise = prominences(-heights.values if hollow else heights.values)
+        for row, col in np.argwhere(rise >= prominence).tolist():
+            x, y = t.a * (col + 0.5) + t.b * (row + 0.5) + t.c, t.d * (col + 0.5) + t.e * (row + 0.5) + t.f
+            found.append(SpotHeight(x, y, float(heights.values[row, col]), float(rise[row, col]), hollow))
+    return thinned(sorted(found, key=lambda spot: (-spot.prominence, spot.x, spot.y)), spacing)
+
+
+def thinned(spots: Sequence[SpotHeight], spacing: float) -> list[SpotHeight]:
+    """Keep those that are at least `spacing` from all before them."""
+    kept: list[SpotHeight] = []
+    places = np.empty((len(spots), 2))
+    for spot in spots:
+        place = np.array([spot.x, spot.y])
+        if not kept or np.hypot(*(places[: len(kept)] - place).T).min() >= spacing:
+            places[len(kept)] = place
+            kept.append(spot)
+    return kept

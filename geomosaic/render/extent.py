@@ -1,0 +1,191 @@
+"""Where the output lies, and how fine it is."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.block.block import Scene
+from geomosaic.block.footprint import Footprint, footprint
+from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.geo.crs import geographic, horizontal, longitude_latitude_crs
+from geomosaic.geo.grid import Bounds, Grid
+from geomosaic.geo.projection_domain import GREAT, area_of_use, beyond, domain, limits, longitude_latitude
+from geomosaic.geo.transform import Transform
+from geomosaic.surface.model import Surface
+
+# Rows, columns and tiles of a GeoTIFF are counted in 31 bits.
+_MOST, _TILE = 1 << 31, 512 * 512
+TORN = 100.0
+"""Times that a metre on the ground may grow in the output, or be longer in one direction than in the other."""
+FAR = 6.0
+"""Degrees beyond the area of use of the output CRS, a zone's width, that are told."""
+
+
+def output_crs(scenes: tuple[Scene, ...], surface: Surface | None) -> CRS:
+    """Map CRS of the output where none is given: the surface's or model's own, or the UTM zone it lies in."""
+    model = scenes[0].model
+    own = horizontal(model.crs if surface is None or not model.crs.is_geocentric else surface.crs)
+    if own.is_projected or own.is_engineering:  # a map of its own, such as that of an uncontrolled mosaic
+        return own
+    lon, lat, _ = Transform(model.crs, geographic(model.crs))(np.array([model.seed]))[0]
+    return utm_zone(float(lon), float(lat))
+
+
+def utm_zone(lon: float, lat: float) -> CRS:
+    """WGS 84 / UTM zone of a place in degrees."""
+    from pyproj.aoi import AreaOfInterest
+    from pyproj.database import query_utm_crs_info
+
+    zones = query_utm_crs_info(datum_name="WGS 84", area_of_interest=AreaOfInterest(lon, lat, lon, lat))
+    if not zones:
+        raise InputError(f"no UTM zone at longitude {lon:.3f}, latitude {lat:.3f}", hint="give --dst-crs")
+    return CRS.from_epsg(int(zones[0].code))
+
+
+def footprints(scenes: tuple[Scene, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
+    """Outlines of all scenes in the output map."""
+    return [footprint(scene, surface, crs) for scene in scenes]
+
+
+def nice(resolution: float) -> float:
+    """Round to two significant digits, so that the pixel size can be read and typed."""
+    digits = 1 - int(np.floor(np.log10(resolution)))
+    return float(round(resolution, digits))
+
+
+def output_grid(
+    crs: CRS,
+    outlines: list[Footprint],
+    resolution: float | None = None,
+    bounds: Bounds | None = None,
+    *,
+    snap: bool = False,
+) -> Grid:
+    """Grid over all footprints, snapped to whole pixels.
+
+    Parameters
+    ----------
+    crs : CRS
+        Horizontal CRS of the output; `outlines` are in it.
+    outlines : list of Footprint
+    resolution : float, optional
+        Map units; the median ground sampling distance of the images unless given, rounded to two digits.
+    bounds : tuple of float, optional
+        Left, bottom, right, top in `crs`, kept as they are given.
+    snap : bool
+        Widen the bounds to whole pixels.
+    """
+    each = np.array([outline.bounds for outline in outlines])
+    everything = (each[:, 0].min(), each[:, 1].min(), each[:, 2].max(), each[:, 3].max())
+    if resolution is None:
+        resolution = nice(float(np.median([outline.sampling for outline in outlines])))
+    if bounds is None:
+        return Grid.from_bounds(crs, _within_the_map(crs, everything, resolution), resolution)
+    grid = Grid.from_bounds(crs, bounds, resolution, snap=snap)
+    a, b = everything, grid.bounds
+    if not (a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]):
+        raise InputError(
+            f"no image reaches the bounds {bounds}: the images cover {tuple(round(float(v), 2) for v in everything)}",
+            hint=f"give --bounds as left bottom right top in {crs.name}",
+        )
+    return grid
+
+
+def _within_the_map(crs: CRS, bounds: Bounds, resolution: float) -> Bounds:
+    """Leave out what lies beyond the end of a map, where a pole is infinitely far."""
+    if not crs.is_projected or max(bounds[2] - bounds[0], bounds[3] - bounds[1]) < GREAT:
+        return bounds
+    shown = domain(crs)
+    if shown.reach == 180.0 and (shown.south, shown.north) == (-90.0, 90.0):
+        return bounds
+    most = limits(crs)
+    left, bottom, right, top = (*map(max, bounds[:2], most[:2]), *map(min, bounds[2:], most[2:]))
+    if left >= right or bottom >= top:
+        return bounds
+    if max(abs(a - b) for a, b in zip(bounds, (left, bottom, right, top), strict=True)) > resolution:
+        reach = f"latitudes {shown.south:g} to {shown.north:g}"
+        if shown.reach < 180.0 and shown.centre is not None:
+            reach = f"{shown.reach:g} degrees on either side of longitude {shown.centre:g}"
+        warnings.warn(
+            f"the output ends where {crs.name} has no use ({reach}); --bounds takes it further",
+            GeomosaicWarning,
+            stacklevel=3,
+        )
+    return left, bottom, right, top
+
+
+def note_far_crs(crs: CRS, outlines: list[Footprint]) -> None:
+    """Say so where the output CRS is made for another part of the earth."""
+    ring = np.vstack([outline.ring for outline in outlines])
+    used = area_of_use(crs)
+    if used is not None and (beyond(longitude_latitude(ring, crs), used) > FAR).any():
+        west, south, east, north = used
+        warnings.warn(
+            f"the images lie far outside the area that {crs.name} is made for (longitude {west:g} to {east:g}, "
+            f"latitude {south:g} to {north:g}): lengths and areas are distorted there",
+            GeomosaicWarning,
+            stacklevel=3,
+        )
+
+
+def refuse_torn_crs(crs: CRS, scenes: tuple[Scene, ...]) -> None:
+    """Refuse an output CRS that has no place for the images, or tears them apart: one made for the Earth's other side.
+
+    Raises
+    ------
+    InputError
+        Says what a metre becomes there, and proposes a CRS.
+    """
+    from pyproj import Proj
+    from pyproj.exceptions import ProjError
+
+    model = scenes[0].model
+    if not crs.is_projected or model.crs.is_engineering or horizontal(crs).geodetic_crs is None:
+        return
+    level = geographic(model.crs) if model.crs.is_geocentric else model.crs
+    place = Transform(model.crs, level)(np.array([model.seed])) if model.crs.is_geocentric else np.array([model.seed])
+    xy = Transform(horizontal(level), horizontal(crs))(place[:, :2])
+    lon, lat = Transform(horizontal(level), longitude_latitude_crs(horizontal(level)))(place[:, :2])[0]
+    if not np.isfinite([lon, lat]).all():
+        return
+    what = "" if np.isfinite(xy).all() else "has no place for it"
+    try:
+        scales = Proj(crs).get_factors(lon, lat)
+        most, least = float(scales.tissot_semimajor), float(scales.tissot_semiminor)
+    except ProjError:
+        most, least = 1.0, 1.0
+    if not what and max(most, most / max(least, 1e-300)) > TORN:
+        long = f"{least:.3g} to {most:.3g} m" if np.isfinite([least, most]).all() else "endlessly"
+        what = f"draws a metre of the ground {long} long"
+    if what:
+        raise InputError(
+            f"the image lies at longitude {lon:.4f}, latitude {lat:.4f}, and the output CRS, "
+            f"{crs_label(crs)}, {what}: it is made for another side of the Earth",
+            where=scenes[0].name,
+            hint=f"give --dst-crs (crs under [output]) of that place, such as EPSG:{utm_zone(lon, lat).to_epsg()}",
+        )
+
+
+def crs_label(crs: CRS) -> str:
+    """Name of a CRS; its method where it has none."""
+    operation = crs.coordinate_operation
+    if crs.name.lower() in ("unnamed", "unknown", "undefined") and operation is not None:
+        return operation.method_name
+    return crs.name
+
+
+def check_size(grid: Grid) -> None:
+    """Refuse a grid that no GeoTIFF holds.
+
+    Raises
+    ------
+    InputError
+    """
+    if max(grid.width, grid.height) >= _MOST or grid.width * grid.height / _TILE >= _MOST:
+        raise InputError(
+            f"the output would have {grid.width:.3g} x {grid.height:.3g} pixels, more than a GeoTIFF can hold",
+            hint=f"a coarser resolution or smaller bounds; one pixel is {grid.resolution[0]:g} map units now",
+        )

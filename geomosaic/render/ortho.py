@@ -1,0 +1,212 @@
+"""One image, one ortho."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from geomosaic.block.block import Scene
+from geomosaic.block.footprint import Footprint
+from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.raster.sink import RasterSink
+from geomosaic.render.dem_gaps import height_notes
+from geomosaic.render.options import RenderOptions
+from geomosaic.render.photo import Photo, pull
+from geomosaic.render.sample_types import refuse_palette
+from geomosaic.render.workers import in_order
+from geomosaic.resample.engine import engine_for
+from geomosaic.resample.warp import MOST_SAMPLES, Colour
+from geomosaic.sensor.lattice import BLOCK_HEIGHT, blocks, finite_median
+from geomosaic.sensor.map_to_image import Ground
+from geomosaic.surface.model import Surface
+from geomosaic.types import AnyArray, ByteArray
+
+
+@dataclass(frozen=True, eq=False)
+class OrthoResult:
+    """What was made.
+
+    Attributes
+    ----------
+    path : Path
+    grid : Grid
+    valid_pixels : int
+        Pixels that show the image.
+    lattice_error : float
+        Largest measured interpolation error of the geometry, in image pixels, or output pixels where those are larger.
+    tolerance : float
+        What it had to stay under.
+    scale : float
+        Image pixels per output pixel (median over blocks).
+    seconds : float
+    notes : tuple of str
+        What the sensor says of the image: how it was oriented, what was assumed; and where heights are missing.
+    hidden_pixels : int, optional
+        Pixels that the image covers and the surface hides from it; None where that was not asked.
+    """
+
+    path: Path
+    grid: Grid
+    valid_pixels: int
+    lattice_error: float
+    tolerance: float
+    scale: float
+    seconds: float
+    notes: tuple[str, ...] = ()
+    hidden_pixels: int | None = None
+
+
+@dataclass
+class GeometryRecord:
+    """Worst lattice error and typical scale, gathered block by block."""
+
+    error: float = 0.0
+    scales: list[float] = field(default_factory=list)
+
+    def add(self, error: float, scale: float) -> None:
+        """Take in one block."""
+        self.error = max(self.error, error if np.isfinite(error) else 0.0)
+        self.scales.append(scale)
+
+    def judge(self, tolerance: float) -> None:
+        """Warn where the tolerance could not be kept: at the walls of a surface model, on a coarse grid."""
+        if self.error > tolerance > 0:
+            warnings.warn(
+                f"the geometry is interpolated within {self.error:.3f} px, not {tolerance} px, where the relief is "
+                "steepest or a map ends",
+                GeomosaicWarning,
+                stacklevel=3,
+            )
+
+    @property
+    def scale(self) -> float:
+        """Median scale."""
+        return finite_median(np.array(self.scales))
+
+
+def tiles(grid: Grid, width: int) -> list[Window]:
+    """Work units: rows of blocks, `width` pixels wide, from the upper left."""
+    return grid.window.split(width, BLOCK_HEIGHT)
+
+
+def ortho(
+    scene: Scene,
+    surface: Surface | None,
+    grid: Grid,
+    outline: Footprint,
+    output: Path,
+    options: RenderOptions | None = None,
+) -> OrthoResult:
+    """Rectify one image onto a surface.
+
+    Parameters
+    ----------
+    scene : Scene
+    surface : Surface or None
+        None where the model uses no heights.
+    grid : Grid
+        The output, see `extent.output_grid`.
+    outline : Footprint
+        Of the scene in the output map.
+    output : Path
+        File to write.
+    options : RenderOptions
+
+    Returns
+    -------
+    OrthoResult
+
+    Raises
+    ------
+    InputError
+        The image cannot be read, or shows nothing of the grid.
+    OutputError
+        Writing failed; no file is left under the final name.
+    """
+    options = options or RenderOptions()
+    started = time.perf_counter()
+    photo = Photo.open(scene, surface, grid, outline, options.memory_limit // 2)
+    info = photo.source.info
+    refuse_palette(info, options.resampling)
+    engine = engine_for(samples(grid, [outline]), options.resampling, options.threads)
+    record, seen, hidden = GeometryRecord(), 0, 0
+    colour = Colour.identity(info.bands)
+    units = tiles(grid, options.tile)
+    sight, below = None, Ground.under(grid, surface)
+    if options.true_ortho:
+        from geomosaic.render.occlusion import ground_of, visibility
+
+        below = ground_of(grid, surface)
+        sight = visibility(grid, below)
+
+    def render(unit: Window) -> tuple[AnyArray, ByteArray, list[tuple[float, float]], int]:
+        values = np.zeros((unit.height, unit.width, info.bands), dtype=info.dtype)
+        valid = np.zeros((unit.height, unit.width), dtype=np.uint8)
+        facts: list[tuple[float, float]] = []
+        hidden = 0
+        if photo.touches(grid.crop(unit).bounds):
+            for block in blocks(unit):
+                part = block.intersection(grid.window)
+                ground = below.block(part)
+                across = slice(part.col - unit.col, part.stop_col - unit.col)
+                out, out_valid = values[:, across], valid[:, across]
+                shades = None if sight is None else sight.block(ground)
+                used = pull(
+                    engine, photo, grid, ground, options.resampling, options.tolerance, colour, out, out_valid,
+                    shades=shades,
+                )  # fmt: skip
+                hidden += 0 if shades is None else int(np.count_nonzero(shades.mask))
+                facts += [(lattice.error, lattice.scale) for lattice in used]
+        return values, valid, facts, hidden
+
+    try:
+        with RasterSink(
+            output,
+            grid,
+            info.bands,
+            info.dtype,
+            nodata=options.nodata,
+            driver=options.driver,
+            creation=options.creation,
+            overwrite=options.overwrite,
+            threads=options.threads,
+            descriptions=info.descriptions,
+            meanings=tuple(zip(info.scales, info.offsets, info.units, strict=True)),
+            tags={"GEOMOSAIC_SENSOR": scene.sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
+        ) as sink:
+            threads = engine.threads(options.threads)
+            for done, (unit, (values, valid, facts, behind)) in enumerate(in_order(render, units, threads)):
+                sink.write(unit, values, valid, blank=options.nodata is None)
+                seen += int(np.count_nonzero(valid.view(np.bool_)))
+                hidden += behind
+                for fact in facts:
+                    record.add(*fact)
+                options.report(done + 1, len(units), "ortho")
+            if not seen:
+                raise InputError(
+                    "the image shows nothing of the output area",
+                    where=scene.name,
+                    hint="check --bounds, the DEM's extent and the image's orientation",
+                )
+            sink.finish()
+    finally:
+        photo.source.close()
+    record.judge(options.tolerance)
+    notes = (*getattr(scene.model, "notes", ()), *height_notes(below, [outline]))
+    seconds = time.perf_counter() - started
+    return OrthoResult(
+        output, grid, seen, record.error, options.tolerance, record.scale, seconds, notes,
+        hidden if options.true_ortho else None,
+    )  # fmt: skip
+
+
+def samples(grid: Grid, outlines: list[Footprint]) -> int:
+    """Samples the job will take: output pixels, or image pixels where the output is coarser."""
+    pixel = grid.resolution[0] * grid.resolution[1]
+    finest = min(outline.sampling for outline in outlines) ** 2
+    return int(grid.width * grid.height * min(max(1.0, pixel / max(finest, 1e-12)), MOST_SAMPLES**2))

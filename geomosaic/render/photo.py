@@ -1,0 +1,164 @@
+"""An image made ready to be pulled into an output grid, block by block."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geomosaic.block.block import Scene
+from geomosaic.block.footprint import Footprint
+from geomosaic.errors import InputError
+from geomosaic.geo.grid import Bounds, Grid
+from geomosaic.radiometry.histogram_matching import Curve
+from geomosaic.radiometry.local_gains import Shade
+from geomosaic.raster.source import Source
+from geomosaic.render.aligned import Offset, copied, is_identity, offset_on, table_of
+from geomosaic.resample.engine import Engine
+from geomosaic.resample.warp import CELL, Colour, value_range, warp
+from geomosaic.sensor.lattice import Lattice, build
+from geomosaic.sensor.map_to_image import BlockGround, MapToImage
+from geomosaic.surface.model import Surface
+from geomosaic.types import AnyArray, BoolArray, ByteArray
+
+if TYPE_CHECKING:
+    from geomosaic.render.occlusion import Shades
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """A scene with its open image, its way from the map to the image, and its footprint.
+
+    `scale` brings its values to those of the other images; `offset` tells how its pixels are numbered in `grid`, where
+    they are pixels of it.
+    """
+
+    scene: Scene
+    source: Source
+    mapper: MapToImage
+    footprint: Footprint
+    scale: float = 1.0
+    grid: Grid | None = None
+    offset: Offset | None = None
+    tables: dict[tuple[int, str], tuple[object, AnyArray | None]] = field(default_factory=dict, compare=False)
+
+    def table(self, colour: Colour | Curve, out: np.dtype[Any]) -> AnyArray | None:
+        """What a correction makes of every value the image can hold, where those are few; computed once."""
+        key = id(colour), str(out)
+        if key not in self.tables:  # the correction is kept too: no other can come to have its id
+            self.tables[key] = colour, table_of(colour, self.scale, self.source.dtype, out)
+        return self.tables[key][1]
+
+    def step_of(self, coarse: Grid) -> int | None:
+        """Output pixels along a cell of a coarser grid, where they are pixels of the photo too; None where not."""
+        if self.offset is None or self.grid is None:
+            return None
+        step = round(coarse.resolution[0] / self.grid.resolution[0])
+        return step if step > 1 and self.grid.coarser(step) == coarse else None
+
+    @classmethod
+    def open(
+        cls, scene: Scene, surface: Surface | None, grid: Grid, footprint: Footprint, memory: int, scale: float = 1.0
+    ) -> Photo:
+        """Open the image and check that it is the one the model was made for."""
+        source = Source(scene.path, nodata=scene.nodata, bands=scene.bands, memory_limit=memory, usable=scene.usable)
+        info = source.info
+        if (info.width, info.height) != tuple(scene.model.size):
+            raise InputError(
+                f"the image has {info.width} x {info.height} pixels, its model {scene.model.size[0]} x "
+                f"{scene.model.size[1]}",
+                where=scene.path,
+                hint="give the camera and orientation that belong to this image",
+            )
+        crs = None if surface is None else surface.crs
+        mapper = MapToImage.between(grid.crs, crs, scene.model)
+        return cls(scene, source, mapper, footprint, scale, grid, offset_on(grid, mapper, footprint))
+
+    def touches(self, bounds: Bounds) -> bool:
+        """Whether the footprint's bounds meet these."""
+        a, b = self.footprint.bounds, bounds
+        return a[0] <= b[2] and b[0] <= a[2] and a[1] <= b[3] and b[1] <= a[3]
+
+
+def pull(
+    engine: Engine,
+    photo: Photo,
+    grid: Grid,
+    ground: BlockGround,
+    resampling: str,
+    tolerance: float,
+    colour: Colour | Curve | Shade,
+    out: AnyArray,
+    out_valid: ByteArray,
+    need: ByteArray | None = None,
+    most_samples: int | None = None,
+    lattices: list[Lattice] | None = None,
+    shades: Shades | None = None,
+    only: BoolArray | None = None,
+) -> list[Lattice]:
+    """Fill one block from one photo; returns the lattices used, none where the photo does not see it.
+
+    `lattices` are those that were used for the same block and photo before; `shades` take what the surface hides;
+    `only` tells which pixels are wanted, where they are few.
+    """
+    if ground.unknown:
+        return []
+    if photo.offset is not None and grid is photo.grid and not isinstance(colour, Shade):
+        identity = isinstance(colour, Colour) and is_identity(colour) and photo.scale == 1.0
+        table = None if identity else photo.table(colour, out.dtype)
+        if identity or table is not None:
+            compiled = bool(engine.quick)
+            return copied(photo.source, photo.offset, ground.window, out, out_valid, need, table, compiled=compiled)
+    if not isinstance(colour, Colour):
+        plain, seen = np.zeros(out.shape, dtype=_unrounded(out)), np.zeros_like(out_valid)
+        same = Colour.identity(out.shape[2])
+        used = pull(
+            engine, photo, grid, ground, resampling, tolerance, same, plain, seen, need, most_samples, lattices, shades,
+            only,
+        )  # fmt: skip
+        if isinstance(colour, Shade):
+            window = ground.window
+            place = (*colour.at(window.col + 0.5, window.row + 0.5), 1 / colour.spacing[0], 1 / colour.spacing[1])
+            engine.shade(
+                plain, seen, colour.net, colour.path, colour.haze, place, colour.dark, colour.curve, colour.reach,
+                colour.offset, *value_range(str(out.dtype)), out, out_valid,
+            )  # fmt: skip
+            return used
+        here = seen > 0
+        out[here], out_valid[here] = _rounded(colour(plain[here]), str(out.dtype)), 1
+        return used
+    if photo.scale != 1.0:
+        colour = Colour(colour.gain * photo.scale, colour.offset)
+    if lattices is None:
+        lattices = build(photo.mapper, grid, ground, tolerance)
+    patch = ground.patch if photo.mapper.uses_heights else None
+    size, block = photo.scene.model.size, ground.window
+    for lattice in lattices:
+        part = lattice.window
+        col, row = part.col - block.col, part.row - block.row
+        inside = slice(row, row + part.height), slice(col, col + part.width)
+        wanted = None
+        if need is not None:
+            wanted = np.ascontiguousarray(
+                need[row // CELL : -(-(row + part.height) // CELL), col // CELL : -(-(col + part.width) // CELL)]
+            )
+            if not wanted.any():
+                continue
+        warp(
+            engine, photo.source, size, lattice, patch, resampling, colour, out[inside], out_valid[inside],
+            wanted, most_samples, None if only is None else only[inside],
+        )  # fmt: skip
+    if shades is not None:
+        shades.hide(photo.mapper, out, out_valid)
+    return lattices
+
+
+def _unrounded(out: AnyArray) -> type[np.floating[Any]]:
+    """Type of values that a curve has yet to bend: one rounding is enough."""
+    return np.float32 if out.dtype.itemsize < 4 or out.dtype == np.float32 else np.float64
+
+
+def _rounded(values: AnyArray, dtype: str) -> AnyArray:
+    low, high, whole = value_range(dtype)
+    return np.clip(np.floor(values + 0.5), low, high) if whole else values

@@ -1,0 +1,170 @@
+"""The open images of a mosaic: opened when first needed, closed when others need the room or the rows are done."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from threading import Lock, Thread, current_thread
+
+import numpy as np
+
+from geomosaic.block.block import Block
+from geomosaic.block.footprint import Footprint
+from geomosaic.errors import InputError
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.raster.source import SourceInfo, inspect
+from geomosaic.render.photo import Photo
+from geomosaic.render.sample_types import Depth, refuse_palette
+from geomosaic.sensor.lattice import BLOCK_HEIGHT
+
+MOST_HANDLES = 64
+"""Open files beyond which images that nobody reads are closed; opening one again takes about 2 ms."""
+
+
+class Photos:
+    """Photos by number, of which few are open at any time.
+
+    Parameters
+    ----------
+    block : Block
+    grid : Grid
+        The output.
+    outlines : sequence of Footprint
+        One per scene.
+    memory : int
+        Bytes that images which cannot be read by windows may hold, all together.
+    depth : Depth, optional
+        Sample type of the output; that of the images unless given.
+    resampling : str
+        How they will be read.
+    """
+
+    def __init__(
+        self,
+        block: Block,
+        grid: Grid,
+        outlines: Sequence[Footprint],
+        memory: int,
+        depth: Depth | None = None,
+        resampling: str = "nearest",
+    ) -> None:
+        self.block, self.grid, self.outlines = block, grid, outlines
+        self.windows = [grid.window_of(outline.bounds) for outline in outlines]
+        infos = [inspect(scene.path, scene.bands) for scene in block.scenes]
+        for info in infos:
+            refuse_palette(info, resampling)
+        dtype, self._scales = (depth or Depth()).scales(infos)
+        self.info = replace(_common(infos, block), dtype=dtype)
+        self._most_whole = _most_at_once(self.windows)
+        self._each = memory // self._most_whole
+        self._open: dict[int, _Open] = {}  # least recently used first
+        self._done_row = 0
+        self._lock = Lock()
+
+    def __len__(self) -> int:
+        return len(self.block.scenes)
+
+    @contextmanager
+    def using(self, index: int) -> Iterator[Photo]:
+        """Lend a photo; it stays open at least until it is given back."""
+        with self._lock:
+            entry = self._open.pop(index, None) or self._opened(index)
+            self._open[index] = entry
+            entry.users += 1
+            entry.readers.add(current_thread())
+            self._close_spare()
+        try:
+            yield entry.photo
+        finally:
+            with self._lock:
+                entry.users -= 1
+                self._close_spare()
+
+    def near(self, window: Window) -> list[int]:
+        """Numbers of the photos whose footprint's bounds meet a window."""
+        return [i for i, own in enumerate(self.windows) if not own.intersection(window).empty]
+
+    @property
+    def centres(self) -> list[tuple[float, float]]:
+        """Places that the photos see best, to a thousandth of a pixel: last digits may differ from run to run."""
+        step = 1e-3 * self.grid.resolution[0]
+        return [(round(x / step) * step, round(y / step) * step) for x, y in (o.centre for o in self.outlines)]
+
+    def leave_out(self, numbers: Iterable[int]) -> None:
+        """Show nothing of some photos from now on."""
+        for index in numbers:
+            self.windows[index] = Window(0, 0, 0, 0)
+
+    def passed(self, row: int) -> None:
+        """Close what ends above an output row that is done."""
+        with self._lock:
+            self._done_row = max(self._done_row, row)
+            self._close_spare()
+
+    def again(self) -> None:
+        """Keep photos open as at the beginning: rows that were done are looked at once more."""
+        with self._lock:
+            self._done_row = 0
+
+    def close(self) -> None:
+        """Close all."""
+        with self._lock:
+            for entry in self._open.values():
+                entry.photo.source.close()
+            self._open.clear()
+
+    def _opened(self, index: int) -> _Open:
+        scene, outline = self.block.scenes[index], self.outlines[index]
+        return _Open(Photo.open(scene, self.block.surface, self.grid, outline, self._each, self._scales[index]))
+
+    def _close_spare(self) -> None:
+        """Of the photos that nobody reads, close those that are done with, and the least recently used beyond bounds.
+
+        What can be read by windows counts by its file handles, one per thread that has read it. What is decoded whole
+        costs memory and time, not handles: as many are kept as the output needs at once.
+        """
+        handles = sum(len(entry.readers) for entry in self._open.values() if entry.windowed)
+        whole = sum(not entry.windowed for entry in self._open.values())
+        for index, entry in list(self._open.items()):
+            excess = handles > MOST_HANDLES if entry.windowed else whole > self._most_whole
+            if entry.users or not (excess or self.windows[index].stop_row <= self._done_row):
+                continue
+            handles -= len(entry.readers) if entry.windowed else 0
+            whole -= not entry.windowed
+            self._open.pop(index).photo.source.close()
+
+
+@dataclass
+class _Open:
+    """An open photo, how many read it now, and the threads that ever did: each has a handle of its own."""
+
+    photo: Photo
+    users: int = 0
+    readers: set[Thread] = field(default_factory=set)
+
+    @property
+    def windowed(self) -> bool:
+        return self.photo.source.info.windowed
+
+
+def _most_at_once(windows: Sequence[Window]) -> int:
+    """Most photos that two successive rows of output blocks need: threads that end one row begin the next."""
+    events = []
+    for window in windows:
+        if not window.empty:
+            events += [(window.row // BLOCK_HEIGHT - 1, 1), (-(-window.stop_row // BLOCK_HEIGHT), -1)]
+    return max(1, int(max(np.cumsum([change for _, change in sorted(events)]), default=1)))
+
+
+def _common(infos: list[SourceInfo], block: Block) -> SourceInfo:
+    """Bands that all images share."""
+    first = infos[0]
+    for scene, info in zip(block.scenes, infos, strict=True):
+        if info.bands != first.bands:
+            raise InputError(
+                f"the image has {info.bands} bands, '{block.scenes[0].name}' has {first.bands}",
+                where=scene.path,
+                hint="choose the same bands of all images: --bidx, or bands under [project]",
+            )
+    return first

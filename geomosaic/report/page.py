@@ -1,0 +1,96 @@
+"""Report pages: templates, and numbers with the decimals that their unit asks for."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+    from jinja2.bccache import Bucket
+
+
+def decimals(scale: float | None, least: int = 0) -> int:
+    """Decimals that show three figures of a number of this size, and at least so many.
+
+    Pixels of 0.5 m take 3, of 0.00001 degrees 7; grey values of bytes keep the least, reflectances of 0.02 take 4.
+    """
+    if scale is None or not math.isfinite(scale) or scale <= 0:
+        return least
+    return max(least, 2 - math.floor(math.log10(scale)))
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Write a number, or a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")
+
+
+def words(values: Mapping[str, Any]) -> str:
+    """Write a table of inputs in one line, tables in it in brackets."""
+    parts = []
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            shown = f"({words(value)})"
+        elif isinstance(value, list):
+            shown = " × ".join(map(str, value)) if key.endswith("size") else ", ".join(map(str, value))
+        else:
+            shown = str(value)
+        parts.append(f"{key.replace('_', ' ')} {shown}")
+    return "; ".join(parts) if any(isinstance(value, Mapping | list) for value in values.values()) else ", ".join(parts)
+
+
+def byte_size(size: float) -> str:
+    """Bytes in a unit that can be read."""
+    for unit in ("bytes", "kB", "MB", "GB"):
+        if size < 1000 or unit == "GB":
+            return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.1f} {unit}"
+        size /= 1000
+    raise AssertionError  # unreachable
+
+
+def rms(values: Sequence[float | None]) -> float | None:
+    """Root mean square over bands; None where a value is missing."""
+    known = [value for value in values if value is not None]
+    return math.sqrt(sum(v * v for v in known) / len(known)) if known and len(known) == len(values) else None
+
+
+def share(part: float, whole: float) -> str:
+    """Per cent."""
+    return f"{100 * part / whole:.1f} %"
+
+
+_FOLDER = Path(__file__).parent
+_COMPILED = _FOLDER / "__pycache__"
+
+
+def environment() -> Environment:
+    """Return templates of this folder; text is escaped, and a name that is not given is an error.
+
+    Compiled they are kept where Python keeps its modules, if it may: to compile them takes a fifth of a second.
+    """
+    import jinja2
+
+    class Kept(jinja2.FileSystemBytecodeCache):
+        def dump_bytecode(self, bucket: Bucket) -> None:
+            with suppress(OSError):  # of a folder that cannot be written, or a full disk: no report fails by this
+                super().dump_bytecode(bucket)
+
+    keep = not sys.dont_write_bytecode and _COMPILED.is_dir()
+    # Raise the number when an option below changes: kept templates know nothing of options.
+    name = f"__jinja2_{jinja2.__version__}_1_%s.cache"
+    made = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_FOLDER),
+        bytecode_cache=Kept(str(_COMPILED), name) if keep else None,
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters.update(number=number, bytes=byte_size, share=share, words=words)
+    return made

@@ -1,0 +1,1 @@
+"""Reprojection of vector layers."""

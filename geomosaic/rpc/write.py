@@ -1,0 +1,206 @@
+"""RPCs of images from plain declarations: fitted to any sensor, refined with control or tie points, and written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.block.block import Block, Scene
+from geomosaic.errors import InputError, OutputExistsError, SensorError, SolveError, did_you_mean
+from geomosaic.geo.transform import Transform
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.correction_grids import write_corrections
+from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.raster.output_files import write_text
+from geomosaic.raster.rpc_tags import read_rpc_tags, write_rpc_tags
+from geomosaic.rpc.correction_grid import GridFit, fit_pair
+from geomosaic.rpc.refine import ImageRpc, Wanted, refined
+from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.rational import HasRational
+from geomosaic.sensor.registry import plugin
+from geomosaic.sensor.solve import image_to_ground
+
+SENSOR = "rpc"
+"""Sensor that is asked for rational polynomials."""
+WGS84 = CRS.from_epsg(4979)
+_AROUND = 0.1  # of the relief that is seen, below and above it
+_LEAST = 50.0  # metres; an RPC of a thinner box says little of heights
+
+
+@dataclass(frozen=True)
+class RpcInputs:
+    """What is asked for.
+
+    Attributes
+    ----------
+    block : BlockInputs
+        Images with their sensor; control points in it refine them.
+    heights : tuple of float, optional
+        Lowest and highest ellipsoidal height in metres to fit to; those of the DEM under the image unless given.
+    refine : str, optional
+        Correction of images that come with an RPC: shift, drift or affine.
+    ties : Path, optional
+        Tie points between the images.
+    fixed : tuple of str
+        Images that tie points leave as they are.
+    sigma_px : float
+        Standard deviation of tie points.
+    tags, text : bool
+        Write the tags of the images, and text files.
+    grid : bool
+        Write what a fitted RPC cannot follow of its sensor as a correction grid.
+    folder : Path, optional
+        For the text files and grids; beside the images unless given.
+    overwrite : bool
+    """
+
+    block: BlockInputs
+    heights: tuple[float, float] | None = None
+    refine: str | None = None
+    ties: Path | None = None
+    fixed: tuple[str, ...] = ()
+    sigma_px: float = 0.5
+    tags: bool = False
+    text: bool = False
+    grid: bool = False
+    folder: Path | None = None
+    overwrite: bool = False
+
+
+def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
+    """Make the RPC of each image, and write what is asked for.
+
+    Raises
+    ------
+    InputError
+        Something is missing or wrong; names the file, image or option.
+    SolveError
+        The points do not determine the correction, or no RPC describes the sensor.
+    """
+    tool = _tool()
+    if inputs.refine is not None and inputs.refine not in tool.kinds:
+        raise InputError(
+            f"refinement '{inputs.refine}' is not known",
+            hint=f"{did_you_mean(inputs.refine, tool.kinds)} choose one of {', '.join(tool.kinds)}".strip(),
+        )
+    own = inputs.block.sensor == SENSOR
+    if inputs.refine is not None and not own:
+        raise InputError(
+            f"--refine corrects an RPC, and these images are of sensor '{inputs.block.sensor}'",
+            hint="leave it out: control points adjust the sensor itself, and the RPC is fitted to the result",
+        )
+    if own and inputs.refine is None and (inputs.block.control or inputs.ties):
+        raise InputError("nothing says how the RPC is refined", hint=f"give --refine {', '.join(tool.kinds)}")
+    if own and inputs.grid:
+        raise InputError(
+            "--grid is what an RPC cannot follow of the sensor it is fitted to, and these images have their own",
+            hint="name their sensor with --sensor, or leave it out",
+        )
+    options = {**inputs.block.options, "refine": "none"} if own else inputs.block.options
+    block = build_block(replace(inputs.block, options=options))
+    places = [_targets(scene, inputs) for scene in block.scenes]
+    made = [_rational(tool, scene, block, inputs) for scene in block.scenes]
+    if inputs.refine is not None and (inputs.ties or inputs.block.control):
+        made = refined(tool, block, made, Wanted(inputs.refine, inputs.ties, inputs.fixed, inputs.sigma_px))
+    out = []
+    for (model, done), scene, (tags, text, grid) in zip(made, block.scenes, places, strict=True):
+        again = tool.rewrite_rational(model)
+        whole = model if again is None else again.model
+        facts = done.facts if again is None else {**done.facts, "rewritten_worst_px": again.worst}
+        if tags is not None:
+            write_rpc_tags(tags, tool.rational_tags(whole))
+        if text is not None:
+            write_text(text, tool.rational_text(whole), overwrite=inputs.overwrite, encoding="ascii")
+        if grid is not None and done.grid is not None:
+            write_corrections(grid, done.grid, overwrite=inputs.overwrite)
+        written = tuple(path for path in (tags, text, grid) if path is not None)
+        out.append(replace(done, facts=facts, written=written, name=scene.name))
+    return tuple(out)
+
+
+def _tool() -> HasRational:
+    found = plugin(SENSOR)
+    if not isinstance(found, HasRational):
+        raise SensorError(f"the sensor '{SENSOR}' that is installed fits no RPCs", hint="reinstall geomosaic")
+    return found
+
+
+def _rational(tool: HasRational, scene: Scene, block: Block, inputs: RpcInputs) -> tuple[SensorModel, ImageRpc]:
+    """The RPC of an image: its own, or one fitted to its model."""
+    if inputs.block.sensor == SENSOR and inputs.block.corrections is None:
+        return scene.model, ImageRpc(scene.name, "as it came", {})
+    heights = inputs.heights or _heights(scene, block)
+    try:
+        if inputs.grid:
+            model, pair = fit_pair(tool, scene.model, scene.sensor, heights)
+            return model, ImageRpc(scene.name, "fitted", _facts_of_pair(pair, heights), grid=pair.grid)
+        fit = tool.fit_rational(scene.model, heights)
+    except SolveError as error:
+        error.where = error.where or scene.name
+        raise
+    facts = {
+        "fit_rms_px": fit.rms,
+        "fit_worst_px": fit.worst,
+        "fit_checks": fit.checks,
+        "heights_m": [float(fit.heights[0]), float(fit.heights[1])],
+    }
+    return fit.model, ImageRpc(scene.name, "fitted", facts)
+
+
+def _facts_of_pair(pair: GridFit, heights: tuple[float, float]) -> dict[str, Any]:
+    return {
+        "fit_rms_px": pair.alone_rms,
+        "fit_worst_px": pair.alone_worst,
+        "fit_checks": pair.checks,
+        "heights_m": [float(heights[0]), float(heights[1])],
+        "grid_rms_px": pair.rms,
+        "grid_worst_px": pair.worst,
+        "grid_nodes": list(pair.grid.nodes.shape[1::-1]),
+    }
+
+
+def _heights(scene: Scene, block: Block) -> tuple[float, float]:
+    """Ellipsoidal heights of the ground an image shows, somewhat widened."""
+    if block.surface is None:
+        raise InputError(
+            "nothing says for which heights the RPC is made",
+            where=scene.name,
+            hint="give --height-range LOW HIGH, ellipsoidal metres, or a DEM",
+        )
+    cols, rows = (np.linspace(0.0, side, 33) for side in scene.model.size)
+    places = np.stack(np.meshgrid(cols, rows), axis=-1).reshape(-1, 2)
+    seen = Transform(block.surface.crs, WGS84)(image_to_ground(scene.model, places, block.surface))[:, 2]
+    seen = seen[np.isfinite(seen)]
+    if not len(seen):
+        raise InputError(
+            "the image sees nothing of the DEM", where=scene.name, hint="check the DEM, or give --height-range"
+        )
+    low, high = float(seen.min()), float(seen.max())
+    more = max(_AROUND * (high - low), 0.5 * (_LEAST - (high - low)), 0.0)
+    return low - more, high + more
+
+
+def _targets(scene: Scene, inputs: RpcInputs) -> tuple[Path | None, Path | None, Path | None]:
+    """Files to write for an image; refused before any work where they hold an RPC already."""
+    path = Path(scene.path)
+    tags = path if inputs.tags else None
+    folder = inputs.folder or path.parent
+    text = folder / f"{path.stem}_RPC.TXT" if inputs.text else None
+    grid = folder / f"{path.stem}_RPC_grid.csv" if inputs.grid else None
+    if (text or grid) and not folder.is_dir():
+        raise InputError("the folder of the RPC files does not exist", where=str(folder), hint="make it")
+    if inputs.overwrite:
+        return tags, text, grid
+    if text is not None and text.exists():
+        raise OutputExistsError("the RPC file exists", where=str(text), hint="give another --folder, or --overwrite")
+    if grid is not None and grid.exists():
+        raise OutputExistsError("the grid exists", where=str(grid), hint="give another --folder, or --overwrite")
+    if tags is not None and read_rpc_tags(tags):
+        raise OutputExistsError(
+            "the image carries an RPC already", where=str(tags), hint="write --text instead, or give --overwrite"
+        )
+    return tags, text, grid

@@ -1,1 +1,0 @@
-"""Which image shows which place, and the weights across the seams."""

@@ -1,0 +1,107 @@
+"""Plausibility of a photo's orientation: views of the sky, angles read in the wrong unit."""
+
+from __future__ import annotations
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import geographic
+from geomosaic.geo.local_frames import enu_axes
+from geomosaic.geo.transform import Transform
+from geomosaic.sensor.model import HasRays, SensorModel
+from geomosaic.types import FloatArray
+
+
+class SkyError(InputError):
+    """A photo of the ground that looks above the horizon."""
+
+
+ALIGNED = 10.0
+"""Degrees within which an image axis follows the line of flight."""
+
+
+def centre_dip(model: SensorModel) -> float | None:
+    """Angle in degrees by which the ray through the image's centre goes below the horizon; None without rays.
+
+    The horizon is the plane across the ellipsoid's normal at the ray's origin, or across the z axis of a map CRS.
+    """
+    if not isinstance(model, HasRays):
+        return None
+    width, height = model.size
+    origins, directions = model.rays(np.array([[width / 2, height / 2]]))
+    up = np.array([0.0, 0.0, 1.0])
+    if model.crs.is_geocentric:
+        longitude, latitude, _ = Transform(model.crs, geographic(model.crs))(origins)[0]
+        up = enu_axes(longitude, latitude)[2]
+    return float(-np.degrees(np.arcsin(np.clip(directions[0] @ up, -1.0, 1.0))))
+
+
+def unit_suspicion(angles_deg: FloatArray, positions: FloatArray, crs: CRS | None = None) -> str | None:
+    """Say which unit the angles of a block probably have, when degrees do not fit the flight and another unit does.
+
+    A frame camera is mounted along or across the aircraft, so kappa, counter-clockwise from the map's x axis, is the
+    direction of flight up to multiples of 90°. That direction is taken from each photo to its nearest neighbour.
+
+    Parameters
+    ----------
+    angles_deg : array (N, 3)
+        Omega, phi, kappa as given, taken for degrees.
+    positions : array (N, 3) or (N, 2)
+        Projection centres in map units.
+    crs : CRS, optional
+        Of the positions. Where it counts in degrees, a unit of longitude is shorter than one of latitude.
+
+    Returns
+    -------
+    str or None
+        A sentence for the user, or None where nothing is suspicious or nothing can be said.
+    """
+    angles, places = np.asarray(angles_deg, dtype=np.float64), np.asarray(positions, dtype=np.float64)
+    good = np.isfinite(angles).all(axis=1) & np.isfinite(places).all(axis=1)
+    angles, places = angles[good], places[good, :2]
+    shrink = np.ones(len(places))
+    if crs is not None and crs.is_geographic:
+        shrink = np.cos(places[:, 1] * crs.axis_info[0].unit_conversion_factor)
+    flight = _flight_directions(places, shrink)
+    known = np.isfinite(flight)
+    if np.count_nonzero(known) < 2:
+        return None
+    kappa, flight = angles[known, 2], flight[known]
+    if _aligned(kappa, flight):
+        return None
+    if np.abs(angles).max() <= np.pi + 1e-6 and _aligned(np.degrees(kappa), flight):
+        return _sentence("radians", "rad")
+    mounted = _aligned(kappa, flight + kappa[0] - flight[0])  # turned in its mount, by the same angle in every photo
+    if np.abs(angles).max() <= 400.0 and _aligned(0.9 * kappa, flight) and not mounted:
+        return _sentence("gons", "gon")
+    return None
+
+
+def _sentence(unit: str, name: str) -> str:
+    return (
+        f"the angles look like {unit}: read as degrees, kappa does not follow the direction of flight; read as {unit} "
+        f"it does in every photo. If so, set angle_unit = '{name}'"
+    )
+
+
+def _flight_directions(xy: FloatArray, shrink: FloatArray) -> FloatArray:
+    """Direction in degrees, counter-clockwise from x, from each point to its nearest other point; NaN without one.
+
+    `shrink` is the length of a unit of x at each point, in units of y: the cosine of the latitude in a map in degrees.
+    """
+    directions = np.full(len(xy), np.nan)
+    for i, place in enumerate(xy):
+        step = (xy - place) * (shrink[i], 1.0)
+        distance = np.hypot(step[:, 0], step[:, 1])
+        distance[distance == 0.0] = np.inf
+        if len(xy) > 1 and np.isfinite(distance.min()):
+            dx, dy = step[np.argmin(distance)]
+            directions[i] = np.degrees(np.arctan2(dy, dx))
+    return directions
+
+
+def _aligned(kappa: FloatArray, flight: FloatArray) -> bool:
+    """Whether every kappa follows the flight within 10°, up to multiples of 90° (all in degrees)."""
+    off = np.mod(kappa - flight + 45.0, 90.0) - 45.0
+    return bool((np.abs(off) <= ALIGNED).all())

@@ -1,0 +1,85 @@
+"""The guard of every sensor against heights that count from nobody knows where."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import GeomosaicError, HeightDatumError
+from geomosaic.geo.crs import geographic, has_heights, horizontal, with_heights
+from geomosaic.geo.transform import Transform
+from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.solve.inverse import image_to_height
+from geomosaic.surface.vertical_datum import undulation
+
+DATUMS = "'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid"
+
+
+def need_heights(crs: CRS, what: str, where: str, build: Callable[[CRS], SensorModel]) -> None:
+    """Refuse heights whose vertical datum nobody declared.
+
+    Parameters
+    ----------
+    crs : CRS
+        Of positions or control points.
+    what : str
+        Whose heights, such as 'the control points'.
+    where : str
+        Image.
+    build : callable
+        Makes the model with a CRS whose heights are declared, to see what a wrong guess would cost.
+
+    Raises
+    ------
+    HeightDatumError
+        With the shift in metres and pixels that a wrong guess could cause there, and the option that settles it.
+    """
+    if has_heights(crs):
+        return
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            risk = at_stake(build(with_heights(crs, "ellipsoidal")))
+    except GeomosaicError:
+        risk = ""
+    raise HeightDatumError(
+        f"the heights of {what} have no vertical datum{risk}",
+        where=where,
+        hint=f"declare it with --heights (in a project: heights under [exterior]): {DATUMS}",
+    )
+
+
+def at_stake(model: SensorModel) -> str:
+    """What confusing the ellipsoid with the geoid would cost, in words that follow a statement; '' if not known."""
+    level = geographic(model.crs)
+    x, y, _ = Transform(model.crs, level)(np.array([model.seed]))[0]
+    shift = undulation(horizontal(level), float(x), float(y))
+    if not math.isfinite(shift):
+        return ""
+    pixels = abs(shift) * pixels_per_metre(model)
+    seen = f" (up to {pixels:.3g} px in the image)" if math.isfinite(pixels) else ""
+    return f"; taken for each other, ellipsoidal and geoid heights differ by {abs(shift):.1f} m here{seen}"
+
+
+def pixels_per_metre(model: SensorModel) -> float:
+    """Largest movement in the image, over its corners, of a ground point that is raised by one metre; NaN if unknown.
+
+    The ground is taken level, at the height of the model's seed.
+    """
+    level = geographic(model.crs)
+    width, height = model.size
+    corners = np.array([[0.0, 0.0], [width, 0.0], [0.0, height], [width, height], [width / 2, height / 2]])
+    to_model = Transform(level, model.crs)
+    try:
+        z = float(Transform(model.crs, level)(np.array([model.seed]))[0, 2])
+        ground = image_to_height(model, corners, z, level)
+        raised = ground + np.array([0.0, 0.0, 1.0])
+        moved = model.ground_to_image(to_model(raised)) - model.ground_to_image(to_model(ground))
+    except GeomosaicError:
+        return math.nan
+    length = np.hypot(moved[:, 0], moved[:, 1])
+    return float(np.nanmax(length)) if np.isfinite(length).any() else math.nan

@@ -1,0 +1,1 @@
+"""Drawing of sheets: the only user of matplotlib."""

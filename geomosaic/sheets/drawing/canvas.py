@@ -1,0 +1,271 @@
+"""A page to draw on in millimetres: lines, areas, pictures and text, the same as PDF, PNG or pixels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geomosaic.sheets.drawing.fonts import BREAKS, CAP, FAMILY, POINT, advance, lend, outline, properties, text_size
+from geomosaic.types import AnyArray, ByteArray, FloatArray
+
+if TYPE_CHECKING:
+    from geomosaic.sheets.label_placement import Piece
+    from geomosaic.sheets.page import Box
+
+
+@contextmanager
+def drawing(fonts: Sequence[str] = ()) -> Iterator[None]:
+    """Matplotlib's own defaults, whatever the user's settings say, and fonts embedded as TrueType (text stays text).
+
+    `fonts` are files that lend characters which the font of the sheet lacks.
+    """
+    import matplotlib
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(
+            {"pdf.fonttype": 42, "font.family": FAMILY, "pdf.compression": 6, "svg.hashsalt": "geomosaic",
+             "path.simplify": False, "text.hinting": "none"}
+        )  # fmt: skip
+        lend(fonts)
+        try:
+            yield
+        finally:
+            lend(())
+
+
+class Canvas:
+    """A page.
+
+    Parameters
+    ----------
+    box : Box
+        Part of the page that is drawn, in mm; (0, 0, width, height) for all of it.
+    """
+
+    def __init__(self, box: Box) -> None:
+        from matplotlib.figure import Figure
+
+        self.box = box
+        width, height = box[2] - box[0], box[3] - box[1]
+        self.figure = Figure(figsize=(width / 25.4, height / 25.4), facecolor="white")
+        self.axes: Any = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        self.axes.set_axis_off()
+        self.axes.set_xlim(box[0], box[2])
+        self.axes.set_ylim(box[1], box[3])
+        self._order = 1.0
+        self._clip: Any = None
+
+    @contextmanager
+    def clipped(self, box: Box, ring: FloatArray | None = None) -> Iterator[None]:
+        """Draw only inside a rectangle, or inside a ring (N, 2)."""
+        from matplotlib.patches import Polygon, Rectangle
+
+        if ring is not None:
+            self._clip = Polygon(ring, closed=True, transform=self.axes.transData)
+        else:
+            self._clip = Rectangle((box[0], box[1]), box[2] - box[0], box[3] - box[1], transform=self.axes.transData)
+        yield
+        self._clip = None
+
+    def _add(self, artist: Any) -> None:
+        """Draw above everything that is there."""
+        self._order += 1.0
+        artist.set_zorder(self._order)
+        artist.set_clip_on(self._clip is not None)
+        if self._clip is not None:
+            artist.set_clip_path(self._clip)
+
+    def lines(
+        self,
+        paths: Sequence[Any],
+        color: str,
+        width: float,
+        *,
+        dash: Sequence[float] = (),
+        opacity: float = 1.0,
+        cap: str = "butt",
+    ) -> None:
+        """Lines through points (N, 2); width and dashes in mm."""
+        from matplotlib.collections import LineCollection
+
+        if not paths:
+            return
+        style: Any = "solid"
+        if dash:
+            # Matplotlib counts dashes in line widths.
+            style = (0.0, [part / width for part in (dash if len(dash) % 2 == 0 else (*dash, *dash))])
+        collection = LineCollection(
+            list(paths), colors=color, linewidths=width / POINT, linestyles=[style], alpha=opacity, capstyle=cap,
+            joinstyle="round", antialiaseds=True,
+        )  # fmt: skip
+        self.axes.add_collection(collection, autolim=False)
+        self._add(collection)
+
+    def area(
+        self,
+        rings: Sequence[FloatArray],
+        fill: str | None,
+        *,
+        opacity: float = 1.0,
+        edge: str | None = None,
+        width: float = 0.0,
+    ) -> None:
+        """One area of rings (N, 2), closed; holes run against the outer ring. Edge width in mm."""
+        from matplotlib.patches import PathPatch
+        from matplotlib.path import Path as Shape
+
+        shape = Shape.make_compound_path(*(Shape(ring, closed=True) for ring in rings))
+        patch = PathPatch(
+            shape, facecolor=fill or "none", alpha=opacity, edgecolor=edge or "none", linewidth=width / POINT,
+            joinstyle="miter",
+        )  # fmt: skip
+        self.axes.add_patch(patch)
+        self._add(patch)
+
+    def rectangle(self, box: Box, *, fill: str | None = None, edge: str | None = None, width: float = 0.0) -> None:
+        """A rectangle."""
+        ring = np.array([(box[0], box[1]), (box[2], box[1]), (box[2], box[3]), (box[0], box[3]), (box[0], box[1])])
+        self.area([ring], fill, edge=edge, width=width)
+
+    def markers(
+        self, xy: FloatArray, shape: str, size: float, fill: str, edge: str, edge_width: float, opacity: float = 1.0
+    ) -> None:
+        """Symbols at points (N, 2); size in mm."""
+        if not len(xy):
+            return
+        form = {
+            "circle": "o", "square": "s", "triangle": "^", "diamond": "D", "cross": "x", "plus": "+", "star": "*",
+        }[shape]  # fmt: skip
+        thin = shape in ("cross", "plus")
+        (drawn,) = self.axes.plot(
+            xy[:, 0], xy[:, 1], linestyle="none", marker=form, markersize=size / POINT, markerfacecolor=fill,
+            markeredgecolor=fill if thin else edge,
+            markeredgewidth=max(edge_width, 0.2 * size if thin else 0.0) / POINT, scalex=False, scaley=False,
+            alpha=opacity,
+        )  # fmt: skip
+        self._add(drawn)
+
+    def picture(self, pixels: ByteArray, box: Box) -> None:
+        """Pixels (rows, cols, 4) that fill a rectangle exactly."""
+        from matplotlib.image import AxesImage
+
+        image = AxesImage(self.axes, extent=(box[0], box[2], box[1], box[3]), interpolation="none", origin="upper")
+        image.set_data(pixels)
+        self.axes.add_image(image)
+        self._add(image)
+
+    def text(
+        self,
+        x: float,
+        y: float,
+        text: str,
+        size: float,
+        *,
+        align: str = "left",
+        angle: float = 0.0,
+        color: str = "#000000",
+        bold: bool = False,
+        italic: bool = False,
+        halo: str | None = None,
+        halo_width: float = 0.5,
+    ) -> None:
+        """One line of text: its baseline's left end, middle or right end at (x, y)."""
+        if not text:
+            return
+        width, _ = text_size(text, size, bold, italic)
+        back = {"left": 0.0, "center": width / 2, "right": width}[align]
+        x, y = x - back * math.cos(math.radians(angle)), y - back * math.sin(math.radians(angle))
+        if halo and halo_width > 0:
+            self._halo(x, y, text, size, angle, halo, halo_width, bold, italic)
+        self._text(x, y, text, size, angle, color, bold, italic)
+
+    def pieces(
+        self, pieces: Sequence[Piece], size: float, *, color: str = "#000000", bold: bool = False,
+        italic: bool = False, halo: str | None = None, halo_width: float = 0.5, bridge: bool = False,
+    ) -> None:  # fmt: skip
+        """A text in pieces, the middle of the capitals of each at its spot; no halo lies over a letter.
+
+        Where `bridge`, the halo fills the text, so that a line below does not look like a letter between others.
+        """
+        drop = size * CAP * POINT / 2
+        placed = []
+        for piece in pieces:
+            c, s = math.cos(math.radians(piece.spot.angle)), math.sin(math.radians(piece.spot.angle))
+            back = piece.width / 2
+            foot = (piece.spot.x - back * c + drop * s, piece.spot.y - back * s - drop * c)
+            placed.append((piece.text, *foot, piece.spot.angle))
+        if halo and halo_width > 0:
+            for text, x, y, angle in placed:
+                self._halo(x, y, text, size, angle, halo, halo_width, bold, italic, bridge)
+        for text, x, y, angle in placed:
+            if text.strip():
+                self._text(x, y, text, size, angle, color, bold, italic)
+
+    def _text(
+        self, x: float, y: float, text: str, size: float, angle: float, color: str, bold: bool, italic: bool
+    ) -> None:
+        drawn = self.axes.text(
+            x, y, text.translate(BREAKS), fontproperties=properties(bold, italic), fontsize=size, color=color,
+            rotation=angle, rotation_mode="anchor", ha="left", va="baseline", parse_math=False,
+        )  # fmt: skip
+        self._add(drawn)
+
+    def _halo(
+        self, x: float, y: float, text: str, size: float, angle: float, color: str, width: float, bold: bool,
+        italic: bool, bridge: bool = False,
+    ) -> None:  # fmt: skip
+        from matplotlib.patches import PathPatch
+        from matplotlib.path import Path as Shape
+        from matplotlib.transforms import Affine2D
+
+        place = Affine2D().scale(POINT).rotate_deg(angle).translate(x, y)
+        shapes = [outline(text, size, bold, italic)] if text.strip() else []
+        if bridge:
+            end, low, high = advance(text, size, bold, italic) / POINT, 0.3 * size * CAP, 0.7 * size * CAP
+            shapes.append(Shape([(0, low), (end, low), (end, high), (0, high), (0, low)], closed=True))
+        for shape in shapes:
+            patch = PathPatch(
+                place.transform_path(shape), facecolor=color, edgecolor=color, linewidth=2 * width / POINT,
+                joinstyle="round",
+            )  # fmt: skip
+            self.axes.add_patch(patch)
+            self._add(patch)
+
+    def centred(self, x: float, y: float, text: str, size: float, *, angle: float = 0.0, **looks: Any) -> None:
+        """One line of text with the middle of its capitals at (x, y)."""
+        drop = size * CAP * POINT / 2
+        a = math.radians(angle)
+        self.text(x + drop * math.sin(a), y - drop * math.cos(a), text, size, align="center", angle=angle, **looks)
+
+    def pixels(self, dpi: float) -> AnyArray:
+        """Draw as pixels: uint8 array (rows, cols, 3), the first at the upper left corner of the box.
+
+        The right and lower sides move by up to half a pixel, so that the scale stays exact.
+        """
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+        left, bottom, right, top = self.box
+        size = [max(1, round((b - a) * dpi / 25.4)) for a, b in ((left, right), (bottom, top))]
+        self.figure.set_dpi(dpi)
+        # A hair more: matplotlib cuts off the fraction.
+        self.figure.set_size_inches((size[0] + 1e-6) / dpi, (size[1] + 1e-6) / dpi)
+        self.axes.set_xlim(left, left + size[0] * 25.4 / dpi)
+        self.axes.set_ylim(top - size[1] * 25.4 / dpi, top)
+        agg: Any = FigureCanvasAgg(self.figure)
+        agg.draw()
+        return np.ascontiguousarray(np.asarray(agg.buffer_rgba())[..., :3])
+
+    def save_pdf(self, path: Path, title: str) -> None:
+        """Write a PDF without dates."""
+        from matplotlib.backends.backend_pdf import FigureCanvasPdf
+
+        pdf: Any = FigureCanvasPdf(self.figure)
+        pdf.print_pdf(
+            str(path), metadata={"Title": title, "Creator": "geomosaic", "CreationDate": None, "ModDate": None}
+        )

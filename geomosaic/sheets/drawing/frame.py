@@ -1,0 +1,190 @@
+"""Neatline, grid, graticule and the coordinates around them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from geomosaic.sheets.drawing.canvas import Canvas
+from geomosaic.sheets.drawing.fonts import CAP, POINT, text_size
+from geomosaic.sheets.grid_lines import GridLine, MapGrid
+from geomosaic.sheets.label_placement import Piece, Spot, spread
+from geomosaic.sheets.layout import GridPart
+from geomosaic.sheets.page import Page
+from geomosaic.sheets.styles.contrast import halo_of, on_paper
+from geomosaic.types import FloatArray
+
+CROSS = 3.0
+"""Arm to arm of a grid cross, mm."""
+TICK = 2.0
+"""Length of a tick outside the neatline, mm; inside it is longer where there are no lines."""
+OUTER = 7.45
+"""Distance in mm from the neatline within which both rows of labels stand."""
+LONGEST_GAP = 12.0
+"""Length in mm beyond which a line outside the neatline is no end of one that crosses it."""
+NEATLINE, BORDER = 0.3, 0.6
+
+
+def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None:
+    """Lines or crosses inside the neatline."""
+    if part.style == "lines":
+        paths = [page.to_page(piece) for line in grid.lines for piece in line.pieces]
+        canvas.lines(paths, halo_of(part.color), 2.2 * part.width, opacity=0.45)
+        canvas.lines(paths, part.color, part.width)
+        for piece in around_pole(page, grid, part.size) if part.labels else ():
+            canvas.pieces([piece], part.size, color=part.color, halo=halo_of(part.color), halo_width=0.4, bridge=True)
+    if part.style == "crosses":
+        at = page.to_page(grid.crossings)
+        arms = []
+        for axis in (0, 1):
+            step = [0.0, 0.0]
+            step[axis] = CROSS / 2
+            arms += list(at[:, None, :] + np.array([[-step[0], -step[1]], [step[0], step[1]]]))
+        canvas.lines(arms, halo_of(part.color), 3.0 * part.width, opacity=0.6)
+        canvas.lines(arms, part.color, 1.5 * part.width)
+    if part.style == "ticks":
+        inner = [_tick(page, side, x, y, -CROSS) for _, side, x, y in _marks(grid)]
+        canvas.lines(inner, halo_of(part.color), 3.0 * part.width, opacity=0.6)
+        canvas.lines(inner, part.color, 1.5 * part.width)
+
+
+def draw_crop_marks(canvas: Canvas, page: Page) -> None:
+    """Two marks outside the bleed at each corner of the trim; nothing without bleed."""
+    if page.bleed <= 0:
+        return
+    left, bottom, right, top = page.paper
+    bleed, marks = page.bleed, []
+    for y in (0.0, page.height):
+        marks += [[(left, y), (-bleed, y)], [(page.width + bleed, y), (right, y)]]
+    for x in (0.0, page.width):
+        marks += [[(x, bottom), (x, -bleed)], [(x, page.height + bleed), (x, top)]]
+    canvas.lines(marks, "#000000", 0.1)
+
+
+def draw_edge(canvas: Canvas, page: Page) -> None:
+    """Neatline and border."""
+    outline = page.outline_mm
+    if outline is None:
+        canvas.rectangle(page.neatline, edge="#000000", width=NEATLINE)
+    else:
+        canvas.area([np.vstack([outline, outline[:1]])], None, edge="#000000", width=NEATLINE)
+    canvas.rectangle(page.border, edge="#000000", width=BORDER)
+
+
+def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None, GridPart]]) -> None:
+    """Ticks outside the neatline and coordinates on all sides; each grid has a row of its own, the first the inner one.
+
+    A tick of the outer row reaches to its label where no label of the inner row is in its way.
+    """
+    for side in ("left", "bottom", "right", "top"):
+        axis = 0 if side in ("bottom", "top") else 1
+        taken: list[tuple[float, float]] = []
+        for row, (grid, part) in enumerate(grids):
+            if grid is None:
+                continue
+            marks = [(line, x, y) for line, s, x, y in _marks(grid) if s == side]
+            if not marks:
+                continue
+            along = [float(v) for v in page.to_page(np.array([place for _, *place in marks]))[:, axis]]
+            kept = _draw_row(canvas, page, side, [grid.label(line) for line, _, _ in marks], along, part, row)
+            blocked = [any(low - 0.5 < at < high + 0.5 for low, high in taken) for at in along]
+            long = _aside(part.size, row) - part.size * CAP * POINT / 2 - 0.3 if row and part.labels else TICK
+            ticks = [
+                _tick(page, side, x, y, TICK if stop else long) for (_, x, y), stop in zip(marks, blocked, strict=True)
+            ]
+            canvas.lines(ticks, on_paper(part.color), max(part.width, 0.12))
+            taken += kept
+    for grid, part in grids:
+        if grid is not None and page.outline_mm is not None:
+            canvas.lines(_gaps(page, grid), on_paper(part.color), max(part.width, 0.12))
+
+
+def _gaps(page: Page, grid: MapGrid) -> list[FloatArray]:
+    """Ends of grid lines between a neatline that is no rectangle and the ticks on the rectangle around it."""
+    import shapely
+
+    inside = shapely.Polygon(page.outline_mm)
+    pieces = [shapely.LineString(page.to_page(piece)) for line in grid.lines for piece in line.pieces]
+    parts = shapely.get_parts(shapely.difference(np.array(pieces, dtype=object), inside)).tolist() if pieces else []
+    return [np.asarray(part.coords) for part in parts if part.geom_type == "LineString" and part.length < LONGEST_GAP]
+
+
+def _draw_row(
+    canvas: Canvas, page: Page, side: str, texts: Sequence[str], along: Sequence[float], part: GridPart, row: int
+) -> list[tuple[float, float]]:
+    """Write the labels of one side that fit beside each other; returns from where to where each reaches."""
+    if not part.labels:
+        return []
+    axis = 0 if side in ("bottom", "top") else 1
+    widths = [text_size(text, part.size)[0] for text in texts]
+    # At the corners the labels above and below have the room.
+    low, high = (page.border[0] + 1.0, page.border[2] - 1.0) if axis == 0 else (page.neatline[1], page.neatline[3])
+    aside = _aside(part.size, row)
+    kept = []
+    for i in spread(along, widths, 2.0):
+        first, last = along[i] - widths[i] / 2, along[i] + widths[i] / 2
+        if first >= low and last <= high:
+            x, y = _outside(page, side, along[i], aside)
+            canvas.centred(x, y, texts[i], part.size, angle=90.0 if axis else 0.0, color=on_paper(part.color))
+            kept.append((first, last))
+    return kept
+
+
+def _aside(size: float, row: int) -> float:
+    """Distance in mm of the middle of labels from the neatline: the inner row begins at the ticks, the outer one ends
+    where the names of neighbouring sheets begin.
+    """
+    half = size * CAP * POINT / 2
+    return OUTER - half if row else TICK + 0.15 + half
+
+
+def _marks(grid: MapGrid) -> list[tuple[GridLine, str, float, float]]:
+    """Ends on the sides that their lines cross: x at bottom and top, y at left and right, unless the grid is turned.
+
+    Around a pole all lines cross all sides.
+    """
+    turned = grid.turned
+    return [
+        (line, *end)
+        for line in grid.lines
+        for end in line.ends
+        if grid.pole is not None or (end[0] in ("bottom", "top")) == ((line.axis == 0) != turned)
+    ]
+
+
+def around_pole(page: Page, grid: MapGrid, size: float) -> list[Piece]:
+    """Latitudes of the parallels around a pole that do not reach the neatline, on the parallels between meridians."""
+    if grid.pole is None:
+        return []
+    (centre,) = page.to_page(grid.pole[None])
+    found = []
+    for line in grid.lines:
+        if line.axis == 1 and not line.ends:
+            path = page.to_page(np.concatenate(line.pieces)) - centre
+            # Below the pole, half-way between two meridians.
+            longitude = np.linspace(-180.0, 180.0, len(path))
+            from_meridian = np.abs(longitude / grid.intervals[0] % 1.0 - 0.5)
+            turns = np.abs(np.arctan2(path[:, 0], -path[:, 1])) + 10.0 * (from_meridian > from_meridian.min() + 0.03)
+            at = path[np.argmin(turns)] + centre
+            text = grid.label(line)
+            found.append(Piece(text, Spot(float(at[0]), float(at[1])), *text_size(text, size)))
+    return found
+
+
+def _tick(page: Page, side: str, x: float, y: float, reach: float) -> list[tuple[float, float]]:
+    """From the neatline outwards by `reach` mm, inwards where negative."""
+    px, py = page.to_page(np.array([[x, y]]))[0]
+    dx = {"left": -reach, "right": reach}.get(side, 0.0)
+    dy = {"bottom": -reach, "top": reach}.get(side, 0.0)
+    return [(float(px), float(py)), (float(px) + dx, float(py) + dy)]
+
+
+def _outside(page: Page, side: str, along: float, aside: float) -> tuple[float, float]:
+    left, bottom, right, top = page.neatline
+    return {
+        "left": (left - aside, along),
+        "right": (right + aside, along),
+        "bottom": (along, bottom - aside),
+        "top": (along, top + aside),
+    }[side]

@@ -1,0 +1,226 @@
+"""Names, heights and spot heights on the map: placed without collisions, drawn with their halo."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from geomosaic.relief.contours import Contour
+from geomosaic.relief.spot_heights import SpotHeight
+from geomosaic.sheets.drawing.canvas import Canvas
+from geomosaic.sheets.drawing.fonts import advances, text_size
+from geomosaic.sheets.label_placement import Piece, Placed, Placer, Spot, around_point
+from geomosaic.sheets.layout import ContoursPart
+from geomosaic.sheets.line_labels import along_bend, along_line, cut_evenly, letters_of
+from geomosaic.sheets.page import Page
+from geomosaic.sheets.styles.contrast import halo_of
+from geomosaic.sheets.styles.style import Label
+from geomosaic.sheets.vector_layers import Name, Overlay, parts_of
+from geomosaic.types import FloatArray
+
+AGAIN = 80.0
+"""Least distance in mm at which the same name of the same layer is written again along lines or in areas."""
+LONG = 160.0
+"""Length of line in mm for each time that its name is written."""
+
+
+def place_names(page: Page, layers: Sequence[Overlay], placer: Placer) -> tuple[list[tuple[Placed, Label]], int]:
+    """Find places for the names of all layers, points first, then lines, then areas.
+
+    Returns
+    -------
+    placed : list of (Placed, Label)
+    left_out : int
+        Names for which there was no room.
+    """
+    for layer in layers:
+        for group in layer.groups:
+            if group.symbol.marker is not None:
+                for point in parts_of(group.geometries, "point"):
+                    x, y = page.to_page(np.array([(point.x, point.y)]))[0]
+                    placer.block(float(x), float(y), group.symbol.marker.size)
+    found: list[tuple[Placed, Label]] = []
+    left_out = 0
+    for kind in ("point", "line", "polygon"):
+        for layer in layers:
+            label = layer.style.label
+            if label is None:
+                continue
+            wanted: set[str] = set()
+            radius = (
+                max((g.symbol.marker.size / 2 for g in layer.groups if g.symbol.marker), default=0.0) + placer.gap + 0.2
+            )
+            for name in _merged(layer.names) if kind == "line" else layer.names:
+                for ways in _ways(page, name, kind, label, radius):
+                    wanted.add(name.text)
+                    if kind != "point":
+                        ways = [way for way in ways if not _said(found, name.text, label, way)]
+                    placed = placer.place_pieces(name.text, ways, kind == "line")
+                    if placed is not None:
+                        found.append((placed, label))
+                    elif kind == "point":
+                        left_out += 1
+            if kind != "point":  # objects of one name need it once
+                left_out += len(wanted - {item.text for item, lab in found if lab is label})
+    return found, left_out
+
+
+def _merged(names: Sequence[Name]) -> list[Name]:
+    """Join lines of one name where they meet, the longest first: a street is often stored in pieces."""
+    import shapely
+
+    together: dict[str, list[Any]] = {}
+    for name in names:
+        for part in parts_of([name.geometry], "line"):
+            together.setdefault(name.text, []).append(part)
+    joined = []
+    for text, parts in together.items():
+        merged = shapely.line_merge(shapely.MultiLineString(parts)) if len(parts) > 1 else parts[0]
+        joined += [Name(text, part) for part in parts_of([merged], "line")]
+    return sorted(joined, key=lambda item: -item.geometry.length)
+
+
+def _said(found: list[tuple[Placed, Label]], text: str, label: Label, way: tuple[Piece, ...]) -> bool:
+    """Whether the same name stands near already."""
+    spot = way[len(way) // 2].spot
+    return any(
+        p.text == text and lab is label and math.hypot(p.spot.x - spot.x, p.spot.y - spot.y) < AGAIN for p, lab in found
+    )
+
+
+def _ways(page: Page, name: Name, kind: str, label: Label, radius: float) -> list[list[tuple[Piece, ...]]]:
+    """Ways to write a name, best first, for each time that it is to be written; none of a geometry of another kind."""
+    parts = parts_of([name.geometry], kind)
+    if not parts:
+        return []
+    width, height = text_size(name.text, label.size, label.bold, label.italic)
+
+    def straight(spots: Sequence[Spot]) -> list[tuple[Piece, ...]]:
+        return [(Piece(name.text, spot, width, height),) for spot in spots]
+
+    if kind == "point":
+        x, y = page.to_page(np.array([(parts[0].x, parts[0].y)]))[0]
+        return [straight(around_point(float(x), float(y), width, height, radius))]
+    if kind == "line":
+        letters = letters_of(name.text)
+        steps = advances(letters, label.size, label.bold, label.italic)
+        path = page.to_page(np.asarray(parts[0].coords))
+        pieces = cut_evenly(path, LONG)
+        if len(letters) == 1:
+            return [straight(along_line(piece, width, ends=1.0)) for piece in pieces]
+        return [along_bend(piece, letters, steps, height, ends=1.0) for piece in pieces]
+    import shapely
+
+    largest = shapely.intersection(max(parts, key=lambda p: p.area), shapely.box(*page.bounds))
+    if largest.is_empty:
+        return []
+    middles = [largest.centroid, largest.representative_point()]
+    middle = next((m for m in middles if largest.contains(m)), middles[-1])
+    x, y = page.to_page(np.array([(middle.x, middle.y)]))[0]
+    step = 1.2 * height
+    return [straight([Spot(float(x), float(y) + k * step) for k in (0, 1, -1, 2, -2)])]
+
+
+def draw_names(canvas: Canvas, placed: Sequence[tuple[Placed, Label]]) -> None:
+    """Halos and texts."""
+    for item, label in placed:
+        canvas.pieces(
+            item.pieces, label.size, color=label.color, bold=label.bold, italic=label.italic, halo=label.halo,
+            halo_width=label.halo_width, bridge=item.on_line,
+        )  # fmt: skip
+
+
+def place_heights(page: Page, contours: Sequence[Contour], part: ContoursPart, placer: Placer) -> list[Placed]:
+    """Heights on contours, tops uphill: main contours every 120 mm, others where they are the only ones.
+
+    Text that can be read from below is preferred, text on its head is kept where a contour offers nothing else.
+    """
+    size = part.size
+    wanted = [c for c in contours if c.index] or list(contours)
+    digits = _digits([c.height for c in contours])
+    found: list[Placed] = []
+    for contour in sorted(wanted, key=lambda c: -len(c.xy)):
+        text = f"{contour.height:.{digits}f}".replace("-", "−")
+        width, height = text_size(text, size, True)
+        path = page.to_page(contour.xy)
+        for piece in cut_evenly(path, 120.0):
+            spots = [uphill(spot, piece) for spot in along_line(piece, width, bend=15.0, ends=1.0)]
+            spots.sort(key=lambda spot: math.cos(math.radians(spot.angle)) < -0.17)  # stable: best first stays
+            placed = placer.place(text, width, height, spots)
+            if placed is not None:
+                found.append(placed)
+    return found
+
+
+def _digits(heights: Sequence[float]) -> int:
+    return next((n for n in range(4) if all(abs(h - round(h, n)) < 1e-6 for h in heights)), 3)
+
+
+def uphill(spot: Spot, path: FloatArray) -> Spot:
+    """Turn a text on a contour so that its top is uphill, which is to the left of the contour's course.
+
+    Parameters
+    ----------
+    spot : Spot
+        As `along_line` gives it.
+    path : array (N, 2)
+        The contour on the page, the ground rising to its left.
+    """
+    middles = (path[:-1] + path[1:]) / 2
+    nearest = int(np.argmin(np.hypot(middles[:, 0] - spot.x, middles[:, 1] - spot.y)))
+    course = path[nearest + 1] - path[nearest]
+    a = math.radians(spot.angle)
+    along = course[0] * math.cos(a) + course[1] * math.sin(a)
+    return spot if along >= 0 else Spot(spot.x, spot.y, spot.angle + 180.0 if spot.angle <= 0 else spot.angle - 180.0)
+
+
+def draw_heights(canvas: Canvas, placed: Sequence[Placed], part: ContoursPart) -> None:
+    """Heights with a halo that opens their contour."""
+    for item in placed:
+        canvas.pieces(item.pieces, part.size, color=part.color, halo=halo_of(part.color), halo_width=0.35, bold=True)
+
+
+DOT = 0.7
+"""Diameter in mm."""
+
+
+def dots(page: Page, spots: Sequence[SpotHeight]) -> FloatArray:
+    """Places (N, 2) in mm on the page."""
+    return page.to_page(np.array([(spot.x, spot.y) for spot in spots]).reshape(-1, 2))
+
+
+def keep_free(page: Page, spots: Sequence[SpotHeight], placer: Placer) -> None:
+    """Keep names off the dots."""
+    for x, y in dots(page, spots).tolist():
+        placer.block(x, y, DOT)
+
+
+def place_spots(
+    page: Page, spots: Sequence[SpotHeight], part: ContoursPart, interval: float, placer: Placer
+) -> list[tuple[SpotHeight, Placed]]:
+    """Find places for the heights, the most prominent first; those without room are left out, dot and all.
+
+    Whole metres where contours are 5 m apart or more, otherwise decimetres.
+    """
+    digits = 0 if interval >= 5.0 else 1
+    found = []
+    for spot, (x, y) in zip(spots, dots(page, spots).tolist(), strict=True):
+        if not placer.inside(x, y):
+            continue
+        text = f"{spot.height + 0.0:.{digits}f}".replace("-", "−")
+        width, height = text_size(text, part.size, True)
+        placed = placer.place(text, width, height, around_point(x, y, width, height, DOT / 2 + placer.gap + 0.2))
+        if placed is not None:
+            found.append((spot, placed))
+    return found
+
+
+def draw_spots(canvas: Canvas, page: Page, placed: Sequence[tuple[SpotHeight, Placed]], part: ContoursPart) -> None:
+    """Dots and heights in the colour of the contours, with halo."""
+    halo = halo_of(part.color)
+    canvas.markers(dots(page, [spot for spot, _ in placed]), "circle", DOT, part.color, halo, 0.15)
+    for _, item in placed:
+        canvas.pieces(item.pieces, part.size, color=part.color, halo=halo, halo_width=0.35, bold=True)

@@ -1,0 +1,218 @@
+"""Sheets as files: PDF with its place on the map, PNG, and GeoTIFF cut at the neatline; whole or not at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from affine import Affine
+
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import is_local
+from geomosaic.geo.grid import Grid
+from geomosaic.raster.output_files import check_output, write_text
+from geomosaic.raster.pdf import write_raster_pdf
+from geomosaic.raster.sink import RasterSink
+from geomosaic.raster.web_tiles import write_web
+from geomosaic.sheets.drawing.canvas import Canvas
+from geomosaic.sheets.drawing.sheet import Pixels, SheetParts, draw_map, draw_sheet
+from geomosaic.sheets.geopdf import add_georeference
+from geomosaic.sheets.page import Page
+from geomosaic.types import ByteArray, FloatArray
+from geomosaic.whole_files import under_construction
+
+WEB = (".mbtiles", ".kmz")
+FORMATS = (".pdf", ".png", ".tif", ".tiff", *WEB)
+MOST_PIXELS = 1 << 29
+"""Pixels of a picture that is drawn at once: an A0 sheet at 580 dpi."""
+
+
+@dataclass(frozen=True)
+class FileOptions:
+    """How rasters are written.
+
+    Attributes
+    ----------
+    driver : str
+        Of GeoTIFFs: 'GTiff' or 'COG'. 'PDF' of PDFs: a raster GeoPDF by GDAL instead of a page of vectors and text.
+    collar : bool
+        GeoTIFFs and raster GeoPDFs have the whole page instead of the map alone.
+    world_file : bool
+        Write a world file beside PNG and GeoTIFF: six lines with the affine of pixel centres.
+    """
+
+    driver: str = "GTiff"
+    collar: bool = False
+    world_file: bool = False
+
+
+def check_format(path: Path) -> None:
+    """Refuse names that say no format.
+
+    Raises
+    ------
+    InputError
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise InputError(
+            f"sheets are not written as '{path.suffix}'",
+            where=str(path),
+            hint=f"end the name in {', '.join(FORMATS)}",
+        )
+
+
+def write_sheet(
+    path: Path, parts: SheetParts, pixels: Pixels, dpi: int, files: FileOptions, *, overwrite: bool
+) -> list[str]:
+    """Draw and write; returns what had no room, in words.
+
+    Raises
+    ------
+    InputError, OutputExistsError, OutputError
+        An unknown format or one with too many pixels; the name is taken; writing failed.
+    """
+    check_format(path)
+    check_output(path, overwrite=overwrite)
+    suffix, flat = path.suffix.lower(), files.driver == "PDF"
+    page = parts.page
+    if flat and suffix != ".pdf":
+        raise InputError(f"the driver PDF does not write '{suffix}'", where=str(path), hint="end the name in .pdf")
+    if (flat or suffix in WEB) and is_local(page.crs):
+        raise InputError(
+            f"'{page.crs.name}' is not tied to the Earth, so its map has no place "
+            + ("in a raster GeoPDF" if flat else "on the web"),
+            where=str(path),
+            hint="leave out --driver PDF" if flat else "write .pdf, .png or .tif",
+        )
+    vectors = suffix == ".pdf" and not flat
+    left, bottom, right, top = page.neatline if vectors else page.paper
+    if (right - left) * (top - bottom) * (dpi / 25.4) ** 2 > MOST_PIXELS:
+        raise InputError(
+            f"{'the map' if vectors else 'a sheet'} of {right - left:.0f} x {top - bottom:.0f} mm at {dpi} dpi has too "
+            "many pixels",
+            where=str(path),
+            hint="lower --dpi" if vectors else "lower --dpi, or write a PDF of vectors",
+        )
+    if flat or suffix in WEB:
+        return _by_gdal(path, parts, pixels, dpi, files, overwrite=overwrite)
+    if suffix.startswith(".tif"):
+        return _geotiff(path, parts, pixels, dpi, files, overwrite=overwrite)
+    canvas, told = draw_sheet(parts, pixels)
+    if suffix == ".pdf":
+        with under_construction(path) as file:
+            canvas.save_pdf(file, parts.layout.sheet.title or "Map sheet")
+            if not add_georeference(file, page):
+                told.append("the PDF has no georeference: a corner of the map lies beyond the globe")
+    else:
+        with under_construction(path) as file:
+            _png(file, canvas, dpi)
+        if files.world_file:
+            _world_file(path, page_grid(page, dpi))
+    return told
+
+
+def _png(path: Path, canvas: Canvas, dpi: int) -> None:
+    from PIL import Image
+
+    with path.open("wb") as file:
+        Image.fromarray(canvas.pixels(dpi)).save(file, format="PNG", dpi=(dpi, dpi))
+
+
+def sheet_grid(page: Page, dpi: float) -> Grid:
+    """Pixels of the map at a print resolution: they start at the upper left corner of the neatline and cover it."""
+    step = 25.4 / dpi
+    left, bottom, right, top = page.neatline
+    width, height = (max(1, int(np.ceil(v / step - 1e-6))) for v in (right - left, top - bottom))
+    size = step / page.mm_per_unit
+    return Grid(page.crs, Affine(size, 0.0, page.bounds[0], 0.0, -size, page.bounds[3]), width, height)
+
+
+def page_grid(page: Page, dpi: float) -> Grid:
+    """Pixels of the whole page at a print resolution, in the map's CRS: they start at its upper left corner."""
+    size = 25.4 / dpi / page.mm_per_unit
+    box = page.paper
+    width, height = (max(1, round((box[k + 2] - box[k]) * dpi / 25.4)) for k in (0, 1))
+    left, top = page.to_map(np.array([[box[0], box[3]]]))[0].tolist()
+    return Grid(page.crs, Affine(size, 0.0, left, 0.0, -size, top), width, height)
+
+
+def _world_file(path: Path, grid: Grid) -> None:
+    """Write the affine of pixel centres: x size, two turns, y size, centre of the upper left pixel."""
+    t = grid.transform
+    values = (t.a, t.d, t.b, t.e, t.c + t.a / 2, t.f + t.e / 2)
+    suffix = path.suffix[:2] + path.suffix.rstrip("f")[-1] + "w"  # .png: .pgw, .tif and .tiff: .tfw
+    suffix = ".tfw" if path.suffix.lower().startswith(".tif") else suffix
+    text = "".join(f"{value + 0.0:.12g}\n" for value in values)
+    write_text(path.with_suffix(suffix), text, overwrite=True, encoding="ascii")
+
+
+def _geotiff(
+    path: Path, parts: SheetParts, pixels: Pixels, dpi: int, files: FileOptions, *, overwrite: bool
+) -> list[str]:
+    """Draw the map alone on pixels that fit the neatline, its vectors burned in; or the whole page with its collar."""
+    grid, drawn, valid, told = _drawn(parts, pixels, dpi, collar=files.collar)
+    driver, masked = files.driver, valid is not None
+    with RasterSink(path, grid, 3, "uint8", driver=driver, overwrite=overwrite, mask=masked) as sink:
+        for window in grid.window.split(2048, 512):
+            rows, cols = slice(window.row, window.stop_row), slice(window.col, window.stop_col)
+            part = None if valid is None else np.ascontiguousarray(valid[rows, cols])
+            sink.write(window, np.ascontiguousarray(drawn[rows, cols]), part)
+        sink.finish()
+    if files.world_file:
+        _world_file(path, grid)
+    return told
+
+
+def _by_gdal(
+    path: Path, parts: SheetParts, pixels: Pixels, dpi: int, files: FileOptions, *, overwrite: bool
+) -> list[str]:
+    """Draw a raster GeoPDF, or the map alone for the web."""
+    flat = files.driver == "PDF"
+    grid, drawn, valid, told = _drawn(parts, pixels, dpi, collar=flat and files.collar)
+    title = parts.layout.sheet.title or "Map"
+    alpha = np.ones(grid.shape, dtype=np.uint8) if valid is None else valid
+    if not flat:
+        write_web(path, grid, np.dstack([drawn, 255 * alpha]), title=title, overwrite=overwrite)
+    else:
+        shown = drawn if valid is None else np.dstack([drawn, 255 * alpha])
+        write_raster_pdf(path, grid, shown, dpi=dpi, title=title, overwrite=overwrite)
+    return told
+
+
+def _drawn(
+    parts: SheetParts, pixels: Pixels, dpi: int, *, collar: bool
+) -> tuple[Grid, ByteArray, ByteArray | None, list[str]]:
+    """Draw: grid, pixels (rows, cols, 3), which of them are map (None where all are), and what had no room."""
+    page = parts.page
+    valid: ByteArray | None = None
+    if collar:
+        grid = page_grid(page, dpi)
+        canvas, told = draw_sheet(parts, pixels)
+    else:
+        grid = sheet_grid(page, dpi)
+        left, top = page.neatline[0], page.neatline[3]
+        area = (left, top - grid.height * 25.4 / dpi, left + grid.width * 25.4 / dpi, top)
+        canvas = Canvas(area)
+        told = draw_map(canvas, parts, pixels, area)
+        if page.outline is not None:
+            valid = inside_ring(grid, np.array(page.outline))
+    drawn = canvas.pixels(dpi)
+    if drawn.shape[:2] != grid.shape:
+        raise RuntimeError(f"{drawn.shape[:2]} pixels were drawn where {grid.shape} belong")
+    return grid, drawn, valid, told
+
+
+def inside_ring(grid: Grid, ring: FloatArray) -> ByteArray:
+    """Pixels whose centres lie inside a ring of map coordinates (N, 2), as 1 and 0."""
+    place = grid.colrow(ring)
+    ahead = np.roll(place, -1, axis=0)
+    out = np.zeros(grid.shape, dtype=np.uint8)
+    centres = np.arange(grid.width) + 0.5
+    for row in range(grid.height):
+        y = row + 0.5
+        cut = (place[:, 1] <= y) != (ahead[:, 1] <= y)
+        a, b = place[cut], ahead[cut]
+        x = np.sort(a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0]))
+        out[row] = np.searchsorted(x, centres) % 2
+    return out

@@ -1,0 +1,251 @@
+"""Scale bar and north arrows: grid north, true north, magnetic north."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.geo.magnetic_declination import NAME
+from geomosaic.numbers import angle_text, grouped
+from geomosaic.sheets.declination import Declination
+from geomosaic.sheets.drawing.canvas import Canvas
+from geomosaic.sheets.drawing.fonts import CAP, POINT, text_size
+from geomosaic.sheets.layout import Layout
+from geomosaic.sheets.page import Page
+from geomosaic.types import FloatArray
+
+FOOT_M = 0.3048
+STEPS = (1.0, 2.0, 3.0, 4.0, 5.0, 10.0)
+"""Times a power of ten: lengths of bars."""
+ROW = 1.1
+"""Height in mm of one row of the bar."""
+
+
+def bar_divisions(length: float) -> int:
+    """Number of parts of a bar: 5 for 5 and 10, 4 for 2 and 4, 3 otherwise; each part is then a round length."""
+    lead = length
+    while lead >= 10.0 - 1e-9:
+        lead /= 10.0
+    while lead < 1.0 - 1e-9:
+        lead *= 10.0
+    return {1: 5, 2: 4, 4: 4, 5: 5}.get(round(lead), 3)
+
+
+def bar_length(longest: float) -> float:
+    """Largest of 1 to 5 times a power of ten that is not longer."""
+    power = 1.0
+    while power > longest:
+        power /= 10.0
+    while power * 10.0 <= longest * (1 + 1e-9):
+        power *= 10.0
+    return max(power * step for step in STEPS if power * step <= longest * (1 + 1e-9))
+
+
+SHORTEST = 10.0
+"""Length of a bar in mm that its figures need."""
+
+
+def scale_text(scale: float) -> str:
+    """Write the scale as a fraction: '1 : 25 000'."""
+    return f"1 : {grouped(scale, 0 if abs(scale - round(scale)) < 1e-6 else 1)}"
+
+
+def draw_scale(canvas: Canvas, page: Page, layout: Layout, middle: float, top: float, room: float) -> float:
+    """Number and bars, centred; returns the lower end.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    page : Page
+    layout : Layout
+    middle, top : float
+        Place in mm.
+    room : float
+        Width in mm that there is.
+
+    Raises
+    ------
+    InputError
+        A bar of the length that the layout wants does not fit.
+    """
+    canvas.centred(middle, top - 1.8, scale_text(page.scale), 10.0, bold=True)
+    y = top - 6.8
+    if not layout.scalebar.show:
+        return top - 4.0
+    per_metre = 1000.0 / page.scale
+    longest = min(room - 12.0, 110.0)
+    wanted = layout.scalebar.length
+    if wanted is not None and wanted * per_metre > room - 8.0:
+        raise InputError(
+            f"a scale bar of {wanted:g} m measures {wanted * per_metre:.0f} mm, there is room for {room - 8.0:.0f} mm",
+            where="[scalebar] length",
+            hint="give a shorter one",
+        )
+    if wanted is not None and wanted * per_metre < SHORTEST:
+        raise InputError(
+            f"a scale bar of {wanted:g} m measures {wanted * per_metre:.2g} mm, too little for its figures",
+            where="[scalebar] length",
+            hint=f"give at least {bar_length(2.0 * SHORTEST / per_metre):g} m",
+        )
+    length = wanted or bar_length(longest / per_metre)
+    kilometres = length >= 2000.0
+    _bar(canvas, middle - length * per_metre / 2, y, length * per_metre, length / (1000.0 if kilometres else 1.0),
+         "km" if kilometres else "m", above=True)  # fmt: skip
+    if not layout.scalebar.feet:
+        return y - 2 * ROW
+    feet = bar_length(max(length, SHORTEST / per_metre) / FOOT_M)
+    y -= 2 * ROW + 0.7
+    _bar(canvas, middle - length * per_metre / 2, y, feet * FOOT_M * per_metre, feet, "ft", above=False)
+    return y - 2 * ROW - 3.0
+
+
+def _bar(canvas: Canvas, left: float, top: float, length: float, value: float, unit: str, *, above: bool) -> None:
+    """Two rows of boxes, black where the other is white; figures above or below."""
+    size = 6.0
+    widest = text_size(_figure(value), size)[0] + 1.0
+    parts = next((n for n in (bar_divisions(value), 2) if length / n >= widest), 1)
+    step = length / parts
+    canvas.rectangle((left, top - 2 * ROW, left + length, top), fill="#ffffff")
+    for k in range(parts):
+        y = top - ROW if k % 2 == 0 else top - 2 * ROW
+        canvas.rectangle((left + k * step, y, left + (k + 1) * step, y + ROW), fill="#000000")
+    canvas.rectangle((left, top - 2 * ROW, left + length, top), edge="#000000", width=0.15)
+    y = top + 0.8 if above else top - 2 * ROW - 0.8 - size * CAP * POINT
+    for k in range(parts + 1):
+        text = _figure(value * k / parts)
+        canvas.text(left + k * step, y, text, size, align="center")
+    last = text_size(_figure(value), size)[0] / 2
+    canvas.text(left + length + last + 0.8, y, unit, size)
+
+
+def _figure(value: float) -> str:
+    return grouped(value) if value >= 1000 and value == int(value) else f"{value:g}"
+
+
+LENGTH = 17.0
+ASIDE = 12.0
+"""Room in mm at each side of the foot."""
+LEAST = 13.0
+"""Degrees: smaller angles between arrows are drawn as this, and said not to be to scale."""
+BLOCK = 31.0
+"""Height in mm of arrows and words."""
+
+
+def true_north(convergence: float) -> float:
+    """Direction of true north on the sheet: degrees clockwise from grid north, which points up the page."""
+    return -convergence
+
+
+def magnetic_north(declination: float, convergence: float) -> float:
+    """Direction of magnetic north on the sheet: degrees clockwise from grid north (the grid magnetic angle)."""
+    return declination - convergence
+
+
+def shown(angles: Sequence[float]) -> list[float]:
+    """Angles at which arrows are drawn so that all stand clear of grid north (0) and of each other.
+
+    Their order is kept; the one nearest to grid north on each side comes first, and the others make room.
+    """
+    drawn = [0.0] * len(angles)
+    for side in (1.0, -1.0):
+        last = 0.0
+        for i in sorted(range(len(angles)), key=lambda k: abs(angles[k])):
+            if angles[i] * side > 1e-4:
+                drawn[i] = side * max(abs(angles[i]), last + LEAST)
+                last = abs(drawn[i])
+    return drawn
+
+
+def north_words(convergence: float, magnetic: Declination | None = None) -> list[str]:
+    """Lines beside the arrows."""
+    if abs(convergence) < 0.5 / 3600:
+        lines = ["At the centre of the sheet grid north is true north (meridian convergence 0)."]
+    else:
+        amount, side = angle_text(abs(convergence)), "east" if convergence > 0 else "west"
+        lines = [f"At the centre of the sheet grid north is {amount} {side} of true north (meridian convergence)."]
+    return lines if magnetic is None else [*lines, magnetic_words(magnetic)]
+
+
+def magnetic_words(magnetic: Declination) -> str:
+    """Line on the declination: to the minute where it was declared, with its standard deviation where computed."""
+    side = "east" if magnetic.degrees >= 0 else "west"
+    if magnetic.sigma is None:
+        text = f"Magnetic declination {angle_text(abs(magnetic.degrees), 1 / 60)} {side}"
+        text += f" ({magnetic.date})" if magnetic.date else ""
+    else:
+        amount = f"{abs(magnetic.degrees):.1f}°\u00a0±\u00a0{magnetic.sigma:.1f}°"
+        text = f"Magnetic declination {amount} {side} ({NAME}, {magnetic.date})"
+    if magnetic.annual_change is not None:
+        side = "east" if magnetic.annual_change >= 0 else "west"
+        text += f", annual change {abs(magnetic.annual_change) * 60:.1f}′ {side}"
+    return f"{text}."
+
+
+def draw_north(canvas: Canvas, x: float, top: float, convergence: float, magnetic: Declination | None) -> float:
+    """Draw the arrows about x, below `top`; returns the lower end. Lengths in mm."""
+    foot = np.array([x, top - 4.0 - LENGTH])
+    angles = _angles(convergence, magnetic)
+    drawn = shown(angles)
+    arms = [("GN", 0.0, LENGTH)]
+    arms += [
+        (name, angle, _within(angle, LENGTH - 1.5))
+        for name, angle in zip(("TN", "MN"), drawn, strict=False)
+        if angle or name == "MN"
+    ]
+    for name, angle, length in arms:
+        up = direction(angle)
+        tip = foot + length * up
+        canvas.lines([np.array([foot, tip])], "#000000", 0.25 if name != "GN" else 0.35)
+        if name == "GN":
+            _head(canvas, tip, up)
+        elif name == "TN":
+            _star(canvas, tip)
+        else:
+            _half(canvas, tip, up, 1.0 if angle > 0 else -1.0)
+        at = tip + up * 2.6
+        label = "N" if name == "GN" and len(arms) == 1 else name
+        canvas.centred(float(at[0]), float(at[1]), label, 6.5, bold=name == "GN")
+    # Near the poles grid north may point south: what reaches below the foot has its room there.
+    y = float(foot[1]) + min(0.0, *((length + 4.2) * math.cos(math.radians(angle)) for _, angle, length in arms))
+    if any(abs(a - b) > 1e-9 for a, b in zip(angles, drawn, strict=True) if b):
+        y -= 2.4
+        canvas.centred(x, y, "(angles not to scale)", 5.0, italic=True)
+    return y - 1.5
+
+
+def _within(angle: float, length: float) -> float:
+    """Length of an arm of which tip and name reach no further aside than `ASIDE`."""
+    across = abs(math.sin(math.radians(angle)))
+    return min(length, (ASIDE - 1.6) / across - 2.6) if across > 1e-9 else length
+
+
+def _angles(convergence: float, magnetic: Declination | None) -> list[float]:
+    more = [] if magnetic is None else [magnetic_north(magnetic.degrees, convergence)]
+    return [true_north(convergence), *more]
+
+
+def direction(angle: float) -> FloatArray:
+    """Unit vector on the page, degrees clockwise from up."""
+    a = math.radians(angle)
+    return np.array([math.sin(a), math.cos(a)])
+
+
+def _head(canvas: Canvas, tip: FloatArray, up: FloatArray) -> None:
+    side = np.array([up[1], -up[0]])
+    ring = [tip + 0.6 * up, tip - 2.8 * up + 1.1 * side, tip - 2.0 * up, tip - 2.8 * up - 1.1 * side]
+    canvas.area([np.array([*ring, ring[0]])], "#000000")
+
+
+def _half(canvas: Canvas, tip: FloatArray, up: FloatArray, sign: float) -> None:
+    side = sign * np.array([up[1], -up[0]])
+    ring = [tip + 0.4 * up, tip - 2.4 * up + 1.1 * side, tip - 1.8 * up]
+    canvas.area([np.array([*ring, ring[0]])], "#000000")
+
+
+def _star(canvas: Canvas, tip: FloatArray) -> None:
+    turns = np.radians(90.0 + 36.0 * np.arange(11))
+    radius = np.where(np.arange(11) % 2 == 0, 1.2, 0.5)
+    canvas.area([tip + np.column_stack([radius * np.cos(turns), radius * np.sin(turns)])], "#000000")

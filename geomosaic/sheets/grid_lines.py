@@ -1,0 +1,243 @@
+"""Grid lines of any CRS on a map of any other: where they run, where they leave the neatline, and their labels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import horizontal
+from geomosaic.geo.grid import Bounds
+from geomosaic.geo.transform import Transform
+from geomosaic.numbers import angle_text, decimals, grouped, multiples, nice_step
+from geomosaic.sheets.extent import HAIR, SAMPLES, Extent, extent_of
+from geomosaic.types import BoolArray, FloatArray
+
+MOST_MERIDIANS = 72
+"""Around a pole: more of them would crowd there."""
+
+
+@dataclass(frozen=True)
+class GridLine:
+    """One line of constant x or y of a grid.
+
+    Attributes
+    ----------
+    axis : int
+        0: x is constant (a line to the north), 1: y is.
+    value : float
+        In the grid's CRS.
+    pieces : tuple of array (N, 2)
+        Inside the neatline, in the map's CRS.
+    ends : tuple of (side, x, y)
+        Where the line meets the neatline, in the map's CRS; side is 'left', 'bottom', 'right' or 'top'.
+    """
+
+    axis: int
+    value: float
+    pieces: tuple[FloatArray, ...]
+    ends: tuple[tuple[str, float, float], ...]
+
+
+@dataclass(frozen=True)
+class MapGrid:
+    """A grid on the map.
+
+    Attributes
+    ----------
+    crs : CRS
+    intervals : tuple of float
+        Of lines of constant x and of constant y, in its own units; they differ where meridians meet at a pole.
+    lines : tuple of GridLine
+    crossings : array (N, 2)
+        In the map's CRS.
+    pole : array (2,), optional
+        In the map's CRS, where one lies inside the neatline.
+    """
+
+    crs: CRS
+    intervals: tuple[float, float]
+    lines: tuple[GridLine, ...]
+    crossings: FloatArray
+    pole: FloatArray | None = None
+
+    @property
+    def interval(self) -> float:
+        """Of lines of constant y."""
+        return self.intervals[1]
+
+    @property
+    def degrees(self) -> bool:
+        """Whether it counts in degrees."""
+        return bool(self.crs.is_geographic)
+
+    @property
+    def turned(self) -> bool:
+        """Whether lines of constant x run across the sheet rather than up, as near the poles."""
+        ways = {0: 0.0, 1: 0.0}
+        for line in self.lines:
+            for piece in line.pieces:
+                dx, dy = np.abs(piece[-1] - piece[0])
+                ways[line.axis] += float(dx - dy)
+        return ways[0] > ways[1]
+
+    def label(self, line: GridLine) -> str:
+        """What stands beside a line."""
+        if self.degrees:
+            signs = "NS" if line.axis else "EW"
+            if not line.axis and abs(abs(line.value) - 180.0) < 1e-9:
+                return angle_text(180.0, self.intervals[0])  # east and west are one there
+            return angle_text(line.value, self.intervals[line.axis], signs=signs)
+        return grouped(line.value, decimals(self.intervals[line.axis], 3))
+
+
+def map_grid(crs: CRS, map_crs: CRS, bounds: Bounds, spacing: float, interval: float | None = None) -> MapGrid:
+    """Lines of a grid inside a neatline.
+
+    Parameters
+    ----------
+    crs : CRS
+        Of the grid: projected, or geographic in degrees, longitude first.
+    map_crs : CRS
+        Of the map.
+    bounds : Bounds
+        Neatline in `map_crs`.
+    spacing : float
+        Least distance of lines in units of `map_crs`, for the round interval where none is given.
+    interval : float, optional
+        In units of `crs`.
+
+    Raises
+    ------
+    InputError
+        The grid is not defined here, or the interval gives more than 200 lines.
+    """
+    flat = horizontal(crs)
+    there, back = Transform(map_crs, flat), Transform(flat, map_crs)
+    extent = extent_of(flat, there, back, bounds)
+    low, high, pole = extent.low, extent.high, extent.pole
+    size = np.array([bounds[2] - bounds[0], bounds[3] - bounds[1]])
+    steps = _steps(extent, size, spacing, bool(flat.is_geographic), interval)
+    count = max((high - low) / steps)
+    if count > 200:
+        raise InputError(
+            f"an interval of {steps[1]:g} gives {count:.0f} lines on this sheet", hint="give a longer interval"
+        )
+    xs, ys = (multiples(low[i], high[i], steps[i]) for i in (0, 1))
+    if pole is not None:
+        xs = xs[xs > low[0] + 1e-9]  # the line of 180 degrees once
+    lines = []
+    for axis, values in ((0, xs), (1, ys)):
+        for value in values.tolist():
+            first, last = low[1 - axis], high[1 - axis]
+            if pole is not None and axis == 0 and value % 90.0:
+                # Where meridians crowd only those of the four quarters go on to the pole.
+                stop = 90.0 - min(steps[1], (last - first) / 2)
+                first, last = max(first, -stop), min(last, stop)
+            points = SAMPLES * (max(1, round((last - first) / 90.0)) if flat.is_geographic else 1)
+            path = np.empty((points, 2))
+            path[:, axis], path[:, 1 - axis] = value, np.linspace(first, last, points)
+            path = _whole(path, flat)
+            # The ends of parallels around a pole, and of meridians at it, lie inside the neatline.
+            ends = [
+                end == limit and (pole is None or (axis == 0 and abs(end) < 90.0))
+                for end, limit in ((first, low[1 - axis]), (last, high[1 - axis]))
+            ]
+            line = _inside(axis, float(path[0, axis]), _longer(back(path), ends), bounds, pole)
+            if line is not None:
+                lines.append(line)
+    nodes = back(_whole(np.array([(x, y) for x in xs for y in ys]).reshape(-1, 2), flat))
+    return MapGrid(flat, (float(steps[0]), float(steps[1])), tuple(lines), nodes[_within(nodes, bounds)], pole)
+
+
+def _steps(
+    extent: Extent, size: FloatArray, spacing: float, degrees: bool, interval: float | None
+) -> tuple[float, float]:
+    """Intervals of x and y: as given, or round ones whose lines lie `spacing` apart at least.
+
+    Where no line of one kind would be on the sheet, those lie closer. Around a pole meridians are `spacing` apart
+    half-way to the sides, unless closer ones are given and are not too many, and parallels twice as close, since few
+    of them are on the sheet.
+    """
+    low, high = extent.low, extent.high
+    if extent.pole is not None:
+        reach = float(size.min()) / 2
+        parallels = interval or nice_step(spacing / 2 * extent.degrees_per_unit, degrees=True)
+        meridians = nice_step(360.0 * spacing / (np.pi * reach), degrees=True)
+        if interval is not None and 360.0 / interval <= MOST_MERIDIANS:
+            return interval, interval
+        return max(parallels, meridians), parallels
+    if interval is not None:
+        return interval, interval
+    step = nice_step(float(spacing * np.max((high - low) / size)), degrees=degrees)
+    x, y = (
+        step if _has_multiples(first, last, step) else nice_step((last - first) / 4, degrees=degrees)
+        for first, last in zip(low.tolist(), high.tolist(), strict=True)
+    )
+    return x, y
+
+
+def _has_multiples(low: float, high: float, step: float) -> bool:
+    """Whether a multiple lies between two values, and not on one of them."""
+    hair = HAIR * (high - low)
+    return bool(len(multiples(low + hair, high - hair, step)))
+
+
+def _whole(places: FloatArray, crs: CRS) -> FloatArray:
+    """Longitudes beyond 180 degrees as those of the west."""
+    if not crs.is_geographic:
+        return places
+    beyond = places[:, 0] > 180.0
+    return np.column_stack([places[:, 0] - 360.0 * beyond, places[:, 1]])
+
+
+def _within(points: FloatArray, bounds: Bounds) -> BoolArray:
+    left, bottom, right, top = bounds
+    x, y = points[:, 0], points[:, 1]
+    inside: BoolArray = (x > left) & (x < right) & (y > bottom) & (y < top)
+    return inside
+
+
+def _inside(axis: int, value: float, path: FloatArray, bounds: Bounds, pole: FloatArray | None) -> GridLine | None:
+    """Cut a line at the neatline; None where nothing of it is inside, or where it is the neatline's side itself."""
+    import shapely
+
+    hair = HAIR * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
+    sides = zip((0, 1, 0, 1), bounds, strict=True)
+    if len(path) < 2 or any(np.abs(path[:, k] - side).max() < hair for k, side in sides):
+        return None
+    cut = shapely.intersection(shapely.LineString(path), shapely.box(*bounds))
+    parts = [p for p in shapely.get_parts(cut) if p.geom_type == "LineString" and p.length > 0]
+    if not parts:
+        return None
+    pieces = tuple(np.asarray(part.coords) for part in parts)
+    ends = []
+    for piece in pieces:
+        for x, y in (piece[0], piece[-1]):
+            side = _side(float(x), float(y), bounds, axis)
+            if side and (pole is None or np.hypot(x - pole[0], y - pole[1]) > hair):
+                ends.append((side, float(x), float(y)))
+    return GridLine(axis, value, pieces, tuple(ends))
+
+
+def _longer(path: FloatArray, ends: Sequence[bool]) -> FloatArray:
+    """What is defined of a line, longer by a step at its ends: those that should meet the neatline then do."""
+    path = path[np.isfinite(path).all(axis=1)]
+    if len(path) < 2:
+        return path
+    before, after = path[:1] + ends[0] * (path[:1] - path[1:2]), path[-1:] + ends[1] * (path[-1:] - path[-2:-1])
+    return np.vstack([before, path, after])
+
+
+def _side(x: float, y: float, bounds: Bounds, axis: int) -> str:
+    """Side of the neatline on which a point lies; at a corner the one that lines of this axis cross."""
+    left, bottom, right, top = bounds
+    hair = 1e-9 * max(abs(v) for v in bounds) + 1e-7 * (right - left)
+    misses = [("bottom", y - bottom), ("top", y - top), ("left", x - left), ("right", x - right)]
+    for side, miss in misses if axis == 0 else misses[2:] + misses[:2]:
+        if abs(miss) < hair:
+            return side
+    return ""

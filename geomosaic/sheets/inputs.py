@@ -1,0 +1,251 @@
+"""Inputs of a sheet from files: layout, styles, and records of the raster it shows."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from geomosaic.enhancement.picture import stretch_given
+from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.inputs.photos import read_toml
+from geomosaic.inputs.tables import read_text
+from geomosaic.options.toml_tables import build
+from geomosaic.sheets.drawing.save import FileOptions
+from geomosaic.sheets.layout import Layout, parse_scale
+from geomosaic.sheets.make import SheetResult, VectorInput, make_sheet
+from geomosaic.sheets.styles.foreign import SUFFIXES, foreign_style
+from geomosaic.sheets.styles.style import BUILT_IN, Style, built_in, parse_style
+
+
+def read_records(raster: Path, report: Path | None = None) -> dict[str, Any] | None:
+    """Read the report, and the STAC item beside the raster.
+
+    A report is that of `report`, or `report.json` beside the raster where it lists the raster among its outputs. The
+    item is `NAME.stac.json` beside `NAME.tif`. Records that tell of a file of another size are left out, with a note.
+
+    Returns
+    -------
+    dict or None
+        What the report has; with the item under `stac`, and the names of what was read under `read`. None where there
+        is neither.
+
+    Raises
+    ------
+    InputError
+        `report` is no report of a project.
+    """
+    found: dict[str, Any] = {}
+    read: list[str] = []
+    if report is not None:
+        found.update(_report(report))
+        read.append(report.name)
+    else:
+        near = raster.parent / "report.json"
+        facts = _json(near) if raster.is_file() else None
+        sizes = [out.get("bytes") for out in (facts or {}).get("outputs", ()) if Path(out["path"]).name == raster.name]
+        if facts is not None and _same(raster, sizes, near):
+            found.update(facts)
+            read.append(near.name)
+    item = raster.with_suffix(".stac.json")
+    facts = _json(item) if raster.is_file() else None
+    if facts is not None:
+        assets = facts.get("assets", {}).values()
+        sizes = [a.get("file:size") for a in assets if Path(str(a.get("href"))).name == raster.name]
+        if _same(raster, sizes, item):
+            found["stac"] = facts
+            read.append(item.name)
+    return {**found, "read": read} if read else None
+
+
+def _same(raster: Path, sizes: list[Any], where: Path) -> bool:
+    """Whether a record tells of this file."""
+    if not sizes:
+        return False
+    if raster.stat().st_size in sizes:
+        return True
+    warnings.warn(
+        f"{where} tells of another {raster.name} (its size differs): not used", GeomosaicWarning, stacklevel=3
+    )
+    return False
+
+
+def _json(path: Path) -> dict[str, Any] | None:
+    """Contents of a file of JSON; None where it is not there or is something else."""
+    try:
+        facts = json.loads(read_text(path, "record", 256 << 20)) if path.is_file() else None
+    except (InputError, json.JSONDecodeError):
+        return None
+    return facts if isinstance(facts, dict) else None
+
+
+def _report(path: Path) -> Mapping[str, Any]:
+    try:
+        facts = json.loads(read_text(path, "report", 256 << 20))
+    except json.JSONDecodeError as error:
+        raise InputError(f"the report is not JSON: {error}", where=str(path), hint="give report.json") from None
+    if not isinstance(facts, dict) or not {"orient", "mosaic", "check"} & set(facts):
+        raise InputError(
+            "this is no report of a project", where=str(path), hint="give the report.json beside the mosaic"
+        )
+    return facts
+
+
+def read_layout(path: Path) -> Layout:
+    """Read a layout file.
+
+    Raises
+    ------
+    InputError
+        Names what is wrong, with its table and key.
+    """
+    values = dict(read_toml(path, "layout"))
+    table = values.get("map")
+    if isinstance(table, dict) and isinstance(table.get("scale"), str):
+        values["map"] = {**table, "scale": parse_scale(table["scale"], f"{path}, [map] scale")}
+    for name in ("layer",):
+        if isinstance(values.get(name), dict):
+            raise InputError("layers are a list", where=f"{path}, [layer]", hint="write [[layer]] in double brackets")
+    return build(Layout, values, str(path))
+
+
+def read_style(name: str, base: Path, where: str | None = None) -> Style:
+    """Read a style: a built-in one by its name, or a .toml, .qml or .sld file relative to `base`.
+
+    What of QML and SLD is not understood is told in a warning.
+    """
+    if name.lower().endswith(SUFFIXES):
+        path = base / name
+        style, remarks = foreign_style(read_text(path, "style", 32 << 20), str(path))
+        for remark in remarks:
+            warnings.warn(f"{path}: not understood: {remark}", GeomosaicWarning, stacklevel=2)
+        return style
+    if name.lower().endswith(".toml"):
+        file = base / name
+        return parse_style(read_toml(file, "style"), str(file))
+    return built_in(name, where)
+
+
+def vector_input(text: str, base: Path = Path()) -> VectorInput:
+    """Read FILE[#LAYER][:STYLE], as the option --vector has it.
+
+    Raises
+    ------
+    InputError
+        The style does not exist.
+    """
+    file, style = text, ""
+    head, mark, tail = text.rpartition(":")
+    # A colon may belong to the path (a drive): what follows then has a separator in it, or the file exists.
+    if mark and len(head) > 1 and not (base / text).exists():
+        known = tail in BUILT_IN or tail.lower().endswith((".toml", *SUFFIXES))
+        if known or not any(c in tail for c in "/\\"):
+            file, style = head, tail
+    path, layer = file, ""
+    if not (base / file).exists() and "#" in file:
+        path, _, layer = file.rpartition("#")
+    return VectorInput(base / path, layer or None, read_style(style, base, text) if style else None)
+
+
+@dataclass(frozen=True)
+class SheetInputs:
+    """What files and options say of a sheet, read: arguments of `make_sheet`."""
+
+    layout: Layout
+    layers: tuple[VectorInput, ...]
+    dem: Path | None
+    shade: Path | None
+    dem_heights: str | None
+    report: Mapping[str, Any] | None
+
+
+def sheet_inputs(
+    raster: Path,
+    *,
+    layout: Path | None = None,
+    scale: str | None = None,
+    paper: str | None = None,
+    orientation: str | None = None,
+    bounds: tuple[float, float, float, float] | None = None,
+    dpi: int | None = None,
+    title: str | None = None,
+    vectors: tuple[str, ...] = (),
+    contours: Path | None = None,
+    interval: float | None = None,
+    dem_heights: str | None = None,
+    report: Path | None = None,
+    bands: tuple[int, ...] | None = None,
+    stretch: str | None = None,
+    limits: tuple[float, float] | None = None,
+    percentiles: tuple[float, float] | None = None,
+    gamma: float | None = None,
+    clahe: float | None = None,
+    sharpen: float | None = None,
+    hillshade: Path | None = None,
+) -> SheetInputs:
+    """Read layout, styles and what is known of the raster; what is given here wins over the layout file."""
+    plan = read_layout(layout) if layout is not None else Layout()
+    base = layout.parent if layout is not None else Path()
+    if plan.sheet.logo:
+        plan = replace(plan, sheet=replace(plan.sheet, logo=str(base / plan.sheet.logo)))
+    plan = replace(plan, sheet=replace(plan.sheet, fonts=tuple(str(base / name) for name in plan.sheet.fonts)))
+    sheet = {"paper": paper, "orientation": orientation, "dpi": dpi, "title": title}
+    area = {"scale": parse_scale(scale, "--scale") if scale else None, "bounds": bounds}
+    looks: dict[str, Any] = {
+        "bands": bands, **stretch_given(stretch, limits, percentiles), "gamma": gamma, "clahe": clahe,
+        "sharpen": sharpen,
+        "hillshade": 0.6 if hillshade is not None and not plan.enhance.hillshade else None,
+    }  # fmt: skip
+    plan = replace(
+        plan,
+        sheet=replace(plan.sheet, **_given(sheet)),
+        map=replace(plan.map, **_given(area)),
+        contours=replace(plan.contours, **_given({"interval": interval})),
+        enhance=replace(plan.enhance, **_given(looks)),
+    )
+    layers = [
+        VectorInput(
+            base / part.file,
+            part.layer or None,
+            read_style(part.style, base, f"{layout}, [[layer]]") if part.style else None,
+            part.title,
+        )
+        for part in plan.layer
+    ]
+    layers += [vector_input(text) for text in vectors]
+    dem = contours or (base / plan.contours.dem if plan.contours.dem else None)
+    facts = read_records(raster, report) if plan.notes.records or report is not None else None
+    shade = hillshade or (base / plan.enhance.dem if plan.enhance.dem else None)
+    return SheetInputs(plan, tuple(layers), dem, shade, dem_heights or plan.contours.heights or None, facts)
+
+
+def sheet_from_files(
+    raster: Path,
+    output: Path,
+    *,
+    layout: Path | None = None,
+    title: str | None = None,
+    driver: str = "GTiff",
+    collar: bool = False,
+    world_file: bool = False,
+    overwrite: bool = False,
+    **options: Any,
+) -> SheetResult:
+    """Make a sheet; what is given here wins over the layout file.
+
+    Parameters are those of `geomosaic sheet`; see `sheet_inputs` for `options` and `make_sheet` for what it raises.
+    """
+    named = title if title is not None or layout is not None else raster.stem.replace("_", " ")
+    found = sheet_inputs(raster, layout=layout, title=named, **options)
+    return make_sheet(
+        raster, output, found.layout, found.layers, dem=found.dem, dem_heights=found.dem_heights, shade=found.shade,
+        report=found.report,
+        files=FileOptions(driver, collar, world_file), overwrite=overwrite,
+    )  # fmt: skip
+
+
+def _given(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if value is not None}

@@ -1,0 +1,192 @@
+"""The layout of a sheet: what `layout.toml` may say, and what holds where it says nothing."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+from geomosaic.enhancement.options import EnhancePart
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.options.toml_tables import a_choice, a_color, a_number
+
+PAPERS = {"A0": (841.0, 1189.0), "A1": (594.0, 841.0), "A2": (420.0, 594.0), "A3": (297.0, 420.0), "A4": (210.0, 297.0)}
+"""Width and height in mm, portrait (ISO 216)."""
+
+GRID_STYLES = ("lines", "crosses", "ticks", "none")
+
+
+@dataclass(frozen=True)
+class SheetPart:
+    """`[sheet]`: names and paper."""
+
+    title: str = ""
+    subtitle: str = ""
+    series: str = ""
+    number: str = ""
+    name: str = ""
+    logo: str = ""  # PNG or JPEG left of the title
+    fonts: tuple[str, ...] = ()  # TrueType files for characters that DejaVu Sans lacks
+    paper: str = ""
+    orientation: str = a_choice("auto", "auto", "portrait", "landscape")
+    margin: float = a_number(10.0, least=0.0, most=200.0)
+    bleed: float = a_number(0.0, least=0.0, most=50.0)  # mm of paper beyond the trim, with crop marks
+    panel: str = a_choice("auto", "auto", "right", "bottom", "none")
+    dpi: int = a_number(300, least=72, most=2400)
+
+
+@dataclass(frozen=True)
+class MapPart:
+    """`[map]`: scale and area."""
+
+    scale: float | None = a_number(None, least=1.0)
+    bounds: tuple[float, float, float, float] | None = None
+    centre: tuple[float, float] | None = None
+    background: str = a_color("#ffffff")
+
+
+@dataclass(frozen=True)
+class GridPart:
+    """`[grid]`: the map grid, by default that of the map's own CRS."""
+
+    style: str = a_choice("lines", *GRID_STYLES)
+    crs: str = ""
+    interval: float | None = a_number(None, above=0.0)
+    color: str = a_color("#000000")
+    width: float = a_number(0.1, above=0.0, most=5.0)
+    labels: bool = True
+    size: float = a_number(6.0, above=0.0, most=10.0)  # two rows have room between neatline and border
+
+
+@dataclass(frozen=True)
+class GraticulePart(GridPart):
+    """`[graticule]`: a second grid, by default longitude and latitude."""
+
+    style: str = a_choice("ticks", *GRID_STYLES)
+    color: str = a_color("#1f5fae")
+
+
+@dataclass(frozen=True)
+class ScaleBarPart:
+    """`[scalebar]`."""
+
+    show: bool = True
+    length: float | None = a_number(None, above=0.0)  # metres on the ground
+    feet: bool = False
+
+
+@dataclass(frozen=True)
+class NorthPart:
+    """`[north]`: the arrows; magnetic north where it is declared, or a date is given at which the model has it."""
+
+    show: bool = True
+    magnetic: float | None = a_number(None, least=-180.0, most=180.0)  # declination in degrees, east positive
+    magnetic_date: str = ""
+    annual_change: float | None = a_number(None, least=-10.0, most=10.0)  # degrees, east positive
+
+
+@dataclass(frozen=True)
+class LegendPart:
+    """`[legend]`."""
+
+    show: bool = True
+    title: str = "Legend"
+
+
+@dataclass(frozen=True)
+class NotesPart:
+    """`[notes]`: what stands in the margin; what is empty is taken from the records of the raster, if there."""
+
+    sources: str = ""
+    photography: str = ""  # date of the photos
+    accuracy: str = ""
+    credits: str = ""
+    publisher: str = ""
+    edition: str = ""
+    records: bool = True  # look for the report and the STAC item beside the raster
+
+
+@dataclass(frozen=True)
+class ContoursPart:
+    """`[contours]`."""
+
+    dem: str = ""
+    heights: str = ""  # vertical datum of the DEM, where the file does not say it
+    interval: float | None = a_number(None, above=0.0)
+    index: int = a_number(5, least=1, most=100)
+    tolerance: float | None = a_number(None, least=0.0)
+    color: str = a_color("#9a5b22")
+    width: float = a_number(0.12, above=0.0, most=5.0)
+    index_width: float = a_number(0.25, above=0.0, most=5.0)
+    labels: bool = True
+    size: float = a_number(5.5, above=0.0, most=72.0)
+    spots: bool = True  # spot heights on summits and in hollows
+    spot_prominence: float | None = a_number(None, above=0.0)  # metres; the interval by default
+    spot_spacing: float = a_number(20.0, least=0.0, most=1000.0)  # mm on paper
+
+
+@dataclass(frozen=True)
+class LayerPart:
+    """`[[layer]]`: one vector file on the map; later ones lie above."""
+
+    file: str
+    layer: str = ""
+    style: str = ""
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A whole layout; `Layout()` is the default one."""
+
+    sheet: SheetPart = field(default_factory=SheetPart)
+    map: MapPart = field(default_factory=MapPart)
+    enhance: EnhancePart = field(default_factory=EnhancePart)
+    grid: GridPart = field(default_factory=GridPart)
+    graticule: GraticulePart = field(default_factory=GraticulePart)
+    scalebar: ScaleBarPart = field(default_factory=ScaleBarPart)
+    north: NorthPart = field(default_factory=NorthPart)
+    legend: LegendPart = field(default_factory=LegendPart)
+    notes: NotesPart = field(default_factory=NotesPart)
+    contours: ContoursPart = field(default_factory=ContoursPart)
+    layer: tuple[LayerPart, ...] = ()
+
+
+def paper_size(text: str, where: str | None = None) -> tuple[float, float]:
+    """Width and height in mm of 'A4' (portrait) or '300x200'.
+
+    Raises
+    ------
+    InputError
+        No paper is called so, or it is too small or large for a sheet (80 mm to 5 m).
+    """
+    if text.strip().upper() in PAPERS:
+        return PAPERS[text.strip().upper()]
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*[xX×*]\s*(\d+(?:\.\d+)?)\s*(?:mm)?\s*", text)
+    if not found:
+        hint = did_you_mean(text, PAPERS)
+        raise InputError(
+            f"'{text}' is no paper", where=where, hint=hint or f"one of {', '.join(PAPERS)}, or 300x200 in mm"
+        )
+    width, height = float(found[1]), float(found[2])
+    if not (min(width, height) >= 80.0 and max(width, height) <= 5000.0):
+        raise InputError(
+            f"a sheet of {width:g} x {height:g} mm cannot be laid out",
+            where=where,
+            hint="give sides from 80 to 5000 mm",
+        )
+    return width, height
+
+
+def parse_scale(text: str, where: str | None = None) -> float:
+    """Denominator of '1:5000', '1:25 000' or '5000'.
+
+    Raises
+    ------
+    InputError
+        It is no scale, or 0.
+    """
+    found = re.fullmatch(r"\s*(?:1\s*[:/]\s*)?(\d[\d\s'’,\u202f]*(?:\.\d+)?)\s*", text)
+    value = float(re.sub(r"[\s'’,\u202f]", "", found[1])) if found else 0.0
+    if not value >= 1.0:
+        raise InputError(f"'{text}' is no scale", where=where, hint="write 1:5000")
+    return value

@@ -1,0 +1,260 @@
+"""A map sheet: raster, vectors, contours and layout to one file."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomosaic.enhancement.picture import band_curves, finishing, shown_bands
+from geomosaic.errors import GeomosaicWarning
+from geomosaic.geo.crs import geographic, is_local, parse_crs
+from geomosaic.geo.grid import Bounds
+from geomosaic.geo.local_frames import map_place
+from geomosaic.geo.units import linear_unit
+from geomosaic.raster.framing import picture, raster_grid
+from geomosaic.raster.output_files import check_output
+from geomosaic.raster.source import Source
+from geomosaic.sheets.declination import declination
+from geomosaic.sheets.drawing.canvas import drawing
+from geomosaic.sheets.drawing.fonts import missing_glyphs
+from geomosaic.sheets.drawing.save import FileOptions, check_format, write_sheet
+from geomosaic.sheets.drawing.sheet import SheetParts
+from geomosaic.sheets.grid_lines import MapGrid, map_grid
+from geomosaic.sheets.layout import GraticulePart, GridPart, Layout
+from geomosaic.sheets.notes import accuracy_words, blocks
+from geomosaic.sheets.page import Box, Page, lay_out
+from geomosaic.sheets.relief import SheetRelief, sheet_relief
+from geomosaic.sheets.series.neatline import SheetPlace
+from geomosaic.sheets.vector_file import VectorInput, read_overlay
+from geomosaic.types import ByteArray
+
+GRID_MM, GRATICULE_MM = 40.0, 50.0
+"""Least distance of lines on paper, for the intervals that are not given."""
+NODE_MM = 0.35
+"""Distance on paper below which nodes of a DEM are averaged for contours."""
+AT_POLE = 89.9999
+"""Degrees of latitude beyond which the middle of a sheet is the pole, where north is no direction."""
+
+
+@dataclass(frozen=True)
+class SheetResult:
+    """What was made.
+
+    Attributes
+    ----------
+    path : Path
+    page : Page
+        Paper, neatline, area and scale.
+    intervals : tuple of float or None
+        Of grid and graticule, in their units.
+    contours : int
+    contour_interval : float
+        Metres; 0 without contours.
+    layers : mapping of str to int
+        Objects drawn, by title.
+    convergence : float or None
+        Degrees; None in a local frame.
+    image_dpi : float
+        Pixels of the raster in an inch of paper.
+    records : tuple of str
+        Files that notes were taken from.
+    """
+
+    path: Path
+    page: Page
+    intervals: tuple[float | None, float | None]
+    contours: int
+    contour_interval: float
+    layers: Mapping[str, int]
+    convergence: float | None
+    image_dpi: float
+    records: tuple[str, ...] = ()
+
+
+def make_sheet(
+    raster: Path,
+    output: Path,
+    layout: Layout,
+    vectors: Sequence[VectorInput] = (),
+    *,
+    dem: Path | None = None,
+    dem_heights: str | None = None,
+    shade: Path | None = None,
+    report: Mapping[str, Any] | None = None,
+    series: SheetPlace | None = None,
+    files: FileOptions | None = None,
+    overwrite: bool = False,
+) -> SheetResult:
+    """Make one sheet.
+
+    Parameters
+    ----------
+    raster : Path
+        North up, in a projected CRS or a local frame: that of the map.
+    output : Path
+        .pdf and .png are the whole page; .tif is the map cut at the neatline, georeferenced.
+    layout : Layout
+    vectors : sequence of VectorInput
+        Lowest first.
+    dem : Path, optional
+        For contours.
+    dem_heights : str, optional
+        Vertical datum of the DEM, where the file does not say it.
+    shade : Path, optional
+        DEM of the hillshade; that of the contours where it is not given.
+    report : mapping, optional
+        A project's report and STAC item (under `stac`), for accuracy, sources and date of photography; names of the
+        files under `read`.
+    series : SheetPlace, optional
+        Place of the sheet in a series: its neatline, number and neighbours win over the layout.
+    files : FileOptions, optional
+        How rasters are written.
+    overwrite : bool
+        Replace an existing file.
+
+    Raises
+    ------
+    InputError, OutputExistsError, OutputError
+    """
+    check_format(output)
+    check_output(output, overwrite=overwrite)
+    with Source(raster) as source:
+        grid = raster_grid(source, str(raster))
+        if series is not None:
+            layout = of_series(layout, series)
+        page = lay_out(layout, grid.crs, grid.bounds, str(raster))
+        if series is None and layout.map.bounds is None:
+            _warn_of_what_is_cut(page, grid.bounds)
+        if series is not None and len(series.ring) > 4:
+            page = replace(page, outline=tuple((float(x), float(y)) for x, y in series.ring))
+        dpi = layout.sheet.dpi
+        parts = replace(_parts(layout, page, vectors, dem, dem_heights, report), series=series)
+
+        look = layout.enhance
+        bands = shown_bands(look, source.info.bands, str(raster))
+        curves = band_curves(look, source, grid, bands)
+        finish = finishing(
+            look, source, grid, bands, curves, dpi=dpi, metres=linear_unit(page.crs), dem=shade or dem,
+            dem_heights=dem_heights,
+        )  # fmt: skip
+
+        def pixels(box: Box) -> ByteArray:
+            (left, bottom), (right, top) = page.to_map(np.array([box[:2], box[2:]]))
+            size = [max(1, round((box[k + 2] - box[k]) / 25.4 * dpi)) for k in (0, 1)]
+            area = (float(left), float(bottom), float(right), float(top))
+            return finish(picture(source, grid, area, (size[0], size[1]), bands, curves), area)
+
+        with drawing(layout.sheet.fonts):
+            _warn_of_glyphs(parts)
+            told = write_sheet(output, parts, pixels, dpi, files or FileOptions(), overwrite=overwrite)
+    for text in told:
+        warnings.warn(text, GeomosaicWarning, stacklevel=2)
+    intervals = tuple(None if grid_ is None else grid_.interval for grid_ in parts.grids)
+    return SheetResult(
+        output, page, (intervals[0], intervals[1]), len(parts.contours), parts.interval,
+        {layer.title: layer.count for layer in parts.layers}, parts.convergence,
+        25.4 / (page.mm_per_unit * grid.resolution[0]), tuple((report or {}).get("read", ())),
+    )  # fmt: skip
+
+
+def of_series(layout: Layout, series: SheetPlace) -> Layout:
+    """A layout with area, scale, number and series of a sheet of a series."""
+    sheet = replace(
+        layout.sheet,
+        number=series.name,
+        title=layout.sheet.title or series.series[:1].upper() + series.series[1:],
+    )
+    area = replace(layout.map, bounds=series.bounds, centre=None, scale=layout.map.scale or series.scale)
+    return replace(layout, sheet=sheet, map=area)
+
+
+def _parts(
+    layout: Layout,
+    page: Page,
+    vectors: Sequence[VectorInput],
+    dem: Path | None,
+    dem_heights: str | None,
+    report: Mapping[str, Any] | None,
+) -> SheetParts:
+    """Bring everything to the page."""
+    left, bottom, right, top = page.bounds
+    place = None if is_local(page.crs) else map_place(page.crs, (left + right) / 2, (bottom + top) / 2)
+    shown = SheetRelief()
+    if dem is not None:
+        part = layout.contours
+        spacing = part.spot_spacing / page.mm_per_unit if part.spots else None
+        shown = sheet_relief(
+            dem, page.crs, page.bounds, NODE_MM / page.mm_per_unit, interval=part.interval, index=part.index,
+            tolerance=part.tolerance, heights=dem_heights, spots=spacing, prominence=part.spot_prominence,
+        )  # fmt: skip
+    grids = (_grid(layout.grid, page, GRID_MM), _grid(layout.graticule, page, GRATICULE_MM))
+    layers = tuple(read_overlay(vector, page, k) for k, vector in enumerate(vectors))
+    measured = layout.notes.accuracy or accuracy_words(report or {}, page.scale)
+    if not measured and {"orient", "check"} & set(report or {}):
+        warnings.warn("the report measured no accuracy, so the sheet states none", GeomosaicWarning, stacklevel=2)
+    texts = tuple(blocks(layout, page, place, shown.datum, report or {}))
+    return SheetParts(
+        page,
+        layout,
+        grids,
+        layers,
+        shown.contours,
+        shown.interval,
+        shown.spots,
+        texts,
+        place.convergence if place and abs(place.latitude) < AT_POLE else None,
+        magnetic=declination(layout.north, place),
+    )
+
+
+def _grid(part: GridPart, page: Page, spacing: float) -> MapGrid | None:
+    """Grid where one is wanted; without a CRS of its own it is that of the map, a graticule longitude and latitude."""
+    if part.style == "none":
+        return None
+    if part.crs:
+        crs = parse_crs(part.crs)
+    elif not isinstance(part, GraticulePart):
+        crs = page.crs
+    elif is_local(page.crs):
+        return None
+    else:
+        crs = geographic(page.crs)
+    return map_grid(crs, page.crs, page.bounds, spacing / page.mm_per_unit, part.interval)
+
+
+def _warn_of_what_is_cut(page: Page, whole: Bounds) -> None:
+    """Say so where the paper shows a part of the picture only, which nobody asked for by its bounds."""
+    shown = [(page.bounds[k + 2] - page.bounds[k]) / (whole[k + 2] - whole[k]) for k in (0, 1)]
+    if min(shown) < 1.0 - 1e-6:
+        warnings.warn(
+            f"at 1:{page.scale:g} the paper shows {min(shown[0], 1.0):.0%} of the picture's width and "
+            f"{min(shown[1], 1.0):.0%} of its height; a smaller scale or a larger paper shows all",
+            GeomosaicWarning,
+            stacklevel=3,
+        )
+
+
+def _warn_of_glyphs(parts: SheetParts) -> None:
+    """Name the characters that would be drawn as boxes."""
+    sheet = parts.layout.sheet
+    texts = [
+        sheet.title, sheet.subtitle, sheet.series, sheet.number, sheet.name, parts.layout.legend.title,
+        *(line for _, lines in parts.blocks for line in lines),
+        *(parts.series.neighbours.values() if parts.series else ()),
+        *(layer.title for layer in parts.layers), *(name.text for layer in parts.layers for name in layer.names),
+        *(group.title for layer in parts.layers for group in layer.groups),
+    ]  # fmt: skip
+    lost = missing_glyphs(texts)
+    if lost:
+        text = f"the font has no glyph for: {' '.join(lost[:40])} (give one that has: [sheet] fonts)"
+        warnings.warn(text, GeomosaicWarning, stacklevel=2)
+        # It has been said; matplotlib would say it again for every text.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+
+
+__all__ = ["SheetResult", "VectorInput", "make_sheet"]

@@ -1,0 +1,103 @@
+"""Files and options that describe a series of sheets, to values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import horizontal, parse_crs, parse_map
+from geomosaic.geo.transform import Transform
+from geomosaic.raster.vector import read_layer
+from geomosaic.sheets.drawing.save import FileOptions
+from geomosaic.sheets.inputs import sheet_inputs
+from geomosaic.sheets.series.catalogue import scheme as by_name
+from geomosaic.sheets.series.make import Progress, SeriesInputs, SeriesResult, make_series
+from geomosaic.sheets.series.neatline import sheet_place
+from geomosaic.sheets.series.regular import Polygons, Scheme
+from geomosaic.sheets.vector_layers import missing
+
+
+def read_scheme(
+    scheme: str | None,
+    scale: float | None,
+    size: tuple[float, ...],
+    origin: tuple[float, float],
+    crs: str | None,
+    polygons: str | None,
+    name_column: str,
+) -> Scheme:
+    """Scheme by its name, or of polygons in a file.
+
+    Raises
+    ------
+    InputError
+    """
+    if polygons is None:
+        return by_name(scheme or "", scale, size=size, crs=crs, origin=origin)
+    path, _, layer = polygons.rpartition("#") if "#" in polygons and not Path(polygons).exists() else (polygons, "", "")
+    frame = read_layer(path, layer or None)
+    if frame.crs is None:
+        raise InputError("the polygons have no CRS", where=polygons, hint="assign one")
+    if name_column not in frame.columns:
+        raise InputError(
+            f"there is no column '{name_column}'",
+            where=polygons,
+            hint=f"--name-column: {', '.join(map(str, frame.columns))}",
+        )
+    rings: dict[str, Any] = {}
+    for number, (name, geometry) in enumerate(zip(frame[name_column], frame.geometry, strict=True), start=1):
+        if missing(name):
+            raise InputError(
+                f"polygon {number} has no name in column '{name_column}'", where=polygons, hint="give each a name"
+            )
+        if geometry is None or geometry.geom_type != "Polygon" or not geometry.is_valid or len(geometry.interiors):
+            raise InputError(
+                f"sheet '{name}' is no simple polygon", where=polygons, hint="one outer ring each, no holes"
+            )
+        if str(name) in rings:
+            raise InputError(f"two sheets are called '{name}'", where=polygons, hint="give each its own name")
+        rings[str(name)] = np.asarray(geometry.normalize().reverse().exterior.coords)[:-1, :2]
+    if not rings:
+        raise InputError("there are no polygons", where=polygons, hint="draw some")
+    return Polygons(Path(path).stem, horizontal(parse_crs(frame.crs.to_wkt(), polygons)).to_wkt(), rings, scale)
+
+
+def find_sheet(scheme: Scheme, longitude: float, latitude: float) -> str:
+    """Sheet at a place on WGS 84."""
+    place = Transform(parse_crs("EPSG:4326"), parse_crs(scheme.crs))(np.array([[longitude, latitude]]))[0]
+    return scheme.find(float(place[0]), float(place[1]))
+
+
+def sheet_corners(scheme: Scheme, name: str, crs: str) -> list[list[float]]:
+    """Corners of a sheet in a CRS."""
+    found: list[list[float]] = sheet_place(scheme, name, parse_map(crs)).corners.tolist()
+    return found
+
+
+def series_from_files(
+    raster: Path,
+    folder: Path,
+    scheme: Scheme,
+    *,
+    suffix: str = "pdf",
+    overlap: float = 0.0,
+    only: tuple[str, ...] = (),
+    workers: int = 1,
+    driver: str = "GTiff",
+    collar: bool = False,
+    world_file: bool = False,
+    progress: Progress | None = None,
+    **options: Any,
+) -> SeriesResult:
+    """Make a series; see `sheet_inputs` for `options` and `make_series` for the others."""
+    found = sheet_inputs(raster, **options)
+    inputs = SeriesInputs(
+        raster, found.layout, found.layers, found.dem, found.dem_heights, found.shade, found.report,
+        FileOptions(driver, collar, world_file),
+    )  # fmt: skip
+    return make_series(
+        inputs, scheme, folder, suffix=f".{suffix}", overlap=overlap, only=only, workers=workers, progress=progress
+    )

@@ -1,0 +1,251 @@
+"""All sheets of a series over a raster: in parallel, resumable, with an atlas index."""
+
+from __future__ import annotations
+
+import multiprocessing
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pyproj import CRS
+
+import geomosaic
+from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
+from geomosaic.geo.crs import parse_crs
+from geomosaic.geo.grid import Bounds
+from geomosaic.raster.checksum import Hashes, sha256
+from geomosaic.raster.framing import raster_grid
+from geomosaic.raster.source import Source
+from geomosaic.sheets.drawing.save import FileOptions
+from geomosaic.sheets.layout import Layout
+from geomosaic.sheets.make import VectorInput, make_sheet
+from geomosaic.sheets.series.folder import (
+    digest,
+    earlier_sheets,
+    file_name,
+    read_record,
+    refuse_index_of_others,
+    refuse_one_file_for_two,
+    state_of,
+    write_index,
+    write_record,
+)
+from geomosaic.sheets.series.neatline import SheetPlace, sheet_place, sheets_on
+from geomosaic.sheets.series.regular import Scheme
+
+MOST_SHEETS = 5000
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class SeriesInputs:
+    """What all sheets are made of; see `make_sheet`."""
+
+    raster: Path
+    layout: Layout
+    layers: tuple[VectorInput, ...] = ()
+    dem: Path | None = None
+    dem_heights: str | None = None
+    shade: Path | None = None
+    report: Mapping[str, Any] | None = None
+    files: FileOptions = field(default_factory=FileOptions)
+
+
+@dataclass(frozen=True)
+class SeriesResult:
+    """What was made.
+
+    Attributes
+    ----------
+    made, kept : tuple of Path
+        Sheets that were drawn, and those that were there already.
+    names : tuple of str
+        All sheets, in their order.
+    index : tuple of Path
+        GeoPackage and page of the atlas.
+    """
+
+    made: tuple[Path, ...]
+    kept: tuple[Path, ...]
+    names: tuple[str, ...]
+    index: tuple[Path, ...]
+
+
+def make_series(
+    inputs: SeriesInputs,
+    scheme: Scheme,
+    folder: Path,
+    *,
+    suffix: str = ".pdf",
+    overlap: float = 0.0,
+    only: Sequence[str] = (),
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> SeriesResult:
+    """Make the sheets of a scheme that show something of a raster.
+
+    Parameters
+    ----------
+    inputs : SeriesInputs
+    scheme : Scheme
+    folder : Path
+        Made where it does not exist. A sheet that is there and was made of the same is kept; one that was made of
+        something else, by this function, is replaced; any other file in the way is an error.
+    suffix : str
+        '.pdf', '.png' or '.tif'.
+    overlap : float
+        Map units by which the sheets reach beyond their edges.
+    only : sequence of str
+        These sheets instead of all.
+    workers : int
+        Processes; results do not depend on them.
+    progress : callable, optional
+
+    Raises
+    ------
+    InputError, OutputExistsError, OutputError
+    """
+    with Source(inputs.raster) as source:
+        grid = raster_grid(source, str(inputs.raster))
+    names = list(dict.fromkeys(scheme.proper(name) for name in only)) or _all(scheme, grid.crs, grid.bounds)
+    places = [sheet_place(scheme, name, grid.crs, overlap) for name in names]
+    for place in places:
+        if not _meet(place, grid.bounds):
+            raise InputError(
+                f"sheet {place.name} shows nothing of the raster",
+                where=str(inputs.raster),
+                hint="leave it out of --only; without --only all sheets that show something are made",
+            )
+    refuse_one_file_for_two(names, suffix)
+    if folder.exists() and not folder.is_dir():
+        raise InputError("the output is a file", where=str(folder), hint="name a folder, which is made where it is not")
+    folder.mkdir(parents=True, exist_ok=True)
+    _tell_crs(scheme, names[0], grid.crs)
+    record = read_record(folder)
+    refuse_index_of_others(folder, record)
+    base = _ingredients(inputs, record)
+    tasks, kept, order = [], [], []
+    for name, place in zip(names, places, strict=True):
+        path, ring = folder / (file_name(name) + suffix), place.ring.tolist()
+        key = digest({**base, "name": name, "overlap": overlap, "ring": ring, "suffix": suffix})
+        order.append((place, path))
+        state = state_of(path, record["sheets"].get(path.name), key)
+        if state == "foreign":
+            raise OutputExistsError(
+                "a file stands where a sheet of the series belongs, and was not made with it",
+                where=str(path),
+                hint="move it away, or give another folder",
+            )
+        entry = {
+            "key": key,
+            "name": name,
+            "ring": digest(ring),
+            "sha256": sha256(path) if state == "finished" else None,
+        }
+        if state == "older":
+            entry["was"] = sha256(path)
+        record["sheets"][path.name] = entry
+        if state == "finished":
+            kept.append(path)
+        else:
+            tasks.append(Task(inputs, place, path, state == "older"))
+    write_record(folder, record)
+    made = []
+    for done, (task, told) in enumerate(_run(tasks, workers), 1):
+        entry = record["sheets"][task.path.name]
+        entry["sha256"] = sha256(task.path)
+        entry.pop("was", None)
+        write_record(folder, record)
+        made.append(task.path)
+        for text in told:
+            warnings.warn(f"{task.place.name}: {text}", GeomosaicWarning, stacklevel=2)
+        if progress is not None:
+            progress(done, len(tasks), "sheets")
+    order += earlier_sheets(record, scheme, grid.crs, overlap, folder, suffix, names)
+    index = write_index(inputs.raster, inputs.layout.map.scale, order, folder, grid.crs, record)
+    return SeriesResult(tuple(made), tuple(kept), tuple(names), index)
+
+
+@dataclass(frozen=True)
+class Task:
+    """One sheet to draw."""
+
+    inputs: SeriesInputs
+    place: SheetPlace
+    path: Path
+    overwrite: bool
+
+
+def _meet(place: SheetPlace, bounds: Bounds) -> bool:
+    from shapely import Polygon, box
+
+    return bool(Polygon(place.ring).intersection(box(*bounds)).area > 0)
+
+
+def _all(scheme: Scheme, crs: CRS, bounds: Bounds) -> list[str]:
+    names = []
+    for name in sheets_on(scheme, crs, bounds):
+        names.append(name)
+        if len(names) > MOST_SHEETS:
+            raise InputError(
+                f"the raster lies on more than {MOST_SHEETS} sheets", where=scheme.title, hint="choose larger sheets"
+            )
+    if not names:
+        raise InputError("no sheet shows anything of the raster", where=scheme.title, hint="use another scheme")
+    return names
+
+
+def _tell_crs(scheme: Scheme, name: str, crs: CRS) -> None:
+    wanted = scheme.map_crs(name)
+    if wanted is not None and parse_crs(wanted) != crs:
+        warnings.warn(
+            f"the sheets are drawn in the raster's CRS ({crs.name}); {scheme.title} has {wanted}: reproject the raster "
+            "first to have that",
+            GeomosaicWarning,
+            stacklevel=3,
+        )
+
+
+def _run(tasks: Sequence[Task], workers: int) -> Iterator[tuple[Task, list[str]]]:
+    """Draw the sheets, each in the order of the list."""
+    if workers == 1 or len(tasks) < 2:
+        for task in tasks:
+            yield task, _draw(task)
+        return
+    # Matplotlib is not made for threads; new processes start clean on every system.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, len(tasks)), mp_context=context) as pool:
+        try:
+            yield from zip(tasks, pool.map(_draw, tasks), strict=True)
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _draw(task: Task) -> list[str]:
+    """Draw one sheet; returns what is to be told."""
+    given = task.inputs
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        make_sheet(
+            given.raster, task.path, given.layout, given.layers, dem=given.dem, dem_heights=given.dem_heights,
+            shade=given.shade,
+            report=given.report, series=task.place, files=given.files, overwrite=task.overwrite,
+        )  # fmt: skip
+    return [str(w.message) for w in caught if issubclass(w.category, GeomosaicWarning)]
+
+
+def _ingredients(inputs: SeriesInputs, record: dict[str, Any]) -> dict[str, Any]:
+    """Everything that all sheets depend on; digests of files are kept with their size and time."""
+    files = [inputs.raster, *(layer.path for layer in inputs.layers), *filter(None, (inputs.dem, inputs.shade))]
+    lent = [Path(name) for name in (inputs.layout.sheet.logo, *inputs.layout.sheet.fonts) if name]
+    files += [path for path in lent if path.is_file()]  # what is missing is told where it is read
+    hashes = Hashes(record["files"])
+    digests = {path.name: hashes.of(path.resolve()) for path in files}
+    return {
+        "version": geomosaic.__version__, "files": digests, "layout": repr(inputs.layout),
+        "layers": [repr(replace(layer, path=Path(layer.path.name))) for layer in inputs.layers],
+        "dem": inputs.dem_heights, "report": inputs.report, "options": repr(inputs.files),
+    }  # fmt: skip

@@ -1,0 +1,247 @@
+"""National and international series: TK, IGN, and the divisions of the map 1:1 000 000.
+
+Sheets 1:1 000 000 are 6° by 4°: letters from the equator, columns from 180° eastwards; those of the southern
+hemisphere have S before the letter (SF-23 Rio de Janeiro), and N before that of northern ones is understood. Numbers
+and letters of the divisions run by rows from the upper left. Polish rules: regulation on the spatial reference system
+of 15 October 2012 (Dz.U. 2012 poz. 1247), section 18; the Soviet ones differ in their letters and in 1:200 000 for
+1:250 000.
+"""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+
+from geomosaic.errors import InputError
+from geomosaic.sheets.series.regular import GridScheme
+
+ROWS = "ABCDEFGHIJKLMNOPQRSTUV"
+LETTERS = {"latin": ("ABCD", "abcd"), "cyrillic": ("АБВГ", "абвг")}
+_FOURTH = {letter: k for alphabet in ("ABCD", "АБВГ") for k, letter in enumerate(alphabet)} | {"V": 2, "G": 3}
+"""V and G are В and Г in Latin letters."""
+ROMAN = ("I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX", "X")
+
+DIVISIONS: dict[int, tuple[tuple[int, str], ...]] = {
+    1_000_000: (),
+    500_000: ((2, "upper"),),
+    250_000: ((2, "upper"), (2, "lower")),
+    200_000: ((6, "roman"),),
+    100_000: ((12, "number"),),
+    50_000: ((12, "number"), (2, "upper")),
+    25_000: ((12, "number"), (2, "upper"), (2, "lower")),
+    10_000: ((12, "number"), (2, "upper"), (2, "lower"), (2, "number")),
+}
+"""By scale: into how many rows and columns each step divides, and how the parts are called."""
+
+
+def roman(number: int) -> str:
+    """Roman numeral from 1 to 99."""
+    tens, ones = divmod(number, 10)
+    head = ("", "X", "XX", "XXX", "XL", "L", "LX", "LXX", "LXXX", "XC")[tens]
+    return head + (ROMAN[ones - 1] if ones else "")
+
+
+def from_roman(text: str) -> int | None:
+    """Value of a Roman numeral from 1 to 99."""
+    return next((n for n in range(1, 100) if roman(n) == text.upper()), None)
+
+
+def international(
+    scale: int, *, crs: str = "EPSG:4326", letters: str = "latin", title: str = "", map_crs: str | None = None,
+    south: bool = False,
+) -> GridScheme:  # fmt: skip
+    """Scheme of one scale.
+
+    Parameters
+    ----------
+    scale : int
+        One of `DIVISIONS`.
+    crs : str
+        Geographic; its datum is that of the edges.
+    letters : 'latin' or 'cyrillic'
+    title : str, optional
+    map_crs : str, optional
+        CRS of the sheets; '{zone}' in it takes the number of the UTM zone, '{zone:02d}' in two digits, and '{gauss}'
+        that of the Gauss-Krüger zone of 6°, and '{half}' 6 or 7 in the northern or southern hemisphere.
+    south : bool
+        Sheets 1:1 000 000 of the southern hemisphere too; divisions differ there from country to country.
+
+    Raises
+    ------
+    InputError
+        The division has no such scale.
+    """
+    steps = DIVISIONS.get(scale)
+    if steps is None:
+        raise InputError(
+            f"the international division has no sheets 1:{scale}",
+            where="--scale",
+            hint=f"one of {', '.join(f'1:{s}' for s in DIVISIONS)}",
+        )
+    fine = 1
+    for parts, _ in steps:
+        fine *= parts
+
+    def name_of(col: int, row: int) -> str | None:
+        big, up = col // fine % 60, row // fine  # the last column has the first one in the east
+        if south and not steps and -len(ROWS) <= up < 0:
+            return f"S{ROWS[-1 - up]}-{big + 1:02d}"
+        if not 0 <= up < len(ROWS):
+            return None
+        words = [ROWS[up], f"{big + 1:02d}"]
+        # Parts count southwards from the upper left.
+        across, down, rest = col % fine, fine - 1 - row % fine, fine
+        for parts, kind in steps:
+            rest //= parts
+            number = (down // rest) * parts + across // rest
+            across, down = across % rest, down % rest
+            words.append(_written(number, kind, letters))
+        return "-".join(words)
+
+    def place_of(name: str) -> tuple[int, int] | None:
+        half = re.match(r"\s*([NS])(?=[A-V][-.\s]*\d)", name, re.IGNORECASE)
+        if half and half[1].upper() == "S":
+            found = re.fullmatch(r"([A-V])[-.\s]*(\d\d?)\s*", name[half.end() :], re.IGNORECASE)
+            known = south and not steps and found is not None and 1 <= int(found[2]) <= 60
+            return (int(found[2]) - 1, -1 - ROWS.index(found[1].upper())) if known and found else None
+        name = name[half.end() :] if half else name
+        words = re.findall(r"[0-9]+|[IVXL]{2,}|[^\W\d_]", name) if not steps or steps[0][1] != "roman" else None
+        if words is None:
+            words = [word for word in re.split(r"[-.\s]+", name) if word]
+        if len(words) != 2 + len(steps) or words[0].upper() not in ROWS or not words[1].isdigit():
+            return None
+        col, row = int(words[1]) - 1, ROWS.index(words[0].upper())
+        if not 0 <= col < 60:
+            return None
+        across = down = 0
+        for (parts, kind), word in zip(steps, words[2:], strict=True):
+            number = _read(word, kind)
+            if number is None or not 0 <= number < parts * parts:
+                return None
+            across, down = across * parts + number % parts, down * parts + number // parts
+        return col * fine + across, row * fine + fine - 1 - down
+
+    def own_crs(name: str) -> str | None:
+        row, column = name.split("-")[:2]
+        zone, half = int(column), 6 if len(row) == 1 else 7
+        return None if map_crs is None else map_crs.format(zone=zone, gauss=(zone - 31) % 60 + 1, half=half)
+
+    example = name_of(33 * fine + fine // 2, 12 * fine + fine // 2) or ""
+    return GridScheme(
+        title or f"the international division 1:{scale}", crs, float(scale), (Fraction(-180), Fraction(0)),
+        (Fraction(6, fine), Fraction(4, fine)), False, name_of, place_of, example, own_crs,
+    )  # fmt: skip
+
+
+def _written(number: int, kind: str, letters: str) -> str:
+    if kind == "number":
+        return str(number + 1)
+    if kind == "roman":
+        return roman(number + 1)
+    return LETTERS[letters][kind == "lower"][number]
+
+
+def _read(word: str, kind: str) -> int | None:
+    if kind == "number":
+        return int(word) - 1 if word.isdigit() else None
+    if kind == "roman":
+        value = int(word) if word.isdigit() else from_roman(word)
+        return None if value is None else value - 1
+    return _FOURTH.get(word.upper())
+
+
+TK = {25_000: (1, ""), 50_000: (2, "L"), 100_000: (4, "C"), 200_000: (8, "CC")}
+"""By scale: sheets of TK 25 along a side, and the letters before the number (Roman 50, 100, 200 in thousands)."""
+
+
+def tk(scale: int) -> GridScheme:
+    """German sheets: TK 25 of 10′ by 6′, and 2, 4 and 8 times that, named by the TK 25 in their south-western corner.
+
+    The number is row and column of the TK 25, counted from the north and the west: the upper edge of row 0 is 56° N,
+    the left edge of column 1 is 5° 50′ E (0916 on Sylt, 4901 Selfkant, 4855 Görlitz, 8727 Biberkopf are outermost).
+    The edges are those of the old datum (DHDN).
+
+    Raises
+    ------
+    InputError
+        There is no such scale.
+    """
+    if scale not in TK:
+        raise InputError(f"there is no TK 1:{scale}", where="--scale", hint=f"one of {', '.join(f'1:{s}' for s in TK)}")
+    side, prefix = TK[scale]
+
+    # Blocks start at even columns and end with odd rows: L 7934 has rows 78 and 79, columns 34 and 35.
+    west = 2 if side > 1 else 1
+
+    def name_of(col: int, row: int) -> str | None:
+        x, y = west + col * side, (row + 1) * side - 1
+        if not (0 <= x <= 99 and 0 <= y <= 99):
+            return None
+        return f"{prefix} {y:02d}{x:02d}".strip()
+
+    def place_of(name: str) -> tuple[int, int] | None:
+        found = re.fullmatch(r"([LC]{0,2})\s*(\d\d)(\d\d)", name.upper())
+        if not found or found[1] != prefix:
+            return None
+        y, x = int(found[2]), int(found[3])
+        if (x - west) % side or (y + 1) % side:
+            return None
+        return (x - west) // side, (y + 1) // side - 1
+
+    left = Fraction(35, 6) + Fraction(west - 1, 6)
+    return GridScheme(
+        f"TK {scale // 1000}", "EPSG:4314", float(scale), (left, Fraction(56)),
+        (Fraction(side, 6), Fraction(side, 10)), True, name_of, place_of, f"{prefix} 7934".strip(),
+        lambda name: "EPSG:25832" if _tk_column(name) < 38 else "EPSG:25833",
+    )  # fmt: skip
+
+
+def _tk_column(name: str) -> int:
+    """Column of a sheet; 38 begins at 12° E, where UTM zone 33 does."""
+    return int(name[-2:])
+
+
+PARIS = Fraction("2.337229167")
+"""Longitude of the meridian of Paris in degrees (2.5969213 gon)."""
+GON = Fraction(9, 10)
+"""Degrees."""
+
+
+def ign(scale: int) -> GridScheme:
+    """French sheets 1:50 000 (0.4 gon by 0.2 gon, XXIII-14) and 1:25 000 (their halves: 2314 O, 2314 E).
+
+    Columns count from the west, rows from the north. Their origin is taken from where published sheets lie (XXIII
+    begins at the meridian of Paris, row 14 reaches from 54.2 to 54.4 gon): no text that states it was at hand. The
+    edges are those of the NTF.
+
+    Raises
+    ------
+    InputError
+        There is no such scale.
+    """
+    if scale not in (25_000, 50_000):
+        raise InputError(f"there are no such French sheets 1:{scale}", where="--scale", hint="1:25000 or 1:50000")
+    halves = 2 if scale == 25_000 else 1
+
+    def name_of(col: int, row: int) -> str | None:
+        column, half = col // halves + 1, col % halves
+        if not (1 <= column <= 45 and 1 <= row + 1 <= 60):
+            return None
+        return f"{column:02d}{row + 1:02d} {'OE'[half]}" if halves == 2 else f"{roman(column)}-{row + 1}"
+
+    def place_of(name: str) -> tuple[int, int] | None:
+        found = re.fullmatch(r"(?:(\d\d)(\d\d)|([IVXL]+)\s*-\s*(\d+))\s*(O|E|OUEST|EST)?", name.upper())
+        if not found or (found[5] is None) != (halves == 1):
+            return None
+        column = int(found[1]) if found[1] else from_roman(found[3])
+        if column is None:
+            return None
+        half = 1 if halves == 2 and found[5].startswith("E") else 0
+        return (column - 1) * halves + half, int(found[2] or found[4]) - 1
+
+    return GridScheme(
+        f"the French map 1:{scale}", "EPSG:4275", float(scale),
+        (PARIS - 22 * Fraction(2, 5) * GON, Fraction(57) * GON),
+        (Fraction(2, 5) / halves * GON, Fraction(1, 5) * GON), True, name_of, place_of,
+        "2314 O" if halves == 2 else "XXIII-14", lambda name: "EPSG:2154",
+    )  # fmt: skip

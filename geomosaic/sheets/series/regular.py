@@ -1,0 +1,257 @@
+"""Schemes of sheets: regular grids in a CRS, and sheets that someone drew."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Protocol
+
+import numpy as np
+
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.types import FloatArray
+
+DIRECTIONS: dict[str, tuple[int, int]] = {
+    "NW": (-1, 1), "N": (0, 1), "NE": (1, 1), "W": (-1, 0), "E": (1, 0), "SW": (-1, -1), "S": (0, -1), "SE": (1, -1),
+}  # fmt: skip
+"""Steps east and north."""
+
+Cell = tuple[float, float, float, float]
+"""Left, bottom, right, top in the CRS of the scheme."""
+
+
+class Scheme(Protocol):
+    """Sheets of an area and their names."""
+
+    @property
+    def title(self) -> str:
+        """What it is called."""
+
+    @property
+    def crs(self) -> str:
+        """CRS in which the edges are straight: x east (longitude), y north (latitude)."""
+
+    @property
+    def scale(self) -> float | None:
+        """Denominator of the maps; None where the scheme has none."""
+
+    def map_crs(self, name: str) -> str | None:
+        """CRS in which the sheet is drawn; None where the scheme leaves it open."""
+
+    def find(self, x: float, y: float) -> str:
+        """Name of the sheet at a place in `crs`; a place on an edge belongs to the sheet east or north of it."""
+
+    def proper(self, name: str) -> str:
+        """The name as the scheme writes it, however it is spelled; an InputError where there is no such sheet."""
+
+    def edges(self, name: str) -> tuple[str, FloatArray]:
+        """CRS, and corners (N, 2) of the neatline, counter-clockwise, not closed; its sides are straight there."""
+
+    def neighbours(self, name: str) -> dict[str, str]:
+        """Names of the sheets around, by direction; those that do not exist are left out."""
+
+    def within(self, box: Cell) -> Iterator[str]:
+        """Sheets that touch a box in `crs`, from north to south and west to east."""
+
+
+@dataclass(frozen=True)
+class GridScheme:
+    """Cells of one size.
+
+    Attributes
+    ----------
+    title, crs : str
+    scale : float or None
+    origin : tuple of Fraction
+        x of the left edge of column 0; y of the lower edge of row 0, or of its upper edge where rows go south.
+    step : tuple of Fraction
+        Width and height.
+    south : bool
+        Rows are counted southwards.
+    name_of : callable
+        Column and row to a name; None where there is no such sheet.
+    place_of : callable
+        A name to column and row; None where it is no name.
+    example : str
+        A name, for errors.
+    own_crs : callable, optional
+        CRS in which a sheet is drawn.
+    """
+
+    title: str
+    crs: str
+    scale: float | None
+    origin: tuple[Fraction, Fraction]
+    step: tuple[Fraction, Fraction]
+    south: bool
+    name_of: Callable[[int, int], str | None]
+    place_of: Callable[[str], tuple[int, int] | None]
+    example: str
+    own_crs: Callable[[str], str | None] = lambda name: None
+
+    def map_crs(self, name: str) -> str | None:
+        """CRS in which the sheet is drawn."""
+        return self.own_crs(self.proper(name))
+
+    def find(self, x: float, y: float) -> str:
+        """Name at a place.
+
+        Raises
+        ------
+        InputError
+            The scheme has no sheet there.
+        """
+        name = self.name_of(*self._index(x, y)) if math.isfinite(x) and math.isfinite(y) else None
+        if name is None:
+            raise InputError(
+                f"{self.title} has no sheet there", where=f"{x:.10g}, {y:.10g} ({self.crs})",
+                hint="give a place inside the area of the scheme",
+            )  # fmt: skip
+        return name
+
+    def _index(self, x: float, y: float) -> tuple[int, int]:
+        # A billionth of a cell is forgiven, so that an edge computed in floats is the edge.
+        col = math.floor((x - float(self.origin[0])) / float(self.step[0]) + 1e-9)
+        up = math.floor((y - float(self.origin[1])) / float(self.step[1]) + 1e-9)
+        return col, -1 - up if self.south else up
+
+    def _place(self, name: str) -> tuple[int, int]:
+        place = self.place_of(name.strip())
+        if place is None or self.name_of(*place) is None:
+            raise InputError(f"'{name}' is no sheet of {self.title}", hint=f"names look like {self.example}")
+        return place
+
+    def proper(self, name: str) -> str:
+        """The name as the scheme writes it."""
+        return self.name_of(*self._place(name)) or name
+
+    def cell(self, name: str) -> Cell:
+        """Edges, each the float nearest to the exact number."""
+        col, row = self._place(name)
+        up = -1 - row if self.south else row
+        (x, y), (dx, dy) = self.origin, self.step
+        return float(x + col * dx), float(y + up * dy), float(x + (col + 1) * dx), float(y + (up + 1) * dy)
+
+    def edges(self, name: str) -> tuple[str, FloatArray]:
+        """CRS and corners."""
+        return self.crs, corners(self.cell(name))
+
+    def neighbours(self, name: str) -> dict[str, str]:
+        """Names around."""
+        col, row = self._place(name)
+        up = -1 if self.south else 1
+        around = {way: self.name_of(col + east, row + up * north) for way, (east, north) in DIRECTIONS.items()}
+        return {way: found for way, found in around.items() if found is not None}
+
+    def within(self, box: Cell) -> Iterator[str]:
+        """Sheets that touch a box."""
+        (first, low), (last, high) = self._index(box[0], box[1]), self._index(box[2], box[3])
+        rows = range(high, low + 1) if self.south else range(high, low - 1, -1)
+        for row in rows:
+            for col in range(first, last + 1):
+                name = self.name_of(col, row)
+                if name is not None:
+                    yield name
+
+
+def corners(cell: Cell) -> FloatArray:
+    """Corners of a rectangle, counter-clockwise from the lower left."""
+    import numpy as np
+
+    left, bottom, right, top = cell
+    return np.array([(left, bottom), (right, bottom), (right, top), (left, top)])
+
+
+def regular(
+    crs: str, size: tuple[float, float], *, origin: tuple[float, float] = (0.0, 0.0), scale: float | None = None
+) -> GridScheme:
+    """Sheets of one size in map units, named by the column and row of their lower left corner: 'C12-R345'.
+
+    Columns and rows are counted from the origin, eastwards and northwards, and may be negative: 'C-3-R7'.
+    """
+    if not (size[0] > 0 and size[1] > 0):
+        raise InputError(
+            f"sheets of {size[0]:g} x {size[1]:g} have no area", where="--size", hint="two lengths above 0"
+        )
+
+    def place_of(name: str) -> tuple[int, int] | None:
+        found = re.fullmatch(r"C(-?\d+)-R(-?\d+)", name.upper())
+        return (int(found[1]), int(found[2])) if found else None
+
+    return GridScheme(
+        f"the grid of {size[0]:g} x {size[1]:g} in {crs}", crs, scale,
+        (Fraction(repr(float(origin[0]))), Fraction(repr(float(origin[1])))),
+        (Fraction(repr(float(size[0]))), Fraction(repr(float(size[1])))), False,
+        lambda col, row: f"C{col}-R{row}", place_of, "C12-R345",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Polygons:
+    """Sheets given as polygons.
+
+    Attributes
+    ----------
+    title, crs : str
+    rings : mapping of str to array (N, 2)
+        Outer ring of each sheet by its name, not closed.
+    scale : float, optional
+    """
+
+    title: str
+    crs: str
+    rings: Mapping[str, FloatArray]
+    scale: float | None = None
+    _boxes: Mapping[str, Cell] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        boxes = {name: (*ring.min(axis=0).tolist(), *ring.max(axis=0).tolist()) for name, ring in self.rings.items()}
+        object.__setattr__(self, "_boxes", boxes)
+
+    def map_crs(self, name: str) -> str | None:
+        """Left open."""
+        return None
+
+    def proper(self, name: str) -> str:
+        """The name, if there is such a sheet."""
+        if name not in self.rings:
+            raise InputError(f"'{name}' is no sheet of {self.title}", hint=did_you_mean(name, self.rings) or None)
+        return name
+
+    def find(self, x: float, y: float) -> str:
+        """First sheet that contains a place."""
+        from shapely import Point, Polygon
+
+        for name, ring in self.rings.items():
+            if Polygon(ring).intersects(Point(x, y)):
+                return name
+        raise InputError(f"{self.title} has no sheet there", where=f"{x:.10g}, {y:.10g} ({self.crs})")
+
+    def edges(self, name: str) -> tuple[str, FloatArray]:
+        """CRS and ring."""
+        return self.crs, np.asarray(self.rings[self.proper(name)], dtype=np.float64)
+
+    def neighbours(self, name: str) -> dict[str, str]:
+        """In each direction the sheet that contains a place just beyond the box of this one; none twice."""
+        from shapely import Point, Polygon
+
+        left, bottom, right, top = self._boxes[self.proper(name)]
+        middle, half = ((left + right) / 2, (bottom + top) / 2), ((right - left) / 2, (top - bottom) / 2)
+        found: dict[str, str] = {}
+        for way in ("N", "E", "S", "W", "NW", "NE", "SW", "SE"):
+            east, north = DIRECTIONS[way]
+            place = Point(middle[0] + 1.2 * east * half[0], middle[1] + 1.2 * north * half[1])
+            for other, ring in self.rings.items():
+                if other != name and other not in found.values() and Polygon(ring).intersects(place):
+                    found[way] = other
+                    break
+        return found
+
+    def within(self, box: Cell) -> Iterator[str]:
+        """Sheets whose boxes touch a box, in the order of the file."""
+        for name, (left, bottom, right, top) in self._boxes.items():
+            if left <= box[2] and right >= box[0] and bottom <= box[3] and top >= box[1]:
+                yield name

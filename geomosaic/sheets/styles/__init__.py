@@ -1,0 +1,1 @@
+"""Styles of vector layers: TOML, QML of QGIS, SLD."""

@@ -1,0 +1,255 @@
+"""How a vector layer is drawn: symbols, categories, graduated classes and labels, from a short TOML file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.options.toml_tables import a_choice, a_color, a_number, build
+
+MARKERS = ("circle", "square", "triangle", "diamond", "cross", "plus", "star")
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line: widths in mm, dashes as lengths of stroke and gap in mm, the casing as its full width."""
+
+    color: str = a_color("#000000")
+    width: float = a_number(0.3, above=0.0, most=20.0)
+    dash: tuple[float, ...] = ()
+    casing: str | None = a_color(None)
+    casing_width: float | None = a_number(None, above=0.0, most=30.0)
+    opacity: float = a_number(1.0, least=0.0, most=1.0)
+
+    @property
+    def full_width(self) -> float:
+        """Width with the casing, mm."""
+        return self.width if self.casing is None else (self.casing_width or self.width + 0.4)
+
+
+@dataclass(frozen=True)
+class Fill:
+    """An area's colour; its edge is the symbol's line."""
+
+    color: str = a_color("#cccccc")
+    opacity: float = a_number(0.5, least=0.0, most=1.0)
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A point's symbol; size and outline in mm."""
+
+    shape: str = a_choice("circle", *MARKERS)
+    size: float = a_number(1.8, above=0.0, most=50.0)
+    color: str = a_color("#d7191c")
+    outline: str = a_color("#ffffff")
+    outline_width: float = a_number(0.15, least=0.0, most=5.0)
+    opacity: float = a_number(1.0, least=0.0, most=1.0)
+
+
+@dataclass(frozen=True)
+class Label:
+    """Names: the column they stand in, text size in points, halo in mm."""
+
+    column: str
+    size: float = a_number(7.0, above=0.0, most=100.0)
+    color: str = a_color("#000000")
+    halo: str | None = a_color("#ffffff")
+    halo_width: float = a_number(0.5, least=0.0, most=5.0)
+    bold: bool = False
+    italic: bool = False
+    decimals: int | None = a_number(None, least=0, most=9)
+
+
+@dataclass(frozen=True)
+class Symbol:
+    """What one kind of object looks like; what it has no use for is not drawn."""
+
+    line: Line | None = None
+    fill: Fill | None = None
+    marker: Marker | None = None
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A `[[category]]` (`value`) or a `[[class]]` (`least` <= number < `below`)."""
+
+    value: str | None = None
+    least: float | None = None
+    below: float | None = None
+    title: str = ""
+    hide: bool = False
+    line: Line | None = None
+    fill: Fill | None = None
+    marker: Marker | None = None
+
+    @property
+    def name(self) -> str:
+        """What the legend says."""
+        if self.title:
+            return self.title
+        if self.value is not None:
+            return self.value
+        if self.below is None:
+            return f"≥ {self.least:g}" if self.least is not None else "all"
+        return f"< {self.below:g}" if self.least is None else f"{self.least:g} – {self.below:g}"
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """`[graduated]`: classes of a column's numbers made from the data, colours from one to another."""
+
+    column: str
+    count: int = a_number(5, least=2, most=20)
+    method: str = a_choice("quantile", "quantile", "equal")
+    start: str = a_color("#ffffcc")
+    end: str = a_color("#8b0025")
+
+
+@dataclass(frozen=True)
+class Style:
+    """A layer's style.
+
+    Attributes
+    ----------
+    title : str
+        In the legend; the layer's own name where empty.
+    symbol : Symbol
+        Of objects that no rule claims.
+    column : str
+        Of rules.
+    rules : tuple of Rule
+        The first that holds is taken.
+    ramp : Ramp or None
+    label : Label or None
+    """
+
+    title: str = ""
+    symbol: Symbol = field(default_factory=Symbol)
+    column: str = ""
+    rules: tuple[Rule, ...] = ()
+    ramp: Ramp | None = None
+    label: Label | None = None
+
+
+@dataclass(frozen=True)
+class _File:
+    """Keys of a style file."""
+
+    title: str = ""
+    column: str = ""
+    line: Line | None = None
+    fill: Fill | None = None
+    marker: Marker | None = None
+    label: Label | None = None
+    category: tuple[Rule, ...] = ()
+    class_: tuple[Rule, ...] = ()
+    graduated: Ramp | None = None
+
+
+BUILT_IN: dict[str, Style] = {
+    "line": Style(symbol=Symbol(line=Line("#d7191c", 0.35))),
+    "outline": Style(symbol=Symbol(line=Line("#ffe119", 0.4, casing="#000000", casing_width=0.7))),
+    "road": Style(symbol=Symbol(line=Line("#ffffff", 0.7, casing="#4d4d4d", casing_width=1.0))),
+    "path": Style(symbol=Symbol(line=Line("#ffffff", 0.3, (1.2, 0.7), "#4d4d4d", 0.45))),
+    "rail": Style(symbol=Symbol(line=Line("#ffffff", 0.35, (1.8, 1.8), "#000000", 0.6))),
+    "water": Style(symbol=Symbol(Line("#1f78b4", 0.4), Fill("#a6cee3", 0.6), Marker("circle", 1.6, "#1f78b4"))),
+    "boundary": Style(symbol=Symbol(line=Line("#c51b8a", 0.45, (3.0, 0.8, 0.6, 0.8)))),
+    "building": Style(symbol=Symbol(Line("#5e1914", 0.15), Fill("#b5544b", 0.7))),
+    "area": Style(symbol=Symbol(Line("#d7191c", 0.35), Fill("#d7191c", 0.15))),
+    "point": Style(symbol=Symbol(marker=Marker())),
+    "control": Style(symbol=Symbol(marker=Marker("triangle", 2.4, "#ffe119", "#000000", 0.25))),
+    "track": Style(symbol=Symbol(Line("#f58231", 0.5), None, Marker("circle", 0.9, "#f58231", "#ffffff", 0.1))),
+}
+"""Styles that have names."""
+
+
+def plain(kind: str, color_: str) -> Style:
+    """Style of a layer that has none: by the kind of its geometries (point, line, polygon)."""
+    if kind == "point":
+        return Style(symbol=Symbol(marker=Marker(color=color_)))
+    if kind == "line":
+        return Style(symbol=Symbol(line=Line(color_, 0.4, casing="#ffffff", casing_width=0.7)))
+    return Style(symbol=Symbol(line=Line(color_, 0.35), fill=Fill(color_, 0.15)))
+
+
+def built_in(name: str, where: str | None = None) -> Style:
+    """Style by name.
+
+    Raises
+    ------
+    InputError
+    """
+    if name not in BUILT_IN:
+        hint = did_you_mean(name, BUILT_IN)
+        raise InputError(
+            f"there is no style '{name}'",
+            where=where,
+            hint=hint or f"one of {', '.join(BUILT_IN)}, or the path of a .toml, .qml or .sld file",
+        )
+    return BUILT_IN[name]
+
+
+def parse_style(values: Mapping[str, Any], where: str) -> Style:
+    """Make a style of what a style file says.
+
+    Raises
+    ------
+    InputError
+        Unknown keys, wrong values, rules without a column, or nothing to draw.
+    """
+    file = build(_File, _numbers_as_text(values), where)
+    rules = (*file.category, *file.class_)
+    if rules and not file.column:
+        raise InputError("rules need a column", where=where, hint='write column = "..." at the top of the file')
+    for rule in file.category:
+        if rule.value is None:
+            raise InputError("a category has no value", where=where, hint='write value = "..."')
+    for rule in file.class_:
+        if rule.least is None and rule.below is None:
+            raise InputError("a class has no limits", where=where, hint="write least = ..., below = ... or both")
+    if rules and file.graduated is not None:
+        raise InputError(
+            "the style has rules and [graduated]",
+            where=where,
+            hint="leave out [graduated], or the categories and classes",
+        )
+    for line in (file.line, *(rule.line for rule in rules)):
+        if line is not None and any(not part > 0 for part in line.dash):
+            raise InputError(
+                f"dash {list(line.dash)} has a part that is not above 0", where=where,
+                hint="write lengths of stroke and gap in mm, such as [1.4, 0.7], or leave dash out",
+            )  # fmt: skip
+    symbol = Symbol(file.line, file.fill, file.marker)
+    if symbol == Symbol() and not rules and file.label is None and file.graduated is None:
+        raise InputError(
+            "the style draws nothing", where=where, hint="write [line], [fill], [marker], [graduated] or [label]"
+        )
+    # What a rule leaves open is as the base has it.
+    rules = tuple(
+        replace(rule, line=rule.line or symbol.line, fill=rule.fill or symbol.fill, marker=rule.marker or symbol.marker)
+        for rule in rules
+    )
+    return Style(file.title, symbol, file.column, rules, file.graduated, file.label)
+
+
+def _numbers_as_text(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of categories may be written as numbers; they are compared as text."""
+    out = dict(values)
+    if isinstance(out.get("category"), list):
+        out["category"] = [
+            {**rule, "value": value_text(rule["value"])} if isinstance(rule, dict) and "value" in rule else rule
+            for rule in out["category"]
+        ]
+    return out
+
+
+def value_text(value: Any) -> str:
+    """A cell as text: 2.0 as '2', and 'true' or 'false'."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value:g}" if value != int(value) else str(int(value))
+    return str(value)

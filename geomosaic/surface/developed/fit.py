@@ -1,0 +1,245 @@
+"""Geometric fit of quadrics to measured points: least squares of orthogonal distances, with starts of its own.
+
+Every circular body about a known direction is linear in its coefficients, x² + y² + A·z² + B·x + C·y + D·z + E = 0 in
+axes with z along it. So directions are tried all over the half sphere, and those that fit best are handed on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from geomosaic.errors import SolveError
+from geomosaic.surface.developed.fit_shapes import LEAST, Shape, basis
+from geomosaic.types import FloatArray
+
+DIRECTIONS = 300
+KEPT = 5
+MOST_POINTS = 300
+
+
+def starts(kind: str, points: FloatArray, axis: FloatArray | None) -> list[Shape]:
+    """Bodies to start from, best first; points (N, 3) about the origin, axis a unit vector where it is known."""
+    if kind == "plane":
+        return [Shape(kind, points.mean(axis=0), basis(_least(points)), np.array([]))]
+    if kind == "sphere":
+        found = _solved(np.column_stack([points, np.ones(len(points))]), (points**2).sum(axis=1))
+        centre = found[:3] / 2
+        return [Shape(kind, centre, np.eye(3), np.sqrt([max(found[3] + centre @ centre, 0.0)]))]
+    few = points[np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).astype(int)]
+    rotations = _half_sphere() if axis is None else basis(axis)[None]
+    kept: list[Shape] = []
+    for i in np.argsort(_misfits(kind, few, rotations), kind="stable"):
+        shape = _about(kind, few, rotations[i])
+        if shape is not None:
+            kept.append(shape)
+        if len(kept) == KEPT:
+            break
+    return kept
+
+
+def _terms(kind: str, points: FloatArray, rotations: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Design (D, N, K) and right-hand side (D, N) of the bodies about directions."""
+    x, y, z = np.moveaxis(np.einsum("dij,nj->dni", rotations, points), -1, 0)
+    columns = [x, y, np.ones_like(x)] if kind == "cylinder" else [x, y, np.ones_like(x), z, z * z]
+    return np.stack(columns, axis=-1), -(x * x + y * y)
+
+
+def _misfits(kind: str, points: FloatArray, rotations: FloatArray) -> FloatArray:
+    """Sums of squares (D,) that the best bodies about directions leave, in the sense of algebra."""
+    design, right = _terms(kind, points, rotations)
+    base = np.linalg.qr(design)[0]
+    left = right - np.einsum("dnk,dk->dn", base, np.einsum("dnk,dn->dk", base, right))
+    return np.asarray((left**2).sum(axis=1))
+
+
+def _about(kind: str, points: FloatArray, rotation: FloatArray) -> Shape | None:
+    """The body about a direction that fits points best, in the sense of algebra."""
+    design, right = _terms(kind, points, rotation[None])
+    z = points @ rotation[2]
+    found = _solved(design[0], right[0])
+    b, c, e, d, a = (*found, 0.0, 0.0) if kind == "cylinder" else found
+    x0, y0 = -b / 2, -c / 2
+    square = x0 * x0 + y0 * y0 - e
+    if kind == "cylinder":
+        if square <= 0.0:
+            return None
+        return Shape(kind, np.array([x0, y0, 0.0]) @ rotation, rotation, np.sqrt([square]))
+    if (kind == "cone") != (a < 0.0) or a == 0.0:
+        return None
+    z0 = -d / (2 * a)
+    centre = np.array([x0, y0, z0]) @ rotation
+    if kind == "cone":
+        if (z > z0).sum() > len(z) / 2:  # the body lies below its apex
+            rotation = np.array([rotation[0], -rotation[1], -rotation[2]])
+        return Shape(kind, centre, rotation, np.arctan(np.sqrt([-a])))
+    square += d * d / (4 * a)
+    if square <= 0.0:
+        return None
+    return Shape(kind, centre, rotation, np.sqrt([square, square / a]))
+
+
+def _solved(design: FloatArray, right: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.lstsq(design, right, rcond=None)[0], dtype=np.float64)
+
+
+def _least(points: FloatArray) -> FloatArray:
+    """Direction in which points spread least."""
+    return np.asarray(np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1], dtype=np.float64)
+
+
+@lru_cache(maxsize=1)
+def _half_sphere() -> FloatArray:
+    """Rotations (D, 3, 3) with z' all over the upper half sphere, evenly (Fibonacci's lattice), the vertical first."""
+    i = np.arange(DIRECTIONS)
+    z = 1.0 - i / DIRECTIONS
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * i
+    out = np.sqrt(1.0 - z * z)
+    return np.stack([basis(axis) for axis in np.column_stack([out * np.cos(turn), out * np.sin(turn), z])])
+
+
+ROUNDS = 60
+SINGULAR = 1e-6
+"""Least singular value, as a share of the largest, below which the points are said not to determine the body."""
+SMALLEST = 1e-8
+"""Sizes below this share of the points' spread (or this angle) are no body: points in line are on a pipe of none."""
+
+
+@dataclass(frozen=True)
+class FittedBody:
+    """A body and how well its points determine it.
+
+    Attributes
+    ----------
+    shape : Shape
+        Where the points are given. The origin of a plane is in the middle of the points, that of a cylinder on the axis
+        beside it.
+    names : tuple of str
+        The unknowns, see `Shape.names`.
+    covariance : array (P, P)
+        Of the unknowns: metres, turns and half angle in radians. NaN without redundancy.
+    residuals : array (N,)
+        Distances of the points from the surface, outwards positive, metres.
+    sigma0 : float
+        Standard deviation of a distance; NaN without redundancy.
+    """
+
+    shape: Shape
+    names: tuple[str, ...]
+    covariance: FloatArray
+    residuals: FloatArray
+    sigma0: float
+
+    @property
+    def redundancy(self) -> int:
+        """Points more than unknowns."""
+        return len(self.residuals) - len(self.names)
+
+    @property
+    def sigmas(self) -> dict[str, float]:
+        """Standard deviations by name; metres and radians."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def sigma_origin(self) -> FloatArray:
+        """Standard deviations (3,) of the origin in the frame of the points, metres."""
+        rows = np.zeros((3, len(self.names)))
+        for i, axis in enumerate(("x'", "y'", "z'")):
+            if axis in self.names:
+                rows[:, self.names.index(axis)] = self.shape.rotation[i]
+        sigmas: FloatArray = np.sqrt(np.einsum("ij,jk,ik->i", rows, self.covariance, rows))
+        return sigmas
+
+
+def fit_body(kind: str, points: FloatArray, axis: FloatArray | None = None) -> FittedBody:
+    """Fit a body to points.
+
+    Parameters
+    ----------
+    kind : str
+        'plane', 'sphere', 'cylinder', 'cone' or 'ellipsoid' (of revolution).
+    points : array (N, 3)
+        In a Cartesian frame, metres.
+    axis : array (3,), optional
+        Known direction of the axis, held; of a cone towards its apex or away from it.
+
+    Returns
+    -------
+    FittedBody
+
+    Raises
+    ------
+    SolveError
+        There are too few points, or they do not determine the body.
+    """
+    known = np.asarray(points, dtype=np.float64)
+    held = axis is not None and kind not in ("plane", "sphere")
+    need = LEAST[kind] - (2 if held else 0)
+    if len(known) < need:
+        raise SolveError(f"{len(known)} points do not determine a {kind}", hint=f"measure {need} at least, well spread")
+    if not np.isfinite(known).all():
+        raise SolveError(f"a point of the {kind} is no number")
+    middle = known.mean(axis=0)
+    spread = float(np.sqrt(((known - middle) ** 2).sum(axis=1).mean()))
+    if spread == 0.0:
+        raise SolveError(f"all points of the {kind} are one", hint="measure points all over it")
+    local = (known - middle) / spread  # lengths about one: steps and rounding are alike for all unknowns
+    direction = None if axis is None or not held else np.asarray(axis, dtype=np.float64) / np.linalg.norm(axis)
+    solved = [_adjusted(start, local, held) for start in starts(kind, local, direction)]
+    sound = [one for one in solved if one is not None and (one.sizes > SMALLEST).all()]
+    if not sound:
+        raise SolveError(f"the points show no {kind}", hint=f"measure more of them, all over it; is it a {kind}?")
+    shape = min(sound, key=lambda one: _squares(one, local))
+    return _judged(shape, local, held, middle, spread)
+
+
+def _squares(shape: Shape, points: FloatArray) -> float:
+    return float((shape.distances(points, shape.names(axis_known=True))[0] ** 2).sum())
+
+
+def _adjusted(shape: Shape, points: FloatArray, held: bool) -> Shape | None:
+    """Gauss-Newton with steps halved until the squares fall; None where it leads to no body."""
+    names, squares = shape.names(axis_known=held), _squares(shape, points)
+    for _ in range(ROUNDS):
+        away, by = shape.distances(points, names)
+        if not (np.isfinite(away).all() and np.isfinite(by).all()):
+            return None
+        step = np.asarray(np.linalg.lstsq(by, -away, rcond=1e-12)[0], dtype=np.float64)
+        scale = min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-300))
+        for _ in range(12):
+            trial = shape.moved(names, scale * step)
+            better = _squares(trial, points) if trial.sound else np.inf
+            if better <= squares * (1.0 + 1e-12):
+                break
+            scale *= 0.5
+        else:
+            return shape
+        shape, squares = trial, better
+        if float(np.abs(scale * step).max()) < 1e-14:
+            break
+    return shape
+
+
+def _judged(shape: Shape, local: FloatArray, held: bool, middle: FloatArray, spread: float) -> FittedBody:
+    """Bring the body back to where the points are, with its covariance."""
+    names = shape.names(axis_known=held)
+    if shape.kind == "cylinder":  # its origin beside the middle of the points
+        along = shape.rotation[2]
+        shape = Shape(shape.kind, shape.origin - (shape.origin @ along) * along, shape.rotation, shape.sizes)
+    away, by = shape.distances(local, names)
+    singular = np.linalg.svd(by, compute_uv=False)
+    if singular[-1] < SINGULAR * singular[0]:
+        raise SolveError(
+            f"the points do not determine the {shape.kind}",
+            hint="measure points all round it and at different heights, not along one line",
+        )
+    lengths = np.array([1.0 if name.startswith("about") or name == "half_angle" else spread for name in names])
+    free = len(local) - len(names)
+    variance = float(away @ away) / free if free else np.nan
+    cofactors = np.asarray(np.linalg.inv(by.T @ by), dtype=np.float64)
+    sizes = shape.sizes if shape.kind == "cone" else shape.sizes * spread
+    placed = Shape(shape.kind, shape.origin * spread + middle, shape.rotation, sizes)
+    covariance = variance * cofactors * np.outer(lengths, lengths)
+    return FittedBody(placed, names, covariance, away * spread, float(np.sqrt(variance)) * spread)

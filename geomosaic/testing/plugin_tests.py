@@ -1,0 +1,114 @@
+"""Conformance tests of a sensor plugin's entry point."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from geomosaic.errors import GeomosaicError
+from geomosaic.geo.crs import geographic, has_heights
+from geomosaic.geo.transform import Transform
+from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.plugin import SensorInput, SensorPlugin, SensorRequest
+from geomosaic.surface.reference_surfaces import Plane
+from geomosaic.types import BoolArray, FloatArray
+
+
+def require(condition: bool | np.bool, broken: str) -> None:
+    """Fail with the broken part of the contract in words."""
+    if not condition:
+        raise AssertionError(broken)
+
+
+def level(model: SensorModel, ground: FloatArray) -> Plane | None:
+    """Plane at the mean height of the ground points; None for models without heights."""
+    if not has_heights(model.crs):
+        return None
+    crs = geographic(model.crs) if model.crs.is_geocentric else model.crs
+    return Plane(crs, float(Transform(model.crs, crs)(ground)[:, 2].mean()))
+
+
+def near(a: FloatArray, b: FloatArray | float, tolerance: float) -> bool:
+    """Whether arrays agree within a tolerance, NaN with NaN."""
+    return bool(np.allclose(a, b, rtol=0.0, atol=tolerance, equal_nan=True))
+
+
+def adjustable(sigmas: FloatArray) -> BoolArray:
+    """Parameters for the resection test: the free ones, or else those not fixed, or else all."""
+    for chosen in (np.isinf(sigmas), sigmas > 0.0):
+        if chosen.any():
+            return chosen
+    return np.ones(len(sigmas), dtype=np.bool_)
+
+
+UNKNOWN = "no_such_input"
+
+
+def check_plugin(plugin: SensorPlugin | Any, request: SensorRequest) -> None:
+    """Check a plugin's door: name, summary, inputs, model, and what it says of missing and unknown inputs.
+
+    Parameters
+    ----------
+    plugin : SensorPlugin
+    request : SensorRequest
+        An example that the plugin can build a model of; without one, nothing could be said of what it refuses.
+
+    Raises
+    ------
+    AssertionError
+        In words, what is broken.
+    """
+    for part in ("name", "summary", "inputs", "model", "build"):
+        require(hasattr(plugin, part), f"the plugin has no '{part}'")
+    require(
+        isinstance(plugin.name, str) and plugin.name.replace("_", "").replace("-", "").isalnum(),
+        f"the name {plugin.name!r} is not one word",
+    )
+    require(
+        isinstance(plugin.summary, str) and bool(plugin.summary.strip()) and "\n" not in plugin.summary,
+        "the summary is not one line of text",
+    )
+    require(
+        isinstance(plugin.inputs, tuple) and all(isinstance(entry, SensorInput) for entry in plugin.inputs),
+        "inputs is not a tuple of SensorInput",
+    )
+    names = [entry.name for entry in plugin.inputs]
+    require(len(set(names)) == len(names), "two inputs have the same name")
+    require(all(entry.text.strip() for entry in plugin.inputs), "an input has no text that says what it is")
+    for member in ("ground_to_image", "with_values", "to_dict", "from_dict", "crs", "size", "parameters", "seed"):
+        fields = getattr(plugin.model, "__dataclass_fields__", {})
+        require(hasattr(plugin.model, member) or member in fields, f"the class `model` has no '{member}'")
+    _check_build(plugin, request, names)
+
+
+def _check_build(plugin: SensorPlugin, request: SensorRequest, names: list[str]) -> None:
+    """The example is built; each input it lacks and one it should not have are told as the contract says."""
+    unlisted = sorted(set(request.options) - set(names))
+    require(not unlisted, f"the example has {', '.join(unlisted)}, which the plugin does not list among its inputs")
+    try:
+        model = plugin.build(request)
+    except Exception as error:
+        raise AssertionError(f"build refuses the example: {error!r}") from error
+    require(isinstance(model, plugin.model), f"build gives a {type(model).__name__}, not a {plugin.model.__name__}")
+    require(tuple(model.size) == tuple(request.size), f"the model has the size {model.size}, not {request.size}")
+    for name in request.options:
+        rest = {key: value for key, value in request.options.items() if key != name}
+        _refusal(plugin, replace(request, options=rest), f"a missing '{name}'")
+    told = _refusal(plugin, replace(request, options={**request.options, UNKNOWN: 1}), "an unknown input")
+    if told is None:
+        raise AssertionError("build accepts an unknown input without a word")
+    require(UNKNOWN in told, "the error about an unknown input does not name the input")
+
+
+def _refusal(plugin: SensorPlugin, request: SensorRequest, what: str) -> str | None:
+    """What `build` says when it refuses a request; None where it does not."""
+    try:
+        plugin.build(request)
+    except GeomosaicError as error:
+        require(request.image in str(error), f"the error about {what} does not name the image")
+        return str(error)
+    except Exception as error:
+        raise AssertionError(f"{what} makes build raise {error!r}, not an InputError") from error
+    return None

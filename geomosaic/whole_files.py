@@ -1,0 +1,115 @@
+"""Text files that are whole or absent, whatever happens."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from geomosaic.errors import OutputError
+
+
+def write_atomic(path: Path, text: str) -> None:
+    """Write a text file in place of one that may be there, and make its folder.
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be made or written, or the disk is full.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"cannot be written: {error.strerror}", where=str(path), hint="check free space and permissions"
+        ) from error
+    with under_construction(path) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
+
+
+def partial(path: Path, suffix: str = "") -> Path:
+    """Name of a file under construction: `.NAME.partial-HOST-PID`, in the folder of the final one.
+
+    Those that dead processes of this machine left of the same final name are removed.
+    """
+    start = f".{path.name}.partial-{_host()}-"
+    pattern = re.compile(re.escape(start) + r"(\d+)(\..*|-.*)?")
+    for entry in os.scandir(path.parent):
+        found = pattern.fullmatch(entry.name)
+        if found and not _alive(int(found.group(1))):
+            Path(entry.path).unlink(missing_ok=True)
+    return path.with_name(f"{start}{os.getpid()}{suffix}")
+
+
+def remove(unfinished: Path) -> None:
+    """Remove a file under construction and what lies beside it under longer names (levels, journals)."""
+    for entry in os.scandir(unfinished.parent):
+        if entry.name == unfinished.name or entry.name.startswith((f"{unfinished.name}.", f"{unfinished.name}-")):
+            Path(entry.path).unlink(missing_ok=True)
+
+
+def _host() -> str:
+    return re.sub(r"[^A-Za-z0-9]", "", platform.node()) or "here"
+
+
+def _alive(process: int) -> bool:
+    if os.name == "nt":  # there is no harmless signal
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def sync(path: Path) -> None:
+    """Bring a file, or a folder's entries, to the disk."""
+    if os.name == "nt" and path.is_dir():
+        return
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def under_construction(path: Path, suffix: str = "", failures: tuple[type[Exception], ...] = ()) -> Iterator[Path]:
+    """Give the name under which a file is made; with the end of the block it gets its own.
+
+    Parameters
+    ----------
+    path : Path
+        The final name; `check_output` has found it free.
+    suffix : str
+        Ending of the other name, for writers that go by it.
+    failures : tuple of type
+        What besides OSError means that writing failed.
+
+    Raises
+    ------
+    OutputError
+        Writing failed.
+    """
+    unfinished: Path | None = None
+    failing: tuple[type[Exception], ...] = (OSError, *failures)
+    try:
+        unfinished = partial(path, suffix)
+        yield unfinished
+        sync(unfinished)
+        unfinished.replace(path)
+        sync(path.parent)
+    except failing as error:
+        raise OutputError(
+            f"writing failed ({getattr(error, 'strerror', None) or error})",
+            where=str(path),
+            hint="check the space on the disk and the rights of the folder",
+        ) from error
+    finally:
+        if unfinished is not None:
+            remove(unfinished)

@@ -1,0 +1,142 @@
+"""A photo's model at a place: parameters with their steps, and a ground point to start from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import geographic
+from geomosaic.geo.local_frames import LocalFrame, is_free
+from geomosaic.geo.rotation import angles_of
+from geomosaic.geo.transform import Transform
+from geomosaic.sensor.inputs import flag, known_keys, number, table_of
+from geomosaic.sensor.model import Parameters
+from geomosaic.sensor.plausibility import SkyError, centre_dip
+from geomosaic.types import FloatArray
+from geomosaic_frame.camera_capabilities import Inside
+from geomosaic_frame.model import NAMES, FrameModel
+from geomosaic_frame.orientation import SYSTEMS
+from geomosaic_frame.placement import Place
+from geomosaic_frame.refraction import Bending
+
+GROUPS = {"position": NAMES[:3], "angles": NAMES[3:]}
+FARTHEST = 20.0
+"""Seed of a flat ray: at most this many flying heights away."""
+AHEAD = 10.0
+"""Metres to whatever a photo without control points shows in a local frame: where searches start."""
+GUESSED_HEIGHT = 100.0
+"""Flying height above an unknown ground where height 0 lies above the camera."""
+
+
+def _sigmas(options: Mapping[str, Any], where: str) -> FloatArray:
+    """A-priori sigmas of the six parameters; free where nothing is said."""
+    table = table_of(options.get("sigmas", {}), "sigmas", where)
+    where = f"{where}, sigmas"
+    known_keys(table, (*GROUPS, *NAMES), where)
+    values = dict.fromkeys(NAMES, np.inf)
+    for group, names in GROUPS.items():
+        if group in table:
+            values.update(dict.fromkeys(names, number(table[group], group, where)))
+    values.update({name: number(table[name], name, where) for name in NAMES if name in table})
+    negative = [name for name, value in values.items() if value < 0.0]
+    if negative:
+        raise InputError(f"the sigma of {negative[0]} is negative", where=where, hint="0 holds it fixed")
+    return np.array([values[name] for name in NAMES])
+
+
+def looks_anywhere(crs: CRS, options: Mapping[str, Any], where: str) -> bool:
+    """Whether a photo may look above the horizon: it is told so, or its frame has none."""
+    return is_free(crs) or flag(options, "upwards", where)
+
+
+def model_at(
+    camera: Inside,
+    place: Place,
+    crs: CRS,
+    ground: float | None,
+    options: Mapping[str, Any],
+    notes: tuple[str, ...],
+    bending: Bending,
+    where: str,
+) -> FrameModel:
+    """Make the model; a photo that looks at the sky is an error."""
+    anywhere = looks_anywhere(crs, options, where)
+    if anywhere:
+        # Omega, phi and kappa have no value where a camera looks along x: they count from the attitude given.
+        turned = LocalFrame(place.frame.crs, place.frame.origin, place.rotation @ place.frame.axes)
+        place = Place(turned, np.eye(3), place.height)
+    values = np.array([0.0, 0.0, 0.0, *np.degrees(angles_of(place.rotation))])
+    unit = "m" if place.frame.crs.is_geocentric else str(crs.axis_info[0].unit_name)
+    units = (unit,) * 3 + ("deg",) * 3
+    parameters = Parameters(NAMES, units, values, _sigmas(options, where), np.ones(6))
+    x, y, z = place.frame.origin
+    start = FrameModel(camera, place.frame, parameters, (float(x), float(y), float(z)), notes, bending)
+    dip = 90.0 if anywhere else centre_dip(start)
+    if dip is None or not dip > 0.0:
+        raise SkyError(
+            "the photo looks at the sky: its centre ray does not go below the horizon"
+            + (f" but {-dip:.1f}° above it" if dip is not None else ""),
+            where=where,
+            hint=f"check the angle system ({', '.join(SYSTEMS)}), angle_unit, the direction of a matrix, and whether "
+            "a roll or omega near 180° turns the camera over; a photo of a facade that is right as it is needs "
+            "upwards = true",
+        )
+    seed, distance = (
+        _some_way_ahead(start, crs, options) if anywhere else _ground_ahead(start, crs, place.height, ground)
+    )
+    focal = float(np.sqrt(camera.focal[0] * camera.focal[1]))
+    steps = np.array([distance / focal] * 3 + [float(np.degrees(1.0 / focal))] * 3)
+    return replace(start, parameters=replace(parameters, steps=steps), seed=seed)
+
+
+def _some_way_ahead(
+    model: FrameModel, crs: CRS, options: Mapping[str, Any]
+) -> tuple[tuple[float, float, float], float]:
+    """Point on the centre ray at the distance of the control points, else `AHEAD`, and that distance.
+
+    A facade is no ground to look for; searches only start there.
+    """
+    w, h = model.size
+    origin, direction = (a[0] for a in model.rays(np.array([[w / 2, h / 2]])))
+    points = options.get("points")
+    distance = AHEAD
+    if points:
+        known = np.array([[point[key] for key in ("x", "y", "z")] for point in points], dtype=np.float64)
+        known = known if model.crs == crs else Transform(crs, model.crs)(known)
+        distance = max(float(np.median(np.linalg.norm(known - origin, axis=1))), 1e-6)
+    x, y, z = origin + distance * direction
+    return (float(x), float(y), float(z)), distance
+
+
+def _ground_ahead(
+    model: FrameModel, crs: CRS, height: float, ground: float | None
+) -> tuple[tuple[float, float, float], float]:
+    """Ground point on the centre ray in the model's CRS, and its distance in the model's unit.
+
+    The ray is followed down to the height of the ground, and on by what is missing, until it is there; a ray that
+    hardly goes down stops after twenty flying heights.
+    """
+    w, h = model.size
+    origin, direction = (a[0] for a in model.rays(np.array([[w / 2, h / 2]])))
+    dip = np.sin(np.radians(centre_dip(model) or 90.0))
+    level = geographic(crs) if crs.is_geocentric else crs
+    to_level = Transform(model.crs, level)
+    if crs.is_geocentric:
+        height = float(to_level(origin[None])[0, 2])
+    unit = 1.0 if not model.crs.is_geocentric else float(level.axis_info[-1].unit_conversion_factor)
+    if ground is None:
+        ground = 0.0 if height * unit > 1.0 else height - GUESSED_HEIGHT / unit
+    above = (height - ground) * unit
+    distance = min(above / dip, FARTHEST * above)
+    for _ in range(8):
+        here = to_level((origin + distance * direction)[None])[0, 2]
+        if not np.isfinite(here):
+            break
+        distance = float(np.clip(distance + (here - ground) * unit / dip, 0.1 * above, FARTHEST * above))
+    x, y, z = origin + distance * direction
+    return (float(x), float(y), float(z)), distance

@@ -1,0 +1,165 @@
+"""Orientations in the files of other programs: one named reader for each, chosen by the angle system."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic_frame.opensfm import read_shot
+
+LARGEST = 256 << 20
+"""Bytes; no file of orientations is that long."""
+
+LOCAL = 1e5
+"""Metres; coordinates of a map are rarely smaller, those that count from an offset are."""
+
+Tables = tuple[dict[str, Any] | None, dict[str, Any]]
+"""Camera table as of `camera.toml`, where the file has one, and orientation row."""
+
+
+def read_foreign(path: Path, image: str, system: str, where: str) -> Tables:
+    """Camera and orientation of one image.
+
+    Parameters
+    ----------
+    path : Path
+        The program's file.
+    image : str
+        File name, with or without extension.
+    system : str
+        One of `READERS`.
+    where : str
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is damaged, or does not know the image.
+    """
+    return READERS[system](path, image, where)
+
+
+def _opensfm(path: Path, image: str, where: str) -> Tables:
+    return read_shot(path, image, "opensfm", where)
+
+
+def _odm(path: Path, image: str, where: str) -> Tables:
+    return read_shot(path, image, "odm", where)
+
+
+def _colmap(path: Path, image: str, where: str) -> Tables:
+    from geomosaic_frame.colmap import read_colmap
+
+    if path.suffix.lower() == ".bin":
+        hint = "write it as text: colmap model_converter --output_type TXT, and name its images.txt"
+        raise InputError(f"{path} is COLMAP's binary model", where=where, hint=hint)
+    cameras, images = path.with_name("cameras.txt"), path.with_name("images.txt")
+    model = read_colmap(_text(cameras, where), _text(images, where), (str(cameras), str(images)))
+    pose = entry(model.images, image, images, where)
+    if pose.camera not in model.cameras:
+        raise InputError(f"camera {pose.camera} of {image} is not in {cameras.name}", where=str(images))
+    return dict(model.cameras[pose.camera]), pose.row
+
+
+def _pix4d(path: Path, image: str, where: str) -> Tables:
+    from geomosaic_frame.pix4d import OFFSET, PARAMETERS, PMATRIX, beside, read_offset, read_pix4d, read_pmatrix
+
+    offset = beside(path, OFFSET)
+    shift = read_offset(_text(offset, where), str(offset)) if offset else None
+    read = read_pmatrix if path.name.endswith(PMATRIX) else read_pix4d
+    if read is read_pmatrix:
+        whole = beside(path, PARAMETERS)
+        instead = f"; for the photos themselves give {whole.name}" if whole else ""
+        warnings.warn(
+            f"{path.name} holds for the images that Pix4D has freed of distortion{instead}",
+            GeomosaicWarning,
+            stacklevel=2,
+        )
+    camera, row = entry(read(_text(path, where), shift, str(path)), image, path, where)
+    if shift is None and max(map(abs, row["position"][:2])) < LOCAL:
+        warnings.warn(
+            f"{path.name} has no PROJECT{OFFSET} beside it, and its coordinates are small: without the offset they "
+            "are no places of the map; Pix4D writes it to the same folder",
+            GeomosaicWarning,
+            stacklevel=2,
+        )
+    return dict(camera), dict(row)
+
+
+def _metashape(path: Path, image: str, where: str) -> Tables:
+    from geomosaic_frame.metashape import read_metashape, read_metashape_text
+
+    if path.suffix.lower() == ".xml":
+        camera, row = entry(read_metashape(_bytes(path, where), str(path)), image, path, where)
+        return dict(camera), dict(row)
+    return None, dict(entry(read_metashape_text(_text(path, where), str(path)), image, path, where))
+
+
+def _ori(path: Path, image: str, where: str) -> Tables:
+    """One file for each image, named after it; a file of any name counts for the image that it names."""
+    from geomosaic_frame.ign_ori import ENDING, read_ori
+
+    own = path.with_name(Path(image).stem + ENDING)
+    file = own if own.is_file() else path
+    name, camera, row = read_ori(_bytes(file, where), str(file))
+    if file != own and Path(name).stem != Path(image).stem:
+        raise InputError(
+            f"{path} is the orientation of '{name}', and there is no {own.name} beside it",
+            where=where,
+            hint=f"name the files of orientations as their images: {own.name}",
+        )
+    return dict(camera), dict(row)
+
+
+READERS: Mapping[str, Callable[[Path, str, str], Tables]] = {
+    "opensfm": _opensfm,
+    "odm": _odm,
+    "colmap": _colmap,
+    "pix4d": _pix4d,
+    "metashape": _metashape,
+    "ori": _ori,
+}
+
+
+def entry(table: Mapping[str, Any], image: str, path: Path, where: str) -> Any:
+    """Entry of an image, by its name without folder, with or without extension."""
+    bare = Path(image).stem
+    name = next(
+        (key for key in table if Path(key).name == image),
+        next((key for key in table if Path(key).stem == bare or Path(key).name == bare), None),
+    )
+    if name is None:
+        hint = did_you_mean(bare, [Path(key).stem for key in table])
+        raise InputError(
+            f"{path} has no image named '{image}'", where=where, hint=f"{hint} it may not have been oriented".strip()
+        )
+    return table[name]
+
+
+def _bytes(path: Path, where: str) -> bytes:
+    try:
+        status = path.stat()
+        if status.st_size > LARGEST:
+            raise InputError(f"{path} is larger than {LARGEST >> 20} MB", where=where, hint="is it the right file?")
+        return _read(path, status.st_size, status.st_mtime_ns)
+    except OSError as error:
+        raise InputError(
+            f"the file {path} cannot be read: {error.strerror or error}", where=where, hint="check the path"
+        ) from error
+
+
+@lru_cache(maxsize=8)
+def _read(path: Path, size: int, changed: int) -> bytes:
+    """Bytes of a file; kept, since all images of a block ask for them."""
+    return path.read_bytes()
+
+
+def _text(path: Path, where: str) -> str:
+    try:
+        return _bytes(path, where).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not UTF-8 text (byte {error.start})", where=where) from None

@@ -1,0 +1,223 @@
+"""Placement of a photo: position and rotation in any frame brought to the frame of the model.
+
+A position in a map CRS with a vertical datum goes to geocentric coordinates through the geoid and the projection, so
+both the curvature of the Earth and the distortion of the map are in the transform, not in the camera. A rotation that
+refers to grid north is turned by the meridian convergence. What the map does to heights is a convention of some
+producers (linear alteration) and undone on request.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import GeomosaicError, HeightDatumError, InputError
+from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal, with_heights
+from geomosaic.geo.local_frames import LocalFrame, map_place
+from geomosaic.geo.rotation import r3
+from geomosaic.geo.transform import Transform
+from geomosaic.types import FloatArray
+from geomosaic_frame.orientation import Attitude
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Frame of a photo and its rotation there.
+
+    Attributes
+    ----------
+    frame : LocalFrame
+        East, north, up at the projection centre, or the map's axes (planar treatment).
+    rotation : array (3, 3)
+        Frame → image, x right, y up.
+    height : float
+        Of the projection centre, in the vertical datum and unit of its CRS.
+    """
+
+    frame: LocalFrame
+    rotation: FloatArray
+    height: float
+
+
+def convergence(crs: CRS, position: FloatArray) -> float:
+    """Azimuth of grid north from true north in radians, clockwise; 0 for coordinates that are no map."""
+    if not horizontal(crs).is_projected:
+        return 0.0
+    return float(np.radians(map_place(crs, position[0], position[1]).convergence))
+
+
+def rigorous(crs: CRS, position: FloatArray, attitude: Attitude, where: str) -> Place:
+    """Place on the curved Earth.
+
+    With γ the azimuth of grid north, a vector has grid components R3(−γ)·(east, north, up), so M = M_grid·R3(−γ).
+
+    Parameters
+    ----------
+    crs : CRS
+        3-D.
+    position : array (3,)
+        In `crs`.
+    attitude : Attitude
+        In 'grid' or 'local'.
+    where : str
+        Named in errors.
+    """
+    frame = local_frame(crs, position, where)
+    rotation = attitude.rotation
+    if attitude.frame == "grid":
+        rotation = rotation @ r3(-convergence(crs, position))
+    return Place(frame, rotation, float(position[2]))
+
+
+def planar(crs: CRS, position: FloatArray, attitude: Attitude, where: str) -> Place:
+    """Place on a map taken for a flat Earth: the textbook treatment, wrong by the map's and the Earth's curvature.
+
+    Raises
+    ------
+    InputError
+        The CRS is not a map, or measures heights in another unit.
+    """
+    flat = horizontal(crs)
+    if crs.is_geocentric or flat.is_geographic:
+        raise InputError(
+            f"the planar treatment needs a map, but '{crs.name}' has {'degrees' if flat.is_geographic else 'no plane'}",
+            where=where,
+            hint="name a projected CRS, or use treatment = 'rigorous'",
+        )
+    factors = {axis.unit_conversion_factor for axis in crs.axis_info}
+    if len(factors) > 1:
+        units = " and ".join(sorted({axis.unit_name for axis in crs.axis_info}))
+        raise InputError(f"'{crs.name}' mixes {units}", where=where, hint="use treatment = 'rigorous'")
+    rotation = attitude.rotation
+    if attitude.frame == "local":
+        rotation = rotation @ r3(convergence(crs, position))
+    return Place(LocalFrame(crs, position, np.eye(3)), rotation, float(position[2]))
+
+
+def local_frame(crs: CRS, position: FloatArray, where: str) -> LocalFrame:
+    """East, north, up at a position; errors name the image."""
+    try:
+        frame = LocalFrame.at(crs, position)
+    except InputError as error:
+        error.where = error.where or where
+        raise
+    if not np.isfinite(frame.origin).all():
+        raise InputError(
+            f"position {position.tolist()} has no place in '{crs.name}'",
+            where=where,
+            hint="check the order (x or longitude first), the unit and the CRS of the positions, and the extent of "
+            "its geoid",
+        )
+    return frame
+
+
+def from_topocentric(crs: CRS, reference: FloatArray, attitude: Attitude, where: str) -> tuple[FloatArray, Attitude]:
+    """Position in `crs` and attitude in 'local' of a photo oriented in a topocentric frame.
+
+    Parameters
+    ----------
+    crs : CRS
+        3-D.
+    reference : array (3,)
+        Origin of that frame, in `crs`.
+    attitude : Attitude
+        With its position.
+    where : str
+        Named in errors.
+    """
+    if attitude.position is None:
+        raise InputError("the orientation has no position", where=where)
+    base = local_frame(crs, reference, where)
+    earth = base.to_geocentric(attitude.position[None])
+    position = Transform(base.crs, crs)(earth)[0]
+    here = local_frame(crs, position, where)
+    return position, Attitude(attitude.rotation @ base.axes @ here.axes.T, "local")
+
+
+def from_geocentric(crs: CRS, attitude: Attitude, where: str) -> tuple[FloatArray, Attitude]:
+    """Position in `crs` (3,) and attitude in 'local' of a photo oriented in geocentric axes."""
+    if attitude.position is None:
+        raise InputError("the orientation has no position", where=where)
+    earth = attitude.crs or geocentric(crs)
+    position = Transform(earth, crs)(attitude.position[None])[0]
+    if not 6.0e6 < np.linalg.norm(attitude.position) < 8.0e6:
+        raise InputError(
+            f"the camera is {np.linalg.norm(attitude.position) / 1000:.0f} km from the centre of the Earth",
+            where=where,
+            hint="the coordinates are not geocentric: say what they are, world = 'map' or 'local'",
+        )
+    here = local_frame(crs, position, where)
+    return position, Attitude(attitude.rotation @ here.axes.T, "local")
+
+
+def from_offset(crs: CRS, reference: FloatArray, attitude: Attitude, where: str) -> tuple[FloatArray, Attitude]:
+    """Position in `crs` and attitude in 'grid' of a photo oriented in map axes about a reference (3,) in `crs`."""
+    if attitude.position is None:
+        raise InputError("the orientation has no position", where=where)
+    if not horizontal(crs).is_projected:
+        raise InputError(
+            f"orientations of OpenDroneMap are in map axes, but '{crs.name}' is no map",
+            where=where,
+            hint="name the UTM zone of the project, for example EPSG:32651, or use system = 'opensfm'",
+        )
+    return reference + attitude.position, Attitude(attitude.rotation, "grid")
+
+
+def of_longitude_latitude(crs: CRS, lla: FloatArray) -> FloatArray:
+    """Longitude, latitude in degrees on the datum of `crs`, and altitude in its vertical datum, as a point of `crs`."""
+    if crs.is_geocentric:
+        point: FloatArray = Transform(geographic(crs), crs)(lla[None])[0]
+        return point
+    point = lla.copy()
+    if not horizontal(crs).is_geographic:
+        flat = horizontal(crs)
+        point[:2] = Transform(horizontal(geographic(flat)), flat)(lla[None, :2])[0]
+    return point
+
+
+def undo_linear_alteration(crs: CRS, position: FloatArray, ground_height: float, where: str) -> FloatArray:
+    """True height of a projection centre whose height above ground was multiplied by the grid scale k.
+
+    Z = (Z' − h)/k + h, with h the mean height of the ground under the photo, in the vertical datum of `crs`. Producers
+    that adjust in map coordinates stretch flying heights like this, so that planimetric and vertical scale agree.
+    """
+    if not horizontal(crs).is_projected:
+        raise InputError("scale_correction is about maps, but the positions are in no map CRS", where=where)
+    scale = map_place(crs, position[0], position[1]).scale
+    out = position.copy()
+    out[2] = (position[2] - ground_height) / scale + ground_height
+    return out
+
+
+def need_heights(crs: CRS, position: FloatArray, reach: float, where: str) -> None:
+    """Refuse heights whose vertical datum nobody declared.
+
+    Parameters
+    ----------
+    crs : CRS
+        Of the position.
+    position : array (3,)
+    reach : float
+        Pixels from the image's centre to its corner.
+    where : str
+        Named in the error, with what a wrong guess would cost in metres and pixels.
+    """
+    if has_heights(crs):
+        return
+    risk = ""
+    try:
+        to_ellipsoid = Transform(with_heights(crs, "egm96"), geocentric(crs))
+        heights = Transform(geocentric(crs), geographic(crs))
+        shift = abs(float(heights(to_ellipsoid(np.array([[position[0], position[1], 0.0]])))[0, 2]))
+        if np.isfinite(shift):
+            pixels = f" and up to {reach * shift / position[2]:.0f} px in the image" if position[2] > shift else ""
+            risk = f": ellipsoidal and geoid heights differ by {shift:.1f} m there{pixels}"
+    except GeomosaicError:
+        pass
+    raise HeightDatumError(
+        f"the height of the camera has no vertical datum{risk}",
+        where=where,
+        hint="declare the heights of the positions: 'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid",
+    )

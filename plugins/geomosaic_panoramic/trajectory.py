@@ -1,0 +1,216 @@
+"""Trajectory of the scanner: poses in east, north, up, and smooth curves through those of a table.
+
+Time τ counts lines (scanner) or sweeps (sweeps, panoramic camera) from the middle of the image. Attitude is heading,
+pitch and roll of aviation: the body's axes are forward, right and down; heading counts clockwise from north, pitch is
+positive nose up, roll positive right wing down. Body → north, east, down is Rz(heading)·Ry(pitch)·Rx(roll).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, Protocol, Self
+
+import numpy as np
+
+from geomosaic.types import FloatArray
+
+Three = tuple[FloatArray, FloatArray, FloatArray]
+
+
+class Flight(Protocol):
+    """What a scan asks of a flight."""
+
+    @property
+    def pace(self) -> float:
+        """Metres per unit of τ."""
+
+    def places(self, tau: FloatArray) -> FloatArray:
+        """Projection centres (N, 3) at times (N,)."""
+
+    def to_body(self, enu: FloatArray, tau: FloatArray) -> Three:
+        """Ground (N, 3) as seen at times (N,): forward, right, down, in metres."""
+
+    def to_enu(self, body: FloatArray, tau: FloatArray) -> FloatArray:
+        """Directions (N, 3) forward, right, down at times (N,) as east, north, up."""
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Heading, pitch and roll that change evenly.
+
+    Attributes
+    ----------
+    attitude : array (3,)
+        Heading, pitch, roll in radians at τ = 0.
+    rates : array (3,)
+        Radians per unit of τ.
+    """
+
+    attitude: FloatArray
+    rates: FloatArray
+
+    def apply(self, north: FloatArray, east: FloatArray, down: FloatArray, tau: FloatArray) -> Three:
+        """Components along the axes before the turn (N,) to those after it: forward, right, down."""
+        ch, sh, cp, sp, cr, sr = self._turns(tau)
+        ahead, aside = north * ch + east * sh, -north * sh + east * ch
+        forward, below = cp * ahead - sp * down, sp * ahead + cp * down
+        return forward, cr * aside + sr * below, -sr * aside + cr * below
+
+    def undo(self, forward: FloatArray, right: FloatArray, down: FloatArray, tau: FloatArray) -> Three:
+        """The inverse of `apply`: north, east, down."""
+        ch, sh, cp, sp, cr, sr = self._turns(tau)
+        aside, below = cr * right - sr * down, sr * right + cr * down
+        ahead, lower = cp * forward + sp * below, -sp * forward + cp * below
+        return ch * ahead - sh * aside, sh * ahead + ch * aside, lower
+
+    def _turns(self, tau: FloatArray) -> tuple[FloatArray, ...]:
+        heading, pitch, roll = (self.attitude[i] + self.rates[i] * tau for i in range(3))
+        return np.cos(heading), np.sin(heading), np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
+
+
+@dataclass(frozen=True)
+class Track:
+    """A straight flight with slowly turning attitude.
+
+    Attributes
+    ----------
+    position : array (3,)
+        East, north, up in metres at τ = 0.
+    velocity : array (3,)
+        Metres per unit of τ.
+    turn : Turn
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    turn: Turn
+
+    @property
+    def pace(self) -> float:
+        """Metres per unit of τ."""
+        return float(np.linalg.norm(self.velocity))
+
+    def places(self, tau: FloatArray) -> FloatArray:
+        """Projection centres (N, 3) at times (N,)."""
+        return self.position + tau[:, None] * self.velocity
+
+    def to_body(self, enu: FloatArray, tau: FloatArray) -> Three:
+        """Ground (N, 3) as seen at times (N,): forward, right, down, in metres."""
+        offset = enu - self.places(tau)
+        return self.turn.apply(offset[:, 1], offset[:, 0], -offset[:, 2], tau)
+
+    def to_enu(self, body: FloatArray, tau: FloatArray) -> FloatArray:
+        """Directions (N, 3) forward, right, down at times (N,) as east, north, up."""
+        north, east, down = self.turn.undo(body[:, 0], body[:, 1], body[:, 2], tau)
+        return np.column_stack([east, north, -down])
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Reported positions and attitudes.
+
+    Components of positions and axes run on cubic Hermite curves whose slope at a node is that of the parabola through
+    it and its neighbours; the axes are then made square again. Before the first and after the last pose the flight goes
+    on as it was there, with its attitude.
+
+    Attributes
+    ----------
+    times : array (K,)
+        τ, in order.
+    places : array (K, 3)
+        East, north, up of the image's frame, metres.
+    axes : array (K, 3, 3)
+        Rows forward, right, down in east, north, up.
+    """
+
+    times: FloatArray
+    places: FloatArray
+    axes: FloatArray
+
+    @cached_property
+    def _curve(self) -> tuple[FloatArray, FloatArray]:
+        values = np.column_stack([self.places, self.axes.reshape(-1, 9)])
+        edge: Literal[1, 2] = 2 if len(self.times) > 2 else 1
+        return values, np.gradient(values, self.times, axis=0, edge_order=edge)
+
+    @cached_property
+    def pace(self) -> float:
+        """Mean speed in metres per unit of τ."""
+        steps = np.linalg.norm(np.diff(self.places, axis=0), axis=1)
+        return float(steps.sum() / (self.times[-1] - self.times[0]))
+
+    def at(self, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Places (N, 3) and axes (N, 3, 3) at times (N,)."""
+        t, (values, slopes) = self.times, self._curve
+        inside = np.clip(tau, t[0], t[-1])
+        k = np.clip(np.searchsorted(t, inside, side="right") - 1, 0, len(t) - 2)
+        width = (t[k + 1] - t[k])[:, None]
+        u = (inside - t[k])[:, None] / width
+        start, end, rise = slopes[k] * width, slopes[k + 1] * width, values[k + 1] - values[k]
+        found = values[k] + u * (start + u * ((3.0 * rise - 2.0 * start - end) + u * (start + end - 2.0 * rise)))
+        beyond = (tau - inside)[:, None]
+        speed = np.where(beyond < 0.0, slopes[0, :3], slopes[-1, :3])
+        return found[:, :3] + beyond * speed, _square(found[:, 3:].reshape(-1, 3, 3))
+
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values."""
+        return {name: getattr(self, name).tolist() for name in ("times", "places", "axes")}
+
+    @classmethod
+    def from_dict(cls, state: dict[str, Any]) -> Self:
+        """Rebuild from `to_dict`."""
+        return cls(*(np.array(state[name]) for name in ("times", "places", "axes")))
+
+
+def _square(axes: FloatArray) -> FloatArray:
+    """Rows of length one at right angles: forward is kept, right next, down what remains."""
+    forward = axes[:, 0] / np.sqrt((axes[:, 0] ** 2).sum(axis=1))[:, None]
+    right = axes[:, 1] - (axes[:, 1] * forward).sum(axis=1)[:, None] * forward
+    right /= np.sqrt((right**2).sum(axis=1))[:, None]
+    return np.stack([forward, right, np.cross(forward, right)], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Reported poses, shifted and turned by what an adjustment finds.
+
+    Attributes
+    ----------
+    poses : Poses
+    shift : array (3,)
+        East, north, up in metres at τ = 0.
+    drift : array (3,)
+        Metres per unit of τ.
+    turn : Turn
+        From reported to true axes.
+    """
+
+    poses: Poses
+    shift: FloatArray
+    drift: FloatArray
+    turn: Turn
+
+    @property
+    def pace(self) -> float:
+        """Metres per unit of τ."""
+        return self.poses.pace
+
+    def places(self, tau: FloatArray) -> FloatArray:
+        """Projection centres (N, 3) at times (N,)."""
+        return self.poses.at(tau)[0] + self.shift + tau[:, None] * self.drift
+
+    def to_body(self, enu: FloatArray, tau: FloatArray) -> Three:
+        """Ground (N, 3) as seen at times (N,): forward, right, down, in metres."""
+        places, axes = self.poses.at(tau)
+        x, y, z = (enu - (places + self.shift + tau[:, None] * self.drift)).T
+        # Written out: a matrix product may round a point differently in arrays of other lengths.
+        f, r, d = (axes[:, i, 0] * x + axes[:, i, 1] * y + axes[:, i, 2] * z for i in range(3))
+        return self.turn.apply(f, r, d, tau)
+
+    def to_enu(self, body: FloatArray, tau: FloatArray) -> FloatArray:
+        """Directions (N, 3) forward, right, down at times (N,) as east, north, up."""
+        _, axes = self.poses.at(tau)
+        f, r, d = self.turn.undo(body[:, 0], body[:, 1], body[:, 2], tau)
+        enu: FloatArray = f[:, None] * axes[:, 0] + r[:, None] * axes[:, 1] + d[:, None] * axes[:, 2]
+        return enu

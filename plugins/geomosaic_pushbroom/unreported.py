@@ -1,0 +1,295 @@
+"""Scenes without metadata: a straight flight started from a parallel projection of control points; the point to blame.
+
+Seen from far away a scanned line is nearly a parallel projection, and over a short flight so is the whole scene:
+col = a₀ + a·g and row = b₀ + b·g for ground points g in local east, north, up. Both forms are linear, so no start is
+needed. The direction of view is a × b; the ground the middle of the first and last row show gives A and E, a distance D
+up that direction; the ground a pixel covers across it gives the scale D / f.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from geomosaic.errors import InputError, SolveError
+from geomosaic.geo.crs import geographic
+from geomosaic.geo.local_frames import LocalFrame
+from geomosaic.geo.rotation import angles_of
+from geomosaic.geo.transform import Transform
+from geomosaic.sensor.inputs import known_keys, number, positive
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.solve import resect
+from geomosaic.types import FloatArray
+from geomosaic_pushbroom.assemble import ECEF, assemble
+from geomosaic_pushbroom.look_angles import Look
+from geomosaic_pushbroom.model import PushbroomModel
+from geomosaic_pushbroom.points import Control, need_crs, with_result
+from geomosaic_pushbroom.straight_flight import ADDITIONAL, IDEAL, Straight
+
+CLEARLY = 5.0
+"""How many times the misfit of the others a point must be off to be named."""
+
+
+def odd_one(ground: FloatArray, colrow: FloatArray) -> tuple[int, float, float] | None:
+    """The point that the others contradict most, if one stands out.
+
+    From afar a scene is nearly a parallel projection, col and row linear in the ground (with squares of east and north
+    where there are points enough). A point's distance from what a fit to all others says follows from the one fit to
+    all of them: residual / (1 − h), h being the point's share in its own fitted value (Cook and Weisberg, 1982).
+
+    Parameters
+    ----------
+    ground : array (N, 3)
+        East, north, up in metres.
+    colrow : array (N, 2)
+        Pixels.
+
+    Returns
+    -------
+    tuple
+        Index, pixels it is off from what the others say, RMS of these; None where none stands out.
+    """
+    off = (ground - ground.mean(axis=0)) / np.abs(ground - ground.mean(axis=0)).max()
+    e, n, u = off.T
+    design = np.column_stack([np.ones(len(off)), e, n, u, e * e, e * n, n * n])
+    design = design[:, : 7 if len(off) > 9 else 4]
+    if len(off) < design.shape[1] + 2:
+        return None
+    away = np.hypot(*_deleted(design, colrow).T)
+    worst = int(np.argmax(away))
+    rest = np.arange(len(off)) != worst
+    fitted = np.linalg.lstsq(design[rest], colrow[rest], rcond=None)[0]
+    rms = float(np.sqrt(((colrow[rest] - design[rest] @ fitted) ** 2).sum(axis=1).mean()))
+    return (worst, float(away[worst]), rms) if away[worst] > CLEARLY * max(rms, 1.0) else None
+
+
+def _deleted(design: FloatArray, colrow: FloatArray) -> FloatArray:
+    """Residuals (N, 2) of each point in a fit to all others."""
+    basis = np.linalg.svd(design, full_matrices=False)[0]
+    share = np.minimum((basis**2).sum(axis=1), 1.0 - 1e-9)
+    residuals: FloatArray = (colrow - basis @ (basis.T @ colrow)) / (1.0 - share)[:, None]
+    return residuals
+
+
+LEAST = 6
+"""Control points for the ideal flight: 9 unknowns, and a start of 8 that checks itself."""
+ENOUGH = 10
+"""Control points from which the additional parameters are free: 20 observations for 17 unknowns."""
+VIEW_SIGMA = 5.0
+"""Degrees, of omega and phi: where they come from, relief and the width of the line, may say little of them."""
+ANGLE_SIGMA = np.array([0.5, 0.5, 1.0, 0.2, 0.2, 0.2])
+"""Degrees, of the linear and squared terms of the angles in space; an orbit pitches by 0.25° over half a SPOT scene."""
+AIRBORNE = 3e4
+"""Flying height in metres below which angles may be off and change by ten times as much."""
+LINE_SIGMA = 20.0
+"""Pixels, of bend and stretch."""
+_STEEPEST = np.tan(np.radians(60.0))
+
+
+@dataclass(frozen=True)
+class Start:
+    """First values of the straight flight: those of `IDEAL`, the camera constant (px) and the flying height (m)."""
+
+    values: FloatArray
+    focal: float
+    flying_height: float
+
+
+def solve_without_metadata(request: SensorRequest, control: Control) -> PushbroomModel:
+    """Make the model of a scene from its control points.
+
+    Raises
+    ------
+    InputError
+        Too few points, or neither focal_length_px nor flying_height.
+    SolveError
+        The points do not determine the flight.
+    """
+    where, options = request.image, request.options
+    if options.get("refine", "points") == "none":
+        raise InputError("there is nothing but control points, and refine = none", where=where, hint="leave refine out")
+    if len(control) < LEAST:
+        raise InputError(
+            f"{len(control)} control points are too few for a scene without metadata",
+            where=where,
+            hint=f"at least {LEAST} are needed, {ENOUGH} for the additional parameters too, spread over the image and "
+            "over height",
+        )
+    additional = _additional(options.get("additional"), len(control), where)
+    crs = need_crs(request)
+    middle = np.array([*control.xyz.mean(axis=0)])[None]
+    frame = LocalFrame.at(crs, middle)
+    xyz = Transform(crs, ECEF)(control.xyz)
+    centre = _principal(options, request.size[0], where)
+    start = start_from_points(frame.to_enu(xyz), control.colrow, request.size, centre, options, where)
+    height = float(Transform(ECEF, geographic(ECEF))(frame.origin[None])[0, 2])
+    factor = 10.0 if start.flying_height < AIRBORNE else 1.0
+    sigmas = np.full(len(Straight.names), np.inf)
+    sigmas[6:8], sigmas[9:] = VIEW_SIGMA * factor, 0.0
+    sides = np.array([0.0, float(request.size[0])])
+
+    def model_at(values: FloatArray, focal: float, notes: tuple[str, ...] = ()) -> PushbroomModel:
+        platform = Straight(frame, request.size[1], focal)
+        look = Look(sides, (sides - centre) / focal, np.zeros(2))
+        return assemble(platform, look, request.size, values, sigmas, height, where, frame.crs, notes)
+
+    try:
+        values, focal = np.concatenate([start.values, np.zeros(len(ADDITIONAL))]), start.focal
+        solved = resect(model_at(values, focal), xyz, control.colrow, control.sigmas)
+        values = solved.model.parameters.values.copy()
+        if options.get("focal_length_px") is None:
+            # The view is better known now, and with it the distance that belongs to the flying height.
+            scale = _slant(start.flying_height, float(np.prod(np.cos(np.radians(values[6:8]))))) / values[[2, 5]].mean()
+            focal, values[[2, 5]] = focal * scale, values[[2, 5]] * scale
+        own = np.concatenate([ANGLE_SIGMA * factor, np.full(2, LINE_SIGMA)])
+        sigmas[9:] = np.where(np.isin(ADDITIONAL, additional), own, 0.0)
+        solved = resect(model_at(values, focal), xyz, control.colrow, control.sigmas)
+        notes = [f"camera constant {focal:.1f} px, {start.flying_height:.0f} m above the ground"]
+        notes += [f"additional parameters: {', '.join(additional)}"] if additional else []
+        model = model_at(solved.model.parameters.values, focal, tuple(notes))
+    except SolveError as error:
+        error.where = where
+        found = odd_one(frame.to_enu(xyz), control.colrow)
+        if found is not None:
+            name, away, rms = control.names[found[0]], *found[1:]
+            said = f"without {name} the others fit to some {rms:.1f} px, and it is off by some {away:.0f} px"
+            error.hint = f"{said}: measure it again, or leave it out"
+        raise
+    return with_result(model, solved.residuals, control)
+
+
+def _additional(given: Any, count: int, where: str) -> tuple[str, ...]:
+    """Names of the additional parameters that are free."""
+    if given is None:
+        return ADDITIONAL if count >= ENOUGH else ()
+    if given in ("all", "none"):
+        chosen: tuple[str, ...] = ADDITIONAL if given == "all" else ()
+    elif isinstance(given, list | tuple):
+        known_keys(dict.fromkeys(map(str, given)), ADDITIONAL, f"{where}, additional")
+        chosen = tuple(name for name in ADDITIONAL if name in given)
+    else:
+        raise InputError(
+            f"additional = {given!r}", where=where, hint=f"all, none, or a list of {', '.join(ADDITIONAL)}"
+        )
+    if 2 * count < len(IDEAL) + len(chosen):
+        raise InputError(
+            f"{count} control points are too few for {len(chosen)} additional parameters",
+            where=where,
+            hint="give more points, or additional = none",
+        )
+    return chosen
+
+
+def _principal(options: Mapping[str, Any], width: int, where: str) -> float:
+    given = options.get("principal_col")
+    return width / 2.0 if given is None else number(given, "principal_col", where)
+
+
+def start_from_points(
+    ground: FloatArray,
+    colrow: FloatArray,
+    size: tuple[int, int],
+    principal: float,
+    options: Mapping[str, Any],
+    where: str,
+) -> Start:
+    """Find first values from control points.
+
+    Parameters
+    ----------
+    ground : array (N, 3)
+        East, north, up in metres.
+    colrow : array (N, 2)
+        Pixels.
+    options : mapping
+        With focal_length_px or flying_height, or both.
+
+    Raises
+    ------
+    InputError
+        Neither is given.
+    SolveError
+        The points lie on a line of ground or of the image.
+    """
+    constant, a, b = parallel_projection(ground, colrow, where)
+    view = np.cross(a, b)
+    view /= -np.linalg.norm(view) * np.sign(view[2])  # downwards
+    level = float(ground[:, 2].mean())
+    plane = np.array([a[:2], b[:2]])
+
+    def below(col: float, row: float) -> FloatArray:
+        xy = np.linalg.solve(plane, np.array([col, row]) - constant - level * np.array([a[2], b[2]]))
+        return np.array([*xy, level])
+
+    pixel = np.linalg.solve(plane, np.array([1.0, 0.0]))
+    across = np.array([*pixel, 0.0])
+    across -= (across @ view) * view
+    size_of_pixel = float(np.linalg.norm(across))
+    if options.get("flying_height") is not None:
+        flying = positive(options["flying_height"], "flying_height", where)
+        distance = _slant(flying, -view[2])
+        focal = distance / size_of_pixel
+        if options.get("focal_length_px") is not None:
+            focal = positive(options["focal_length_px"], "focal_length_px", where)
+    elif options.get("focal_length_px") is not None:
+        focal = positive(options["focal_length_px"], "focal_length_px", where)
+        distance = focal * size_of_pixel
+        flying = float(np.linalg.norm(distance * -view + [0.0, 0.0, EARTH]) - EARTH)
+    else:
+        raise InputError(
+            "a scene without metadata needs its camera constant or its flying height",
+            where=where,
+            hint="give focal_length_px (SPOT 1 to 4 panchromatic: 83230) or flying_height in metres (SPOT: 830000)",
+        )
+    x = across / size_of_pixel
+    rotation = np.array([x, np.cross(-view, x), -view])
+    values = []
+    for row in (0.0, float(size[1])):
+        centre = below(principal, row) - distance * view
+        reach = centre[2] / -view[2]  # along the view down to local height 0
+        values += [*(centre + reach * view)[:2], reach]
+    return Start(np.array([*values, *np.degrees(angles_of(rotation))]), focal, flying)
+
+
+EARTH = 6.371e6
+"""Mean radius of the Earth in metres."""
+
+
+def _slant(height: float, cosine: float) -> float:
+    """Distance to a height above a round Earth, along a line that leaves the ground at that cosine to the vertical."""
+    along = EARTH * cosine
+    return float(np.sqrt(along**2 + 2.0 * EARTH * height + height**2) - along)
+
+
+def parallel_projection(
+    ground: FloatArray, colrow: FloatArray, where: str
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Constant (2,) and gradients (3,) of col and of row by least squares.
+
+    Without relief the vertical parts are unknown; a view from straight above is put against that, with the weight of
+    one observation of a point 60° oblique.
+    """
+    middle = ground.mean(axis=0)
+    off = ground - middle
+    flat, image = off[:, :2], colrow - colrow.mean(axis=0)
+    spread = [np.linalg.svd(v, compute_uv=False) for v in (flat, image)]
+    if any(s[-1] < 1e-3 * s[0] or s[0] == 0.0 for s in spread):
+        raise SolveError("the control points lie on a line", where=where, hint="spread them over the whole image")
+    gradients = np.linalg.lstsq(flat, image, rcond=None)[0].T
+    # Where there are points enough, the curvature of the Earth and the perspective along the line are kept out of the
+    # vertical part. One pixel of misfit for a view as oblique as can be: relief of more than a few pixels outweighs it.
+    span = float(np.abs(flat).max())
+    e, n = off[:, 0] / span, off[:, 1] / span
+    curved = np.column_stack([np.ones(len(off)), e * e, e * n, n * n])[:, : 4 if len(off) >= ENOUGH else 1]
+    steepest = _STEEPEST * np.linalg.norm(gradients, axis=1)
+    forms = []
+    for i in range(2):
+        design = np.vstack([np.hstack([off, curved]), np.zeros(3 + curved.shape[1])])
+        design[-1, 2] = 1.0 / steepest[i]
+        forms.append(np.linalg.lstsq(design, np.append(image[:, i], 0.0), rcond=None)[0])
+    a, b = (form[:3] for form in forms)
+    constant = colrow.mean(axis=0) + [form[3] for form in forms] - np.array([a @ middle, b @ middle])
+    return constant, a, b

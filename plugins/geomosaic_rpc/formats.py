@@ -1,0 +1,168 @@
+"""RPC file formats: _RPC.TXT, RPB, OSSIM keyword lists, DIMAP and DigitalGlobe XML."""
+
+from __future__ import annotations
+
+import re
+from xml.etree.ElementTree import Element
+
+from geomosaic.errors import InputError
+from geomosaic.sensor.safe_xml import parse
+from geomosaic_rpc.fields import FIRST_PIXEL, POLYNOMIALS, SCALARS, RpcFields, number, numbered
+
+# Units that _RPC.TXT files print behind a number; others (feet) would need a conversion.
+_UNITS = {"pixels", "pixel", "degrees", "degree", "deg", "meters", "meter", "metres", "metre", "m", ""}
+
+_RPB_NAMES = {
+    "LINE_OFF": "lineOffset", "SAMP_OFF": "sampOffset", "LAT_OFF": "latOffset", "LONG_OFF": "longOffset",
+    "HEIGHT_OFF": "heightOffset", "LINE_SCALE": "lineScale", "SAMP_SCALE": "sampScale", "LAT_SCALE": "latScale",
+    "LONG_SCALE": "longScale", "HEIGHT_SCALE": "heightScale", "ERR_BIAS": "errBias", "ERR_RAND": "errRand",
+    "LINE_NUM_COEFF": "lineNumCoef", "LINE_DEN_COEFF": "lineDenCoef", "SAMP_NUM_COEFF": "sampNumCoef",
+    "SAMP_DEN_COEFF": "sampDenCoef",
+}  # fmt: skip
+
+
+def rpc_txt(text: str, where: str) -> RpcFields:
+    """Read the text form of RPC00B: one 'NAME: number unit' per line, as IKONOS, GeoEye, Planet and others have it."""
+    found = _colons(text, where)
+    numbers = {}
+    for name in (*SCALARS, "ERR_BIAS", "ERR_RAND"):
+        if name in found:
+            value, _, unit = found[name].partition(" ")
+            if unit.strip().lower() not in _UNITS:
+                raise InputError(f"{name} is in '{unit.strip()[:20]}', not in pixels, degrees or metres", where=where)
+            numbers[name] = number(value, name, where)
+    return RpcFields("RPC.TXT", numbers, numbered(found, 1, 1, where))
+
+
+def ossim(text: str, where: str) -> RpcFields:
+    """Read an OSSIM keyword list (.geom, .kwl) of a sensor with RPC; OSSIM itself counts pixels from 0 at centres."""
+    found = {key.upper(): value.strip().strip('"').strip() for key, value in _colons(text, where).items()}
+    if found.get("POLYNOMIAL_FORMAT", "B") != "B":
+        raise InputError(
+            f"the polynomials are of format {found['POLYNOMIAL_FORMAT'][:20]}, not RPC00B", where=where, hint=_other()
+        )
+    moved = [
+        key
+        for key, value in found.items()
+        if re.fullmatch(r"ADJUSTMENT_\d+\.ADJ_PARAM_\d+\.(PARAMETER|CENTER)", key) and number(value, key, where) != 0.0
+    ]
+    if moved:
+        raise InputError(
+            f"this keyword list holds an adjustment made by OSSIM ({moved[0].lower()} is not 0), which is not applied",
+            where=where,
+            hint="set it to 0 and refine here: refine = 'shift' with control points",
+        )
+    numbers = {name: number(found[name], name, where) for name in SCALARS if name in found}
+    for name, key in (("ERR_BIAS", "BIAS_ERROR"), ("ERR_RAND", "RAND_ERROR")):
+        if key in found:
+            numbers[name] = number(found[key], key, where)
+    return RpcFields("OSSIM", numbers, numbered(found, 0, 2, where))
+
+
+def rpb(text: str, where: str) -> RpcFields:
+    """Read DigitalGlobe's RPB: 'name = value;' with polynomials in parentheses."""
+    found: dict[str, str] = {}
+    for statement in text.split(";"):
+        head, equals, value = statement.rpartition("=")  # before it there may be a line without semicolon
+        if equals and head.split():
+            _once(found, head.split()[-1], value.strip().strip('"'), where)
+    specification(found.get("SpecId", found.get("specId", "RPC00B")), where)
+    numbers = {
+        name: number(found[key], key, where)
+        for name, key in _RPB_NAMES.items()
+        if name not in POLYNOMIALS and key in found
+    }
+    polynomials = {
+        name: [number(item.strip(), _RPB_NAMES[name], where) for item in found[key].strip("() \n\t").split(",")]
+        for name, key in _RPB_NAMES.items()
+        if name in POLYNOMIALS and key in found
+    }
+    return RpcFields("RPB", numbers, polynomials)
+
+
+def specification(name: str, where: str) -> None:
+    """Refuse polynomials whose terms are not those of RPC00B."""
+    if name.strip().upper() != "RPC00B":
+        raise InputError(f"the polynomials are '{name.strip()[:20]}', not RPC00B", where=where, hint=_other())
+
+
+def _other() -> str:
+    return "convert the coefficients to RPC00B; RPC00A has its terms in another order"
+
+
+def _colons(text: str, where: str) -> dict[str, str]:
+    """Lines 'key: value'."""
+    found: dict[str, str] = {}
+    for line in text.splitlines():
+        key, colon, value = line.partition(":")
+        if colon:
+            _once(found, key.strip(), " ".join(value.split()), where)
+    return found
+
+
+def _once(found: dict[str, str], key: str, value: str, where: str) -> None:
+    if key in found and found[key] != value:
+        raise InputError(
+            f"{key} stands twice with different values", where=where, hint="the file may hold two RPCs: keep one"
+        )
+    found[key] = value
+
+
+def rpc_xml(data: bytes, where: str) -> RpcFields:
+    """Read an RPC from XML, recognised by its root element."""
+    root = parse(data, where)
+    tag = root.tag.rpartition("}")[2]
+    if tag == "Dimap_Document":
+        return _dimap(root, where)
+    if tag == "isd":
+        return _digital_globe(root, where)
+    raise InputError(
+        f"this XML starts with <{tag[:40]}>; an RPC is in DIMAP (<Dimap_Document>) or DigitalGlobe XML (<isd>)",
+        where=where,
+        hint="give the RPC file of the scene, e.g. RPC_....XML",
+    )
+
+
+def _dimap(root: Element, where: str) -> RpcFields:
+    """DIMAP: the inverse model is the one from the ground to the image; versions 2 and 3 name it differently."""
+    model = _find(root, "Global_RFM")
+    inverse = None if model is None else (_find(model, "Inverse_Model", "GroundtoImage_Values"))
+    if model is None or inverse is None:
+        raise InputError(
+            "this DIMAP document has no rational function model from the ground to the image",
+            where=where,
+            hint="give the file RPC_....XML of the scene; SPOT 1 to 5 have no RPC, use their own sensor model",
+        )
+    title = _find(root, "RESOURCE_ID")
+    if title is not None:
+        specification(title.text or "", where)
+    found = {child.tag: (child.text or "").strip() for child in inverse}
+    validity = _find(model, "RFM_Validity")
+    for child in () if validity is None else validity:
+        found[child.tag] = (child.text or "").strip()
+    numbers = {name: number(found[name], name, where) for name in SCALARS if name in found}
+    profile = _find(root, "METADATA_PROFILE")
+    name = f"DIMAP {(profile.text or '').strip()}" if profile is not None else "DIMAP"
+    return RpcFields(name if name in FIRST_PIXEL else "DIMAP", numbers, numbered(found, 1, 1, where))
+
+
+def _digital_globe(root: Element, where: str) -> RpcFields:
+    image = _find(root, "RPB")
+    if image is None:
+        raise InputError("this DigitalGlobe document has no RPB part", where=where, hint="give the file .RPB")
+    spec = _find(image, "SPECID")
+    specification("RPC00B" if spec is None else spec.text or "", where)
+    found = {child.tag: (child.text or "").strip() for child in image.iter()}
+    names = {name: name.replace("_OFF", "OFFSET").replace("_", "") for name in SCALARS}
+    names |= {"ERR_BIAS": "ERRBIAS", "ERR_RAND": "ERRRAND"}
+    numbers = {name: number(found[key], key, where) for name, key in names.items() if key in found}
+    lists = {name: name.replace("_COEFF", "COEF").replace("_", "") for name in POLYNOMIALS}
+    polynomials = {
+        name: [number(item, key, where) for item in found[key].split()] for name, key in lists.items() if key in found
+    }
+    return RpcFields("DigitalGlobe XML", numbers, polynomials)
+
+
+def _find(element: Element, *names: str) -> Element | None:
+    """First element below, at any depth, of one of these names."""
+    return next((child for child in element.iter() if child.tag.rpartition("}")[2] in names), None)
