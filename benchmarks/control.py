@@ -15,9 +15,9 @@ from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ImageControl, Origin
 from geomosaic.errors import SolveError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.georeference.examination import BadControlError
-from geomosaic.georeference.request import FitRequest
-from geomosaic.georeference.solution import solve
+from geomosaic.georeferencing.examination import BadControlError
+from geomosaic.georeferencing.request import FitRequest
+from geomosaic.georeferencing.solution import solve
 from geomosaic.types import FloatArray
 
 SIZE = np.array([4000, 3000])

@@ -13,8 +13,8 @@ from PIL import Image, ImageDraw
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import BlockInputs
-from geomosaic.mosaic.blending.options import Blending, Width
-from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.mosaicking.blending.options import Blending, Width
+from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
 from geomosaic.render.options import RenderOptions
 from geomosaic.testing.synthetic import AnalyticGround

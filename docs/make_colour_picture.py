@@ -13,7 +13,7 @@ from PIL import Image
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import BlockInputs
-from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
 from geomosaic.render.options import RenderOptions
 from geomosaic.testing.synthetic import AnalyticGround

@@ -15,8 +15,8 @@ from make_pictures import BROWSERS, IMAGES
 from PIL import Image
 
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.georeference.request import ControlInput, FitRequest
-from geomosaic.georeference.run import georeference
+from geomosaic.georeferencing.request import ControlInput, FitRequest
+from geomosaic.georeferencing.run import georeference
 from geomosaic.testing.synthetic import AnalyticGround
 
 SIZE, PIXEL, MIDDLE = (1200, 840), 0.9, (400000.0, 5500000.0)

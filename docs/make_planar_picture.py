@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageOps
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
-from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_planar_mosaic
 from geomosaic.render.options import RenderOptions
 from geomosaic.testing.synthetic import AnalyticGround, render, synthetic_block

@@ -13,8 +13,8 @@ from scipy.interpolate import RectBivariateSpline
 
 from geomosaic.block.block import Block
 from geomosaic.inputs.area import Area, plan
-from geomosaic.mosaic.mosaic import mosaic
-from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.mosaicking.mosaic import mosaic
+from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.render.options import RenderOptions
 
 HALF_WIDTH = 2.5

@@ -11,8 +11,8 @@ from affine import Affine
 
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import BlockInputs
-from geomosaic.mosaic.options import MosaicOptions
-from geomosaic.mosaic.result import MosaicResult
+from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.mosaicking.result import MosaicResult
 from geomosaic.products.from_inputs import make_mosaic
 from geomosaic.render.options import RenderOptions
 

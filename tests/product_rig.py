@@ -16,9 +16,9 @@ from geomosaic.block.block import Block, Scene
 from geomosaic.block.footprint import Footprint
 from geomosaic.geo.crs import horizontal, parse_crs, with_heights
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaic.mosaic import mosaic
-from geomosaic.mosaic.options import MosaicOptions
-from geomosaic.mosaic.result import MosaicResult
+from geomosaic.mosaicking.mosaic import mosaic
+from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.mosaicking.result import MosaicResult
 from geomosaic.render.extent import footprints, output_grid
 from geomosaic.render.options import RenderOptions
 from geomosaic.render.ortho import OrthoResult, ortho

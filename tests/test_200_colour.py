@@ -18,8 +18,8 @@ from rasterio.warp import reproject
 
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import BlockInputs
-from geomosaic.mosaic.options import MosaicOptions
-from geomosaic.mosaic.result import MosaicResult
+from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.mosaicking.result import MosaicResult
 from geomosaic.products.from_inputs import make_mosaic, reference_scene
 from geomosaic.render.options import RenderOptions
 

@@ -17,10 +17,10 @@ from rasterio.warp import Resampling, reproject
 from geomosaic.accuracy.check_points import check_map
 from geomosaic.control.read import read_control
 from geomosaic.errors import InputError
-from geomosaic.georeference.examination import BadControlError
-from geomosaic.georeference.request import ControlInput, FitRequest, Place
-from geomosaic.georeference.run import fit_crs, georeference
-from geomosaic.georeference.solution import Solution, solve
+from geomosaic.georeferencing.examination import BadControlError
+from geomosaic.georeferencing.request import ControlInput, FitRequest, Place
+from geomosaic.georeferencing.run import fit_crs, georeference
+from geomosaic.georeferencing.solution import Solution, solve
 from geomosaic.match.shift import shifts
 from geomosaic.render.options import RenderOptions
 

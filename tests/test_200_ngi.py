@@ -15,8 +15,8 @@ import pytest
 from geomosaic.accuracy.product_check import against_reference
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import BlockInputs
-from geomosaic.mosaic.options import MosaicOptions
-from geomosaic.mosaic.result import MosaicResult
+from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.mosaicking.result import MosaicResult
 from geomosaic.products.from_inputs import make_mosaic, make_ortho
 from geomosaic.render.options import RenderOptions
 

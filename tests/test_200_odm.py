@@ -24,8 +24,8 @@ from geomosaic.inputs.area import Area, plan
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import BlockInputs
 from geomosaic.match.shift import Shifts, shifts
-from geomosaic.mosaic.mosaic import beside
-from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.mosaicking.mosaic import beside
+from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
 from geomosaic.render.options import RenderOptions
 from geomosaic.render.ortho import ortho

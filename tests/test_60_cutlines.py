@@ -6,7 +6,7 @@ import pytest
 import shapely
 from shapely import box
 
-from geomosaic.mosaic.seams.cutlines import covers, with_cutlines
+from geomosaic.mosaicking.seams.cutlines import covers, with_cutlines
 
 SHARES = [box(0, 0, 10, 10), box(10, 0, 20, 10), box(20, 0, 30, 10)]
 

@@ -8,8 +8,8 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geomosaic.mosaic.blending.weights import halo, reduction, signed_distance, weights
-from geomosaic.mosaic.seams.voronoi import regions
+from geomosaic.mosaicking.blending.weights import halo, reduction, signed_distance, weights
+from geomosaic.mosaicking.seams.voronoi import regions
 
 CORNER = np.array([4e5, 5.5e6])
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import InputError
-from geomosaic.mosaic.seams.cost_terms import SeamWeights, disagreement, features, nearness_of_edge, standing_out
-from geomosaic.mosaic.seams.graph_cut import Graph, divide, energy, graph
-from geomosaic.mosaic.seams.partition import without_spurs
-from geomosaic.mosaic.seams.voronoi import nearest
+from geomosaic.mosaicking.seams.cost_terms import SeamWeights, disagreement, features, nearness_of_edge, standing_out
+from geomosaic.mosaicking.seams.graph_cut import Graph, divide, energy, graph
+from geomosaic.mosaicking.seams.partition import without_spurs
+from geomosaic.mosaicking.seams.voronoi import nearest
 
 ROWS, COLS = 80, 120
 LENGTH = SeamWeights().length

@@ -8,8 +8,8 @@ import shapely
 from shapely import box
 from shapely.affinity import rotate
 
-from geomosaic.mosaic.seams.partition import keep_whole, partition, without_slivers
-from geomosaic.mosaic.seams.voronoi import inner_edges, regions, shown_deepest
+from geomosaic.mosaicking.seams.partition import keep_whole, partition, without_slivers
+from geomosaic.mosaicking.seams.voronoi import inner_edges, regions, shown_deepest
 
 A, B = box(0, 0, 60, 40), box(40, 0, 100, 40)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.mosaic.seams.partition import widened, without_islands, without_spurs
+from geomosaic.mosaicking.seams.partition import widened, without_islands, without_spurs
 
 
 def test_small_islands_go_and_large_ones_stay():

@@ -17,9 +17,9 @@ from geomosaic.block.block import Block, Scene
 from geomosaic.geo.grid import Bounds, Window
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import BlockInputs
-from geomosaic.mosaic.colour.balance import balance
-from geomosaic.mosaic.mosaic import mosaic
-from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.mosaicking.colour.balance import balance
+from geomosaic.mosaicking.mosaic import mosaic
+from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.raster.source import Source
 from geomosaic.render import photos as photos_module
 from geomosaic.render.aligned import cell_means

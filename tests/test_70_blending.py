@@ -14,7 +14,7 @@ from scipy.ndimage import convolve1d
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaic.blending.options import Blending, Width
+from geomosaic.mosaicking.blending.options import Blending, Width
 from geomosaic.resample import agreement, pyramid
 from geomosaic.resample.engine import numba_engine, numpy_engine
 from geomosaic.resample.warp import value_range
@@ -367,7 +367,7 @@ def test_an_edited_seam_does_not_change_what_counts_as_usual():
 
     import shapely
 
-    from geomosaic.mosaic.colour import noise
+    from geomosaic.mosaicking.colour import noise
 
     outlines, seen = [shapely.box(0, 0, 60, 40), shapely.box(40, 0, 100, 40)], []
 

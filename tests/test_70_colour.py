@@ -15,9 +15,9 @@ from affine import Affine
 from geomosaic.errors import InputError
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import BlockInputs
-from geomosaic.mosaic.colour.stretch import read
-from geomosaic.mosaic.options import MosaicOptions
-from geomosaic.mosaic.result import MosaicResult
+from geomosaic.mosaicking.colour.stretch import read
+from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.mosaicking.result import MosaicResult
 from geomosaic.products.from_inputs import make_mosaic, reference_scene
 from geomosaic.render.options import RenderOptions
 from geomosaic.resample.engine import numba_engine, numpy_engine

@@ -13,7 +13,7 @@ from city_rig import CORNER, FOCAL, SIZE, write_image
 from geomosaic.errors import InputError
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import BlockInputs
-from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
 from geomosaic.render.options import RenderOptions
 

@@ -13,7 +13,7 @@ import shapely
 
 from geomosaic.cli.results import mosaic_words
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.mosaic.blending.options import Blending
+from geomosaic.mosaicking.blending.options import Blending
 
 L, T = rig.LEFT, rig.TOP
 CROSSING = [(L, T), (L + 200, T - 100), (L + 200, T), (L, T - 100)]

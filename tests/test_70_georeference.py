@@ -19,9 +19,9 @@ from geomosaic.errors import InputError, OutputExistsError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
-from geomosaic.georeference.examination import BadControlError
-from geomosaic.georeference.request import ControlInput, FitRequest, Place
-from geomosaic.georeference.run import Georeferenced, georeference
+from geomosaic.georeferencing.examination import BadControlError
+from geomosaic.georeferencing.request import ControlInput, FitRequest, Place
+from geomosaic.georeferencing.run import Georeferenced, georeference
 from geomosaic.raster.vector import read_layer
 from geomosaic.render.options import RenderOptions
 from geomosaic.sensor.state import from_dict

@@ -16,9 +16,9 @@ from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ImageControl, Origin
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.georeference.examination import BadControlError, fold_advice
-from geomosaic.georeference.request import FitRequest
-from geomosaic.georeference.solution import Solution, solve
+from geomosaic.georeferencing.examination import BadControlError, fold_advice
+from geomosaic.georeferencing.request import FitRequest
+from geomosaic.georeferencing.solution import Solution, solve
 from geomosaic.render.extent import output_grid
 from geomosaic.types import FloatArray
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from test_70_georeference_advice import few, lens, solved
 
-from geomosaic.georeference.examination import BadControlError
+from geomosaic.georeferencing.examination import BadControlError
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,9 @@ from geomosaic.accuracy.check_points import check_map
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
-from geomosaic.georeference.examination import BadControlError
-from geomosaic.georeference.request import ControlInput, FitRequest, Place
-from geomosaic.georeference.run import georeference
+from geomosaic.georeferencing.examination import BadControlError
+from geomosaic.georeferencing.request import ControlInput, FitRequest, Place
+from geomosaic.georeferencing.run import georeference
 
 
 @pytest.mark.parametrize("crs", ["EPSG:2193", "EPSG:3031", "EPSG:32601"])

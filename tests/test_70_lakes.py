@@ -16,8 +16,8 @@ from rasterio.features import rasterize
 
 from geomosaic.cli.main import cli
 from geomosaic.errors import InputError
-from geomosaic.mosaic.blending.options import Blending
-from geomosaic.mosaic.water.proposal import propose_water
+from geomosaic.mosaicking.blending.options import Blending
+from geomosaic.mosaicking.water.proposal import propose_water
 
 SIZE = 400
 LEVEL = 112.0

@@ -174,7 +174,7 @@ def test_many_files_are_not_open_at_once(tmp_path: Path) -> None:
         most = max(most, len(os.listdir("/proc/self/fd")))  # noqa: PTH208
 
     from geomosaic.inputs.declarations import BlockInputs
-    from geomosaic.mosaic.options import MosaicOptions
+    from geomosaic.mosaicking.options import MosaicOptions
     from geomosaic.products.from_inputs import make_mosaic
     from geomosaic.render.options import RenderOptions
 

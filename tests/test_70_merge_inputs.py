@@ -12,8 +12,8 @@ import pytest
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import BlockInputs
-from geomosaic.mosaic.blending.options import Blending
-from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.mosaicking.blending.options import Blending
+from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
 from geomosaic.render.options import RenderOptions
 from geomosaic.render.sample_types import Depth

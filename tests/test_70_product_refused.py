@@ -13,7 +13,7 @@ import pytest
 from product_rig import GROUND, GSD, MAP, SMALL, Strip, job, make_strip, write
 
 from geomosaic.errors import GeomosaicError, InputError, OutputExistsError, RasterReadError
-from geomosaic.mosaic.mosaic import mosaic
+from geomosaic.mosaicking.mosaic import mosaic
 from geomosaic.render.extent import output_grid
 from geomosaic.render.ortho import ortho
 from geomosaic.testing.synthetic import CAMERA, SyntheticPhoto

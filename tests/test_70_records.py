@@ -18,8 +18,8 @@ from pyproj import CRS, Geod
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import OutputError, OutputExistsError
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaic.records.files import write_item, write_vectors
-from geomosaic.mosaic.records.provenance import time_span
+from geomosaic.mosaicking.records.files import write_item, write_vectors
+from geomosaic.mosaicking.records.provenance import time_span
 from geomosaic.radiometry.gain_offset import solve
 from geomosaic.raster.vector import read_layer
 from geomosaic.render.ortho import GeometryRecord

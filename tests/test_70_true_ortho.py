@@ -19,7 +19,7 @@ from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import BlockInputs
-from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic, make_ortho
 from geomosaic.raster.vector import read_layer
 from geomosaic.render.occlusion import Visibility

@@ -11,7 +11,7 @@ import shapely
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.mosaic.blending.options import Blending
+from geomosaic.mosaicking.blending.options import Blending
 from geomosaic.raster.vector import Layer, write_layers
 
 

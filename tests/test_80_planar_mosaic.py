@@ -19,7 +19,7 @@ from geomosaic.inputs.area import Area
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
 from geomosaic.inputs.missing_inputs import needs
-from geomosaic.mosaic.options import MosaicOptions
+from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_planar_mosaic
 from geomosaic.render.options import RenderOptions
 from geomosaic.testing.synthetic import coordinates, render

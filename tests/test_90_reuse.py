@@ -14,7 +14,7 @@ from project_rig import PHOTOS, edit_south, make_project
 from scipy.ndimage import distance_transform_edt
 
 from geomosaic.cli.main import run
-from geomosaic.mosaic import mosaic as product
+from geomosaic.mosaicking import mosaic as product
 from geomosaic.raster.vector import read_layer
 from geomosaic.resample.warp import CELL
 
@@ -172,7 +172,7 @@ def test_a_forced_run_takes_nothing_of_the_earlier_one(own, tell):
 
 
 def test_views_are_kept_where_the_pixels_are(own, tell, monkeypatch):
-    from geomosaic.mosaic.records import provenance
+    from geomosaic.mosaicking.records import provenance
 
     looked: list[object] = []
     between = provenance.between

@@ -10,7 +10,7 @@ from geomosaic.errors import counted
 
 if TYPE_CHECKING:
     from geomosaic.accuracy.check_points import MapCheck
-    from geomosaic.georeference.run import Georeferenced
+    from geomosaic.georeferencing.run import Georeferenced
     from geomosaic.monoplotting.draw_vectors import Drawn
     from geomosaic.monoplotting.run import Located
 
@@ -21,7 +21,7 @@ MOST = 40
 
 def check_facts(found: MapCheck) -> dict[str, Any]:
     """Plain values of a check."""
-    from geomosaic.georeference.facts import advice_facts, statistics_facts
+    from geomosaic.georeferencing.facts import advice_facts, statistics_facts
 
     points = zip(found.ids, found.measured, found.true, found.pixel_errors, found.statistics.errors, strict=True)
     return {

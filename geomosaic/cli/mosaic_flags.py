@@ -16,7 +16,7 @@ def _width(ctx: click.Context, param: click.Parameter, value: str | None) -> Any
     if value is None:
         return None
     from geomosaic.errors import InputError
-    from geomosaic.mosaic.blending.options import Width
+    from geomosaic.mosaicking.blending.options import Width
 
     try:
         return Width.parse(value)
@@ -110,7 +110,7 @@ merge_flags = stack(
 
 def merging(flags: Mapping[str, Any]) -> dict[str, Any]:
     """What these options say, as fields of `MosaicOptions`."""
-    from geomosaic.mosaic.blending.options import Blending
+    from geomosaic.mosaicking.blending.options import Blending
     from geomosaic.render.sample_types import Depth
 
     if "rule" not in flags:  # a command whose images are not georeferenced ones

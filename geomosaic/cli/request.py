@@ -13,8 +13,8 @@ from geomosaic.cli.talk import Progress
 if TYPE_CHECKING:
     from geomosaic.inputs.area import Area
     from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
-    from geomosaic.mosaic.options import MosaicOptions
-    from geomosaic.mosaic.seams.cost_terms import SeamWeights
+    from geomosaic.mosaicking.options import MosaicOptions
+    from geomosaic.mosaicking.seams.cost_terms import SeamWeights
     from geomosaic.render.options import RenderOptions
 
 
@@ -130,7 +130,7 @@ def render_options(flags: Mapping[str, Any], progress: Progress | None) -> Rende
 def seam_weights(given: Mapping[str, str]) -> SeamWeights:
     """Make the weights of seams, where some are given."""
     from geomosaic.errors import InputError, did_you_mean
-    from geomosaic.mosaic.seams.cost_terms import SeamWeights
+    from geomosaic.mosaicking.seams.cost_terms import SeamWeights
 
     known = SeamWeights.__dataclass_fields__
     for name, text in given.items():
@@ -145,7 +145,7 @@ def seam_weights(given: Mapping[str, str]) -> SeamWeights:
 def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> MosaicOptions:
     """Make the options of a mosaic."""
     from geomosaic.cli.mosaic_flags import balanced, merging
-    from geomosaic.mosaic.options import MosaicOptions, terms_of
+    from geomosaic.mosaicking.options import MosaicOptions, terms_of
     from geomosaic.products.from_inputs import reference_scene
 
     reference = flags["reference"]

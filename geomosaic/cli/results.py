@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from geomosaic.geo.grid import Grid
     from geomosaic.jobs.project import Outcome
     from geomosaic.jobs.step import State
-    from geomosaic.mosaic.result import MosaicResult
+    from geomosaic.mosaicking.result import MosaicResult
     from geomosaic.render.ortho import OrthoResult
 
 
@@ -62,7 +62,7 @@ def hidden_words(pixels: int | None, grid: Grid) -> str:
 
 def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
     """Plain values of a mosaic."""
-    from geomosaic.mosaic.colour.facts import colour_facts
+    from geomosaic.mosaicking.colour.facts import colour_facts
 
     companions = {"labels": result.labels, "vectors": result.vectors, "stac": result.item}
     return {
@@ -90,7 +90,7 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
 
 def mosaic_words(result: MosaicResult) -> str:
     """Say what was made, in a few lines."""
-    from geomosaic.mosaic.colour.facts import said_of
+    from geomosaic.mosaicking.colour.facts import said_of
 
     lines = [
         *result.notes,

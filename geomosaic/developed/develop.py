@@ -28,8 +28,8 @@ from geomosaic.surface.reference_surfaces import Plane
 
 if TYPE_CHECKING:
     from geomosaic.geo.grid import Grid
-    from geomosaic.mosaic.options import MosaicOptions
-    from geomosaic.mosaic.result import MosaicResult
+    from geomosaic.mosaicking.options import MosaicOptions
+    from geomosaic.mosaicking.result import MosaicResult
     from geomosaic.render.ortho import OrthoResult
 
 
@@ -100,14 +100,14 @@ def make_developed(
 
         one = ortho(scenes[0], flat, grid, outlines[0], output, options.render)
         return DevelopedResult(facts, notes, ortho=one)
-    from geomosaic.mosaic.mosaic import mosaic
+    from geomosaic.mosaicking.mosaic import mosaic
 
     several = mosaic(Block(scenes, flat), grid, list(outlines), output, options)
     return DevelopedResult(facts, notes, mosaic=several)
 
 
 def _outputs(output: Path, several: bool, options: MosaicOptions) -> list[Path]:
-    from geomosaic.mosaic.mosaic import beside
+    from geomosaic.mosaicking.mosaic import beside
 
     named = (("-labels", ".tif", options.labels), ("", ".gpkg", options.vectors))
     return [output, *(beside(output, mark, suffix) for mark, suffix, wanted in named if wanted and several)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from geomosaic.mosaic.mosaic import beside
+from geomosaic.mosaicking.mosaic import beside
 from geomosaic.project.load import Project
 
 

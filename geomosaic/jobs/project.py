@@ -17,7 +17,7 @@ from geomosaic.jobs.step_keys import plugin_versions, sensor_files, with_compani
 from geomosaic.jobs.steps.mosaic import mosaic, orthos
 from geomosaic.jobs.steps.orient import orient
 from geomosaic.jobs.steps.report import check, failure, report
-from geomosaic.mosaic.blending.rules import LABELLED
+from geomosaic.mosaicking.blending.rules import LABELLED
 from geomosaic.project.load import Project
 
 

@@ -28,8 +28,8 @@ from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import PathLike
 
 if TYPE_CHECKING:
-    from geomosaic.mosaic.options import MosaicOptions
-    from geomosaic.mosaic.result import MosaicResult
+    from geomosaic.mosaicking.options import MosaicOptions
+    from geomosaic.mosaicking.result import MosaicResult
 
 
 COLUMNS = ("id", "image", "col", "row")
@@ -121,7 +121,7 @@ def make_edge_mosaic(
     inputs: EdgeInputs, area: Area, output: Path, options: MosaicOptions
 ) -> tuple[EdgeMatch, MosaicResult]:
     """Match the edges and make the mosaic."""
-    from geomosaic.mosaic.mosaic import mosaic
+    from geomosaic.mosaicking.mosaic import mosaic
 
     refuse_existing(output, options.render.overwrite)
     matched = match_photos(inputs)

@@ -15,8 +15,8 @@ from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
 from geomosaic.raster.output_files import check_output
 
 if TYPE_CHECKING:
-    from geomosaic.mosaic.options import MosaicOptions
-    from geomosaic.mosaic.result import MosaicResult
+    from geomosaic.mosaicking.options import MosaicOptions
+    from geomosaic.mosaicking.result import MosaicResult
     from geomosaic.render.options import RenderOptions
     from geomosaic.render.ortho import OrthoResult
 
@@ -74,7 +74,7 @@ def make_mosaic(inputs: BlockInputs, area: Area, output: Path, options: MosaicOp
     """
     from geomosaic.inputs.area import note_scattered, plan_mosaic
     from geomosaic.inputs.rasters import check_same_bands, with_named_bands
-    from geomosaic.mosaic.mosaic import mosaic
+    from geomosaic.mosaicking.mosaic import mosaic
 
     for file in _files(output, options):
         refuse_existing(file, options.render.overwrite, inputs)
@@ -89,7 +89,7 @@ def make_mosaic(inputs: BlockInputs, area: Area, output: Path, options: MosaicOp
 
 def _files(output: Path, options: MosaicOptions) -> list[Path]:
     """The mosaic and what is written beside it."""
-    from geomosaic.mosaic.mosaic import beside
+    from geomosaic.mosaicking.mosaic import beside
 
     named = (("-labels", ".tif", options.labels), ("", ".gpkg", options.vectors), ("", ".stac.json", options.stac))
     return [output, *(beside(output, mark, suffix) for mark, suffix, wanted in named if wanted)]
@@ -121,7 +121,7 @@ def make_planar_mosaic(
     from geomosaic.accuracy.product_check import check_control
     from geomosaic.inputs.planar.build import build_planar
     from geomosaic.inputs.planar.facts import control_facts
-    from geomosaic.mosaic.mosaic import beside, mosaic
+    from geomosaic.mosaicking.mosaic import beside, mosaic
     from geomosaic.whole_files import write_atomic
 
     facts_path = beside(output, "-placement", ".json")

@@ -19,7 +19,7 @@ def _plain_path(text: str) -> str:
 def _width(text: str) -> str:
     """Refuse what is no width with a unit."""
     from geomosaic.errors import InputError
-    from geomosaic.mosaic.blending.options import Width
+    from geomosaic.mosaicking.blending.options import Width
 
     try:
         Width.parse(text)

@@ -126,7 +126,7 @@ def render_control(data: Mapping[str, Any], image: Path) -> str:
     Parameters
     ----------
     data : mapping
-        The facts of the JSON report, see `geomosaic.georeference.report`.
+        The facts of the JSON report, see `geomosaic.georeferencing.report`.
     image : Path
         For the picture.
 

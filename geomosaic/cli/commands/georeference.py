@@ -68,9 +68,9 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
     """
     from geomosaic.cli.measured_results import georeference_words
     from geomosaic.cli.results import ortho_facts
-    from geomosaic.georeference.examination import BadControlError
-    from geomosaic.georeference.request import ControlInput, FitRequest, Place
-    from geomosaic.georeference.run import georeference
+    from geomosaic.georeferencing.examination import BadControlError
+    from geomosaic.georeferencing.request import ControlInput, FitRequest, Place
+    from geomosaic.georeferencing.run import georeference
 
     note_memory(flags["mem_limit"], flags["threads"])
     given = ControlInput(

@@ -41,7 +41,7 @@ def command(
     Example:
       geomosaic water mosaic.tif --dem dem.tif -o water.gpkg
     """
-    from geomosaic.mosaic.water.proposal import propose_water
+    from geomosaic.mosaicking.water.proposal import propose_water
 
     with notes():
         made = propose_water(image, dem, output, smallest=min_area, heights=dem_heights, overwrite=overwrite)

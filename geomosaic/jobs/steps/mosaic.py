@@ -21,9 +21,9 @@ from geomosaic.jobs.manifest import heard, read_json, tell, write_json
 from geomosaic.jobs.step import Context, Machine
 from geomosaic.jobs.step_keys import digest_of, versions
 from geomosaic.jobs.steps.orient import area_of, render_options, restore_block
-from geomosaic.mosaic.blending.options import Blending, Width
-from geomosaic.mosaic.colour.facts import colour_facts, picture
-from geomosaic.mosaic.reruns.reuse import Memory
+from geomosaic.mosaicking.blending.options import Blending, Width
+from geomosaic.mosaicking.colour.facts import colour_facts, picture
+from geomosaic.mosaicking.reruns.reuse import Memory
 from geomosaic.products.from_inputs import reference_scene
 from geomosaic.project.draft.write import relative
 from geomosaic.project.load import Project
@@ -40,10 +40,10 @@ _NO_COLOUR = (
 
 def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
     """Write the mosaic and what goes with it."""
-    from geomosaic.mosaic.mosaic import mosaic as make
-    from geomosaic.mosaic.options import MosaicOptions, terms_of
-    from geomosaic.mosaic.retouch import Retouch
-    from geomosaic.mosaic.seams.cost_terms import SeamWeights
+    from geomosaic.mosaicking.mosaic import mosaic as make
+    from geomosaic.mosaicking.options import MosaicOptions, terms_of
+    from geomosaic.mosaicking.retouch import Retouch
+    from geomosaic.mosaicking.seams.cost_terms import SeamWeights
     from geomosaic.raster.preview import png_bytes
     from geomosaic.report.figures import data_uri
     from geomosaic.report.report import place_pictures, seam_facts
@@ -205,7 +205,7 @@ def _memory(project: Project, context: Context) -> Memory:
 
 def _remembered(memory: Memory) -> FindOutlines:
     """Outlines of the images, as an earlier run has found them where nothing they depend on has changed."""
-    from geomosaic.mosaic.reruns.earlier_results import VERSION, Recall, digest_of
+    from geomosaic.mosaicking.reruns.earlier_results import VERSION, Recall, digest_of
     from geomosaic.render.extent import footprints
 
     def find(scenes: tuple[Scene, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:

@@ -1,0 +1,235 @@
+"""Advice on control and on a fit to it: what stops the work, and what is only told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from geomosaic.control.findings import Advice, listed
+from geomosaic.errors import InputError
+from geomosaic.geo.grid import Grid
+from geomosaic.geo.transform import Transform
+from geomosaic.georeferencing.independent_check import GROSS, GROSS_PIXELS, Opinion
+from geomosaic.orientation.single.blunders import BlunderSearch
+from geomosaic.orientation.single.fit import ControlFit
+from geomosaic.orientation.single.model_selection import Choice
+from geomosaic.orientation.single.point_deletion import Deletion
+from geomosaic.orientation.single.problem import image_by_map
+from geomosaic.sensor.model import SensorModel
+from geomosaic.types import FloatArray
+
+LARGE = 0.01
+"""Errors, in parts of the image's diagonal, beyond which a fit is no map of it."""
+BETTER = 0.67
+"""Share of the leave-one-out error of the model asked for, below which another one is named."""
+SAME = {"poly1": "affine"}
+HOPELESS = ("few-points", "collinear", "nowhere")
+"""Errors with which nothing is drawn, whoever insists."""
+UNFIT = 0.4
+"""Share of points that stand out from which on it is the fit that is wrong."""
+EVEN = 0.5
+"""Probability of a wrong point beyond which nothing is drawn."""
+STEPS = 33
+"""Places along each side of the output at which a fold is looked for."""
+
+
+class BadControlError(InputError):
+    """Control that would draw a wrong picture; `advice` has all that was found."""
+
+    def __init__(self, advice: Sequence[Advice], where: str, *, final: bool = False) -> None:
+        errors = [found for found in advice if found.severity == "error"]
+        what = "; ".join(f"{found.what} ({found.code})" for found in errors[:3])
+        more = f"; and {len(errors) - 3} more" if len(errors) > 3 else ""
+        hints = "; ".join(dict.fromkeys(found.hint for found in errors[:3]))
+        if not final:
+            hints += "; or --insist, to draw it all the same"
+        super().__init__(what + more, where=where, hint=hints)
+        self.advice = tuple(advice)
+
+
+def stop_on_errors(advice: Sequence[Advice], where: str, *, insist: bool, possible: bool = True) -> None:
+    """Stop where a finding is an error; where the user insists, only where nothing can be drawn.
+
+    Parameters
+    ----------
+    advice : sequence of Advice
+    where : str
+        For the error.
+    insist : bool
+    possible : bool
+        Whether the points have places at all.
+
+    Raises
+    ------
+    BadControlError
+    """
+    errors = [found for found in advice if found.severity == "error"]
+    final = not possible or any(found.code in HOPELESS for found in errors)
+    if errors and (final or not insist):
+        raise BadControlError(advice, where, final=final)
+
+
+def blunder_advice(search: BlunderSearch, searched: Sequence[str], fit: ControlFit) -> list[Advice]:
+    """Name points that are wrong and take part all the same.
+
+    Parameters
+    ----------
+    search : BlunderSearch
+    searched : sequence of str
+        Names of the points it was made over.
+    fit : ControlFit
+        That is to be drawn.
+    """
+    names = tuple(name for name in fit.ids if name in set(search.blunders))
+    alone = tuple(n for n in fit.ids if n in set(search.accused) - {*search.blunders, *search.bent})
+    typical = search.estimate.fit.rms_total
+    if len(names) + len(alone) > UNFIT * len(fit.ids):
+        what = f"{len(names) + len(alone)} of {len(fit.ids)} points stand out against the rest, which agrees within "
+        hint = "choose a fit of more parameters, or look for wrong points among them: see the control report"
+        return [Advice("misfit", "warning", f"{what}{typical:.2f} px: the fit does not suit them all", (), hint)]
+    found = []
+    if names:
+        lengths = dict(zip(searched, np.hypot(*search.estimate.residuals.T).tolist(), strict=True))
+        gross = any(lengths[name] > max(GROSS * typical, GROSS_PIXELS) for name in names)
+        told = ", ".join(f"{name} ({lengths[name]:.1f} px)" for name in names[:6])
+        told += f" and {len(names) - 6} more" if len(names) > 6 else ""
+        what = (
+            f"{len(names)} of {len(fit.ids)} points contradict{'s' * (len(names) == 1)} the others, which agree within "
+            f"{typical:.2f} px: {told}"
+        )
+        found.append(Advice("blunder", "error" if gross else "warning", what, names, _out(names)))
+    if alone:
+        what = f"one of two tests, but not the other, finds wrong: {listed(alone)}"
+        found.append(Advice("suspect", "warning", what, alone, "look at these points again"))
+    return found
+
+
+def bent_advice(search: BlunderSearch, fit: ControlFit, model: str) -> list[Advice]:
+    """Say so where the fit misses points, or rejects them, that a smooth bend of the image explains."""
+    bent = [name for name in search.bent if name in fit.ids]
+    if not bent:
+        return []
+    lengths = dict(zip(fit.ids, np.hypot(*fit.residuals.T).tolist(), strict=True))
+    told = listed([f"{name} ({lengths[name]:.1f} px)" for name in sorted(bent, key=lambda name: -lengths[name])])
+    what = f"{model} misses {len(bent)} of {len(fit.ids)} points more than the others, but a smooth bend of the image "
+    what += f"explains {'them' if len(bent) > 1 else 'it'}: {told}"
+    hint = "more points around them, which tell a bend from a blunder; --model tps follows a bend"
+    return [Advice("bent", "warning", what, tuple(bent), hint)]
+
+
+def opinion_advice(opinion: Opinion, fit: ControlFit, named: Sequence[str]) -> list[Advice]:
+    """Name points that take part and are wrong whatever the kind of fit, or of which some are."""
+    inside = set(fit.ids) - set(named)
+    names = tuple(name for name in opinion.blunders if name in inside)
+    if names:
+        told = ", ".join(f"{name} ({opinion.lengths[name]:.1f} px)" for name in names[:6])
+        told += f" and {len(names) - 6} more" if len(names) > 6 else ""
+        what = (
+            f"{len(names)} of {len(fit.ids)} points contradict{'s' * (len(names) == 1)} the others, which agree within "
+            f"{opinion.rms:.2f} px: {told}, {opinion.basis}"
+        )
+        severity = "error" if any(opinion.gross(name) for name in names) else "warning"
+        return [Advice("blunder", severity, what, names, _out(names))]
+    names = tuple(name for name in opinion.suspicious if name in inside)
+    if not names:
+        return []
+    who = f"{listed(names)} {'is' if len(names) == 1 else 'are'}"
+    what = f"with a probability of {opinion.fault:.0%} {who} wrong, else the image is bent: {len(fit.ids)} points are "
+    what += "too few to be sure"
+    gross = opinion.fault > EVEN and any(opinion.gross(name) for name in names)
+    hint = f"measure again, and more points; or leave out what is known to be wrong: --without {names[0]}"
+    return [Advice("contradiction", "error" if gross else "warning", what, names, hint)]
+
+
+def _out(names: Sequence[str]) -> str:
+    """What to do with points that are wrong."""
+    return f"measure again, or leave out: --without {' --without '.join(names[:6])}, or --robust for all of them"
+
+
+def deletion_advice(deletion: Deletion | None) -> list[Advice]:
+    """Say so where the threshold was not reached."""
+    if deletion is None or deletion.reached:
+        return []
+    hint = "a larger threshold, or a fit of more parameters; look at the leave-one-out error, which deletion may worsen"
+    return [Advice("threshold-not-reached", "warning", deletion.said, (), hint)]
+
+
+def odd_advice(choice: Choice | None, fit: ControlFit, named: Sequence[str]) -> list[Advice]:
+    """Name points that no kind of fit predicts and that take part all the same, where the search did not."""
+    odd = () if choice is None else tuple(name for name in choice.odd if name in fit.ids and name not in named)
+    if not odd:
+        return []
+    told = f"{len(odd)} of {len(fit.ids)} points fit{'s' * (len(odd) == 1)} no kind of transformation"
+    errors = np.hypot(*fit.leave_one_out.T)
+    gross = any(errors[fit.ids.index(name)] > GROSS_PIXELS for name in odd)
+    return [Advice("blunder", "error" if gross else "warning", f"{told}: {listed(odd)}", odd, _out(odd))]
+
+
+def size_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
+    """Say so where errors are large for the image: whatever was fitted, it is no map of it."""
+    left_out = np.hypot(*fit.leave_one_out.T)
+    # The residuals of few points are smaller than errors are: their share of the redundancy is taken off. A spline
+    # has none, and misses corners that are left out: the RMS that belongs to the median error counts.
+    if fit.redundancy:
+        own = max(fit.rms_total, fit.sigma0 * float(np.sqrt(2.0) * np.median(fit.sigma)))
+    else:
+        own = 1.2 * float(np.nanmedian(left_out)) if np.isfinite(left_out).any() else np.nan
+    error = max((e for e in (own, fit.leave_one_out_rms) if np.isfinite(e)), default=0.0)
+    limit = LARGE * float(np.hypot(*size))
+    if error <= limit:
+        return []
+    severity = "warning" if own <= limit else "error"
+    what = f"points are missed by {error:.1f} px (RMS) in an image of {size[0]} x {size[1]} pixels"
+    lengths = np.hypot(*(fit.leave_one_out if np.isfinite(fit.leave_one_out).any() else fit.residuals).T)
+    worst = tuple(fit.ids[i] for i in np.argsort(-np.nan_to_num(lengths), kind="stable")[:3])
+    what += f", most of all {', '.join(worst)}"
+    hint = "look for wrong or exchanged points, give more of them, or choose a fit of more parameters"
+    hint += ": --model projective for an oblique photo"
+    return [Advice("large-errors", severity, what, (), hint)]
+
+
+def comparison_advice(choice: Choice | None, model: str) -> list[Advice]:
+    """Say so where another model than the one asked for predicts points left out much better."""
+    rows = {} if choice is None else {row.name: row.leave_one_out for row in choice.table}
+    if choice is None or choice.name == model or not rows[choice.name] < BETTER * rows.get(SAME.get(model, model), 0.0):
+        return []
+    own = rows[SAME.get(model, model)]
+    what = (
+        f"{choice.name} predicts points left out of the fit within {rows[choice.name]:.2f} px, {model} within {own:.2f}"
+    )
+    free = {row.name: row.parameters for row in choice.table}
+    if free[choice.name] < free[SAME.get(model, model)]:
+        hint = f"--model {choice.name}: {model} follows the errors of the points, and strays between them"
+    else:
+        hint = f"--model {choice.name}, if the image is bent so; or look for points that {model} does not suit"
+    return [Advice("poor-fit", "warning", what, (), hint)]
+
+
+def fold_advice(model: SensorModel, points: FloatArray, grid: Grid) -> list[Advice]:
+    """Find places where the fit turns the image over: it would be drawn twice, or mirrored in a part.
+
+    Parameters
+    ----------
+    model : SensorModel
+    points : array (N, 3)
+        Of the control, in `model.crs`: there the fit is right.
+    grid : Grid
+        Of the output.
+    """
+    c, r = np.meshgrid(np.linspace(0, grid.width, STEPS), np.linspace(0, grid.height, STEPS))
+    xy = Transform(grid.crs, model.crs)(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
+    places = np.column_stack([xy, np.zeros(len(xy))])
+    colrow = model.ground_to_image(places)
+    inside = np.isfinite(colrow).all(axis=1) & (colrow >= 0).all(axis=1) & (colrow <= model.size).all(axis=1)
+    if not inside.any():
+        return []
+    here = np.linalg.det(image_by_map(model, places[inside]))
+    side = float(np.nanmedian(np.sign(np.linalg.det(image_by_map(model, points)))))
+    share = float(np.mean(here * side <= 0.0))
+    if share == 0.0:
+        return []
+    much = f"{share:.0%}" if share >= 0.01 else "less than 1%"
+    what = f"the fit folds the image over: in {much} of the output it runs backwards"
+    hint = "measure points there, or choose a fit of fewer parameters"
+    return [Advice("folded", "error", what, (), hint)]

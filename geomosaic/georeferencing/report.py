@@ -1,0 +1,223 @@
+"""The control report as plain values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.control.parsing import Reading
+from geomosaic.geo.units import metres_per_unit, unit_name
+from geomosaic.georeferencing.facts import (
+    accuracy_facts,
+    advice_facts,
+    error_facts,
+    number,
+    parameter_facts,
+    plain,
+    statistics_facts,
+)
+from geomosaic.georeferencing.independent_check import Opinion
+from geomosaic.georeferencing.model_trial import SENSOR
+from geomosaic.georeferencing.request import FitRequest, kind_order
+from geomosaic.georeferencing.solution import Solution
+from geomosaic.orientation.single.blunders import BlunderSearch
+from geomosaic.orientation.single.model_selection import Choice
+from geomosaic.orientation.single.point_deletion import Deletion
+from geomosaic.render.ortho import OrthoResult
+from geomosaic.sensor.state import to_dict
+from geomosaic.types import FloatArray
+
+
+def report_facts(
+    image: Path,
+    size: tuple[int, int],
+    reading: Reading,
+    request: FitRequest,
+    solution: Solution,
+    product: OrthoResult,
+    resampling: str,
+) -> dict[str, Any]:
+    """Gather what was given, done and found."""
+    fit, states = solution.fit, solution.states
+    kind, order = kind_order(solution.model)
+    metres = metres_per_unit(solution.crs, fit.xyz[:, :2].mean(axis=0))
+    counts = {state: states.count(state) for state in ("control", "check", "deleted", "suspect", "disabled")}
+    grid = product.grid
+    return {
+        "image": {"path": str(image), "name": image.name, "width": size[0], "height": size[1]},
+        "control": {
+            "path": reading.control.origins[0].path,
+            "format": reading.format,
+            "crs": crs_words(reading.control.crs),
+            "heights": "not used: the fit is plane" if reading.control.ground.shape[1] == 3 else "none",
+            "notes": list(reading.notes),
+            "points": len(states),
+            **counts,
+        },
+        "fit": {
+            "model": solution.model,
+            "kind": kind,
+            "order": order,
+            "asked": request.model,
+            "why": solution.why,
+            "crs": crs_words(solution.crs),
+            "unit": unit_name(solution.crs),
+            "metres_per_unit": plain(metres),
+            "mirrored": bool(fit.mirrored),
+            "parameters": parameter_facts(fit),
+            "state": to_dict(SENSOR, fit.model),
+        },
+        "accuracy": accuracy_facts(fit, metres),
+        "check": None if solution.check is None else _check(solution),
+        "choice": _choice(solution.choice),
+        "deletion": _deletion(solution.deletion),
+        "robust": _robust(solution.robust, solution.robust_said, solution.opinion),
+        "advice": advice_facts(solution.advice),
+        "points": _points(solution, metres),
+        "product": {
+            "path": str(product.path),
+            "crs": crs_words(grid.crs),
+            "width": grid.width,
+            "height": grid.height,
+            "resolution": list(grid.resolution),
+            "unit": unit_name(grid.crs),
+            "bounds": list(grid.bounds),
+            "valid_pixels": product.valid_pixels,
+            "resampling": resampling,
+            "lattice_error_px": number(product.lattice_error),
+            "tolerance_px": product.tolerance,
+            "image_pixels_per_output_pixel": number(product.scale),
+        },
+    }
+
+
+def crs_words(crs: CRS) -> str:
+    """Name a CRS with its code."""
+    code = crs.to_authority(min_confidence=100)
+    return f"{crs.name} ({code[0]}:{code[1]})" if code else crs.name
+
+
+def _check(solution: Solution) -> dict[str, Any]:
+    judges = np.array([state == "check" for state in solution.states])
+    found = statistics_facts(solution.check) if solution.check is not None else {}
+    return {**found, "px": error_facts(solution.residuals[judges])}
+
+
+def _choice(found: Choice | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {
+        "model": found.name,
+        "why": found.said.removeprefix(f"{found.name}: "),
+        "odd": list(found.odd),
+        "tried": [
+            {
+                "model": row.name,
+                "parameters": row.parameters,
+                "redundancy": row.redundancy,
+                "rms_px": number(row.rms),
+                "leave_one_out_px": number(row.leave_one_out),
+                "chance": number(row.gain),
+                "refused": row.refused,
+            }
+            for row in found.table
+        ],
+    }
+
+
+def _deletion(found: Deletion | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    first = found.deleted[0].rms_before if found.deleted else found.fit.rms_total
+    return {
+        "threshold_px": found.threshold,
+        "reached": found.reached,
+        "said": found.said,
+        "rms_all_px": first,
+        "rms_left_px": found.fit.rms_total,
+        "deleted": [
+            {
+                "order": row.order,
+                "id": row.id,
+                "residual_px": plain(row.residual),
+                "rms_before_px": row.rms_before,
+                "rms_after_px": row.rms_after,
+                "left": row.left,
+            }
+            for row in found.deleted
+        ],
+    }
+
+
+def _robust(found: BlunderSearch | None, said: str, opinion: Opinion | None) -> dict[str, Any]:
+    if opinion is None:
+        return _search(found, said)
+    first = {
+        "said": opinion.said,
+        "blunders": list(opinion.blunders),
+        "suspicious": list(opinion.suspicious),
+        "rms_px": number(opinion.rms),
+        "errors_px": {name: number(length) for name, length in opinion.lengths.items()},
+    }
+    facts = _search(found, said)
+    return {**facts, "without_model": first, "blunders": list(dict.fromkeys([*facts["blunders"], *opinion.blunders]))}
+
+
+def _search(found: BlunderSearch | None, said: str) -> dict[str, Any]:
+    if found is None:
+        return {"said": said, "blunders": []}
+    good = found.estimate.fit
+    return {
+        "said": said,
+        "agree": found.agree,
+        "blunders": list(found.blunders),
+        "bearable": found.bearable,
+        "snooping": {
+            "blunders": list(found.snooping.blunders),
+            "readmitted": list(found.snooping.readmitted),
+            "alpha": found.snooping.alpha,
+            "scale": number(found.snooping.scale),
+            "rms_total_px": number(found.snooping.fit.rms_total),
+        },
+        "m_estimator": {
+            "blunders": list(found.estimate.blunders),
+            "scale": number(found.estimate.scale),
+            "rounds": found.estimate.rounds,
+            "settled": found.estimate.settled,
+            "rms_total_px": number(good.rms_total),
+            "leave_one_out_rms_px": number(good.leave_one_out_rms),
+            "points": len(good.ids),
+        },
+    }
+
+
+def _points(solution: Solution, metres: FloatArray) -> list[dict[str, Any]]:
+    control, fit = solution.control, solution.fit
+    rows = {name: i for i, name in enumerate(fit.ids)}
+    found = []
+    for i, name in enumerate(control.names):
+        k = rows.get(name)
+        moved = solution.map_residuals[i]
+        found.append(
+            {
+                "id": name,
+                "state": solution.states[i],
+                "origin": str(control.origins[i]),
+                "col": float(control.colrow[i, 0]),
+                "row": float(control.colrow[i, 1]),
+                "x": float(control.xy[i, 0]),
+                "y": float(control.xy[i, 1]),
+                "sigma_px": float(control.sigma[i]),
+                "residual_px": plain(solution.residuals[i]),
+                "residual_map": plain(moved),
+                "residual_m": plain(moved * metres),
+                "standardised": None if k is None else plain(fit.standardised[k]),
+                "redundancy_numbers": None if k is None else plain(fit.redundancy_numbers[k]),
+                "leave_one_out_px": None if k is None else plain(fit.leave_one_out[k]),
+                "leave_one_out_m": None if k is None else plain(fit.map_leave_one_out[k] * metres),
+            }
+        )
+    return found

@@ -1,0 +1,176 @@
+"""From an image and its control to a map, with the report beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.block.block import Scene
+from geomosaic.block.footprint import Footprint, footprint
+from geomosaic.control.findings import SEVERITIES, Advice
+from geomosaic.control.points import ImageControl
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import horizontal, parse_map
+from geomosaic.geo.units import short_unit
+from geomosaic.georeferencing.examination import BadControlError, fold_advice, stop_on_errors
+from geomosaic.georeferencing.model_trial import SENSOR
+from geomosaic.georeferencing.request import ControlInput, FitRequest, Place, find_control
+from geomosaic.georeferencing.solution import Solution, first_look, solve
+from geomosaic.raster.info import inspect
+from geomosaic.raster.output_files import check_output
+from geomosaic.render.extent import check_size, note_far_crs, output_grid, utm_zone
+from geomosaic.render.options import RenderOptions
+from geomosaic.render.ortho import OrthoResult, ortho
+
+
+@dataclass(frozen=True, eq=False)
+class Georeferenced:
+    """What was made.
+
+    Attributes
+    ----------
+    product : OrthoResult
+    solution : Solution
+    facts : dict
+        What the JSON report holds.
+    report, page, vectors : Path, optional
+        JSON, HTML and GeoPackage beside the product, where they were wanted.
+    """
+
+    product: OrthoResult
+    solution: Solution
+    facts: dict[str, Any]
+    report: Path | None
+    page: Path | None
+    vectors: Path | None
+
+
+def georeference(
+    image: Path,
+    output: Path,
+    given: ControlInput | None = None,
+    request: FitRequest | None = None,
+    place: Place | None = None,
+    options: RenderOptions | None = None,
+    *,
+    bands: tuple[int, ...] | None = None,
+    report: bool = True,
+) -> Georeferenced:
+    """Place an image on the map by its control and draw it there.
+
+    Parameters
+    ----------
+    image, output : Path
+    given : ControlInput
+        Where the control is.
+    request : FitRequest
+        Which fit.
+    place : Place
+        Where the output lies.
+    options : RenderOptions
+        How it is drawn.
+    bands : tuple of int, optional
+        Of the image, counted from 1.
+    report : bool
+        Write NAME-control.json, .html and .gpkg beside the output.
+
+    Raises
+    ------
+    BadControlError
+        The control would draw a wrong picture.
+    SolveError
+        It does not determine the fit.
+    InputError, OutputError
+        A file cannot be read or written.
+    """
+    given, request = given or ControlInput(), request or FitRequest()
+    place, options = place or Place(), options or RenderOptions()
+    info = inspect(image, bands)
+    reading = find_control(info, given)
+    files = {end: output.with_name(f"{output.stem}-control{end}") for end in (".json", ".html", ".gpkg")}
+    for file in (output, *(files.values() if report else ())):
+        _refuse(file, (image, given.path), overwrite=options.overwrite)
+    first_look(reading.control, info.size, request, given.near)
+    target = None if place.crs is None else parse_map(place.crs, "--dst-crs")
+    crs = fit_crs(reading.control, request.crs, target)
+    if reading.format == "world" and request.model == "auto":
+        request = replace(request, model="affine")
+    solution = solve(reading, image.name, info.size, crs, request, given.near, short_unit(crs))
+    scene = Scene(image.stem, str(image), SENSOR, solution.fit.model, bands=bands)
+    out_crs = target if target is not None else crs if not crs.is_geographic else _zone_of(reading.control)
+    where = reading.control.origins[0].path
+    outline = _outline(scene, out_crs, solution.model, where)
+    note_far_crs(out_crs, [outline])
+    grid = output_grid(out_crs, [outline], place.resolution, place.bounds)
+    check_size(grid)
+    folds = fold_advice(solution.fit.model, solution.fit.xyz, grid)
+    solution = replace(solution, advice=_sorted((*solution.advice, *folds)))
+    stop_on_errors(folds, where, insist=request.insist)
+    product = ortho(scene, None, grid, outline, output, options)
+    from geomosaic.georeferencing.facts import write_files
+    from geomosaic.georeferencing.report import report_facts
+
+    facts = report_facts(image, info.size, reading, request, solution, product, options.resampling)
+    if report:
+        write_files(facts, image, crs, out_crs, files, overwrite=options.overwrite)
+    paths = [files[end] if report else None for end in (".json", ".html", ".gpkg")]
+    return Georeferenced(product, solution, facts, *paths)
+
+
+def _outline(scene: Scene, crs: CRS, model: str, where: str) -> Footprint:
+    try:
+        return footprint(scene, None, crs)
+    except InputError as error:
+        if not crs.equals(scene.model.crs) and _outline(scene, scene.model.crs, model, where):
+            what = f"the image has no place in '{crs.name}'"
+            raise InputError(what, where="--dst-crs", hint="give a CRS that is made for its area") from error
+        what = f"the fit ({model}) has no ground for the middle of the image: its horizon runs through it"
+        hint = "look for wrong points, give more of them, or choose a fit of fewer parameters"
+        raise BadControlError([Advice("nowhere", "error", what, (), hint)], where, final=True) from error
+
+
+def fit_crs(control: ImageControl, given: str | None, target: CRS | None) -> CRS:
+    """Return the CRS in which the fit is made.
+
+    That of the control where it is projected: a scanned map is straight in its own projection. Of control in longitude
+    and latitude that of the output where it is projected, else the UTM zone, so that a conformal fit is one and
+    residuals are metres.
+    """
+    if given is not None:
+        return parse_map(given, "--fit-crs")
+    own = horizontal(control.crs)
+    if own.is_geocentric:
+        raise InputError(
+            f"control in '{own.name}' has no x and y of a map",
+            where=control.origins[0].path,
+            hint="give longitude and latitude, or map coordinates",
+        )
+    if not own.is_geographic:
+        return own
+    return target if target is not None and target.is_projected else _zone_of(control)
+
+
+def _zone_of(control: ImageControl) -> CRS:
+    from geomosaic.geo.projection_domain import longitude_latitude
+
+    degrees = longitude_latitude(control.xy, control.crs)
+    good = np.isfinite(degrees).all(axis=1)
+    if not good.any():
+        raise InputError("the control lies nowhere on the Earth", where=control.origins[0].path, hint="check its CRS")
+    longitude, latitude = np.median(degrees[good], axis=0)
+    return utm_zone(float(longitude), float(latitude))
+
+
+def _sorted(advice: tuple[Advice, ...]) -> tuple[Advice, ...]:
+    return tuple(sorted(advice, key=lambda found: SEVERITIES.index(found.severity)))
+
+
+def _refuse(file: Path, inputs: tuple[Path | None, ...], *, overwrite: bool) -> None:
+    """Stop before any work where an output exists; an input is never written over."""
+    if file.exists() and any(path is not None and path.exists() and file.samefile(path) for path in inputs):
+        raise InputError("the output is one of the inputs", where=str(file), hint="give another name for the output")
+    check_output(file, overwrite=overwrite)

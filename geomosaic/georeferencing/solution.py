@@ -1,0 +1,245 @@
+"""A fit to control, with all that was tried and found on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.accuracy.check_points import check_advice
+from geomosaic.control.coordinate_diagnostics import has_places
+from geomosaic.control.diagnostics import advise
+from geomosaic.control.findings import SEVERITIES, Advice
+from geomosaic.control.parsing import Reading
+from geomosaic.control.points import ImageControl
+from geomosaic.errors import InputError
+from geomosaic.geo.transform import Transform
+from geomosaic.georeferencing.examination import (
+    bent_advice,
+    blunder_advice,
+    comparison_advice,
+    deletion_advice,
+    odd_advice,
+    opinion_advice,
+    size_advice,
+    stop_on_errors,
+)
+from geomosaic.georeferencing.independent_check import Opinion
+from geomosaic.georeferencing.model_trial import builder, try_models
+from geomosaic.georeferencing.request import FitRequest, kind_order
+from geomosaic.orientation.single.blunders import BlunderSearch
+from geomosaic.orientation.single.check_points import CheckStatistics, check_model
+from geomosaic.orientation.single.fit import ControlFit, fit_control
+from geomosaic.orientation.single.model_selection import Choice
+from geomosaic.orientation.single.point_deletion import Deletion, delete_points
+from geomosaic.orientation.single.problem import map_by_image
+from geomosaic.types import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The fit of an image to its control.
+
+    Attributes
+    ----------
+    model : str
+        Name of the fit, see `request.MODELS`.
+    why : str
+        Why this one.
+    crs : CRS
+        In which the fit is made.
+    control : ImageControl
+        All points of the image, x and y in `crs`.
+    states : tuple of str
+        Of each: 'control' takes part in the fit, 'check' judges it; 'deleted' by the threshold, 'suspect' left out as a
+        blunder, 'disabled' in the file or by the user.
+    fit : ControlFit
+    residuals, map_residuals : array (N, 2)
+        Of all points under the fit, pixels and map units; measured minus computed, NaN where there is no place.
+    choice : Choice, optional
+        All models by their leave-one-out errors, where points were enough to compare them.
+    deletion : Deletion, optional
+        Where a threshold was given.
+    robust : BlunderSearch, optional
+        Where points were enough for it.
+    robust_said : str
+        What it found, or why there is none.
+    opinion : Opinion, optional
+        On blunders, without the model.
+    check : CheckStatistics, optional
+        Of the check points, map units.
+    advice : tuple of Advice
+    """
+
+    model: str
+    why: str
+    crs: CRS
+    control: ImageControl
+    states: tuple[str, ...]
+    fit: ControlFit
+    residuals: FloatArray
+    map_residuals: FloatArray
+    choice: Choice | None
+    deletion: Deletion | None
+    robust: BlunderSearch | None
+    robust_said: str
+    opinion: Opinion | None
+    check: CheckStatistics | None
+    advice: tuple[Advice, ...]
+
+
+def solve(
+    reading: Reading,
+    image: str,
+    size: tuple[int, int],
+    crs: CRS,
+    request: FitRequest,
+    near: tuple[float, float] | None,
+    unit: str,
+) -> Solution:
+    """Examine control, choose and make the fit, and judge it.
+
+    Parameters
+    ----------
+    reading : Reading
+    image : str
+        Its name.
+    size : tuple of int
+        Width and height, pixels.
+    crs : CRS
+        In which the fit is made.
+    request : FitRequest
+    near : tuple of float, optional
+        Longitude and latitude near the image, degrees.
+    unit : str
+        Of `crs`, for sentences.
+
+    Raises
+    ------
+    BadControlError
+        The advice has errors, and the user does not insist.
+    SolveError
+        The points do not determine the fit: it is refused whether or not the user insists.
+    """
+    given, where = reading.control, reading.control.origins[0].path
+    auto = request.model == "auto"
+    why = "as asked for"
+    advice = first_look(given, size, request, near)
+    control = _placed(given, crs)
+    points = control.of_role("control")
+    if not len(points):
+        raise InputError("no point takes part in the fit: all are disabled or check points", where=where, hint=HINT)
+    searched = points.names
+    trial = try_models(image, size, points, request)
+    name, points, choice = trial.model, trial.points, trial.choice
+    if auto:
+        advice = _advised(given, name, size, near)
+        stop_on_errors(advice, where, insist=request.insist)
+        why = trial.why or (choice.said.removeprefix(f"{name}: ") if choice is not None else why)
+    build = builder(name, image, size, points)
+    deletion = None
+    if request.threshold is not None:
+        deletion = delete_points(
+            build, points.names, points.xy, points.colrow, points.sigma, threshold=request.threshold
+        )
+        fit = deletion.fit
+    elif choice is not None and choice.name == name and choice.fit.ids == points.names:
+        fit = choice.fit
+    else:
+        fit = fit_control(build, points.names, points.xy, points.colrow, points.sigma)
+    advice = (*advice, *deletion_advice(deletion), *comparison_advice(choice, name))
+    if trial.search is not None:
+        advice = (*advice, *blunder_advice(trial.search, searched, fit))
+        advice = (*advice, *bent_advice(trial.search, fit, name))
+    if trial.opinion is not None:
+        advice = (*advice, *opinion_advice(trial.opinion, fit, _named(advice)))
+    if trial.four is not None and trial.four.points[0] in fit.ids and not _named(advice):
+        advice = (*advice, trial.four)
+    advice = (*advice, *odd_advice(choice, fit, _named(advice)))
+    if not _named(advice):  # large errors follow from blunders, and are not said again
+        advice = (*advice, *size_advice(fit, size))
+    stop_on_errors(advice, where, insist=request.insist)
+    residuals = control.colrow - fit.model.ground_to_image(_spatial(control.xy))
+    moved = np.einsum("nij,nj->ni", map_by_image(fit.model, _spatial(control.xy)), residuals)
+    check = control.of_role("check")
+    judged = check_model(fit.model, check.names, check.xy, check.colrow, unit) if len(check) else None
+    if judged is not None:
+        pixels = check.colrow - fit.model.ground_to_image(_spatial(check.xy))
+        advice = (*advice, *check_advice(check.names, pixels, judged.errors, unit, fit.leave_one_out_rms))
+    return Solution(
+        name,
+        why,
+        crs,
+        control,
+        _states(control, fit, set(trial.suspects), deletion),
+        fit,
+        residuals,
+        moved,
+        choice,
+        deletion,
+        trial.search,
+        trial.said,
+        trial.opinion,
+        judged,
+        tuple(sorted(advice, key=lambda found: SEVERITIES.index(found.severity))),
+    )
+
+
+def first_look(
+    control: ImageControl, size: tuple[int, int], request: FitRequest, near: tuple[float, float] | None
+) -> tuple[Advice, ...]:
+    """Examine control before anything is computed with it; where the model is to be chosen, for the least of all.
+
+    Raises
+    ------
+    BadControlError
+        The advice has errors, and the user does not insist.
+    """
+    advice = _advised(control, "conformal" if request.model == "auto" else request.model, size, near)
+    possible = has_places(control.select(control.enabled))
+    stop_on_errors(advice, control.origins[0].path, insist=request.insist, possible=possible)
+    return advice
+
+
+HINT = "enable some, or give some the role 'control'"
+
+
+def _advised(
+    control: ImageControl, name: str, size: tuple[int, int], near: tuple[float, float] | None
+) -> tuple[Advice, ...]:
+    kind, order = kind_order(name)
+    return advise(control, kind=kind, order=order, size=size, near=near)
+
+
+def _named(advice: tuple[Advice, ...]) -> list[str]:
+    return [name for found in advice if found.code in ("blunder", "contradiction") for name in found.points]
+
+
+def _placed(control: ImageControl, crs: CRS) -> ImageControl:
+    """Control in the CRS of the fit, x and y, without those disabled points that have no place in it."""
+    flat = replace(control, ground=control.xy)
+    if not control.enabled.all():
+        there = np.isfinite(Transform(flat.crs, crs)(flat.ground)).all(axis=1)
+        flat = flat.select(flat.enabled | there)
+    return flat.to_crs(crs)
+
+
+def _spatial(xy: FloatArray) -> FloatArray:
+    return np.column_stack([xy, np.zeros(len(xy))])
+
+
+def _states(control: ImageControl, fit: ControlFit, suspects: set[str], deletion: Deletion | None) -> tuple[str, ...]:
+    deleted = {row.id for row in deletion.deleted} if deletion is not None else set()
+    used = set(fit.ids)
+
+    def state(name: str, role: str, enabled: bool) -> str:
+        if not enabled:
+            return "disabled"
+        if role == "check":
+            return "check"
+        if name in used:
+            return "control"
+        return "deleted" if name in deleted else "suspect" if name in suspects else "disabled"
+
+    return tuple(state(*each) for each in zip(control.names, control.roles, control.enabled.tolist(), strict=True))

@@ -1,0 +1,300 @@
+"""Blocks of a mosaic blended by differences: multiband, and over all that images share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from geomosaic.geo.grid import Window
+from geomosaic.mosaicking.blending.block import Blender, Lattices
+from geomosaic.mosaicking.blending.options import Blending
+from geomosaic.mosaicking.blending.weights import between
+from geomosaic.mosaicking.unit import MosaicUnit
+from geomosaic.raster.validity import burn
+from geomosaic.render.occlusion import Shades
+from geomosaic.render.workers import Room
+from geomosaic.resample.engine import Engine
+from geomosaic.resample.multiband import View, by_weights, corrected, differences, in_bands, spread
+from geomosaic.resample.part import Part, parts_of
+from geomosaic.resample.pyramid import Steps, steps
+from geomosaic.resample.warp import CELL
+from geomosaic.sensor.map_to_image import BlockGround
+from geomosaic.types import AnyArray, Float32Array, IntArray
+
+MOST_LEVELS = 8
+_NODES = 32
+"""Pixels between the places where the distance from an image's edge is computed."""
+
+
+@dataclass(frozen=True)
+class BandBlender(Blender):
+    """Renders blocks of a mosaic; `seams.feather` is 0: what the seams cut hard is blended here.
+
+    Attributes
+    ----------
+    blending : Blending
+    width : float
+        Of the transition in output pixels.
+    steps : Steps
+    noise : float, optional
+        Usual difference of images, where what differs more is not to be blended.
+    room : Room
+        For what the images show of a block: where photos are small or overlap much, many show something of it.
+    """
+
+    blending: Blending
+    width: float
+    steps: Steps
+    noise: float | None
+    room: Room
+
+    @property
+    def levels(self) -> int:
+        """Coarser levels of the pyramid: the coarsest band is about `width` pixels wide."""
+        return min(MOST_LEVELS, max(1, round(math.log2(max(self.width, 2.0)))))
+
+    @property
+    def cell(self) -> int:
+        """Pixels of the cells that are blended or not, each whole."""
+        return max(CELL, 1 << self.levels if self.blending.kind == "multiband" else CELL)
+
+    @property
+    def margin(self) -> int:
+        """Pixels beyond a seam that its blending changes, and beyond those that they depend on; in whole cells."""
+        if self.blending.kind == "multiband":
+            pixels = spread(self.levels)
+        else:
+            pixels = CELL
+        return self.cell * -(-pixels // self.cell)
+
+    @property
+    def reach(self) -> int:
+        """Pixels beyond a block that it depends on."""
+        return 2 * self.margin + self.cell
+
+    @property
+    def said(self) -> str:
+        """What else pixels depend on, the same for all blocks, as text."""
+        return f"{self.blending} {self.width!r} {self.noise!r}"
+
+    @property
+    def wide(self) -> bool:
+        """Whether images beside a block can change it."""
+        return True
+
+    def by(self, engine: Engine) -> Self:
+        """The same with another engine, which gives the same bytes."""
+        return replace(self, engine=engine, steps=steps(compiled=bool(engine.quick)))
+
+    def fill(self, window: Window, unit: MosaicUnit) -> None:
+        """Render one block into its place in a unit."""
+        label, around = self._label(window)
+        if self.blending.kind == "overlap" and len(self.photos.near(around)) == 1:
+            label = None
+        zone = None if label is None else self._zone(window, label, around)
+        ground = None if zone is None else self.below.block(self._with_margin(zone))
+        if label is None or zone is None or ground is None or ground.unknown:
+            super().fill(window, unit)
+            return
+        place = window.slices_in(unit.window)
+        values, valid, number = unit.values[place], unit.valid[place], unit.label[place]
+        lattices: list[Lattices] = [{}, {}]
+        below = self.below.block(window)
+        shades, wide = (None, None) if self.sight is None else (self.sight.block(below), self.sight.block(ground))
+        if not below.unknown:
+            self._outside(window, zone, label, around, (values, valid, number), lattices[0], shades)
+        with self.room.of(self._bytes(label, around, ground.window)):
+            self._inside(window, ground, zone, label, around, (values, valid, number), lattices[1], wide)
+        if not below.unknown:
+            self._fill(below, self.photos.near(window), values, valid, number, lattices[0], shades)
+        self._mark_hidden(shades, valid, number)
+        unit.counts[:] += np.bincount(number.ravel(), minlength=len(unit.counts))
+        unit.facts.extend((one.error, one.scale) for two in lattices for used in two.values() for one in used)
+
+    def _bytes(self, label: IntArray, around: Window, wide: Window) -> int:
+        """About what the images of a block hold at once: values and differences, sums and weights.
+
+        Those that only fill gaps are not known yet.
+        """
+        sample, whole = np.dtype(self.dtype).itemsize, wide.width * wide.height
+        if self.blending.kind == "overlap":
+            images = len(self.photos.near(wide))
+            apart = images * whole
+        else:
+            parts = [part for part in self._parts(label[wide.slices_in(around)], len(self.photos)) if part is not None]
+            images, apart = len(parts), sum(part.size for part in parts)
+        return self.photos.info.bands * (whole * (images * sample + 24) + apart * max(4, sample))
+
+    def _parts(self, label: IntArray, images: int) -> list[Part | None]:
+        """Where differences of each image are needed."""
+        if self.blending.kind == "overlap":
+            return [Part.whole(label.shape)] * images
+        return parts_of(label, images, spread(self.levels), self.levels)
+
+    def _with_margin(self, zone: Window) -> Window:
+        by = self.margin
+        return Window(zone.col - by, zone.row - by, zone.width + 2 * by, zone.height + 2 * by)
+
+    def _label(self, window: Window) -> tuple[IntArray | None, Window]:
+        """Image of each pixel by the seams, −1 where none, over the block in whole cells and a margin; None if one."""
+        import shapely
+
+        size = self.cell
+        wide, tall = (-(-length // size) * size for length in (window.width, window.height))
+        around = self._with_margin(Window(window.col, window.row, wide, tall))
+        grid = self.grid.crop(around)
+        frame = shapely.box(*grid.bounds)
+        shapes = self.seams.regions
+        close = [i for i, shape in enumerate(shapes) if not shape.is_empty and shape.intersects(frame)]
+        if not close or (len(close) == 1 and self.blending.kind != "overlap" and shapes[close[0]].covers(frame)):
+            return None, around
+        return burn([(shapes[i], i) for i in close], grid).astype(np.int64), around
+
+    def _zone(self, window: Window, label: IntArray, around: Window) -> Window | None:
+        """The part of a block, in whole cells, that seams are near."""
+        size = self.cell
+        if self.blending.kind == "overlap":
+            return Window(window.col, window.row, around.width - 2 * self.margin, around.height - 2 * self.margin)
+        rows, cols = label.shape[0] // size, label.shape[1] // size
+        cells = label.reshape(rows, size, cols, size)
+        least, most, far = cells.min(axis=(1, 3)), cells.max(axis=(1, 3)), self.margin // size
+        mixed = np.zeros((rows - 2 * far, cols - 2 * far), dtype=bool)
+        inner = least[far : rows - far, far : cols - far]
+        for down in range(2 * far + 1):
+            for right in range(2 * far + 1):
+                there = slice(down, down + mixed.shape[0]), slice(right, right + mixed.shape[1])
+                mixed |= (least[there] != inner) | (most[there] != inner)
+        if not mixed.any():
+            return None
+        r, c = np.nonzero(mixed.any(axis=1))[0], np.nonzero(mixed.any(axis=0))[0]
+        return Window(
+            window.col + int(c[0]) * size, window.row + int(r[0]) * size,
+            int(c[-1] - c[0] + 1) * size, int(r[-1] - r[0] + 1) * size,
+        )  # fmt: skip
+
+    def _outside(
+        self,
+        window: Window,
+        zone: Window,
+        label: IntArray,
+        around: Window,
+        target: tuple[AnyArray, AnyArray, AnyArray],
+        lattices: Lattices,
+        shades: Shades | None,
+    ) -> None:
+        """Cells of the block that no seam is near: one image each."""
+        values, valid, number = target
+        rows, cols = -(-window.height // CELL), -(-window.width // CELL)
+        top, left = window.row - around.row, window.col - around.col
+        own = label[top : top + rows * CELL : CELL, left : left + cols * CELL : CELL].copy()
+        first_row, first_col = (zone.row - window.row) // CELL, (zone.col - window.col) // CELL
+        own[first_row : first_row + zone.height // CELL, first_col : first_col + zone.width // CELL] = -1
+        ground = self.below.block(window)
+        for i in np.unique(own[own >= 0]).tolist():
+            seen = np.zeros_like(valid)
+            self._pull(i, ground, values, seen, (own == i).astype(np.uint8), lattices, shades)
+            valid |= seen
+            number += seen * number.dtype.type(i + 1)
+
+    def _inside(
+        self,
+        window: Window,
+        ground: BlockGround,
+        zone: Window,
+        label: IntArray,
+        around: Window,
+        target: tuple[AnyArray, AnyArray, AnyArray],
+        lattices: Lattices,
+        shades: Shades | None,
+    ) -> None:
+        """The zone with its margin, blended; what lies in the block is kept."""
+        wide = self._with_margin(zone)
+        label = label[wide.slices_in(around)].copy()
+        images, views = self._views(ground, label, lattices, shades)
+        if not images:
+            return
+        local = self._own(images, views, label)
+        weights = self._weights(wide, images, views, local)
+        part = zone.intersection(window)
+        inside, block = part.slices_in(wide), part.slices_in(window)
+        apart = differences(views, local, self.noise, self.steps, self._parts(local, len(views)))
+        if weights is None:
+            blend = in_bands(apart, local, self.levels, self.steps)
+        else:
+            blend = by_weights(apart, weights)
+        corrected(views, apart, blend, local, self.steps, inside, target[0][block])
+        target[1][block] = local[inside] >= 0
+        numbers = np.array([*(i + 1 for i in images), 0], dtype=target[2].dtype)  # −1 takes the last
+        target[2][block] = numbers[local[inside]]
+
+    def _views(
+        self, ground: BlockGround, label: IntArray, lattices: Lattices, shades: Shades | None
+    ) -> tuple[list[int], list[View]]:
+        """What the images of the seams show of a window; and others, where those leave gaps or all are wanted."""
+        wide = ground.window
+        info, shape = self.photos.info, label.shape
+        bounds = np.array([[wide.col, wide.row], [wide.stop_col, wide.stop_row]], dtype=np.float64)
+        middle = self.grid.xy(bounds.mean(axis=0)[None])[0]
+        near = self.photos.near(wide)
+        near.sort(key=lambda i: (float(np.hypot(*(np.array(self.photos.outlines[i].centre) - middle))), i))
+        chosen = set(np.flatnonzero(np.bincount(label.ravel() + 1)[1:]).tolist())
+        images, views, gap = [], [], np.ones(shape, dtype=bool)
+        for i in sorted(near, key=lambda i: i not in chosen):
+            wanted = i in chosen or self.blending.kind == "overlap"
+            if not wanted and not gap.any():
+                break
+            values, seen = np.zeros((*shape, info.bands), dtype=self.dtype), np.zeros(shape, dtype=np.uint8)
+            self._pull(i, ground, values, seen, None, lattices, shades)
+            # Beyond all images the gap stays, however many are asked: only those that show something of it are kept.
+            if (seen if wanted else seen * gap).any():
+                images.append(i)
+                views.append(View(values, seen > 0))
+                gap &= seen == 0
+        return images, views
+
+    def _own(self, images: Sequence[int], views: Sequence[View], label: IntArray) -> IntArray:
+        """Position of each pixel's image among the views: the seams' choice, else the nearest that shows it; −1."""
+        local = np.full(label.shape, -1, dtype=np.int64)
+        for position, (image, view) in enumerate(zip(images, views, strict=True)):
+            local[(label == image) & view.valid] = position
+        for position, view in enumerate(views):
+            local[(local < 0) & view.valid] = position
+        return local
+
+    def _weights(
+        self, wide: Window, images: Sequence[int], views: Sequence[View], local: IntArray
+    ) -> list[Float32Array] | None:
+        """Weights that sum to one, by image; None for multiband, which has them by level."""
+        if self.blending.kind == "multiband":
+            return None
+        raw = [self._from_edge(wide, i) * view.valid for i, view in zip(images, views, strict=True)]
+        best = np.argmax(raw, axis=0)
+        some = np.max(raw, axis=0) > 0
+        local[some] = best[some]
+        if self.blending.ramp == "smooth":
+            raw = [weight**2 * (3 - 2 * weight) for weight in raw]
+        total = np.sum(raw, axis=0, dtype=np.float64)
+        return [
+            np.where(total > 0, weight / np.where(total > 0, total, 1), local == position).astype(np.float32)
+            for position, weight in enumerate(raw)
+        ]
+
+    def _from_edge(self, wide: Window, index: int) -> AnyArray:
+        """Distance of pixels (rows, cols) from an image's edge, in the width or the image's own, 0 outside to 1."""
+        import shapely
+
+        outline = self.seams.outlines[index]
+        cols, rows = wide.width // _NODES + 1, wide.height // _NODES + 1
+        c, r = np.meshgrid(wide.col + _NODES * np.arange(cols), wide.row + _NODES * np.arange(rows))
+        xy = self.grid.xy(np.column_stack([c.ravel(), r.ravel()]).astype(np.float64))
+        points = shapely.points(xy)
+        distance = np.where(shapely.contains(outline, points), shapely.distance(outline.boundary, points), 0.0)
+        pixel = math.sqrt(self.grid.resolution[0] * self.grid.resolution[1])
+        most = self.width * pixel if math.isfinite(self.width) else math.sqrt(outline.area)
+        nodes = np.clip(distance / most, 0.0, 1.0).reshape(rows, cols)
+        at = [(np.arange(size) + 0.5) / _NODES for size in (wide.height, wide.width)]
+        return between(between(nodes, at[0], 0), at[1], 1)

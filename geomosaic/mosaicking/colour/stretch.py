@@ -1,0 +1,91 @@
+"""The last stretch of a finished mosaic: to eight bits, between two percentiles or two values.
+
+Ends are taken from the corrected images before the mosaic is made, on a coarse grid of their means, so that the stretch
+goes into each image's correction and the mosaic is still made in one pass. One pair of ends serves all bands: colours
+stay what they are. Values go to 1 … 255; 0 is left for what is not seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
+from geomosaic.mosaicking.colour.corrections import Correction, corrected, then
+from geomosaic.render.options import RenderOptions
+from geomosaic.render.photos import Photos
+from geomosaic.render.workers import in_order
+from geomosaic.types import FloatArray
+
+DTYPE = "uint8"
+LOWEST, HIGHEST = 1.0, 255.0
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What was done: `low` and `high` of the corrected values went to 1 and 255."""
+
+    low: float
+    high: float
+    how: str
+
+
+def read(text: str) -> tuple[bool, float, float]:
+    """Read '2,98' (percentiles) or 'v100,v3000' (values): whether values, and both ends.
+
+    Raises
+    ------
+    InputError
+    """
+    hint = "give two percentiles such as 2,98, or two values such as v100,v3000"
+    parts = [part.strip() for part in text.split(",")]
+    values = all(part.lower().startswith("v") for part in parts)
+    try:
+        low, high = (float(part[1:] if values else part) for part in parts)
+    except ValueError:
+        raise InputError(f"'{text}' is no stretch", where="--stretch", hint=hint) from None
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise InputError(f"'{text}' does not rise from one finite number to another", where="--stretch", hint=hint)
+    if not values and not (low >= 0 and high <= 100):
+        raise InputError(f"'{text}' holds no percentiles, 0 to 100", where="--stretch", hint=hint)
+    return values, low, high
+
+
+def stretch_of(photos: Photos, options: RenderOptions, applied: Sequence[Correction], text: str) -> Stretch:
+    """The stretch of images of these corrections that a text such as '2,98' asks for."""
+    values, low, high = read(text)
+    how = "values" if values else f"percentiles {low:g} and {high:g}"
+    if not values:
+        low, high = (float(end) for end in np.percentile(_shown(photos, options, applied), [low, high]))
+    if not low < high:
+        raise InputError(f"all of the mosaic is {low:g}: it cannot be stretched", hint="leave out --stretch")
+    return Stretch(low, high, how)
+
+
+def stretched(stretch: Stretch, applied: Sequence[Correction]) -> list[Correction]:
+    """Corrections with the stretch in them."""
+    gain = (HIGHEST - LOWEST) / (stretch.high - stretch.low)
+    offset = LOWEST - gain * stretch.low
+    return [then(colour, gain, offset) for colour in applied]
+
+
+def _shown(photos: Photos, options: RenderOptions, applied: Sequence[Correction]) -> FloatArray:
+    """Corrected values of all images on a coarse grid, all bands together."""
+    grid = comparison_grid(photos)
+
+    def piece(index: int) -> FloatArray:
+        window = grid.window_of(photos.outlines[index].bounds)
+        with photos.using(index) as photo:
+            found = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
+        values = corrected(applied[index], found.values, window, grid, photos.grid)
+        return np.asarray(values[found.valid > 0].ravel())
+
+    parts = [part for _, part in in_order(piece, range(len(photos)), options.threads, ahead=1)]
+    values = np.concatenate(parts) if parts else np.zeros(0)
+    if not len(values):
+        raise InputError("no image shows anything to stretch", hint="leave out --stretch")
+    return values

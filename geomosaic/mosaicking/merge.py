@@ -1,0 +1,96 @@
+"""A mosaic by rule, without seams: what `rio merge` does, for images of any CRS and pixel size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from geomosaic.block.block import Block
+from geomosaic.block.footprint import Footprint
+from geomosaic.geo.grid import Grid
+from geomosaic.mosaicking.blending.rules import LABELLED, Ruler, check_rule, output_info
+from geomosaic.mosaicking.colour.corrections import corrections
+from geomosaic.mosaicking.mosaic import _balanced, _render, beside
+from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.mosaicking.records.files import gains, write_item, write_vectors
+from geomosaic.mosaicking.records.provenance import source_facts
+from geomosaic.mosaicking.result import Clock, MosaicResult
+from geomosaic.mosaicking.seams.image_order import ordered
+from geomosaic.raster.checksum import sha256
+from geomosaic.raster.output_files import check_geotiff, check_output
+from geomosaic.render.dem_gaps import height_notes
+from geomosaic.render.ortho import samples
+from geomosaic.render.photos import Photos
+from geomosaic.resample.engine import engine_for
+from geomosaic.sensor.map_to_image import Ground
+
+
+def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, options: MosaicOptions) -> MosaicResult:
+    """Lay images together by `options.rule`.
+
+    Parameters
+    ----------
+    block : Block
+    grid : Grid
+        The output.
+    outlines : list of Footprint
+        One per scene, in the output map.
+    output : Path
+    options : MosaicOptions
+        Its seams and blending play no part.
+
+    Returns
+    -------
+    MosaicResult
+        Under other rules than first and last, `pixels` counts for each image the pixels that no image before it shows.
+    """
+    from shapely import Polygon
+
+    rule, render = options.rule or "", options.render
+    check_rule(rule)
+    order = ordered(block.scenes, outlines, options.order, None)
+    if options.base is not None:  # lowest: the last of what is laid first to last, the first of what is laid over it
+        with_base = ordered(block.scenes, outlines, options.order, options.base)
+        order = with_base if rule != "last" else [with_base[-1], *with_base[:-1]]
+    labels = beside(output, "-labels", ".tif") if options.labels and rule in LABELLED else None
+    item = beside(output, "", ".stac.json") if options.stac and not grid.crs.is_engineering else None
+    vectors = beside(output, "", ".gpkg") if options.vectors else None
+    check_geotiff(output, overwrite=render.overwrite)
+    for path in (labels, vectors, item):
+        if path is not None:
+            check_output(path, overwrite=render.overwrite)
+    seconds: dict[str, float] = {}
+    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.depth, render.resampling)
+    try:
+        with Clock(seconds, "balance"):
+            solved = _balanced(photos, options)
+        ground = Ground.under(grid, block.surface)
+        engine = engine_for(samples(grid, outlines), render.resampling)
+        info = output_info(photos.info, rule)
+        ruler = Ruler(
+            photos, grid, ground, corrections(solved), engine, render.resampling, render.tolerance, rule, order, info
+        )
+        with Clock(seconds, "mosaic"):
+            pixels, _, record = _render(ruler, output, labels, options, None)
+        photos.again()
+        about = source_facts(photos, options.about) if vectors is not None or item is not None else {}
+    finally:
+        photos.close()
+    with Clock(seconds, "records"):
+        if vectors is not None:  # footprints alone: there are no seams
+            nobody = [Polygon() for _ in outlines]
+            write_vectors(
+                vectors, grid, outlines, nobody, solved, pixels, [], sources=about, overwrite=render.overwrite
+            )
+        if item is not None:
+            images, shapes = [Path(scene.path) for scene in block.scenes], [outline.polygon for outline in outlines]
+            sources: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels, **about}
+            write_item(
+                item, output, labels, vectors, grid, shapes, images, {output: sha256(output)}, sources,
+                overwrite=render.overwrite,
+            )  # fmt: skip
+    return MosaicResult(
+        output, labels, vectors, item, grid, sum(pixels), pixels, solved, 0.0, record.error, render.tolerance,
+        record.scale, seconds, notes=height_notes(ground, outlines),
+    )  # fmt: skip

@@ -1,0 +1,194 @@
+"""Provenance of pixels: facts of each source, acquisition times, view angle and resolution rasters."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.geo.units import metres_per_unit
+from geomosaic.raster.checksum import sha256
+from geomosaic.raster.photo_metadata import acquired
+from geomosaic.raster.sink import RasterSink
+from geomosaic.raster.source import Source
+from geomosaic.render.options import RenderOptions
+from geomosaic.render.photo import Photo
+from geomosaic.render.photos import Photos
+from geomosaic.render.workers import in_order
+from geomosaic.sensor.view_geometry import Views, views
+from geomosaic.types import AnyArray, FloatArray
+
+if TYPE_CHECKING:
+    from geomosaic.mosaicking.reruns.reuse import Reuse
+
+
+BANDS = ("view angle, degrees", "ground sampling distance, metres")
+UNIT = 512
+"""Pixels along a unit of work: a tile of the raster."""
+NODES = 33
+"""Along each side of a unit: every 16 pixels."""
+HANDS = 4
+"""Files whose checksums are found at once."""
+
+
+def source_facts(photos: Photos, given: Mapping[str, Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Columns of what is known of each source: when and how it was taken, its checksum, what the caller knows besides.
+
+    View angle, azimuth and ground sampling distance are those at the place that an image sees best.
+
+    Parameters
+    ----------
+    photos : Photos
+    given : mapping of str to mapping
+        Further facts by name of the image.
+    """
+    rows: list[dict[str, Any]] = []
+    files = [Path(scene.path) for scene in photos.block.scenes]
+    for index, scene in enumerate(photos.block.scenes):
+        outline = photos.outlines[index]
+        with photos.using(index) as photo:
+            seen = seen_from(photo, photos, photos.grid, np.array([outline.centre]))
+        row: dict[str, Any] = {
+            "acquired": acquired(scene.path) or "",
+            "view_angle": float(seen.angle[0]),
+            "view_azimuth": float(seen.azimuth[0]),
+            "gsd_metres": float(seen.sampling[0]),
+        }
+        rows.append({**row, **given.get(scene.name, {})})
+    unknown = [(row, path) for row, path in zip(rows, files, strict=True) if "sha256" not in row and path.is_file()]
+    with ThreadPoolExecutor(HANDS) as executor:
+        sums = executor.map(sha256, [path for _, path in unknown])
+        for (row, _), checksum in zip(unknown, sums, strict=True):
+            row["sha256"] = checksum
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: [_filled(row.get(name), [other.get(name) for other in rows]) for row in rows] for name in names}
+
+
+def _filled(value: Any, others: Sequence[Any]) -> Any:
+    """What a column holds in place of nothing: NaN among numbers, else an empty text."""
+    if value is not None:
+        return value
+    return "" if any(isinstance(other, str) for other in others) else float("nan")
+
+
+def seen_from(photo: Photo, photos: Photos, grid: Grid, xy: FloatArray) -> Views:
+    """How an image sees places (N, 2) of the output map, on its surface."""
+    surface = photos.block.surface
+    z = np.zeros(len(xy)) if surface is None else surface.height(photo.mapper.surface_xy(xy))
+    z = np.where(np.isfinite(z), z, np.nanmedian(z)) if np.isfinite(z).any() else np.zeros(len(xy))
+    metres = metres_per_unit(grid.crs, xy.mean(axis=0))
+    return views(photo.mapper, xy, z, metres, float(photos.grid.resolution[0] * metres[0]))
+
+
+def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions, reuse: Reuse | None = None) -> None:
+    """Write view angle and ground sampling distance of each pixel's main source, NaN where there is none.
+
+    Parameters
+    ----------
+    path : Path
+        Two bands of 32-bit numbers.
+    labels : Path
+        Raster of source images.
+    photos : Photos
+    options : RenderOptions
+    reuse : Reuse, optional
+        Says which units of the mosaic are as they were; so are their views.
+    """
+    grid = photos.grid
+    units = grid.window.split(UNIT, UNIT)
+
+    def one(window: Window) -> AnyArray | None:
+        if window in kept:
+            return None
+        label = source.read(window)[0][..., 0]
+        found = np.full((*label.shape, 2), np.nan, dtype=np.float32)
+        for number in np.unique(label[(label > 0) & (label <= len(photos))]).tolist():
+            here = label == number
+            with photos.using(number - 1) as photo:
+                found[here] = between(photo, photos, grid, window, NODES)[here]
+        return found
+
+    with (
+        Source(str(labels)) as source,
+        RasterSink(
+            path, grid, 2, "float32", nodata=float("nan"), descriptions=BANDS, driver=options.driver,
+            overwrite=options.overwrite, threads=options.threads,
+        ) as sink,
+    ):  # fmt: skip
+        same = reuse is not None and reuse.views and sink.copies(path)
+        kept = {part for unit in reuse.taken for part in unit.split(UNIT, UNIT)} if same and reuse else set()
+        for done, (window, values) in enumerate(in_order(one, units, options.threads)):
+            if values is None:
+                sink.keep(window)
+            else:
+                sink.write(window, values, np.isfinite(values[..., 0]).view(np.uint8), blank=False)
+            options.report(done + 1, len(units), "views")
+        sink.finish()
+
+
+def between(photo: Photo, photos: Photos, grid: Grid, window: Window, nodes: int) -> FloatArray:
+    """View angle and ground sampling distance (rows, cols, 2) of one image over a window of a grid.
+
+    Found at so many nodes along each side. Between them the slopes of the line of sight change nearly linearly, the
+    angle does not: below the camera it has a tip.
+    """
+    from scipy.ndimage import map_coordinates
+
+    cols, rows = (np.linspace(0, size, nodes) for size in (window.width, window.height))
+    c, r = np.meshgrid(window.col + cols, window.row + rows)
+    seen = seen_from(photo, photos, grid, grid.xy(np.column_stack([c.ravel(), r.ravel()])))
+    lean, azimuth = np.tan(np.radians(seen.angle)), np.radians(seen.azimuth)
+    layers = lean * np.sin(azimuth), lean * np.cos(azimuth), seen.sampling
+    at = [(np.arange(size) + 0.5) / size * (nodes - 1) for size in (window.height, window.width)]
+    places = np.meshgrid(*at, indexing="ij")
+    east, north, sampling = (
+        map_coordinates(layer.reshape(nodes, nodes), places, order=1, mode="nearest") for layer in layers
+    )
+    return np.stack([np.degrees(np.arctan(np.hypot(east, north))), sampling], axis=-1)
+
+
+EARLIEST = datetime(1826, 1, 1, tzinfo=UTC)
+"""Before the first photograph."""
+BEHIND, AHEAD = timedelta(hours=12), timedelta(hours=14)
+"""How far clocks of the world are behind UTC and ahead of it at most."""
+
+
+def time_span(acquired: Sequence[str], images: Sequence[Path]) -> tuple[datetime, datetime, str]:
+    """First and last moment at which images can have been taken, and how that is known.
+
+    The time of a file is none of acquisition. It only ends the span where an image does not say when it was taken:
+    that was before its file was written.
+
+    Parameters
+    ----------
+    acquired : sequence of str
+        By image in ISO 8601, with or without zone; empty where not known.
+    images : sequence of Path
+        The files. SOURCE_DATE_EPOCH takes the place of their times.
+
+    Returns
+    -------
+    first, last : datetime
+        UTC.
+    known : str
+        "taken"; "taken, zone unknown", with the span of every zone; or "not known", from before the first photograph.
+    """
+    times = [datetime.fromisoformat(text) for text in acquired if text]
+    first = [time if time.tzinfo else time.replace(tzinfo=UTC) - AHEAD for time in times]
+    last = [time if time.tzinfo else time.replace(tzinfo=UTC) + BEHIND for time in times]
+    if not times or len(times) < len(images):
+        return min([EARLIEST, *first]).astimezone(UTC), max([_written(images), *last]).astimezone(UTC), "not known"
+    known = "taken" if all(time.tzinfo for time in times) else "taken, zone unknown"
+    return min(first).astimezone(UTC), max(last).astimezone(UTC), known
+
+
+def _written(images: Sequence[Path]) -> datetime:
+    """Time of the newest file, whole seconds."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    return datetime.fromtimestamp(int(epoch) if epoch else max(int(image.stat().st_mtime) for image in images), UTC)

@@ -1,0 +1,93 @@
+"""Result of a mosaic, and its units on their way to the file."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from geomosaic.geo.grid import Grid
+from geomosaic.mosaicking.seams.quality import SeamPlace, SeamQuality
+from geomosaic.mosaicking.seams.seamlines import Segment
+from geomosaic.radiometry.gain_offset import Balance
+
+if TYPE_CHECKING:
+    from geomosaic.mosaicking.colour.stretch import Stretch
+
+
+@dataclass(frozen=True)
+class MosaicResult:
+    """What was made.
+
+    Attributes
+    ----------
+    path : Path
+    labels, vectors, item : Path or None
+        Label raster, GeoPackage of footprints and seamlines, STAC item.
+    grid : Grid
+    valid_pixels : int
+    pixels : list of int
+        Pixels whose main source each image is.
+    balance : Balance
+    feather : float
+        Width of the transition, in map units.
+    lattice_error, tolerance : float
+        Largest measured and admissible error of the geometry, in image pixels, or output pixels where those are larger.
+    scale : float
+        Image pixels per output pixel.
+    seconds : dict
+        Per stage.
+    reused, units : int
+        Units of work whose pixels came from an earlier run, and all of them.
+    stretch : Stretch, optional
+        What was stretched to eight bits.
+    parts : list of Segment
+        Seamlines in pieces.
+    quality : list of SeamQuality
+        Of each piece, where it was asked for.
+    places : list of SeamPlace
+        The worst of them.
+    hidden_pixels : int, optional
+        Pixels that images cover and the surface hides from them all; None where that was not asked.
+    recalled : tuple of str
+        What was taken from an earlier run besides pixels.
+    notes : tuple of str
+        Where heights are missing.
+    """
+
+    path: Path
+    labels: Path | None
+    vectors: Path | None
+    item: Path | None
+    grid: Grid
+    valid_pixels: int
+    pixels: list[int]
+    balance: Balance
+    feather: float
+    lattice_error: float
+    tolerance: float
+    scale: float
+    seconds: dict[str, float]
+    reused: int = 0
+    units: int = 0
+    stretch: Stretch | None = None
+    parts: list[Segment] = field(default_factory=list)
+    quality: list[SeamQuality] = field(default_factory=list)
+    places: list[SeamPlace] = field(default_factory=list)
+    hidden_pixels: int | None = None
+    recalled: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+class Clock:
+    """Seconds of a stage."""
+
+    def __init__(self, seconds: dict[str, float], name: str) -> None:
+        self.seconds, self.name = seconds, name
+
+    def __enter__(self) -> None:
+        self.started = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds[self.name] = time.perf_counter() - self.started

@@ -1,0 +1,129 @@
+"""Image order: whose pixels come first, which image is lowest, and the shares that follow from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from geomosaic.block.block import Scene
+from geomosaic.block.footprint import Footprint
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.mosaicking.seams.voronoi import polygonal
+from geomosaic.raster.photo_metadata import dated
+
+ORDERS = ("list", "name", "resolution", "date")
+
+
+def ordered(
+    scenes: Sequence[Scene], outlines: Sequence[Footprint], order: str = "list", base: str | None = None
+) -> list[int]:
+    """Numbers of the images, the most wanted first.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+    outlines : sequence of Footprint
+        Of the scenes; tell their resolution.
+    order : str
+        'list' as given; 'name' by alphabet; 'resolution' the finest first; 'date' the newest first.
+        Equals stay as given.
+    base : str, optional
+        Name of the image that comes last, whatever the order.
+
+    Raises
+    ------
+    InputError
+        An unknown order or image, or an image that does not say when it was taken.
+    """
+    numbers = list(range(len(scenes)))
+    if order == "name":
+        numbers.sort(key=lambda i: scenes[i].name)
+    elif order == "resolution":
+        # A hair of tolerance: the same pixel size, computed at different places, is the same.
+        numbers.sort(key=lambda i: float(f"{outlines[i].sampling:.6g}"))
+    elif order == "date":
+        dates = [_date(scene) for scene in scenes]
+        numbers.sort(key=lambda i: dates[i], reverse=True)  # which keeps equals as they were, too
+    elif order != "list":
+        raise InputError(f"no order is named '{order}'", hint=f"one of {', '.join(ORDERS)}")
+    if base is not None:
+        lowest = index_of(base, scenes)
+        numbers = [i for i in numbers if i != lowest] + [lowest]
+    return numbers
+
+
+def index_of(name: str, scenes: Sequence[Scene]) -> int:
+    """Number of the image of that name, with or without its suffix.
+
+    Raises
+    ------
+    InputError
+    """
+    names = [scene.name for scene in scenes]
+    found = [i for i, own in enumerate(names) if own == name] or [
+        i for i, own in enumerate(names) if own.rpartition(".")[0] == name
+    ]
+    if len(found) != 1:
+        meant = did_you_mean(name, names)
+        raise InputError(
+            f"{'several images are' if found else 'no image is'} called '{name}'",
+            where="base image",
+            hint=meant or f"name one of the images, such as {names[0]}",
+        )
+    return found[0]
+
+
+def _date(scene: Scene) -> str:
+    date = dated(scene.path)
+    if date is None:
+        raise InputError(
+            "the image does not say when it was taken",
+            where=scene.path,
+            hint="leave out --order date and name the images in the order you want, or write the tag TIFFTAG_DATETIME",
+        )
+    return date
+
+
+def by_rank(outlines: Sequence[Any], order: Sequence[int]) -> list[Any]:
+    """Share of each image where images lie upon each other.
+
+    Parameters
+    ----------
+    outlines : sequence of Polygon or MultiPolygon
+        What each image shows.
+    order : sequence of int
+        All images, the uppermost first.
+
+    Returns
+    -------
+    list of Polygon or MultiPolygon
+        They share no area, and together they cover the union of the outlines.
+    """
+    import shapely
+
+    tree = shapely.STRtree(list(outlines))
+    rank = {image: place for place, image in enumerate(order)}
+    shares = []
+    for i, outline in enumerate(outlines):
+        above = [int(j) for j in tree.query(outline, predicate="intersects") if rank[int(j)] < rank[i]]
+        covered = shapely.union_all([outlines[j] for j in sorted(above)])
+        shares.append(polygonal(outline.difference(covered)) if above else outline)
+    return shares
+
+
+def under(shares: Sequence[Any], outlines: Sequence[Any], base: int) -> list[Any]:
+    """Shares without a base, and what they leave of the base's outline.
+
+    Parameters
+    ----------
+    shares : sequence of Polygon or MultiPolygon
+        Of all images but the base, in their order.
+    outlines : sequence of Polygon or MultiPolygon
+        Of all images.
+    base : int
+        Number of the base among all.
+    """
+    import shapely
+
+    rest = polygonal(outlines[base].difference(shapely.union_all(list(shares))))
+    return [*shares[:base], rest, *shares[base:]]

@@ -1,0 +1,180 @@
+"""Partition of the mosaic: exact shares within footprints, without slivers, gaps or islands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from geomosaic.mosaicking.seams.voronoi import polygonal
+from geomosaic.types import IntArray
+
+SLIVER = 0.5
+"""Parts that vanish when shrunk by so many cells are slivers."""
+
+
+def partition(
+    shares: Sequence[Any], outlines: Sequence[Any], rest: Sequence[Any], cell: float, smallest: float
+) -> list[Any]:
+    """Make shares that follow cells into shares that divide the footprints exactly.
+
+    Parameters
+    ----------
+    shares : sequence of Polygon or MultiPolygon
+        One per image; they share no area.
+    outlines : sequence of Polygon
+        Footprints.
+    rest : sequence of Polygon or MultiPolygon
+        A division of the footprints, such as `voronoi.regions`: it says who gets what no share covers.
+    cell : float
+        Size of a cell in map units.
+    smallest : float
+        Area in square map units below which a part of a share is given to a neighbour that shows it.
+
+    Returns
+    -------
+    list of Polygon or MultiPolygon
+        Each within its outline; their union is that of the outlines.
+    """
+    import shapely
+
+    within = [polygonal(share.intersection(outline)) for share, outline in zip(shares, outlines, strict=True)]
+    tree = shapely.STRtree(within)
+    whole = []
+    for share, own in zip(within, rest, strict=True):
+        near = [within[int(k)] for k in tree.query(own)]
+        whole.append(polygonal(shapely.union(share, polygonal(own.difference(shapely.union_all(near))))))
+    return without_slivers(whole, outlines, cell, smallest)
+
+
+def without_slivers(shares: Sequence[Any], outlines: Sequence[Any], cell: float, smallest: float) -> list[Any]:
+    """Give small and thin parts to the neighbour with the longest common border that shows them wholly."""
+    import shapely
+
+    parts = [(i, part) for i, share in enumerate(shares) for part in shapely.get_parts(share)]
+    shapes = [part for _, part in parts]
+    tree, owner, hair = shapely.STRtree(shapes), [i for i, _ in parts], 1e-6 * cell
+    kept: dict[int, list[Any]] = {i: [] for i in range(len(shares))}
+    slight = [p.area < smallest or p.buffer(-SLIVER * cell).is_empty for p in shapes]
+    for number in sorted(range(len(parts)), key=lambda k: (slight[k], -shapes[k].area)):
+        if not slight[number]:
+            continue
+        part = shapes[number]
+        lengths: dict[int, float] = {}
+        for k in sorted(int(k) for k in tree.query(part, predicate="dwithin", distance=hair)):
+            if (not slight[k] and owner[k] != owner[number]) or (owner[k] == owner[number] and k != number):
+                length = part.boundary.intersection(shapes[k].buffer(hair)).length
+                lengths[owner[k]] = lengths.get(owner[k], 0.0) + length
+        showing = [i for i in lengths if lengths[i] > 10 * hair and _shows(outlines[i], part)]
+        if showing:
+            owner[number] = max(showing, key=lambda i: (lengths[i], -i))
+    for i, part in zip(owner, shapes, strict=True):
+        kept[i].append(part)
+    return [polygonal(shapely.union_all(kept[i])) if kept[i] else shapely.Polygon() for i in range(len(shares))]
+
+
+def keep_whole(shares: Sequence[Any], outlines: Sequence[Any], areas: Sequence[Any]) -> list[Any]:
+    """Give each area that a seam cuts wholly to the image with most of it, where one of its images shows it all."""
+    import shapely
+
+    result = list(shares)
+    tree = shapely.STRtree(result)
+    for area in areas:
+        near = sorted(int(k) for k in tree.query(area, predicate="intersects"))
+        held = {i: result[i].intersection(area).area for i in near}
+        cut = [i for i in near if held[i] > 1e-9 * area.area]
+        able = [i for i in cut if outlines[i].covers(area)]
+        if len(cut) < 2 or not able:
+            continue
+        winner = max(able, key=lambda i: (held[i], -i))
+        for i in cut:
+            if i != winner:
+                result[i] = polygonal(result[i].difference(area))
+        result[winner] = polygonal(result[winner].union(area))
+    return result
+
+
+def _shows(outline: Any, part: Any) -> bool:
+    return bool(part.difference(outline).area <= 1e-9 * part.area)
+
+
+def canonical(share: Any, step: float) -> Any:
+    """One form for a share, however it was come by: vertices on multiples of a tiny step, parts and rings in order.
+
+    Editing and saving moves vertices in the last digit and turns rings round: what was not edited is the same again.
+    """
+    import numpy as np
+    import shapely
+
+    snapped = shapely.normalize(shapely.transform(share, lambda xy: np.round(xy / step) * step))
+    return snapped if snapped.is_valid else shapely.normalize(share)
+
+
+SMALLEST = 30
+"""Cells; smaller islands of one image within others are given away."""
+
+
+def widened(label: IntArray, cells: int) -> IntArray:
+    """Labels carried over so many cells into what has none: no sliver is left between cells and exact outlines."""
+    from scipy.ndimage import distance_transform_edt
+
+    if (label >= 0).all() or not (label >= 0).any():
+        return label
+    far, (rows, cols) = distance_transform_edt(label < 0, return_indices=True)
+    return np.where(far <= cells, label[rows, cols], -1)
+
+
+def without_islands(label: IntArray, smallest: int = SMALLEST) -> IntArray:
+    """Give islands of fewer cells to the image that surrounds them most."""
+    from scipy.ndimage import find_objects
+
+    label = label.copy()
+    for value, box in enumerate(find_objects(label + 1)):
+        if box is None:
+            continue
+        rows, cols = box
+        own = slice(max(rows.start - 1, 0), rows.stop + 1), slice(max(cols.start - 1, 0), cols.stop + 1)
+        _give_away(label[own], value, smallest)
+    return label
+
+
+def _give_away(label: IntArray, value: int, smallest: int) -> None:
+    from scipy.ndimage import binary_dilation, find_objects
+    from scipy.ndimage import label as parts_of
+
+    parts, count = parts_of(label == value)
+    sizes = np.bincount(parts.ravel(), minlength=count + 1)
+    if count < 2 or sizes[1:].min() >= smallest:
+        return
+    boxes = find_objects(parts)
+    for part in np.flatnonzero(sizes < smallest).tolist():
+        if part == 0:
+            continue
+        rows, cols = boxes[part - 1]
+        around = slice(max(rows.start - 1, 0), rows.stop + 1), slice(max(cols.start - 1, 0), cols.stop + 1)
+        own = parts[around] == part
+        rim = label[around][binary_dilation(own) & ~own]
+        rim = rim[rim >= 0]
+        if len(rim):
+            label[around][own] = np.bincount(rim).argmax()
+
+
+def without_spurs(label: IntArray, rounds: int = 3) -> IntArray:
+    """Give cells with hardly a neighbour of their own to the image that most neighbours have: spurs a cell wide go."""
+    label = label.copy()
+    for _ in range(rounds):
+        wide = np.pad(label, 1, mode="edge")
+        shape = label.shape
+        around = [wide[r : r + shape[0], c : c + shape[1]] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
+        same = np.zeros(shape, dtype=np.int8)
+        for other in around:
+            same += other == label
+        weak = np.nonzero((same <= 2) & (label >= 0))
+        if not len(weak[0]):
+            break
+        others = np.stack([other[weak] for other in around])
+        votes = (others[:, None] == others[None]).sum(axis=0) * (others >= 0)
+        best = others[votes.argmax(axis=0), np.arange(others.shape[1])]
+        label[weak] = np.where(best >= 0, best, label[weak])
+    return label

@@ -1,0 +1,216 @@
+"""Water in a mosaic: shown by the image with the least glint, or filled with the continuous tone of its shores.
+
+On coarse cells each place of a piece of water has the values of the image that is darkest there: glint is bright. Those
+of the cells along the shore are kept, evened out over a few cells, and what lies between them is the harmonic surface
+that passes through them: the smoothest there is, and never brighter or darker than the shore.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomosaic.geo.grid import Grid
+from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
+from geomosaic.mosaicking.colour.corrections import Correction, corrected
+from geomosaic.mosaicking.seams.voronoi import polygonal
+from geomosaic.mosaicking.unit import MosaicUnit
+from geomosaic.raster.validity import burn
+from geomosaic.render.areas import read_areas
+from geomosaic.render.photos import Photos
+from geomosaic.resample.warp import value_range
+from geomosaic.types import BoolArray, FloatArray
+
+LAYER = "water"
+CELLS = 256
+"""Cells across a footprint at which glint is looked for."""
+GLINT = 90.0
+"""Percentile of brightness over a piece of water by which images are compared: glint is bright, and not everywhere."""
+
+
+def read_water(path: Path, grid: Grid) -> list[Any]:
+    """Pieces of water in the map of a grid, each a polygon; those that touch are one piece.
+
+    Parameters
+    ----------
+    path : Path
+        Vector file with a layer `water`, or with one layer.
+    grid : Grid
+        Of the output.
+
+    Raises
+    ------
+    InputError
+        No such layer, no CRS, a geometry that is no area, an area that crosses itself.
+    """
+    import shapely
+
+    joined = shapely.union_all(np.array(read_areas(path, grid, LAYER), dtype=object))
+    return [part for part in getattr(joined, "geoms", [joined]) if part.area > 0]
+
+
+def calmest(
+    photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours: Sequence[Correction]
+) -> dict[int, Any]:
+    """Shares of the images in water: of each piece, what the least glinting image shows, then the next.
+
+    An image's glint is the 90th percentile of its corrected brightness (mean over bands) in the piece. An image that
+    shows less than half of what another shows of a piece comes after all those that show more.
+
+    Parameters
+    ----------
+    photos : Photos
+    water : sequence of Polygon
+        In the output map.
+    outlines : sequence of Polygon or MultiPolygon
+        What each image shows.
+    colours : sequence of Correction
+
+    Returns
+    -------
+    dict of int to Polygon or MultiPolygon
+        By number of the image.
+    """
+    import shapely
+
+    grid = comparison_grid(photos, CELLS)
+    tree = shapely.STRtree(list(outlines))
+    seen: dict[int, tuple[Grid, Any, Any]] = {}
+    shares: dict[int, list[Any]] = {}
+    for piece in water:
+        ranked = []
+        for i in sorted(int(k) for k in tree.query(piece, predicate="intersects")):
+            if i not in seen:
+                seen[i] = _brightness(photos, i, grid, colours[i])
+            part, bright, valid = seen[i]
+            here = (burn([(piece, 1)], part) == 1) & valid if bright.size else np.zeros((0, 0), dtype=bool)
+            shown = shapely.intersection(piece, outlines[i]).area
+            glint = float(np.percentile(bright[here], GLINT)) if here.any() else np.inf
+            ranked.append((shown, glint, i))
+        most = max((shown for shown, _, _ in ranked), default=0.0)
+        ranked.sort(key=lambda entry: (entry[0] < most / 2, entry[1], entry[2]))
+        left = piece
+        for _, _, i in ranked:
+            own = polygonal(shapely.intersection(left, outlines[i]))
+            if not own.is_empty:
+                shares.setdefault(i, []).append(own)
+                left = polygonal(shapely.difference(left, outlines[i]))
+    return {i: shapely.union_all(np.array(parts, dtype=object)) for i, parts in shares.items()}
+
+
+def _brightness(photos: Photos, index: int, grid: Grid, colour: Correction) -> tuple[Grid, Any, Any]:
+    """Mean over bands of what an image shows, corrected, on its part of a coarse grid."""
+    window = grid.window_of(photos.outlines[index].bounds)
+    if window.empty:
+        return grid, np.zeros((0, 0)), np.zeros((0, 0), dtype=bool)
+    with photos.using(index) as photo:
+        piece = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
+    values = corrected(colour, piece.values, window, grid, photos.grid)
+    return grid.crop(window), values.mean(axis=2), piece.valid > 0
+
+
+EVEN = 2.0
+"""Cells, standard deviation: over which the tone of the shore is evened out."""
+
+
+@dataclass(frozen=True)
+class Pool:
+    """A piece of water in the output map, and its tone (rows, cols, bands) on a coarse grid around it."""
+
+    shape: Any
+    grid: Grid
+    tone: FloatArray
+
+    def paint(self, unit: MosaicUnit, grid: Grid) -> None:
+        """Give the valid pixels of a unit of the output that lie in the water their tone."""
+        from scipy.ndimage import map_coordinates
+
+        window = unit.window.intersection(grid.window_of(self.shape.bounds))
+        if window.empty:
+            return
+        place = window.slices_in(unit.window)
+        here = (burn([(self.shape, 1)], grid.crop(window)) == 1) & (unit.valid[place] > 0)
+        if not here.any():
+            return
+        r, c = np.nonzero(here)
+        at = self.grid.colrow(grid.xy(np.column_stack([c + window.col + 0.5, r + window.row + 0.5]))) - 0.5
+        low, high, whole = value_range(str(unit.values.dtype))
+        for band in range(self.tone.shape[2]):
+            tone = map_coordinates(self.tone[..., band], [at[:, 1], at[:, 0]], order=1, mode="nearest")
+            stored = np.clip(np.floor(tone + 0.5), low, high) if whole else tone
+            unit.values[place][..., band][here] = stored
+
+
+def pools(photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours: Sequence[Correction]) -> list[Pool]:
+    """Tones of pieces of water; one that no image shows has none.
+
+    Parameters
+    ----------
+    photos : Photos
+    water : sequence of Polygon
+        In the output map.
+    outlines : sequence of Polygon or MultiPolygon
+        What each image shows.
+    colours : sequence of Correction
+    """
+    coarse = comparison_grid(photos, CELLS)
+    found = []
+    for piece in water:
+        window = coarse.window_of(piece.buffer(coarse.resolution[0]).bounds)
+        if window.empty:
+            continue
+        darkest: FloatArray = np.full((window.height, window.width, photos.info.bands), np.inf)
+        for i, outline in enumerate(outlines):
+            if not outline.intersects(piece):
+                continue
+            with photos.using(i) as photo:
+                seen = thumbnail(photo, photos.block.surface, coarse, window, "average", "float32")
+            values = corrected(colours[i], seen.values, window, coarse, photos.grid)
+            darker = (seen.valid > 0) & (values.mean(axis=2) < darkest.mean(axis=2))
+            darkest[darker] = values[darker]
+        known = np.isfinite(darkest[..., 0])
+        grid = coarse.crop(window)
+        inside = burn([(piece, 1)], grid) == 1
+        if (inside & known).any():
+            found.append(Pool(piece, grid, spread(darkest, inside & known)))
+    return found
+
+
+def spread(values: FloatArray, inside: BoolArray) -> FloatArray:
+    """Tone (rows, cols, bands) of water `inside`: harmonic between its outermost cells; beyond them as the nearest."""
+    from scipy.ndimage import binary_erosion, distance_transform_edt, gaussian_filter
+    from scipy.sparse import csr_array
+    from scipy.sparse.linalg import splu
+
+    inner = binary_erosion(inside)
+    shore = inside & ~inner
+    weight = gaussian_filter(shore.astype(float), EVEN)
+    tone = np.zeros(values.shape)
+    for band in range(values.shape[2]):
+        even = gaussian_filter(np.where(shore, values[..., band], 0.0), EVEN)
+        tone[shore, band] = (even / np.maximum(weight, 1e-12))[shore]
+    number = np.full(inside.shape, -1)
+    number[inner] = np.arange(int(inner.sum()))
+    if inner.any():
+        r, c = np.nonzero(inner)
+        around = [(r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)]
+        right, links = np.zeros((len(r), values.shape[2])), [(number[r, c], number[r, c], np.full(len(r), 4.0))]
+        for place in around:
+            free = number[place] >= 0
+            links.append((number[r, c][free], number[place][free], np.full(int(free.sum()), -1.0)))
+            right += np.where(free[:, None], 0.0, tone[place])
+        row, col, factor = (np.concatenate(part) for part in zip(*links, strict=True))
+        tone[inner] = splu(csr_array((factor, (row, col))).tocsc()).solve(right)
+    nearest = distance_transform_edt(~inside, return_distances=False, return_indices=True)
+    return np.asarray(tone[tuple(nearest)])
+
+
+def said(found: Sequence[Pool]) -> str:
+    """What pixels depend on, as text."""
+    parts = b"".join(pool.shape.wkb + np.ascontiguousarray(pool.tone).tobytes() for pool in found)
+    return hashlib.sha256(parts).hexdigest() if found else ""
