@@ -6,7 +6,7 @@ import pytest
 import shapely
 from shapely import box
 
-from geomosaic.mosaicking.seams.cutlines import covers, with_cutlines
+from geomosaic.mosaicking.seams.cutlines import cover_everything, with_cutlines
 
 SHARES = [box(0, 0, 10, 10), box(10, 0, 20, 10), box(20, 0, 30, 10)]
 
@@ -40,6 +40,6 @@ def test_nothing_drawn_changes_nothing() -> None:
 
 def test_whether_everything_is_drawn() -> None:
     drawn = dict(enumerate(SHARES))
-    assert covers(drawn, SHARES)
-    assert not covers({0: SHARES[0], 1: SHARES[1]}, SHARES)
-    assert not covers({}, SHARES)
+    assert cover_everything(drawn, SHARES)
+    assert not cover_everything({0: SHARES[0], 1: SHARES[1]}, SHARES)
+    assert not cover_everything({}, SHARES)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geomosaic.mosaicking.blending.weights import halo, reduction, signed_distance, weights
-from geomosaic.mosaicking.seams.voronoi import regions
+from geomosaic.mosaicking.seams.voronoi import voronoi_regions
 
 CORNER = np.array([4e5, 5.5e6])
 
@@ -30,7 +30,7 @@ def block(seed: int, number: int) -> tuple[list[shapely.Polygon], list[tuple[flo
 @given(seed=st.integers(0, 10**6), number=st.integers(2, 9))
 def test_regions_partition_the_union(seed: int, number: int) -> None:
     outlines, centres = block(seed, number)
-    shares = regions(outlines, centres)
+    shares = voronoi_regions(outlines, centres)
     union = shapely.union_all(outlines)
     total = sum(share.area for share in shares)
     assert total == pytest.approx(union.area, rel=1e-9)
@@ -43,7 +43,7 @@ def test_regions_partition_the_union(seed: int, number: int) -> None:
 
 def test_each_place_goes_to_the_nearest_centre_that_shows_it() -> None:
     outlines, centres = block(11, 6)
-    shares = regions(outlines, centres)
+    shares = voronoi_regions(outlines, centres)
     rng = np.random.default_rng(1)
     places = rng.uniform(-300, 1300, (4000, 2)) + CORNER
     distance = np.hypot(*(places[:, None] - np.array(centres)).transpose(2, 0, 1))
@@ -57,16 +57,16 @@ def test_each_place_goes_to_the_nearest_centre_that_shows_it() -> None:
 
 def test_equal_centres_go_to_the_first() -> None:
     outlines = [shapely.box(0, 0, 10, 10), shapely.box(5, 0, 15, 10), shapely.box(5, 0, 15, 10)]
-    shares = regions(outlines, [(5.0, 5.0)] * 3)
+    shares = voronoi_regions(outlines, [(5.0, 5.0)] * 3)
     assert [share.area for share in shares] == [100.0, 50.0, 0.0]
     assert shares[2].is_empty
 
 
 def test_images_that_do_not_meet_keep_everything() -> None:
     outlines = [shapely.box(0, 0, 1, 1), shapely.box(5, 5, 6, 6)]
-    shares = regions(outlines, [(0.5, 0.5), (5.5, 5.5)])
+    shares = voronoi_regions(outlines, [(0.5, 0.5), (5.5, 5.5)])
     assert [share.area for share in shares] == [1.0, 1.0]
-    assert regions(outlines[:1], [(9.0, 9.0)])[0].equals(outlines[0])
+    assert voronoi_regions(outlines[:1], [(9.0, 9.0)])[0].equals(outlines[0])
 
 
 def test_signed_distance() -> None:

@@ -8,10 +8,16 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import InputError
-from geomosaic.mosaicking.seams.cost_terms import SeamWeights, disagreement, features, nearness_of_edge, standing_out
-from geomosaic.mosaicking.seams.graph_cut import Graph, divide, energy, graph
+from geomosaic.mosaicking.seams.cost_terms import (
+    SeamWeights,
+    edge_proximity,
+    features,
+    image_difference,
+    raised_objects,
+)
+from geomosaic.mosaicking.seams.graph_cut import RegionGraph, energy, minimise, region_graph
 from geomosaic.mosaicking.seams.partition import without_spurs
-from geomosaic.mosaicking.seams.voronoi import nearest
+from geomosaic.mosaicking.seams.voronoi import nearest_images
 
 ROWS, COLS = 80, 120
 LENGTH = SeamWeights().length
@@ -22,13 +28,13 @@ def two(reach: int = 40) -> np.ndarray:
     c, r = np.meshgrid(np.arange(COLS) + 0.5, np.arange(ROWS) + 0.5)
     covers = np.stack([c.ravel() < COLS / 2 + reach, c.ravel() > COLS / 2 - reach])
     centres = np.array([[20.0, ROWS / 2], [100.0, ROWS / 2]])
-    return nearest(centres, np.column_stack([c.ravel(), r.ravel()]), covers, 0.6).reshape(-1, ROWS, COLS)
+    return nearest_images(centres, np.column_stack([c.ravel(), r.ravel()]), covers, 0.6).reshape(-1, ROWS, COLS)
 
 
 def labels(candidates: np.ndarray, cost: np.ndarray, own: np.ndarray | None = None) -> np.ndarray:
-    parts = graph(candidates, np.zeros(candidates.shape) if own is None else own, cost)
-    start = parts.first_choice(candidates[0])
-    chosen = divide(parts, start)
+    parts = region_graph(candidates, np.zeros(candidates.shape) if own is None else own, cost)
+    start = parts.initial_labels(candidates[0])
+    chosen = minimise(parts, start)
     assert energy(parts, chosen) <= energy(parts, start)
     return without_spurs(np.where(parts.region >= 0, chosen[parts.region], -1))
 
@@ -47,7 +53,7 @@ def test_candidates_are_the_nearest_within_reach():
     assert (candidates[1, :, :20] == -1).all()
     assert (candidates[1, :, 55:65] >= 0).all()
     assert (candidates[1, 40, 20:34] == -1).all()  # shown by both, but surely the first's: 0.6 of 80 cells in between
-    none = nearest(np.zeros((1, 2)), np.zeros((4, 2)), np.array([[True, False, True, True]]), 0.6)
+    none = nearest_images(np.zeros((1, 2)), np.zeros((4, 2)), np.array([[True, False, True, True]]), 0.6)
     assert none[0].tolist() == [0, -1, 0, 0]
     assert (none[1:] == -1).all()
 
@@ -60,7 +66,7 @@ def test_a_house_that_leans_two_ways_is_gone_round():
     house[30:55, 50:72] = True  # across the middle, free ground on the right
     other[house] += 60
     seen = np.ones((ROWS, COLS), dtype=bool)
-    cost = LENGTH + disagreement(features(one, seen), features(other, seen), SeamWeights())
+    cost = LENGTH + image_difference(features(one, seen), features(other, seen), SeamWeights())
     label = labels(candidates, cost)
     assert crossings(candidates[0], house) > 20
     assert crossings(label, house) == 0
@@ -96,7 +102,7 @@ def test_of_three_images_none_gets_ground_that_it_does_not_show():
     places = np.column_stack([c.ravel(), r.ravel()])
     centres = np.array([[20.0, 40.0], [60.0, 40.0], [100.0, 40.0]])
     covers = np.stack([np.abs(places[:, 0] - x) < 35 for x, _ in centres])
-    candidates = nearest(centres, places, covers, 0.6).reshape(-1, ROWS, COLS)
+    candidates = nearest_images(centres, places, covers, 0.6).reshape(-1, ROWS, COLS)
     label = labels(candidates, rng.uniform(0, 1, (ROWS, COLS)))
     seen = covers.reshape(3, ROWS, COLS)
     r, c = np.nonzero(label >= 0)
@@ -106,9 +112,9 @@ def test_of_three_images_none_gets_ground_that_it_does_not_show():
 
 def test_no_image_no_label():
     nothing = np.full((3, 5, 6), -1)
-    parts = graph(nothing, np.zeros(nothing.shape), np.zeros((5, 6)))
+    parts = region_graph(nothing, np.zeros(nothing.shape), np.zeros((5, 6)))
     assert len(parts.allowed) == 0
-    assert len(divide(parts, parts.first_choice(nothing[0]))) == 0
+    assert len(minimise(parts, parts.initial_labels(nothing[0]))) == 0
 
 
 def test_two_images_are_divided_as_well_as_can_be():
@@ -120,9 +126,9 @@ def test_two_images_are_divided_as_well_as_can_be():
         allowed = np.tile([0, 1], (10, 1))
         allowed[0], allowed[9] = [0, -1], [1, -1]
         own = np.where(allowed >= 0, rng.uniform(0, 0.3, allowed.shape), 0)
-        parts = Graph(np.zeros((1, 1), dtype=int), allowed, own, pairs[:, 0], pairs[:, 1], weight)
+        parts = RegionGraph(np.zeros((1, 1), dtype=int), allowed, own, pairs[:, 0], pairs[:, 1], weight)
         best = min(energy(parts, np.array([0, *middle, 1])) for middle in itertools.product((0, 1), repeat=8))
-        found = divide(parts, np.array([0, 0, 0, 0, 0, 1, 1, 1, 1, 1]))
+        found = minimise(parts, np.array([0, 0, 0, 0, 0, 1, 1, 1, 1, 1]))
         assert energy(parts, found) == pytest.approx(best, abs=1e-3)
 
 
@@ -137,20 +143,20 @@ def test_a_better_view_is_worth_a_little():
 def test_roofs_stand_out_and_hills_do_not():
     c, r = np.meshgrid(np.arange(100.0), np.arange(100.0))
     hill = 0.5 * c + 10 * np.sin(r / 40)
-    flat = standing_out(hill, 1.0)
+    flat = raised_objects(hill, 1.0)
     assert flat[10:90, 10:90].max() < 0.05  # roofs: 1
     roof = np.zeros(hill.shape, dtype=bool)
     roof[30:50, 30:60] = True
-    found = standing_out(hill + 6 * roof, 1.0)
+    found = raised_objects(hill + 6 * roof, 1.0)
     assert (found[roof] == 1).all()
     assert (found[:25] < 0.01).all()
-    assert (standing_out(np.full((4, 4), np.nan), 1.0) == 0).all()
+    assert (raised_objects(np.full((4, 4), np.nan), 1.0) == 0).all()
 
 
 def test_the_edge_of_an_image_is_near_in_its_rim_only():
     shown = np.zeros((100, 100), dtype=bool)
     shown[10:90, 10:90] = True
-    near = nearness_of_edge(shown)
+    near = edge_proximity(shown)
     assert near[50, 50] == 0
     assert near[10, 50] > 0.8
     assert near[13, 50] < near[11, 50]
@@ -162,11 +168,11 @@ def test_what_differs_in_gain_of_contrast_only_counts_the_same_in_all_units():
     one = rng.uniform(0, 100, (30, 30, 2))
     other, seen = one + rng.normal(0, 5, one.shape), np.ones((30, 30), dtype=bool)
     w = SeamWeights()
-    bytes_ = disagreement(features(one, seen), features(other, seen), w)
-    reflectance = disagreement(features(one / 1e4, seen), features(other / 1e4, seen), w)
+    bytes_ = image_difference(features(one, seen), features(other, seen), w)
+    reflectance = image_difference(features(one / 1e4, seen), features(other / 1e4, seen), w)
     assert np.allclose(bytes_, reflectance, atol=1e-4)
-    assert (disagreement(features(one, seen), features(one, seen), w) == 0).all()
-    assert (disagreement(features(one, seen), features(other, ~seen), w) == 0).all()
+    assert (image_difference(features(one, seen), features(one, seen), w) == 0).all()
+    assert (image_difference(features(one, seen), features(other, ~seen), w) == 0).all()
 
 
 @pytest.mark.parametrize("bad", [{"colour": -1.0}, {"length": 0.0}, {"follow": 2.0}, {"edge": float("nan")}])

@@ -8,8 +8,8 @@ import shapely
 from shapely import box
 from shapely.affinity import rotate
 
-from geomosaic.mosaicking.seams.partition import keep_whole, partition, without_slivers
-from geomosaic.mosaicking.seams.voronoi import inner_edges, regions, shown_deepest
+from geomosaic.mosaicking.seams.partition import partition, undivided, without_slivers
+from geomosaic.mosaicking.seams.voronoi import farthest_inside, inner_edges, voronoi_regions
 
 A, B = box(0, 0, 60, 40), box(40, 0, 100, 40)
 
@@ -29,7 +29,7 @@ def test_what_rough_shares_leave_and_claim_beyond_is_put_right():
         rotate(box(x, y, x + 60, y + 50), float(rng.uniform(-8, 8))) for y in (0, 30, 60) for x in (0, 22, 44, 66)
     ]
     centres = [(outline.centroid.x, outline.centroid.y) for outline in outlines]
-    rest = regions(outlines, centres)
+    rest = voronoi_regions(outlines, centres)
     cells = [share.buffer(1.5).difference(shapely.union_all(rest[:i])).buffer(-0.7) for i, share in enumerate(rest)]
     taken, rough = shapely.Polygon(), []
     for share in cells:  # of own area, but with gaps and parts beyond the footprints
@@ -54,7 +54,7 @@ def test_slivers_and_small_parts_go_to_who_shows_them():
 
 def test_a_building_stays_whole_where_one_image_shows_it_all():
     shares = [box(0, 0, 50, 40), box(50, 0, 100, 40)]
-    found = keep_whole(shares, [A, B], [box(46, 10, 52, 20), box(35, 30, 65, 38)])
+    found = undivided(shares, [A, B], [box(46, 10, 52, 20), box(35, 30, 65, 38)])
     assert found[0].covers(box(46, 10, 52, 20))
     # The second is shown whole by neither: it stays as the seam divides it.
     assert found[0].intersection(box(35, 30, 65, 38)).area == pytest.approx(15 * 8)
@@ -69,7 +69,7 @@ def test_an_overlap_is_halved():
     assert edges[2].is_empty
     places = np.array([[49.5, 5.0], [50.5, 35.0], [10.0, 10.0], [90.0, 10.0], [70.0, 120.0], [10.0, 120.0]])
     covers = np.array([[o.covers(shapely.Point(p)) for p in places] for o in outlines])
-    assert shown_deepest(edges, places, covers).tolist() == [0, 1, 0, 1, 2, -1]
+    assert farthest_inside(edges, places, covers).tolist() == [0, 1, 0, 1, 2, -1]
 
 
 def test_of_two_footprints_turned_against_each_other_each_has_half_of_the_overlap():
@@ -77,6 +77,6 @@ def test_of_two_footprints_turned_against_each_other_each_has_half_of_the_overla
     common = outlines[0].intersection(outlines[1])
     rng = np.random.default_rng(6)
     places = rng.uniform((30, 20), (60, 40), (4000, 2))
-    chosen = shown_deepest(inner_edges(outlines), places, np.ones((2, len(places)), dtype=bool))
+    chosen = farthest_inside(inner_edges(outlines), places, np.ones((2, len(places)), dtype=bool))
     assert common.area == pytest.approx(600)
     assert (chosen == 0).mean() == pytest.approx(0.5, abs=0.03)

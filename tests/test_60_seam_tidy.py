@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.mosaicking.seams.partition import widened, without_islands, without_spurs
+from geomosaic.mosaicking.seams.partition import extrapolated, without_islands, without_spurs
 
 
 def test_small_islands_go_and_large_ones_stay():
@@ -23,11 +23,11 @@ def test_small_islands_go_and_large_ones_stay():
 def test_labels_are_carried_over_the_rim(cells):
     label = np.full((20, 20), -1)
     label[:, 5:10], label[:, 10:14] = 0, 1
-    wide = widened(label, cells)
+    wide = extrapolated(label, cells)
     assert (wide[:, 5 - cells : 10] == 0).all()
     assert (wide[:, 10 : 14 + cells] == 1).all()
     assert (wide[:, : 5 - cells] == -1).all()
-    assert np.array_equal(widened(np.full((3, 3), -1), 2), np.full((3, 3), -1))
+    assert np.array_equal(extrapolated(np.full((3, 3), -1), 2), np.full((3, 3), -1))
 
 
 def test_spurs_go_and_corners_stay():

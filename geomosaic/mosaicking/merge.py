@@ -16,7 +16,7 @@ from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.mosaicking.records.files import gains, write_item, write_vectors
 from geomosaic.mosaicking.records.provenance import source_facts
 from geomosaic.mosaicking.result import Clock, MosaicResult
-from geomosaic.mosaicking.seams.image_order import ordered
+from geomosaic.mosaicking.seams.image_order import image_order
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output_files import check_geotiff, check_output
 from geomosaic.render.dem_gaps import height_notes
@@ -49,9 +49,9 @@ def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, opt
 
     rule, render = options.rule or "", options.render
     check_rule(rule)
-    order = ordered(block.scenes, outlines, options.order, None)
+    order = image_order(block.scenes, outlines, options.order, None)
     if options.base is not None:  # lowest: the last of what is laid first to last, the first of what is laid over it
-        with_base = ordered(block.scenes, outlines, options.order, options.base)
+        with_base = image_order(block.scenes, outlines, options.order, options.base)
         order = with_base if rule != "last" else [with_base[-1], *with_base[:-1]]
     labels = beside(output, "-labels", ".tif") if options.labels and rule in LABELLED else None
     item = beside(output, "", ".stac.json") if options.stac and not grid.crs.is_engineering else None

@@ -26,9 +26,8 @@ from geomosaic.mosaicking.reruns.earlier_results import Earlier
 from geomosaic.mosaicking.reruns.reuse import KeptUnit, Reuse, reuse_of
 from geomosaic.mosaicking.result import Clock, MosaicResult
 from geomosaic.mosaicking.retouch import numbers_of, retouched, steady
-from geomosaic.mosaicking.seams.quality import most_places, worst_places
-from geomosaic.mosaicking.seams.seamlines import segments
-from geomosaic.mosaicking.seams.shares import outlines_of, shares_of
+from geomosaic.mosaicking.seams.seam_polygons import seam_polygons, valid_outlines
+from geomosaic.mosaicking.seams.seamlines import sample_size, seam_segments, worst_places
 from geomosaic.mosaicking.unit import MosaicUnit, label_type
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
@@ -123,9 +122,9 @@ def mosaic(
         out = numbers_of(options.exclude, names, "left out")
         photos.leave_out(out)
         with Clock(seconds, "seams"):
-            shown = outlines_of(photos, render)
+            shown = valid_outlines(photos, render)
             shapes = [Polygon() if i in out else shape for i, shape in enumerate(shown)]
-            shares = shares_of(photos, shapes, own, options, earlier)
+            shares = seam_polygons(photos, shapes, own, options, earlier)
         seams = Seams(shares, shapes, width)
         ground = ground_of(grid, block.surface) if render.true_ortho else Ground.under(grid, block.surface)
         engine = compiled.result()
@@ -156,13 +155,13 @@ def mosaic(
             with Clock(seconds, "displacement"):
                 write_displacement(relief, labels, photos, options.displacement, render)
         pixel = grid.resolution[0]
-        parts, quality, places = segments(shares, pixel, SEGMENT * pixel), [], []
+        parts, quality, places = seam_segments(shares, pixel, SEGMENT * pixel), [], []
         if options.seam_quality:
             with Clock(seconds, "seam quality"):
                 # In whole steps, so that a longer seam does not cut all others elsewhere.
-                most = most_places(sum(pixels))
+                most = sample_size(sum(pixels))
                 steps = max(1, math.ceil(sum(p.line.length for p in parts) / (most * SEGMENT * pixel)))
-                parts = parts if steps == 1 else segments(shares, pixel, steps * SEGMENT * pixel)
+                parts = parts if steps == 1 else seam_segments(shares, pixel, steps * SEGMENT * pixel)
                 quality = earlier.judged(blender, parts)
                 places = worst_places(blender, parts, quality, output)
     finally:

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaicking.seams.quality import SeamPlace, SeamQuality
-from geomosaic.mosaicking.seams.seamlines import Segment
+from geomosaic.mosaicking.seams.seamlines import SeamPlace, SeamQuality, Segment
 from geomosaic.radiometry.gain_offset import Balance
 
 if TYPE_CHECKING:

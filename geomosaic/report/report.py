@@ -14,8 +14,7 @@ from geomosaic.report.page import decimals, environment, number, rms, share
 from geomosaic.types import AnyArray, ByteArray
 
 if TYPE_CHECKING:
-    from geomosaic.mosaicking.seams.quality import SeamPlace, SeamQuality
-    from geomosaic.mosaicking.seams.seamlines import Segment
+    from geomosaic.mosaicking.seams.seamlines import SeamPlace, SeamQuality, Segment
 
 
 GAP = 6

@@ -10,7 +10,7 @@ import numpy as np
 
 from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender
-from geomosaic.mosaicking.seams.voronoi import regions
+from geomosaic.mosaicking.seams.voronoi import voronoi_regions
 from geomosaic.render.photo import pull
 from geomosaic.resample.pyramid import reduce
 from geomosaic.types import FloatArray
@@ -32,7 +32,7 @@ def usual_difference(blender: Blender) -> float:
     """
     found = []
     # Not where seams are now: an edited seam is not to change what is blended elsewhere.
-    places = _places(regions(blender.seams.outlines, blender.photos.centres), blender.seams.outlines)
+    places = _places(voronoi_regions(blender.seams.outlines, blender.photos.centres), blender.seams.outlines)
     step = max(1, -(-len(places) // MOST))
     for i, j, x, y in places[::step]:
         spread = _spread(blender, i, j, np.array([[x, y]]))

@@ -17,8 +17,7 @@ from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.mosaicking.records.provenance import time_span
-from geomosaic.mosaicking.seams.quality import SeamQuality
-from geomosaic.mosaicking.seams.seamlines import Segment, segments
+from geomosaic.mosaicking.seams.seamlines import SeamQuality, Segment, seam_segments
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output_files import check_output, write_text
@@ -75,7 +74,7 @@ def write_vectors(
     OutputExistsError, OutputError
         The name is taken; writing failed.
     """
-    parts = segments(shares, grid.resolution[0], math.inf) if parts is None else parts
+    parts = seam_segments(shares, grid.resolution[0], math.inf) if parts is None else parts
     layers = {
         "footprints": _footprints(grid.crs, outlines, balance, pixels, sources or {}),
         "seams": _areas(grid.crs, outlines, shares),

@@ -20,8 +20,7 @@ import geomosaic
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import Correction
 from geomosaic.mosaicking.reruns.reuse import colour_bytes
-from geomosaic.mosaicking.seams.quality import SeamQuality, judge_seams
-from geomosaic.mosaicking.seams.seamlines import Segment
+from geomosaic.mosaicking.seams.seamlines import SeamQuality, Segment, measure_seams
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.render.photos import Photos
 
@@ -39,7 +38,7 @@ CLASSES = {
     "Setting": "geomosaic.radiometry.normal_equations",
     "Trial": "geomosaic.radiometry.model_selection",
     "Stretch": "geomosaic.mosaicking.colour.stretch",
-    "SeamQuality": "geomosaic.mosaicking.seams.quality",
+    "SeamQuality": "geomosaic.mosaicking.seams.seamlines",
 }
 """Dataclasses that may be kept, and where they are."""
 
@@ -208,12 +207,12 @@ class Earlier:
         """The judgement of each piece of a seam; those that are as they were are not looked at again."""
         memory, render = self._memory, self._options.render
         if memory is None:
-            return judge_seams(blender, parts, render)
+            return measure_seams(blender, parts, render)
         said = (self._base, render.resampling, render.tolerance)
         keys = [_key(said, blender, part) for part in parts]
         known = self.recall.table("seam-quality")
         new = [k for k, key in enumerate(keys) if key not in known]
-        found = dict(zip(new, judge_seams(blender, [parts[k] for k in new], render), strict=True))
+        found = dict(zip(new, measure_seams(blender, [parts[k] for k in new], render), strict=True))
         if len(new) < len(parts):
             self.recall.recalled.append(f"{len(parts) - len(new)} of {len(parts)} pieces of seams")
         quality = [found[k] if k in found else known[key] for k, key in enumerate(keys)]

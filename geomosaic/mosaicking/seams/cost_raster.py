@@ -1,4 +1,4 @@
-"""What seams cost on the cells of a coarse grid: what images show there, what stands there, and what the user drew."""
+"""Cost rasters of the seams on a coarse grid: image differences, raised objects, lines to follow, areas to avoid."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from geomosaic.mosaicking.records.provenance import between
 from geomosaic.mosaicking.seams.cost_terms import (
     Features,
     SeamWeights,
-    disagreement,
+    edge_proximity,
     features,
-    nearness_of_edge,
-    standing_out,
+    image_difference,
+    raised_objects,
 )
 from geomosaic.raster.validity import burn
 from geomosaic.raster.vector import layer_names
@@ -33,17 +33,25 @@ from geomosaic.sensor.map_to_image import Ground
 from geomosaic.types import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 
 NODES = 17
-"""View angles change slowly: so many along each side of a footprint, and straight lines between."""
-FULL_ANGLE = 45.0
-"""Degrees that count in full."""
+"""Nodes along each side of a footprint between which view angles, which change slowly, are interpolated."""
+REFERENCE_ANGLE = 45.0
+"""View angle in degrees of a full angle term."""
 
 
 @dataclass(frozen=True)
 class SeamCost:
-    """Of the cells of a grid: of a seam there (rows, cols), and of its being shown by each candidate (ranks, …)."""
+    """Cost of the cells of a grid, split as in graph cuts into a pairwise and a unary part.
 
-    seam: Float32Array
-    own: Float32Array
+    Attributes
+    ----------
+    pairwise : float32 array (rows, cols)
+        Of a seam through the cell.
+    unary : float32 array (ranks, rows, cols)
+        Of each candidate image showing the cell.
+    """
+
+    pairwise: Float32Array
+    unary: Float32Array
 
 
 def seam_cost(
@@ -55,38 +63,50 @@ def seam_cost(
     layers: SeamLayers,
     options: RenderOptions,
 ) -> SeamCost:
-    """Compare the candidates (ranks, rows, cols) of all cells, and add what does not depend on images.
+    """Cost of seams through all cells, and of the candidate images that may show them.
 
-    Images come in the order of their northern edges, and each is kept only until its last neighbour has come.
+    Parameters
+    ----------
+    photos : Photos
+    grid : Grid
+        Coarse grid of the cells.
+    candidates : int array (ranks, rows, cols)
+        Images that may show each cell, -1 where there are no more; see `voronoi.nearest_images`.
+    colours : sequence of Correction
+        Of all images: they are compared as they will be seen.
+    weights : SeamWeights
+    layers : SeamLayers
+    options : RenderOptions
+        Threads and progress.
     """
     windows = [grid.window_of(outline.bounds) for outline in photos.outlines]
-    seam, own = np.zeros(grid.shape, dtype=np.float32), np.zeros(candidates.shape, dtype=np.float32)
-    waiting = _pairs(candidates)
-    order = sorted(waiting, key=lambda i: (windows[i].row, i))
-    here: dict[int, Features] = {}
+    pairwise, unary = np.zeros(grid.shape, dtype=np.float32), np.zeros(candidates.shape, dtype=np.float32)
+    # From north to south, each image held only until its last neighbour has come: memory is that of a strip.
+    neighbours = _overlapping_images(candidates)
+    order = sorted(neighbours, key=lambda i: (windows[i].row, i))
+    held: dict[int, Features] = {}
     cells = cells_in([windows[i] for i in order])
 
-    def look(i: int) -> tuple[Features, FloatArray]:
-        return _seen(photos, i, grid, windows[i], cells, colours[i], weights)
+    def terms(i: int) -> tuple[Features, FloatArray]:
+        return _image_terms(photos, i, grid, windows[i], cells, colours[i], weights)
 
-    seen = in_order(look, order, options.threads, ahead=1)
-    for done, (i, (found, price)) in enumerate(seen):
-        here[i] = found
-        own[:, *_slices(windows[i])] += np.where(candidates[:, *_slices(windows[i])] == i, price, 0)
-        for j in sorted(waiting[i] & here.keys()):
-            _compare(i, j, here, windows, candidates, weights, seam)
-            waiting[i].discard(j)
-            waiting[j].discard(i)
-            if not waiting[j]:
-                del here[j]
-        if not waiting[i]:
-            del here[i]
+    for done, (i, (found, cost)) in enumerate(in_order(terms, order, options.threads, ahead=1)):
+        held[i] = found
+        unary[:, *_slices(windows[i])] += np.where(candidates[:, *_slices(windows[i])] == i, cost, 0)
+        for j in sorted(neighbours[i] & held.keys()):
+            _add_difference(i, j, held, windows, candidates, weights, pairwise)
+            neighbours[i].discard(j)
+            neighbours[j].discard(i)
+            if not neighbours[j]:
+                del held[j]
+        if not neighbours[i]:
+            del held[i]
         options.report(done + 1, len(photos), "seams")
-    return SeamCost(_whole(seam, photos, grid, weights, layers), own)
+    return SeamCost(_with_site_terms(pairwise, photos, grid, weights, layers), unary)
 
 
-def _pairs(candidates: IntArray) -> dict[int, set[int]]:
-    """Images that share cells, by image."""
+def _overlapping_images(candidates: IntArray) -> dict[int, set[int]]:
+    """Images that are candidates of the same cells, by image."""
     pairs: dict[int, set[int]] = {}
     ranks = len(candidates)
     most = int(candidates.max(initial=0)) + 1
@@ -105,57 +125,63 @@ def _slices(window: Window) -> tuple[slice, slice]:
     return slice(window.row, window.stop_row), slice(window.col, window.stop_col)
 
 
-def _seen(
+def _image_terms(
     photos: Photos, index: int, grid: Grid, window: Window, cells: int, colour: Correction, weights: SeamWeights
 ) -> tuple[Features, FloatArray]:
-    """What an image shows of its window, and what it costs to show it."""
+    """Features of an image on its window, and its unary cost (rows, cols) there."""
     with photos.using(index) as photo:
         piece = thumbnail(photo, photos.block.surface, grid, window, "average", "float32", cells)
         angle = _angles(photo, photos, grid, window) if weights.angle else np.zeros(piece.valid.shape)
     valid = piece.valid > 0
     values = corrected(colour, piece.values, window, grid, photos.grid)
-    price = weights.angle * np.minimum(angle / FULL_ANGLE, 1) + weights.edge * nearness_of_edge(valid)
+    price = weights.angle * np.minimum(angle / REFERENCE_ANGLE, 1) + weights.edge * edge_proximity(valid)
     return features(values, valid), price
 
 
 def _angles(photo: Photo, photos: Photos, grid: Grid, window: Window) -> FloatArray:
-    """View angles (rows, cols) in degrees; 90 where the model sees nothing."""
+    """View angles (rows, cols) in degrees; 90 where the model cannot see the ground."""
     return np.nan_to_num(between(photo, photos, grid, window, NODES)[..., 0], nan=90.0)
 
 
-def _compare(
+def _add_difference(
     i: int,
     j: int,
-    here: dict[int, Features],
+    held: dict[int, Features],
     windows: Sequence[Window],
     candidates: IntArray,
     weights: SeamWeights,
     seam: Float32Array,
 ) -> None:
-    """Note how differently two images show the cells that both may show."""
+    """Enter the difference of two images into the cost of the cells that both may show."""
     common = windows[i].intersection(windows[j])
     if common.empty:
         return
-    near = candidates[:, *_slices(common)]
-    both: BoolArray = (near == i).any(axis=0) & (near == j).any(axis=0)
-    one, other = (_cropped(here[k], windows[k], common) for k in (i, j))
-    part = seam[_slices(common)]
-    part[both] = np.maximum(part, disagreement(one, other, weights))[both]
+    ranked = candidates[:, *_slices(common)]
+    shared: BoolArray = (ranked == i).any(axis=0) & (ranked == j).any(axis=0)
+    one, other = (_cropped(held[k], windows[k], common) for k in (i, j))
+    cost = seam[_slices(common)]
+    cost[shared] = np.maximum(cost, image_difference(one, other, weights))[shared]
 
 
 def _cropped(found: Features, window: Window, part: Window) -> Features:
-    own = part.slices_in(window)
-    return Features(found.values[own], found.valid[own], found.slope[own], found.texture[own], found.contrast)
+    inside = part.slices_in(window)
+    return Features(
+        found.values[inside], found.valid[inside], found.slope[inside], found.texture[inside], found.contrast
+    )
 
 
-def _whole(seam: Float32Array, photos: Photos, grid: Grid, weights: SeamWeights, layers: SeamLayers) -> Float32Array:
-    """Add to what images show what stands on the ground, and what is to be followed or kept out of."""
+def _with_site_terms(
+    seam: Float32Array, photos: Photos, grid: Grid, weights: SeamWeights, layers: SeamLayers
+) -> Float32Array:
+    """Pairwise cost with all terms that no image decides: length, raised objects, lines to follow, areas to avoid."""
     from scipy.ndimage import maximum_filter
 
+    # The worst of the neighbourhood: a seam is resolved to a cell, and pixels next to the difference count too.
     total: AnyArray = maximum_filter(seam, 3) + np.float32(weights.length)
     if weights.heights:
         metres = float(metres_per_unit(grid.crs, np.array(grid.xy(np.array([[0.0, 0.0]]))[0]))[1]) * grid.resolution[1]
-        total = total + np.float32(weights.heights) * standing_out(heights_of(photos, grid), metres)
+        total = total + np.float32(weights.heights) * raised_objects(cell_heights(photos, grid), metres)
+    # Lines and areas are widened by a cell, so that none slips between cell centres.
     cell = grid.resolution[0]
     if layers.follow:
         along = burn([(shape.buffer(cell), 1) for shape in layers.follow], grid) == 1
@@ -165,30 +191,36 @@ def _whole(seam: Float32Array, photos: Photos, grid: Grid, weights: SeamWeights,
     return np.asarray(total, dtype=np.float32)
 
 
-def heights_of(photos: Photos, grid: Grid) -> Float32Array:
-    """Heights (rows, cols) at the cells of a grid, NaN where unknown or where heights play no part."""
+def cell_heights(photos: Photos, grid: Grid) -> Float32Array:
+    """Heights of the surface at the cells of a grid.
+
+    Returns
+    -------
+    float32 array (rows, cols)
+        Metres; NaN where unknown, or where the block has no surface.
+    """
     from scipy.ndimage import map_coordinates
 
-    found = np.full(grid.shape, np.nan, dtype=np.float32)
-    below = Ground.under(grid, photos.block.surface)
-    if below.to_surface is None:
-        return found
+    heights = np.full(grid.shape, np.nan, dtype=np.float32)
+    ground = Ground.under(grid, photos.block.surface)
+    if ground.to_surface is None:
+        return heights
     for part in grid.window.split(512, 512):
-        ground = below.block(part)
-        if ground.patch is None or ground.unknown:
+        patch = ground.block(part)
+        if patch.patch is None or patch.unknown:
             continue
         c, r = np.meshgrid(np.arange(part.col, part.stop_col) + 0.5, np.arange(part.row, part.stop_row) + 0.5)
-        xy: Any = below.to_surface(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
-        t = ground.patch.transform
+        xy: Any = ground.to_surface(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
+        t = patch.patch.transform
         col, row = t.a * xy[:, 0] + t.b * xy[:, 1] + t.c - 0.5, t.d * xy[:, 0] + t.e * xy[:, 1] + t.f - 0.5
-        z = map_coordinates(ground.patch.heights, [row, col], order=1, mode="constant", cval=np.nan)
-        found[_slices(part)] = z.reshape(part.height, part.width)
-    return found
+        z = map_coordinates(patch.patch.heights, [row, col], order=1, mode="constant", cval=np.nan)
+        heights[_slices(part)] = z.reshape(part.height, part.width)
+    return heights
 
 
 @dataclass(frozen=True)
 class SeamLayers:
-    """Geometries in the output map.
+    """Lines and areas that seams follow or avoid, in the output map.
 
     Attributes
     ----------
@@ -203,12 +235,12 @@ class SeamLayers:
 
 
 def read_seam_layers(follow: Sequence[Path], avoid: Sequence[Path], grid: Grid) -> SeamLayers:
-    """Read all layers of all files, in the map of a grid.
+    """Lines and areas of all layers of vector files, transformed to the map of a grid.
 
     Raises
     ------
     InputError
-        A layer without CRS, points, lines to keep out of, an area that crosses itself.
+        A layer without CRS, points, lines among the areas to avoid, an area that crosses itself.
     """
     return SeamLayers(_read(follow, grid, (*LINES, *AREAS)), _read(avoid, grid, AREAS))
 
@@ -216,7 +248,7 @@ def read_seam_layers(follow: Sequence[Path], avoid: Sequence[Path], grid: Grid) 
 def _read(paths: Sequence[Path], grid: Grid, kinds: tuple[str, ...]) -> list[Any]:
     found: list[Any] = []
     for path in paths:
-        own = [shape for layer in layer_names(path) for shape in read_shapes(path, layer, grid.crs, kinds)]
-        note_elsewhere(path, own, grid)
-        found += own
+        shapes = [shape for layer in layer_names(path) for shape in read_shapes(path, layer, grid.crs, kinds)]
+        note_elsewhere(path, shapes, grid)
+        found += shapes
     return found

@@ -1,4 +1,4 @@
-"""What a seam costs at a cell: terms from 0 (free) to 1 (as bad as it gets), and a weight for each."""
+"""Terms of the seam cost of a cell, each from 0 (free) to 1 (worst), and their weights."""
 
 from __future__ import annotations
 
@@ -9,45 +9,46 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.types import AnyArray, BoolArray, Float32Array
 
-TEXTURE = 5
-"""Cells across the neighbourhood whose spread is an image's texture."""
-RIM = 0.08
-"""Part of an image's side within which its edge is near."""
-STEEP, HIGH = 45.0, 2.5
-"""Slope in degrees, and metres above the ground around, that count in full."""
-GROUND = (15.0, 30.0, 60.0)
-"""Metres: what is narrower and stands out of the ground is a building or a tree."""
-_GENTLE = 0.5
-MARGIN = 1
-"""Cells around a roof that belong to it: it leans differently in each image."""
+TEXTURE_WINDOW = 5
+"""Side in cells of the window whose standard deviation is the texture of an image."""
+EDGE_ZONE = 0.08
+"""Width of the zone along a footprint's edge in which the edge term falls from 1 to 0, as a part of its side."""
+STEEP_SLOPE, OBJECT_HEIGHT = 45.0, 2.5
+"""Slope in degrees, and height in metres above the surrounding ground, of a full object term."""
+OPENING_WINDOWS = (15.0, 30.0, 60.0)
+"""Sides in metres of the morphological openings: narrower raised objects are buildings or trees."""
+# Steeper flanks are walls, not terrain: they must not excuse the height of what stands between them.
+_MAX_GROUND_SLOPE = 0.5
+OBJECT_MARGIN = 1
+"""Cells around an object that belong to it: relief displacement moves its outline differently in each image."""
 
 
 @dataclass(frozen=True)
 class SeamWeights:
-    """How much each term counts against one cell of seam where all is well (`length`).
+    """Weights of the seam cost terms, relative to one cell of seam at no other cost (`length`).
 
     Attributes
     ----------
     length : float
-        Of every cell: keeps seams short where nothing else matters.
+        Cost of every cell: keeps seams short where nothing else matters.
     colour : float
-        Difference of both images' values, in units of their contrast.
+        Difference of the two images' values, in units of their contrast.
     gradient : float
-        Difference of their slopes: edges that do not meet.
+        Difference of their gradients: edges that do not meet.
     texture : float
-        Difference of their local spread: sharp against blurred, leaves against none.
+        Difference of their local standard deviations: sharp against blurred, trees against lawn.
     angle : float
         View angle of the image that shows the cell, in units of 45 degrees; per cell of area.
     edge : float
-        Nearness of the edge of the image that shows the cell; per cell of area.
+        Proximity of the edge of the image that shows the cell; per cell of area.
     heights : float
-        Slopes, and what stands out of the ground: roofs, trees, walls.
+        Raised objects: roofs, trees, walls.
     avoid : float
-        Inside polygons to keep out of.
+        Cells inside areas to avoid.
     follow : float
-        Part of the cost that is left along roads and rivers, 0 to 1.
+        Part of the cost that remains along lines to follow, 0 to 1.
     reach : float
-        Part of the way between two centres, to both sides of the middle together, in which a seam may run.
+        Width of the zone in which a seam may run, as a part of the distance of two image centres, 0 to 1.
     """
 
     length: float = 0.03
@@ -75,19 +76,19 @@ class SeamWeights:
 
 @dataclass(frozen=True)
 class Features:
-    """An image on the cells of its window, and what is compared of it.
+    """Values, gradients and texture of one image on the cells of its window.
 
     Attributes
     ----------
     values : float32 array (rows, cols, bands)
-        Corrected; 0 where not valid.
+        Colour-corrected values; 0 where not valid.
     valid : bool array (rows, cols)
     slope : float32 array (rows, cols, 2)
-        Of the mean over bands, per cell.
+        Gradient of the mean over bands along columns and rows, per cell.
     texture : float32 array (rows, cols)
-        Spread in the neighbourhood.
+        Standard deviation in a window of `TEXTURE_WINDOW` cells.
     contrast : float
-        Spread of the whole, the unit of all comparisons.
+        Standard deviation of all valid cells: the unit of all comparisons.
     """
 
     values: Float32Array
@@ -98,7 +99,14 @@ class Features:
 
 
 def features(values: AnyArray, valid: BoolArray) -> Features:
-    """Find what is compared of an image: values (rows, cols, bands), valid (rows, cols)."""
+    """Values, gradients and texture of an image, prepared for comparison.
+
+    Parameters
+    ----------
+    values : array (rows, cols, bands)
+        Colour-corrected values.
+    valid : bool array (rows, cols)
+    """
     from scipy.ndimage import uniform_filter
 
     values = np.where(valid[..., None], values, 0).astype(np.float32)
@@ -107,24 +115,38 @@ def features(values: AnyArray, valid: BoolArray) -> Features:
         return Features(values, valid, np.zeros((*valid.shape, 2), dtype=np.float32), empty, 0.0)
     grey = values.mean(axis=2)
     level = float(grey[valid].mean())
-    grey = np.where(valid, grey - level, 0).astype(np.float32)  # what is not seen is as bright as the mean
+    # Missing cells take the mean, so that the edge of an image is no gradient. Centred before squaring: in float32
+    # the variance of values far from zero would be lost in rounding.
+    grey = np.where(valid, grey - level, 0).astype(np.float32)
     down, right = np.gradient(grey)
-    mean = uniform_filter(grey, TEXTURE)
-    spread = np.sqrt(np.maximum(uniform_filter(grey**2, TEXTURE) - mean**2, 0))
+    mean = uniform_filter(grey, TEXTURE_WINDOW)
+    spread = np.sqrt(np.maximum(uniform_filter(grey**2, TEXTURE_WINDOW) - mean**2, 0))
     return Features(values, valid, np.stack([right, down], axis=-1), spread, float(grey[valid].std()))
 
 
-def disagreement(one: Features, other: Features, weights: SeamWeights) -> Float32Array:
-    """How differently two images show cells (rows, cols) of the same window; 0 where either sees nothing.
+def image_difference(one: Features, other: Features, weights: SeamWeights) -> Float32Array:
+    """Difference of two images per cell: weighted sum of the colour, gradient and texture terms.
 
-    Differences are counted in units of the images' own contrast, so the measure is the same for bytes and reflectances,
-    and depends on these two images alone.
+    Differences are in units of the images' own contrast, so the measure is the same for bytes and reflectances, and
+    depends on these two images alone.
+
+    Parameters
+    ----------
+    one, other : Features
+        Of the same window.
+    weights : SeamWeights
+
+    Returns
+    -------
+    float32 array (rows, cols)
+        0 where either image has no value.
     """
     unit = max((one.contrast + other.contrast) / 2, 1e-12)
     colour = np.sqrt(((one.values - other.values) ** 2).mean(axis=-1))
     slope = np.sqrt(((one.slope - other.slope) ** 2).sum(axis=-1))
     texture = np.abs(one.texture - other.texture)
     total = (
+        # Each term is capped at 1: one glaring difference (a car, glint) costs no more than a clear mismatch.
         weights.colour * np.minimum(colour / unit, 1)
         + weights.gradient * np.minimum(slope / unit, 1)
         + weights.texture * np.minimum(texture / unit, 1)
@@ -132,22 +154,33 @@ def disagreement(one: Features, other: Features, weights: SeamWeights) -> Float3
     return np.where(one.valid & other.valid, total, 0).astype(np.float32)
 
 
-def nearness_of_edge(shown: BoolArray) -> Float32Array:
-    """1 at the edge of what an image shows (rows, cols), falling to 0 at `RIM` of its side; 1 beyond."""
+def edge_proximity(shown: BoolArray) -> Float32Array:
+    """Proximity of the edge of a footprint: 1 at the edge and outside, 0 from `EDGE_ZONE` of its side inwards.
+
+    Parameters
+    ----------
+    shown : bool array (rows, cols)
+        Cells that the image shows.
+
+    Returns
+    -------
+    float32 array (rows, cols)
+    """
     from scipy.ndimage import distance_transform_edt
 
-    rim = RIM * max(1.0, float(np.sqrt(shown.sum())))
-    inside = distance_transform_edt(np.pad(shown, 1))[1:-1, 1:-1]
-    near: Float32Array = np.clip(1 - inside / rim, 0, 1).astype(np.float32)
-    return near
+    zone = EDGE_ZONE * max(1.0, float(np.sqrt(shown.sum())))
+    # Padded: the border of the array is an edge too.
+    distance = distance_transform_edt(np.pad(shown, 1))[1:-1, 1:-1]
+    proximity: Float32Array = np.clip(1 - distance / zone, 0, 1).astype(np.float32)
+    return proximity
 
 
-def standing_out(heights: AnyArray, cell: float) -> Float32Array:
-    """How much a roof, a wall or a tree stands at each cell (rows, cols), 0 to 1.
+def raised_objects(heights: AnyArray, cell: float) -> Float32Array:
+    """Raised objects (roofs, walls, trees) in a height raster: 0 on the ground to 1.
 
-    What a morphological opening of the heights takes away stands out of the ground. Windows of several sizes find small
-    houses on ridges and large halls in plains (the progressive filter of Zhang and others, 2003); of a ridge as narrow
-    as the window as much is allowed as its flanks explain. Where the height jumps within three cells there is a wall.
+    What a morphological opening of the heights removes stands out of the ground. Windows of several sizes find small
+    houses on ridges and large halls in plains (the progressive filter of Zhang and others, 2003). On a ridge as narrow
+    as the window, the height that its flanks explain is subtracted. A jump within three cells is a wall.
 
     K. Zhang and others, *A progressive morphological filter for removing nonground measurements from airborne lidar
     data*, IEEE Transactions on Geoscience and Remote Sensing 41, 2003.
@@ -157,7 +190,12 @@ def standing_out(heights: AnyArray, cell: float) -> Float32Array:
     heights : array (rows, cols)
         Metres; NaN where unknown.
     cell : float
-        Metres per cell.
+        Size of a cell in metres.
+
+    Returns
+    -------
+    float32 array (rows, cols)
+        0 where the height is unknown.
     """
     from scipy.ndimage import grey_opening, maximum_filter, minimum_filter, uniform_filter
 
@@ -167,19 +205,21 @@ def standing_out(heights: AnyArray, cell: float) -> Float32Array:
     z = np.where(known, heights, np.median(heights[known])).astype(np.float32)
     down, right = np.gradient(z, cell)
     slope = np.hypot(down, right)
-    jump = (maximum_filter(z, 3) - minimum_filter(z, 3) > HIGH) & (slope > np.tan(np.radians(STEEP)))
+    jump = (maximum_filter(z, 3) - minimum_filter(z, 3) > OBJECT_HEIGHT) & (slope > np.tan(np.radians(STEEP_SLOPE)))
     term = jump.astype(np.float32)
-    gentle = np.minimum(slope, _GENTLE) / np.maximum(slope, 1e-9)
-    for metres in GROUND:
+    gentle = np.minimum(slope, _MAX_GROUND_SLOPE) / np.maximum(slope, 1e-9)
+    for metres in OPENING_WINDOWS:
+        # Odd, so that the window has a centre; at most what one reflection of the array can pad.
         size = min(round(metres / cell) | 1, 2 * (min(z.shape) - 1) - 1)
         if size < 3:
             continue
-        # Beyond the edge the ground goes on as it comes: no ridge is made there.
+        # Odd reflection continues the slope beyond the edge; even reflection would make ridges and pits there.
         wide = np.pad(z, size // 2, mode="reflect", reflect_type="odd")
         inner = slice(size // 2, -(size // 2))
         raised = z - grey_opening(wide, size=size)[inner, inner]
         ridge = np.zeros_like(z)
         for along in (down * gentle, right * gentle):
+            # Mean of |slope| minus |mean slope| is what rises and falls again within the window: a ridge.
             ridge += (uniform_filter(np.abs(along), size) - np.abs(uniform_filter(along, size))) * size * cell / 2
-        term = np.maximum(term, np.clip((raised - ridge) / HIGH - 0.5, 0, 1))
-    return np.where(known, maximum_filter(term, 2 * MARGIN + 1), 0).astype(np.float32)
+        term = np.maximum(term, np.clip((raised - ridge) / OBJECT_HEIGHT - 0.5, 0, 1))
+    return np.where(known, maximum_filter(term, 2 * OBJECT_MARGIN + 1), 0).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Cutlines: shares that a person has drawn; they win over the program's seams."""
+"""Cutlines drawn by the user: seam polygons that take precedence over computed ones."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from geomosaic.render.areas import AREAS, check_kind
 
 
 def with_cutlines(shares: Sequence[Any], drawn: Mapping[int, Any]) -> list[Any]:
-    """Shares with some of them drawn anew.
+    """Shares with drawn ones put in; computed shares keep the rest.
 
     Parameters
     ----------
     shares : sequence of Polygon or MultiPolygon
         One per image; they share no area.
     drawn : mapping of int to Polygon or MultiPolygon
-        By number of the image. Where two overlap, the image of the lower number has it.
+        By number of the image. Where two overlap, the image of the lower number has precedence.
 
     Returns
     -------
@@ -38,25 +38,25 @@ def with_cutlines(shares: Sequence[Any], drawn: Mapping[int, Any]) -> list[Any]:
     taken: Any = shapely.Polygon()
     result: list[Any] = [shapely.Polygon()] * len(shares)
     for number in sorted(drawn):
-        own = shapely.make_valid(drawn[number])
-        # Cutting without need would move vertices by a hair, and with them what was computed before.
-        result[number] = polygonal(own.difference(taken)) if matters(own.intersection(taken), own) else own
+        shape = shapely.make_valid(drawn[number])
+        # An overlay without need would move vertices in their last digits, and a rerun would find all tiles changed.
+        result[number] = polygonal(shape.difference(taken)) if significant(shape.intersection(taken), shape) else shape
         taken = taken.union(result[number])
     tree = shapely.STRtree(list(shares))
     for number, share in enumerate(shares):
         rest = polygonal(share.difference(taken)) if len(tree.query(taken)) else share
-        if matters(rest, share):
+        if significant(rest, share):
             result[number] = polygonal(result[number].union(rest))
     return result
 
 
-def matters(part: Any, whole: Any) -> bool:
-    """Whether an area is more than what cutting and rounding leave: a part in 10⁸ of another."""
+def significant(part: Any, whole: Any) -> bool:
+    """Whether an area is more than rounding in an overlay leaves: a part in 10⁸ of another."""
     return bool(part.area > 1e-8 * whole.area)
 
 
-def covers(drawn: Mapping[int, Any], outlines: Sequence[Any]) -> bool:
-    """Whether drawn shares leave hardly anything (a millionth) of the footprints to others."""
+def cover_everything(drawn: Mapping[int, Any], outlines: Sequence[Any]) -> bool:
+    """Whether drawn shares leave less than a millionth of the footprints to others."""
     import shapely
 
     if not drawn:
@@ -66,11 +66,11 @@ def covers(drawn: Mapping[int, Any], outlines: Sequence[Any]) -> bool:
 
 
 LAYER, IMAGE = "seams", "image"
-_MEND = "Move a border in both areas at once: in QGIS with topological editing"
+_HINT = "Move a border in both areas at once: in QGIS with topological editing"
 
 
 def read_cutlines(path: Path, names: Sequence[str], outlines: Sequence[Any], crs: CRS) -> dict[int, Any]:
-    """Shares by number of their image, in the output map.
+    """Drawn shares from a vector file, by number of their image, in the output map.
 
     The layer is that which a mosaic writes: polygons with the name of an image each. Polygons of one image are joined.
 
@@ -120,53 +120,53 @@ def read_cutlines(path: Path, names: Sequence[str], outlines: Sequence[Any], crs
             continue
         check_kind(geometry, AREAS, f"row {row}", where)
         number = list(names).index(name)
-        own, moved = outlines[number], shapely.make_valid(shapely.transform(shapely.force_2d(geometry), move))
-        if own.is_empty:
+        outline, moved = outlines[number], shapely.make_valid(shapely.transform(shapely.force_2d(geometry), move))
+        if outline.is_empty:
             continue
-        if not moved.intersects(own):
+        if not moved.intersects(outline):
             raise InputError(
                 f"row {row} lies outside of what '{name}' shows",
                 where=where,
                 hint="draw within its footprint; or is this the file of another block?",
             )
-        beyond = matters(moved.difference(own), own)
-        found.setdefault(number, []).append(polygonal(moved.intersection(own)) if beyond else moved)
+        beyond = significant(moved.difference(outline), outline)
+        found.setdefault(number, []).append(polygonal(moved.intersection(outline)) if beyond else moved)
     drawn = {
         number: parts[0] if len(parts) == 1 else shapely.union_all(np.array(parts, dtype=object))
         for number, parts in found.items()
     }
-    _note_overlaps(drawn, names, where)
+    _warn_of_overlaps(drawn, names, where)
     return drawn
 
 
-def note_gap(path: Path, drawn: Mapping[int, Any], outlines: Sequence[Any]) -> None:
-    """Say so where every image has an area, and these leave ground between them: a border was moved in one only."""
+def warn_of_gaps(path: Path, drawn: Mapping[int, Any], outlines: Sequence[Any]) -> None:
+    """Warning of ground between drawn areas that cover every image: a border was moved in one area only."""
     import shapely
 
     area = shapely.union_all(list(outlines)).difference(shapely.union_all(list(drawn.values()))).area
     warnings.warn(
         f"{path}: the areas of all images leave {area:.4g} square map units of what they show to no one; the program's "
-        f"own seams divide that. {_MEND}",
+        f"own seams divide that. {_HINT}",
         GeomosaicWarning,
         stacklevel=4,
     )
 
 
-def _note_overlaps(drawn: Mapping[int, Any], names: Sequence[str], where: str) -> None:
-    """Say so where two want the same ground: a border was moved in one area and not in the one beside it."""
+def _warn_of_overlaps(drawn: Mapping[int, Any], names: Sequence[str], where: str) -> None:
+    """Warning of overlaps: a border was moved in one area and not in its neighbour."""
     import shapely
 
     numbers = sorted(drawn)
     shapes = np.array([drawn[number] for number in numbers], dtype=object)
-    told = []
+    overlaps = []
     for i, j in sorted(zip(*shapely.STRtree(shapes).query(shapes, predicate="intersects").tolist(), strict=True)):
         part = shapely.intersection(shapes[i], shapes[j]) if i < j else None
-        if part is not None and (matters(part, shapes[i]) or matters(part, shapes[j])):
+        if part is not None and (significant(part, shapes[i]) or significant(part, shapes[j])):
             a, b = names[numbers[i]], names[numbers[j]]
-            told.append(f"'{a}' and '{b}' overlap by {part.area:.4g} square map units, which '{a}' shows")
-    if told:
+            overlaps.append(f"'{a}' and '{b}' overlap by {part.area:.4g} square map units, which '{a}' shows")
+    if overlaps:
         warnings.warn(
-            f"{where}: the areas of {'; '.join(told[:5])}{' ...' if len(told) > 5 else ''}. {_MEND}",
+            f"{where}: the areas of {'; '.join(overlaps[:5])}{' ...' if len(overlaps) > 5 else ''}. {_HINT}",
             GeomosaicWarning,
             stacklevel=3,
         )

@@ -1,10 +1,10 @@
-"""Seams that cost least in all: cells joined to regions, regions divided among images by minimal cuts.
+"""Seams of least cost by graph cuts: cells joined to watershed regions, regions assigned to images by swap moves.
 
 Cells are first joined to the catchment basins of the cost, so that borders of regions are the valleys between what must
 not be cut (Soille, 2006): round houses, along roads. Then, for two images at a time, the regions that both may show are
-divided anew by a minimal cut (Boykov, Veksler and Zabih, 2001, the swap move), until nothing becomes cheaper. The cost
-is that of all cells along the borders, and a little for each cell by how well its image sees it. A swap looks only at
-the regions of two neighbours, so the work grows with the number of images.
+assigned anew by a minimal cut (Boykov, Veksler and Zabih, 2001, the swap move), until nothing becomes cheaper. The cost
+is that of all cells along the borders (pairwise), and a little for each cell by how well its image sees it (unary). A
+swap looks only at the regions of two neighbours, so the work grows with the number of images.
 
 P. Soille, *Morphological image compositing*, IEEE Transactions on Pattern Analysis and Machine Intelligence 28, 2006.
 Y. Boykov, O. Veksler, R. Zabih, *Fast approximate energy minimization via graph cuts*, ibid. 23, 2001.
@@ -18,41 +18,48 @@ import numpy as np
 
 from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
 
-SWEEPS = 4
-"""Times that all pairs of neighbours are looked at; two mostly do."""
-_MOST_FLOW = 1 << 30
-_FINEST = 0.01
+MAX_SWEEPS = 4
+"""Rounds over all pairs of neighbouring images; two are mostly enough."""
+# Capacities of scipy's maximum flow are int32; their sum must not overflow.
+_MAX_FLOW = 1 << 30
+# Costs below this are as good as none; the logarithmic relief of the watershed starts here.
+_COST_UNIT = 0.01
 # Length of a border from the neighbours it parts, the same in all directions (Boykov and Kolmogorov, 2003).
-_STEPS = (((0, 1), np.pi / 8), ((1, 0), np.pi / 8), ((1, 1), np.pi / 8 / np.sqrt(2)), ((1, -1), np.pi / 8 / np.sqrt(2)))
+_NEIGHBOURS = (
+    ((0, 1), np.pi / 8),
+    ((1, 0), np.pi / 8),
+    ((1, 1), np.pi / 8 / np.sqrt(2)),
+    ((1, -1), np.pi / 8 / np.sqrt(2)),
+)
 
 
 @dataclass(frozen=True)
-class Graph:
-    """Regions, who may show them, and what borders between them cost.
+class RegionGraph:
+    """Regions of cells, the images that may show them, and the cost of borders between them.
 
     Attributes
     ----------
     region : int array (rows, cols)
         Number of each cell's region; -1 where no image shows the cell.
     allowed : int array (regions, ranks)
-        Images that may show a region, the nearest first, -1 where there are no more.
-    own : array (regions, ranks)
-        Cost of its being shown by each.
+        Images that may show a region, by number, the highest first; -1 where there are no more.
+    unary : array (regions, ranks)
+        Cost of each of them showing it.
     first, second : int array (edges,)
         Regions with a common border, first < second.
     weight : array (edges,)
-        Its cost.
+        Cost of a seam along that border.
     """
 
     region: IntArray
     allowed: IntArray
-    own: FloatArray
+    unary: FloatArray
     first: IntArray
     second: IntArray
     weight: FloatArray
 
-    def first_choice(self, nearest: IntArray) -> IntArray:
-        """Of each region (regions,) the image that is nearest (rows, cols) in most of its cells."""
+    def initial_labels(self, nearest: IntArray) -> IntArray:
+        """Image of each region (regions,) that is the nearest one (rows, cols) of most of its cells."""
         known = self.region >= 0
         count = np.zeros(self.allowed.shape)
         for place in range(self.allowed.shape[1]):
@@ -63,38 +70,51 @@ class Graph:
         return np.take_along_axis(self.allowed, count.argmax(axis=1)[:, None], axis=1)[:, 0]
 
 
-def basins(cost: AnyArray, known: BoolArray) -> IntArray:
-    """Catchment basins (rows, cols) of the cost turned over: each has a worst place, borders run where it is low."""
+def catchment_basins(cost: AnyArray, known: BoolArray) -> IntArray:
+    """Catchment basins of the inverted cost: each holds a local maximum, borders run where the cost is low.
+
+    Parameters
+    ----------
+    cost : array (rows, cols)
+    known : bool array (rows, cols)
+        Cells that some image shows.
+
+    Returns
+    -------
+    int array (rows, cols)
+        Number of the basin; -1 where not known.
+    """
     from scipy.ndimage import gaussian_filter, label, maximum_filter, watershed_ift
 
     smooth = gaussian_filter(cost.astype(np.float32), 1.0)
     top = maximum_filter(smooth, 3) == smooth
     seeds, _ = label(top & known, structure=np.ones((3, 3)))
-    # Logarithms: one very bad place must not make all others equal. Of no other cell: far changes are not felt.
-    relief = (65535 - 4000 * np.log2(1 + np.maximum(smooth, 0) / _FINEST)).clip(0, 65535).astype(np.uint16)
+    # Logarithms: one very bad place must not make all others equal in 16 bits. The scale depends on no other cell, so
+    # a change far away leaves basins, and with them seams that were computed before, as they are.
+    relief = (65535 - 4000 * np.log2(1 + np.maximum(smooth, 0) / _COST_UNIT)).clip(0, 65535).astype(np.uint16)
     flooded = watershed_ift(relief, np.where(known, seeds, -1).astype(np.int32), structure=np.ones((3, 3), dtype=int))
     return np.where(known, flooded, -1).astype(np.int64)
 
 
-def graph(candidates: IntArray, own: AnyArray, cost: AnyArray) -> Graph:
-    """Join cells to regions.
+def region_graph(candidates: IntArray, unary: AnyArray, cost: AnyArray) -> RegionGraph:
+    """Graph of regions: cells of one basin with the same candidates.
 
     Parameters
     ----------
     candidates : int array (ranks, rows, cols)
         Images that may show a cell, the nearest first, -1 where there are no more.
-    own : array (ranks, rows, cols)
-        Cost of its being shown by each.
+    unary : array (ranks, rows, cols)
+        Cost of each of them showing it.
     cost : array (rows, cols)
-        Of a seam there.
+        Cost of a seam through the cell.
     """
     ranks, known = len(candidates), candidates[0] >= 0
-    flat = basins(cost, known)
+    basin = catchment_basins(cost, known)
     # The cells of a region have the same candidates, whatever their order.
     sets = np.sort(candidates.reshape(ranks, -1), axis=0)[:, known.ravel()]
-    # Where one image is sure, a region is all that is surely its own: nothing is to be found out there.
-    lone = (sets[:-1] < 0).all(axis=0)
-    keys = np.vstack([np.where(lone, -1, flat.ravel()[known.ravel()]), sets])
+    # All cells with the same sole candidate are one region, whatever their basin: there is nothing to decide.
+    sole = (sets[:-1] < 0).all(axis=0)
+    keys = np.vstack([np.where(sole, -1, basin.ravel()[known.ravel()]), sets])
     order = np.lexsort(keys[::-1])
     changed = np.any(np.diff(keys[:, order], axis=1) != 0, axis=0)
     inverse = np.empty(keys.shape[1], dtype=np.int64)
@@ -106,16 +126,17 @@ def graph(candidates: IntArray, own: AnyArray, cost: AnyArray) -> Graph:
     allowed[inverse] = sets[::-1].T
     totals = np.zeros((count, ranks))
     for rank in range(ranks):
-        image, price = candidates[rank][known], own[rank][known]
+        image, price = candidates[rank][known], unary[rank][known]
         for place in range(ranks):
             hit = (allowed[inverse, place] == image) & (image >= 0)
             totals[:, place] += np.bincount(inverse[hit], price[hit], count)
-    return Graph(region, allowed, totals, *_borders(region, cost, count))
+    return RegionGraph(region, allowed, totals, *_borders(region, cost, count))
 
 
 def _borders(region: IntArray, cost: AnyArray, count: int) -> tuple[IntArray, IntArray, FloatArray]:
+    """Pairs of touching regions and the cost of the seam between them, summed over the cells on both sides."""
     keys, prices = [], []
-    for (down, right), length in _STEPS:
+    for (down, right), length in _NEIGHBOURS:
         rows, cols = region.shape
         a = slice(0, rows - down), slice(max(0, -right), cols - max(0, right))
         b = slice(down, rows), slice(max(0, right), cols - max(0, -right))
@@ -129,36 +150,48 @@ def _borders(region: IntArray, cost: AnyArray, count: int) -> tuple[IntArray, In
     return found // max(count, 1), found % max(count, 1), weight
 
 
-def divide(parts: Graph, start: IntArray) -> IntArray:
-    """Images (regions,) that show the regions at the least cost, from a first choice (regions,)."""
-    chosen, net = start.copy(), _Net.of(parts)
-    for _ in range(SWEEPS):
-        differ = chosen[parts.first] != chosen[parts.second]
-        a, b = chosen[parts.first[differ]], chosen[parts.second[differ]]
+def minimise(graph: RegionGraph, labels: IntArray) -> IntArray:
+    """Labelling of least cost, to a local minimum of the swap moves.
+
+    Parameters
+    ----------
+    graph : RegionGraph
+    labels : int array (regions,)
+        Initial image of each region.
+
+    Returns
+    -------
+    int array (regions,)
+        Image that shows each region.
+    """
+    best, adjacency = labels.copy(), _Adjacency.of(graph)
+    for _ in range(MAX_SWEEPS):
+        differ = best[graph.first] != best[graph.second]
+        a, b = best[graph.first[differ]], best[graph.second[differ]]
         pairs = np.unique(np.column_stack([np.minimum(a, b), np.maximum(a, b)]), axis=0)
-        changed = [_swap(parts, net, chosen, int(i), int(j)) for i, j in pairs]
+        changed = [_swap_move(graph, adjacency, best, int(i), int(j)) for i, j in pairs]
         if not any(changed):
             break
-    return chosen
+    return best
 
 
-def energy(parts: Graph, chosen: IntArray) -> float:
-    """Cost of all borders between different images, and of all regions in theirs."""
-    differ = chosen[parts.first] != chosen[parts.second]
-    own = np.where(parts.allowed == chosen[:, None], parts.own, 0.0).sum()
-    return float(parts.weight[differ].sum() + own)
+def energy(graph: RegionGraph, labels: IntArray) -> float:
+    """Cost of a labelling: of all borders between different images, and of all regions in theirs."""
+    differ = labels[graph.first] != labels[graph.second]
+    unary = np.where(graph.allowed == labels[:, None], graph.unary, 0.0).sum()
+    return float(graph.weight[differ].sum() + unary)
 
 
 @dataclass(frozen=True)
-class _Net:
-    """Edges by region and regions by image, so that a swap looks at nothing but its own."""
+class _Adjacency:
+    """Edges by region and regions by image, so that a swap touches nothing but its own."""
 
     start: IntArray
     edges: IntArray
     shown_by: dict[int, IntArray]
 
     @classmethod
-    def of(cls, parts: Graph) -> _Net:
+    def of(cls, parts: RegionGraph) -> _Adjacency:
         ends = np.concatenate([parts.first, parts.second])
         edges = np.tile(np.arange(len(parts.first)), 2)[np.argsort(ends, kind="stable")]
         start = np.concatenate([[0], np.cumsum(np.bincount(ends, minlength=len(parts.allowed)))])
@@ -174,32 +207,34 @@ class _Net:
         return np.unique(self.edges[offsets + np.arange(int(counts.sum()))])
 
 
-def _swap(parts: Graph, net: _Net, chosen: IntArray, i: int, j: int) -> bool:
-    """Divide the regions of two images anew by a minimal cut; whether anything changed."""
+def _swap_move(graph: RegionGraph, adjacency: _Adjacency, labels: IntArray, i: int, j: int) -> bool:
+    """Reassign the regions of two images by a minimal cut; whether anything changed."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
     none = np.zeros(0, dtype=np.int64)
-    both = np.intersect1d(net.shown_by.get(i, none), net.shown_by.get(j, none), assume_unique=True)
-    free = both[(chosen[both] == i) | (chosen[both] == j)]
+    both = np.intersect1d(adjacency.shown_by.get(i, none), adjacency.shown_by.get(j, none), assume_unique=True)
+    free = both[(labels[both] == i) | (labels[both] == j)]
     if not len(free):
         return False
-    edges, size = net.around(free), len(free)
-    one, two, weight = parts.first[edges], parts.second[edges], parts.weight[edges]
-    a, b = _numbers(free, one), _numbers(free, two)
+    edges, size = adjacency.around(free), len(free)
+    one, two, weight = graph.first[edges], graph.second[edges], graph.weight[edges]
+    a, b = _positions(free, one), _positions(free, two)
     inner = (a >= 0) & (b >= 0)
-    price_i = np.where(parts.allowed[free] == i, parts.own[free], 0).sum(axis=1)
-    price_j = np.where(parts.allowed[free] == j, parts.own[free], 0).sum(axis=1)
+    price_i = np.where(graph.allowed[free] == i, graph.unary[free], 0).sum(axis=1)
+    price_j = np.where(graph.allowed[free] == j, graph.unary[free], 0).sum(axis=1)
     to_i, to_j = np.maximum(price_j - price_i, 0), np.maximum(price_i - price_j, 0)
-    for mine, label in ((np.where(inner, -1, a), chosen[two]), (np.where(inner, -1, b), chosen[one])):
+    # Borders to regions outside of the swap: a region pays for them unless it goes to the image on the other side.
+    for mine, neighbour in ((np.where(inner, -1, a), labels[two]), (np.where(inner, -1, b), labels[one])):
         for image, to in ((i, to_i), (j, to_j)):
-            rim = (mine >= 0) & (label == image)
+            rim = (mine >= 0) & (neighbour == image)
             to += np.bincount(mine[rim], weight[rim], size)
     source, sink = size, size + 1
     rows = np.concatenate([a[inner], b[inner], np.full(size, source), np.arange(size)])
     cols = np.concatenate([b[inner], a[inner], np.arange(size), np.full(size, sink)])
     price = np.concatenate([weight[inner], weight[inner], to_i, to_j])
-    whole = np.round(price * min(1e4, _MOST_FLOW / max(float(price.sum()), 1e-9))).astype(np.int32)
+    # The solver takes whole numbers only: as fine as the sum allows, and no finer than a ten-thousandth.
+    whole = np.round(price * min(1e4, _MAX_FLOW / max(float(price.sum()), 1e-9))).astype(np.int32)
     network = coo_matrix((whole, (rows, cols)), shape=(size + 2, size + 2)).tocsr()
     rest = (network - maximum_flow(network, source, sink).flow).tocsr()
     rest.eliminate_zeros()
@@ -210,13 +245,14 @@ def _swap(parts: Graph, net: _Net, chosen: IntArray, i: int, j: int) -> bool:
         apart = with_i[a[inner]] != with_i[b[inner]]
         return float(weight[inner][apart].sum() + to_j[with_i].sum() + to_i[~with_i].sum())
 
-    if cost(reached[:size]) >= cost(chosen[free] == i) - 1e-9:
+    # In exact costs, as rounding may prefer an equal or worse cut: the loop over all pairs would not end.
+    if cost(reached[:size]) >= cost(labels[free] == i) - 1e-9:
         return False
-    chosen[free] = np.where(reached[:size], i, j)
+    labels[free] = np.where(reached[:size], i, j)
     return True
 
 
-def _numbers(free: IntArray, regions: IntArray) -> IntArray:
-    """Place of regions among the sorted free ones, -1 where they are none of them."""
+def _positions(free: IntArray, regions: IntArray) -> IntArray:
+    """Positions of regions in the sorted list of free ones; -1 where absent."""
     place = np.minimum(np.searchsorted(free, regions), len(free) - 1)
     return np.where(free[place] == regions, place, -1)

@@ -1,4 +1,4 @@
-"""Image order: whose pixels come first, which image is lowest, and the shares that follow from it."""
+"""Order of images that lie upon each other, and the parts of each that remain visible."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from geomosaic.raster.photo_metadata import dated
 ORDERS = ("list", "name", "resolution", "date")
 
 
-def ordered(
+def image_order(
     scenes: Sequence[Scene], outlines: Sequence[Footprint], order: str = "list", base: str | None = None
 ) -> list[int]:
-    """Numbers of the images, the most wanted first.
+    """Numbers of the images in order of precedence, the uppermost first.
 
     Parameters
     ----------
     scenes : sequence of Scene
     outlines : sequence of Footprint
-        Of the scenes; tell their resolution.
+        Of the scenes, with their ground sampling distance.
     order : str
         'list' as given; 'name' by alphabet; 'resolution' the finest first; 'date' the newest first.
         Equals stay as given.
@@ -33,31 +33,32 @@ def ordered(
     Raises
     ------
     InputError
-        An unknown order or image, or an image that does not say when it was taken.
+        An unknown order or image, or an image without acquisition date.
     """
     numbers = list(range(len(scenes)))
     if order == "name":
         numbers.sort(key=lambda i: scenes[i].name)
     elif order == "resolution":
-        # A hair of tolerance: the same pixel size, computed at different places, is the same.
+        # Six digits: the same pixel size, computed at different places, must be equal.
         numbers.sort(key=lambda i: float(f"{outlines[i].sampling:.6g}"))
     elif order == "date":
-        dates = [_date(scene) for scene in scenes]
-        numbers.sort(key=lambda i: dates[i], reverse=True)  # which keeps equals as they were, too
+        dates = [_acquisition_date(scene) for scene in scenes]
+        numbers.sort(key=lambda i: dates[i], reverse=True)  # stable in reverse, too
     elif order != "list":
         raise InputError(f"no order is named '{order}'", hint=f"one of {', '.join(ORDERS)}")
     if base is not None:
-        lowest = index_of(base, scenes)
+        lowest = image_index(base, scenes)
         numbers = [i for i in numbers if i != lowest] + [lowest]
     return numbers
 
 
-def index_of(name: str, scenes: Sequence[Scene]) -> int:
-    """Number of the image of that name, with or without its suffix.
+def image_index(name: str, scenes: Sequence[Scene]) -> int:
+    """Number of the image of a name, with or without its suffix.
 
     Raises
     ------
     InputError
+        No image, or several, of that name.
     """
     names = [scene.name for scene in scenes]
     found = [i for i, own in enumerate(names) if own == name] or [
@@ -73,7 +74,7 @@ def index_of(name: str, scenes: Sequence[Scene]) -> int:
     return found[0]
 
 
-def _date(scene: Scene) -> str:
+def _acquisition_date(scene: Scene) -> str:
     date = dated(scene.path)
     if date is None:
         raise InputError(
@@ -84,8 +85,8 @@ def _date(scene: Scene) -> str:
     return date
 
 
-def by_rank(outlines: Sequence[Any], order: Sequence[int]) -> list[Any]:
-    """Share of each image where images lie upon each other.
+def visible_regions(outlines: Sequence[Any], order: Sequence[int]) -> list[Any]:
+    """Visible part of each image where images lie upon each other.
 
     Parameters
     ----------
@@ -111,8 +112,8 @@ def by_rank(outlines: Sequence[Any], order: Sequence[int]) -> list[Any]:
     return shares
 
 
-def under(shares: Sequence[Any], outlines: Sequence[Any], base: int) -> list[Any]:
-    """Shares without a base, and what they leave of the base's outline.
+def with_base_image(shares: Sequence[Any], outlines: Sequence[Any], base: int) -> list[Any]:
+    """Shares with that of a base image added: the part of its outline that no other image takes.
 
     Parameters
     ----------
@@ -121,7 +122,7 @@ def under(shares: Sequence[Any], outlines: Sequence[Any], base: int) -> list[Any
     outlines : sequence of Polygon or MultiPolygon
         Of all images.
     base : int
-        Number of the base among all.
+        Number of the base image among all.
     """
     import shapely
 

@@ -1,4 +1,4 @@
-"""Partition of the mosaic: exact shares within footprints, without slivers, gaps or islands."""
+"""Partition of the footprints by seam polygons: exact, without slivers, gaps or islands."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 from geomosaic.mosaicking.seams.voronoi import polygonal
 from geomosaic.types import IntArray
 
-SLIVER = 0.5
-"""Parts that vanish when shrunk by so many cells are slivers."""
+SLIVER_WIDTH = 0.5
+"""Half the width in cells below which a part is a sliver."""
 
 
 def partition(
     shares: Sequence[Any], outlines: Sequence[Any], rest: Sequence[Any], cell: float, smallest: float
 ) -> list[Any]:
-    """Make shares that follow cells into shares that divide the footprints exactly.
+    """Partition of the footprints that follows given shares.
 
     Parameters
     ----------
     shares : sequence of Polygon or MultiPolygon
-        One per image; they share no area.
+        One per image, with borders along cells; they share no area.
     outlines : sequence of Polygon
         Footprints.
     rest : sequence of Polygon or MultiPolygon
-        A division of the footprints, such as `voronoi.regions`: it says who gets what no share covers.
+        A partition of the footprints, such as `voronoi.voronoi_regions`, for ground that no share covers.
     cell : float
         Size of a cell in map units.
     smallest : float
@@ -49,14 +49,25 @@ def partition(
 
 
 def without_slivers(shares: Sequence[Any], outlines: Sequence[Any], cell: float, smallest: float) -> list[Any]:
-    """Give small and thin parts to the neighbour with the longest common border that shows them wholly."""
+    """Shares without small and thin parts: each goes to the neighbour that shows it, with the longest border.
+
+    Parameters
+    ----------
+    shares, outlines : sequence of Polygon or MultiPolygon
+        Shares and footprints of the images, in the output map.
+    cell : float
+        Size of a cell in map units.
+    smallest : float
+        Area in square map units below which a part is small.
+    """
     import shapely
 
     parts = [(i, part) for i, share in enumerate(shares) for part in shapely.get_parts(share)]
     shapes = [part for _, part in parts]
     tree, owner, hair = shapely.STRtree(shapes), [i for i, _ in parts], 1e-6 * cell
     kept: dict[int, list[Any]] = {i: [] for i in range(len(shares))}
-    slight = [p.area < smallest or p.buffer(-SLIVER * cell).is_empty for p in shapes]
+    slight = [p.area < smallest or p.buffer(-SLIVER_WIDTH * cell).is_empty for p in shapes]
+    # Largest first, so that a chain of slivers ends at a neighbour that stays.
     for number in sorted(range(len(parts)), key=lambda k: (slight[k], -shapes[k].area)):
         if not slight[number]:
             continue
@@ -66,7 +77,7 @@ def without_slivers(shares: Sequence[Any], outlines: Sequence[Any], cell: float,
             if (not slight[k] and owner[k] != owner[number]) or (owner[k] == owner[number] and k != number):
                 length = part.boundary.intersection(shapes[k].buffer(hair)).length
                 lengths[owner[k]] = lengths.get(owner[k], 0.0) + length
-        showing = [i for i in lengths if lengths[i] > 10 * hair and _shows(outlines[i], part)]
+        showing = [i for i in lengths if lengths[i] > 10 * hair and _contains(outlines[i], part)]
         if showing:
             owner[number] = max(showing, key=lambda i: (lengths[i], -i))
     for i, part in zip(owner, shapes, strict=True):
@@ -74,8 +85,16 @@ def without_slivers(shares: Sequence[Any], outlines: Sequence[Any], cell: float,
     return [polygonal(shapely.union_all(kept[i])) if kept[i] else shapely.Polygon() for i in range(len(shares))]
 
 
-def keep_whole(shares: Sequence[Any], outlines: Sequence[Any], areas: Sequence[Any]) -> list[Any]:
-    """Give each area that a seam cuts wholly to the image with most of it, where one of its images shows it all."""
+def undivided(shares: Sequence[Any], outlines: Sequence[Any], areas: Sequence[Any]) -> list[Any]:
+    """Shares in which no seam divides an area, where one image shows all of it: the one with the largest part gets it.
+
+    Parameters
+    ----------
+    shares, outlines : sequence of Polygon or MultiPolygon
+        Shares and footprints of the images, in the output map.
+    areas : sequence of Polygon or MultiPolygon
+        Areas to keep whole, such as buildings.
+    """
     import shapely
 
     result = list(shares)
@@ -95,28 +114,42 @@ def keep_whole(shares: Sequence[Any], outlines: Sequence[Any], areas: Sequence[A
     return result
 
 
-def _shows(outline: Any, part: Any) -> bool:
+def _contains(outline: Any, part: Any) -> bool:
+    """Whether a part lies within an outline, but for rounding."""
     return bool(part.difference(outline).area <= 1e-9 * part.area)
 
 
 def canonical(share: Any, step: float) -> Any:
-    """One form for a share, however it was come by: vertices on multiples of a tiny step, parts and rings in order.
+    """Canonical form of a share: vertices on multiples of a tiny step, parts and rings in order.
 
-    Editing and saving moves vertices in the last digit and turns rings round: what was not edited is the same again.
+    A GIS that edits and saves a layer moves vertices in the last digit and turns rings round. In canonical form a share
+    that was not edited is equal to the one before, and what was computed for it is found again.
+
+    Parameters
+    ----------
+    share : Polygon or MultiPolygon
+    step : float
+        Map units.
     """
-    import numpy as np
     import shapely
 
     snapped = shapely.normalize(shapely.transform(share, lambda xy: np.round(xy / step) * step))
     return snapped if snapped.is_valid else shapely.normalize(share)
 
 
-SMALLEST = 30
-"""Cells; smaller islands of one image within others are given away."""
+MIN_ISLAND = 30
+"""Cells of the smallest island of one image within others that is kept."""
 
 
-def widened(label: IntArray, cells: int) -> IntArray:
-    """Labels carried over so many cells into what has none: no sliver is left between cells and exact outlines."""
+def extrapolated(label: IntArray, cells: int) -> IntArray:
+    """Labels (rows, cols) extended into unlabelled cells (-1), so that cells leave no sliver along exact outlines.
+
+    Parameters
+    ----------
+    label : int array (rows, cols)
+    cells : int
+        Largest distance to a labelled cell.
+    """
     from scipy.ndimage import distance_transform_edt
 
     if (label >= 0).all() or not (label >= 0).any():
@@ -125,8 +158,16 @@ def widened(label: IntArray, cells: int) -> IntArray:
     return np.where(far <= cells, label[rows, cols], -1)
 
 
-def without_islands(label: IntArray, smallest: int = SMALLEST) -> IntArray:
-    """Give islands of fewer cells to the image that surrounds them most."""
+def without_islands(label: IntArray, smallest: int = MIN_ISLAND) -> IntArray:
+    """Labels (rows, cols) without small islands: each goes to the image that surrounds most of it.
+
+    Parameters
+    ----------
+    label : int array (rows, cols)
+        Number of the image; -1 where there is none.
+    smallest : int
+        Cells of the smallest island that is kept.
+    """
     from scipy.ndimage import find_objects
 
     label = label.copy()
@@ -135,11 +176,12 @@ def without_islands(label: IntArray, smallest: int = SMALLEST) -> IntArray:
             continue
         rows, cols = box
         own = slice(max(rows.start - 1, 0), rows.stop + 1), slice(max(cols.start - 1, 0), cols.stop + 1)
-        _give_away(label[own], value, smallest)
+        _reassign_islands(label[own], value, smallest)
     return label
 
 
-def _give_away(label: IntArray, value: int, smallest: int) -> None:
+def _reassign_islands(label: IntArray, value: int, smallest: int) -> None:
+    """Relabel small islands of one image in place; the only part of an image is no island."""
     from scipy.ndimage import binary_dilation, find_objects
     from scipy.ndimage import label as parts_of
 
@@ -161,7 +203,15 @@ def _give_away(label: IntArray, value: int, smallest: int) -> None:
 
 
 def without_spurs(label: IntArray, rounds: int = 3) -> IntArray:
-    """Give cells with hardly a neighbour of their own to the image that most neighbours have: spurs a cell wide go."""
+    """Labels (rows, cols) without spurs a cell wide: cells with at most two equal neighbours join the majority.
+
+    Parameters
+    ----------
+    label : int array (rows, cols)
+        Number of the image; -1 where there is none.
+    rounds : int
+        Largest length in cells of a spur that goes.
+    """
     label = label.copy()
     for _ in range(rounds):
         wide = np.pad(label, 1, mode="edge")

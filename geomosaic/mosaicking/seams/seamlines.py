@@ -1,28 +1,41 @@
-"""Seamlines: what divides the shares of two images, in pieces that can be judged one by one."""
+"""Seamlines in segments, and how well the two images of each agree: colour step, difference and shift."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-HAIR = 1e-5
-"""Pixels: the common edge of two shares is found although they were cut in floating point."""
+from geomosaic.geo.grid import Window
+from geomosaic.match.shift import shifts
+from geomosaic.mosaicking.blending.block import Blender
+from geomosaic.mosaicking.colour.corrections import corrected
+from geomosaic.raster.source import Source
+from geomosaic.render.options import RenderOptions
+from geomosaic.render.photo import pull
+from geomosaic.render.workers import in_order
+from geomosaic.resample.warp import Colour
+from geomosaic.types import AnyArray, BoolArray
+
+SNAP = 1e-5
+"""Distance in pixels within which edges of two shares coincide, despite rounding in the overlay."""
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A piece of the seam between two images.
+    """Segment of the seam between two images.
 
     Attributes
     ----------
     first, second : int
         Numbers of the images, first < second.
     number : int
-        Among the pieces between these two, from 1, from west to east.
+        Among the segments between these two, from 1, from west to east.
     line : LineString
+        In the output map.
     """
 
     first: int
@@ -31,8 +44,8 @@ class Segment:
     line: Any
 
 
-def segments(shares: Sequence[Any], pixel: float, longest: float) -> list[Segment]:
-    """Seams between all shares, in pieces of equal length that are not longer than is asked.
+def seam_segments(shares: Sequence[Any], pixel: float, longest: float) -> list[Segment]:
+    """Segments of the seams between all shares, of equal length along each seam.
 
     Parameters
     ----------
@@ -41,21 +54,21 @@ def segments(shares: Sequence[Any], pixel: float, longest: float) -> list[Segmen
     pixel : float
         Size of a pixel in map units.
     longest : float
-        Length of a piece in map units.
+        Largest length of a segment in map units.
     """
     import shapely
 
-    hair = HAIR * pixel
+    snap = SNAP * pixel
     tree = shapely.STRtree(list(shares))
     found = []
     for i, share in enumerate(shares):
         if share.is_empty:
             continue
-        for j in sorted(int(k) for k in tree.query(share, predicate="dwithin", distance=hair)):
+        for j in sorted(int(k) for k in tree.query(share, predicate="dwithin", distance=snap)):
             if j <= i or shares[j].is_empty:
                 continue
-            common = share.boundary.intersection(shares[j].buffer(hair))
-            if common.length <= 100 * hair:
+            common = share.boundary.intersection(shares[j].buffer(snap))
+            if common.length <= 100 * snap:
                 continue
             parts = [part for part in shapely.get_parts(common) if part.geom_type == "LineString"]
             merged = shapely.get_parts(shapely.line_merge(shapely.MultiLineString(parts)))
@@ -72,3 +85,183 @@ def _cut(line: Any, longest: float) -> list[Any]:
     if count == 1:
         return [line]
     return [substring(line, k / count, (k + 1) / count, normalized=True) for k in range(count)]
+
+
+TILE, SEARCH = 64, 8
+"""Pixels: side of the tile that is matched, and the largest shift searched for."""
+BAND = 8
+"""Pixels to both sides of the seam in which colours are compared."""
+LATTICE_TOLERANCE = 0.1
+"""Largest error in image pixels of the interpolated geometry, well below the shifts that are measured."""
+MIN_SEGMENTS, MAX_SEGMENTS = 20, 400
+WORST_PLACES = 10
+"""Seam places in the report."""
+
+
+@dataclass(frozen=True)
+class SeamQuality:
+    """Agreement of two images at the middle of a segment; NaN where it cannot be measured.
+
+    Attributes
+    ----------
+    step_before, step_after : float
+        Difference of the images' means beside the seam, RMS over bands, in grey values, before and after the balance.
+    difference : float
+        RMS difference of the balanced images beside the seam: colour steps, shifts and whatever else does not fit.
+    shift_col, shift_row : float
+        Of the second image's content against the first's, in output pixels; NaN where nothing matches.
+    correlation : float
+        Of that match.
+    """
+
+    step_before: float
+    step_after: float
+    difference: float
+    shift_col: float
+    shift_row: float
+    correlation: float
+
+    @property
+    def mismatch(self) -> float:
+        """Length of the shift in output pixels."""
+        return float(np.hypot(self.shift_col, self.shift_row))
+
+
+@dataclass(frozen=True)
+class SeamPlace:
+    """Place on a seam as both images and the mosaic show it.
+
+    Attributes
+    ----------
+    segment : int
+        Number among the segments.
+    window : Window
+        Of the output.
+    first, second, mosaic : array (rows, cols, bands)
+        Corrected values; 0 where not valid.
+    """
+
+    segment: int
+    window: Window
+    first: AnyArray
+    second: AnyArray
+    mosaic: AnyArray
+
+
+NOT_MEASURED = SeamQuality(*(float("nan"),) * 6)
+
+
+def sample_size(pixels: int) -> int:
+    """Number of segments to measure in a mosaic of so many pixels: both images of a twentieth of it, 20 to 400."""
+    return min(max(pixels // (40 * (TILE + 2 * (SEARCH + 2)) ** 2), MIN_SEGMENTS), MAX_SEGMENTS)
+
+
+def measure_seams(blender: Blender, segments: Sequence[Segment], options: RenderOptions) -> list[SeamQuality]:
+    """Agreement of both images in the middle of each segment, at the resolution of the output.
+
+    Parameters
+    ----------
+    blender : Blender
+    segments : sequence of Segment
+    options : RenderOptions
+        Threads and progress.
+    """
+
+    def one(segment: Segment) -> SeamQuality:
+        window = _window(blender, segment, TILE + 2 * (SEARCH + 2))
+        if window.empty:
+            return NOT_MEASURED
+        (a, a0, seen_a), (b, b0, seen_b) = (
+            _values_before_and_after(blender, k, window) for k in (segment.first, segment.second)
+        )
+        return compare_images(a, b, a0, b0, seen_a & seen_b, _seam_band(blender, segment, window))
+
+    found = []
+    for done, (_, quality) in enumerate(in_order(one, segments, options.threads)):
+        found.append(quality)
+        options.report(done + 1, len(segments), "seam quality")
+    return found
+
+
+def compare_images(
+    a: AnyArray, b: AnyArray, a0: AnyArray, b0: AnyArray, both: BoolArray, near: BoolArray
+) -> SeamQuality:
+    """Agreement of two images of a place.
+
+    Parameters
+    ----------
+    a, b : array (rows, cols, bands)
+        Balanced values.
+    a0, b0 : array (rows, cols, bands)
+        Values before.
+    both : bool array (rows, cols)
+        Pixels that both show.
+    near : bool array (rows, cols)
+        Pixels beside the seam.
+    """
+    here = both & near
+    if here.sum() < BAND**2:
+        return NOT_MEASURED
+    before, after = ((x[here].astype(np.float64) - y[here]).mean(axis=0) for x, y in ((a0, b0), (a, b)))
+    difference = float(np.sqrt(((a[here].astype(np.float64) - b[here]) ** 2).mean()))
+    found = shifts(a.mean(axis=2), b.mean(axis=2), both, TILE, SEARCH)
+    col, row, correlation = float("nan"), float("nan"), float("nan")
+    if len(found.shifts):
+        (col, row), correlation = found.shifts[0].tolist(), float(found.correlation[0])
+    step_before, step_after = (float(np.sqrt((step**2).mean())) for step in (before, after))
+    return SeamQuality(step_before, step_after, difference, col, row, correlation)
+
+
+def worst_places(
+    blender: Blender, segments: Sequence[Segment], quality: Sequence[SeamQuality], mosaic: Path, side: int = 160
+) -> list[SeamPlace]:
+    """Seam places of the largest differences, worst first, with what both images and the mosaic show.
+
+    Parameters
+    ----------
+    blender : Blender
+    segments : sequence of Segment
+    quality : sequence of SeamQuality
+        Of the segments.
+    mosaic : Path
+    side : int
+        Of a place, in output pixels.
+    """
+    known = [k for k, one in enumerate(quality) if np.isfinite(one.difference)]
+    found = []
+    with Source(str(mosaic)) as source:
+        for k in sorted(known, key=lambda k: (-quality[k].difference, k))[:WORST_PLACES]:
+            window = _window(blender, segments[k], side)
+            first, second = (
+                _values_before_and_after(blender, i, window)[0] for i in (segments[k].first, segments[k].second)
+            )
+            values, valid = source.read(window)
+            found.append(SeamPlace(k, window, first, second, values if valid is None else values * valid[..., None]))
+    return found
+
+
+def _window(blender: Blender, segment: Segment, side: int) -> Window:
+    middle = segment.line.interpolate(0.5, normalized=True)
+    col, row = blender.grid.colrow(np.array([[middle.x, middle.y]]))[0]
+    return Window(int(col) - side // 2, int(row) - side // 2, side, side).intersection(blender.grid.window)
+
+
+def _values_before_and_after(blender: Blender, index: int, window: Window) -> tuple[AnyArray, AnyArray, BoolArray]:
+    """Values of an image after and before its correction, and where they are valid; resampled once."""
+    shape, bands = (window.height, window.width), blender.photos.info.bands
+    before, seen = np.zeros((*shape, bands), dtype=np.float32), np.zeros(shape, dtype=np.uint8)
+    ground, plain = blender.below.block(window), Colour.identity(bands)
+    with blender.photos.using(index) as photo:
+        tolerance = max(blender.tolerance, LATTICE_TOLERANCE)
+        pull(blender.engine, photo, blender.grid, ground, blender.resampling, tolerance, plain, before, seen)
+    after = corrected(blender.colours[index], before, window, blender.grid, blender.grid)
+    return np.where(seen[..., None] > 0, after, 0.0).astype(np.float32), before, seen > 0
+
+
+def _seam_band(blender: Blender, segment: Segment, window: Window) -> BoolArray:
+    """Pixels within `BAND` of the segment."""
+    from geomosaic.raster.validity import burn
+
+    return np.asarray(
+        burn([(segment.line.buffer(BAND * blender.grid.resolution[0]), 1)], blender.grid.crop(window)) == 1
+    )

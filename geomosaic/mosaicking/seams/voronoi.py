@@ -1,4 +1,4 @@
-"""Seams by distance: Voronoi cells of image centres, halved overlaps, candidate images of a cell."""
+"""Voronoi regions of image centres, halved overlaps, and the nearest images of a cell."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ Geometry = Any
 """A shapely Polygon or MultiPolygon."""
 
 
-def regions(outlines: list[Polygon], centres: list[tuple[float, float]]) -> list[Geometry]:
-    """Each image's share of the ground: where it is the nearest of the images that show it.
+def voronoi_regions(outlines: list[Polygon], centres: list[tuple[float, float]]) -> list[Geometry]:
+    """Voronoi regions of image centres within footprints: where each image is the nearest that shows the ground.
 
     Parameters
     ----------
     outlines : list of Polygon
         Footprints in the output map.
     centres : list of (x, y)
-        The place each image sees best. Of two images with the same centre the first has its way.
+        The place each image sees best. Of two images with the same centre the first has precedence.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def regions(outlines: list[Polygon], centres: list[tuple[float, float]]) -> list
 def _nearer(
     a: tuple[float, float], b: tuple[float, float], bounds: tuple[float, float, float, float], *, first: bool
 ) -> Polygon | None:
-    """The part of a box that is nearer to a than to b."""
+    """Part of a box that is nearer to a than to b: one side of the perpendicular bisector."""
     import shapely
 
     left, bottom, right, top = bounds
@@ -67,7 +67,7 @@ def _nearer(
 
 
 def polygonal(geometry: Geometry) -> Geometry:
-    """Drop the points and lines that cutting may leave."""
+    """Polygons of a geometry, without the points and lines that an overlay may leave."""
     import shapely
 
     if geometry.geom_type in ("Polygon", "MultiPolygon"):
@@ -77,21 +77,33 @@ def polygonal(geometry: Geometry) -> Geometry:
 
 
 def inner_edges(outlines: Sequence[Any]) -> list[Any]:
-    """The parts of each footprint's edge at which others go on: what lies on the edge of all together is left out."""
+    """Parts of each footprint's edge that lie within others; the edge of the whole block is left out.
+
+    Parameters
+    ----------
+    outlines : sequence of Polygon
+        Footprints in the output map.
+
+    Returns
+    -------
+    list of geometry
+        One per image; empty where no other image overlaps.
+    """
     import shapely
 
     tree, found = shapely.STRtree(list(outlines)), []
     for i, outline in enumerate(outlines):
         near = [outlines[int(k)] for k in tree.query(outline, predicate="intersects") if int(k) != i]
         size = max(np.hypot(outline.bounds[2] - outline.bounds[0], outline.bounds[3] - outline.bounds[1]), 1e-300)
+        # The others shrunk by a hair: where edges coincide, the edge of the block stays outside despite rounding.
         hair = 1e-6 * size if not outline.is_empty else 0.0
         others = shapely.union_all(near).buffer(-hair) if near else shapely.Polygon()
         found.append(outline.boundary.intersection(others))
     return found
 
 
-def shown_deepest(edges: Sequence[Any], places: FloatArray, covers: AnyArray) -> IntArray:
-    """Which of some images shows each place.
+def farthest_inside(edges: Sequence[Any], places: FloatArray, covers: AnyArray) -> IntArray:
+    """Image in which each place lies deepest: farthest from the inner edges of its footprint.
 
     For two footprints the border is the line that is equally far from both inner edges: the overlap is halved. For
     more it is the same rule, so that no place is left over and none is claimed twice.
@@ -101,6 +113,7 @@ def shown_deepest(edges: Sequence[Any], places: FloatArray, covers: AnyArray) ->
     edges : sequence of geometry
         From `inner_edges`, one per image.
     places : array (N, 2)
+        In the output map.
     covers : bool array (K, N)
         Whether an image shows a place.
 
@@ -122,25 +135,27 @@ def shown_deepest(edges: Sequence[Any], places: FloatArray, covers: AnyArray) ->
     return np.where(covers.any(axis=0), depth.argmax(axis=0), -1)
 
 
-MOST = 3
-"""Images that may share a cell: three meet where seams do."""
+MAX_CANDIDATES = 3
+"""Candidate images of a cell: seams meet in junctions of three."""
 
 
-def nearest(centres: FloatArray, places: FloatArray, covers: AnyArray, reach: float, most: int = MOST) -> IntArray:
-    """Candidates of cells, the nearest first.
+def nearest_images(
+    centres: FloatArray, places: FloatArray, covers: AnyArray, reach: float, most: int = MAX_CANDIDATES
+) -> IntArray:
+    """Candidate images of cells, the nearest first.
 
     Parameters
     ----------
     centres : array (K, 2)
         Of the images at hand, in map units.
     places : array (N, 2)
-        Of the cells.
+        Of the cells, in map units.
     covers : bool array (K, N)
         Whether an image shows a cell.
     reach : float
-        Part of the way between two centres, to both sides of the middle together, in which a seam may run.
+        Width of the zone in which a seam may run, as a part of the distance of two image centres.
     most : int
-        Candidates of a cell.
+        Largest number of candidates of a cell.
 
     Returns
     -------
@@ -152,11 +167,11 @@ def nearest(centres: FloatArray, places: FloatArray, covers: AnyArray, reach: fl
     distance = np.where(covers, distance, np.inf)
     order, each = np.argsort(distance, axis=0, kind="stable"), np.arange(len(places))
     for rank in range(min(most, len(centres))):
-        apart = np.hypot(*(centres[order[0]] - centres[order[rank]]).T)
+        spacing = np.hypot(*(centres[order[0]] - centres[order[rank]]).T)
         with np.errstate(invalid="ignore"):  # where no image is left, all distances are infinite
-            far = distance[order[rank], each] - distance[order[0], each]
-            allowed = np.isfinite(distance[order[rank], each]) & (far <= reach * apart)
+            excess = distance[order[rank], each] - distance[order[0], each]
+            allowed = np.isfinite(distance[order[rank], each]) & (excess <= reach * spacing)
         found[rank] = np.where(allowed, order[rank], -1)
-    # The second may be beyond reach where the third is not: no holes in between.
-    holes = np.argsort(found < 0, axis=0, kind="stable")
-    return np.take_along_axis(found, holes, axis=0)
+    # The second may be beyond reach where the third is not: candidates close up, so that -1 ends the list.
+    closed = np.argsort(found < 0, axis=0, kind="stable")
+    return np.take_along_axis(found, closed, axis=0)

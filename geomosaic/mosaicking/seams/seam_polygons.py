@@ -1,4 +1,4 @@
-"""Shares of images: laid by the program or drawn by a person, within what each image shows."""
+"""Seam polygons, computed or drawn: the share of the ground that each image shows; outlines of valid pixels."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction
 from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.mosaicking.reruns.earlier_results import Earlier
-from geomosaic.mosaicking.seams.image_order import by_rank, index_of, ordered, under
+from geomosaic.mosaicking.seams.image_order import image_index, image_order, visible_regions, with_base_image
 from geomosaic.mosaicking.seams.partition import canonical
-from geomosaic.mosaicking.seams.voronoi import regions
+from geomosaic.mosaicking.seams.voronoi import voronoi_regions
 from geomosaic.raster.source import inspect
 from geomosaic.raster.validity import traced
 from geomosaic.render.options import RenderOptions
@@ -24,14 +24,30 @@ from geomosaic.render.photos import Photos
 from geomosaic.render.workers import in_order
 from geomosaic.types import ByteArray
 
+# Of a pixel: far below what pixels can show, far above the last digits that a GIS changes on saving.
 _STEP = 1e-6
-"""Pixels."""
 
 
-def shares_of(
+def seam_polygons(
     photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions, earlier: Earlier
 ) -> list[Any]:
-    """Shares of all images, in the output map."""
+    """Seam polygons of all images in the output map: drawn cutlines first, then water, then computed seams.
+
+    Parameters
+    ----------
+    photos : Photos
+    shapes : list of Polygon or MultiPolygon
+        Valid outlines of the images; empty for images that are left out.
+    colours : sequence of Correction
+    options : MosaicOptions
+    earlier : Earlier
+        Results of an earlier run.
+
+    Returns
+    -------
+    list of Polygon or MultiPolygon
+        They share no area; each within its outline.
+    """
     step = _STEP * photos.grid.resolution[0]
     return [canonical(share, step) for share in _shares(photos, shapes, colours, options, earlier)]
 
@@ -39,24 +55,26 @@ def shares_of(
 def _shares(
     photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions, earlier: Earlier
 ) -> list[Any]:
-    def laid() -> list[Any]:
-        return earlier.shares(shapes, colours, lambda: _with_water(photos, shapes, colours, options))
+    def computed() -> list[Any]:
+        return earlier.shares(shapes, colours, lambda: _with_water_polygons(photos, shapes, colours, options))
 
     if options.cutlines is None:
-        return laid()
-    from geomosaic.mosaicking.seams.cutlines import covers, note_gap, read_cutlines, with_cutlines
+        return computed()
+    from geomosaic.mosaicking.seams.cutlines import cover_everything, read_cutlines, warn_of_gaps, with_cutlines
 
     names = [outline.name for outline in photos.outlines]
     drawn = read_cutlines(options.cutlines, names, shapes, photos.grid.crs)
-    if covers(drawn, shapes):  # an edited layer has all shares: no others need to be laid
-        return with_cutlines(regions(shapes, photos.centres), drawn)
+    if cover_everything(drawn, shapes):  # an edited layer of all shares: computing others would be for nothing
+        return with_cutlines(voronoi_regions(shapes, photos.centres), drawn)
     if len(drawn) == sum(not shape.is_empty for shape in shapes):
-        note_gap(options.cutlines, drawn, shapes)
-    return with_cutlines(laid(), drawn)
+        warn_of_gaps(options.cutlines, drawn, shapes)
+    return with_cutlines(computed(), drawn)
 
 
-def _with_water(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
-    shares = _laid(photos, shapes, colours, options)
+def _with_water_polygons(
+    photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions
+) -> list[Any]:
+    shares = _automatic(photos, shapes, colours, options)
     if options.water is None:
         return shares
     from geomosaic.mosaicking.seams.cutlines import with_cutlines
@@ -65,44 +83,51 @@ def _with_water(photos: Photos, shapes: list[Any], colours: Sequence[Correction]
     return with_cutlines(shares, calmest(photos, read_water(options.water, photos.grid), shapes, colours))
 
 
-def _laid(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
-    """Shares as the program lays them."""
+def _automatic(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
+    """Computed seam polygons, by the method of `options.seams`."""
     if options.seams == "alike":
         from geomosaic.mosaicking.seams.cost_raster import read_seam_layers
-        from geomosaic.mosaicking.seams.layout import alike_regions
+        from geomosaic.mosaicking.seams.layout import least_cost_regions
 
         layers = read_seam_layers(options.follow, options.avoid, photos.grid)
-        return alike_regions(photos, shapes, colours, options.render, options.seam_weights, layers)
+        return least_cost_regions(photos, shapes, colours, options.render, options.seam_weights, layers)
     if options.seams == "halve":
         from geomosaic.mosaicking.seams.layout import halved_regions
 
         return halved_regions(photos, shapes)
     if options.seams == "order":
-        return by_rank(shapes, ordered(photos.block.scenes, photos.outlines, options.order, options.base))
+        return visible_regions(shapes, image_order(photos.block.scenes, photos.outlines, options.order, options.base))
     centres = photos.centres
     if options.base is None:
-        return regions(shapes, centres)
-    base = index_of(options.base, photos.block.scenes)
-    return under(regions(shapes[:base] + shapes[base + 1 :], centres[:base] + centres[base + 1 :]), shapes, base)
+        return voronoi_regions(shapes, centres)
+    base = image_index(options.base, photos.block.scenes)
+    return with_base_image(
+        voronoi_regions(shapes[:base] + shapes[base + 1 :], centres[:base] + centres[base + 1 :]), shapes, base
+    )
 
 
 CELLS = 256
-"""Cells across a footprint at which it is looked at."""
-WHOLE = 0.995
-"""Part of the rectangle that an image must show to count as whole."""
-_HOLE = 64
-"""Cells of the smallest hole that is kept."""
+"""Cells across a footprint on which its valid pixels are outlined."""
+COMPLETE = 0.995
+"""Valid part of its rectangle from which on an image counts as complete."""
+# Cells of the smallest hole that is kept: every hole becomes a seam.
+_MIN_HOLE = 64
 
 
-def outlines_of(photos: Photos, options: RenderOptions) -> list[Any]:
-    """Outline of what each image shows, in the output map.
+def valid_outlines(photos: Photos, options: RenderOptions) -> list[Any]:
+    """Outlines of the valid pixels of all images, in the output map.
 
-    That of its rectangle, unless the file marks missing pixels and more than a few are missing. Then it is that of the
-    valid cells of a coarse grid, drawn in by three quarters of a cell, so that the image surely shows what lies within.
+    The outline is the image's rectangle, unless the file marks missing pixels and more than a few are missing. Then it
+    is that of the valid cells of a coarse grid, shrunk by three quarters of a cell: the image surely shows all of it.
 
     Returns
     -------
     list of Polygon or MultiPolygon
+
+    Warns
+    -----
+    GeomosaicWarning
+        Every pixel of an image is missing.
     """
     shapes: list[Any] = [outline.polygon for outline in photos.outlines]
     masked = [
@@ -113,7 +138,7 @@ def outlines_of(photos: Photos, options: RenderOptions) -> list[Any]:
         return shapes
     grid = comparison_grid(photos, CELLS)
     empty = []
-    for i, (part, valid) in in_order(lambda i: _valid(photos, i, grid), masked, options.threads, ahead=1):
+    for i, (part, valid) in in_order(lambda i: _valid_cells(photos, i, grid), masked, options.threads, ahead=1):
         found = _outline(part, valid, shapes[i]) if valid.size else None
         if found is not None:
             shapes[i] = found
@@ -129,7 +154,7 @@ def outlines_of(photos: Photos, options: RenderOptions) -> list[Any]:
     return shapes
 
 
-def _valid(photos: Photos, index: int, grid: Grid) -> tuple[Grid, ByteArray]:
+def _valid_cells(photos: Photos, index: int, grid: Grid) -> tuple[Grid, ByteArray]:
     window = grid.window_of(photos.outlines[index].bounds)
     if window.empty:
         return grid, np.zeros((0, 0), dtype=np.uint8)
@@ -143,11 +168,13 @@ def _outline(grid: Grid, valid: ByteArray, rectangle: Any) -> Any | None:
     import shapely
 
     cell = grid.resolution[0] * grid.resolution[1]
-    if not valid.any() or valid.sum() * cell >= WHOLE * rectangle.area:
+    if not valid.any() or valid.sum() * cell >= COMPLETE * rectangle.area:
         return None
     parts = [polygon for polygon, _ in traced(np.where(valid > 0, 0, -1), grid)]
     kept = [
-        shapely.Polygon(part.exterior, [ring for ring in part.interiors if shapely.Polygon(ring).area > _HOLE * cell])
+        shapely.Polygon(
+            part.exterior, [ring for ring in part.interiors if shapely.Polygon(ring).area > _MIN_HOLE * cell]
+        )
         for part in parts
     ]
     size = max(grid.resolution)
