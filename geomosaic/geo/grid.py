@@ -1,13 +1,16 @@
-"""The output raster as a value: CRS, affine and shape. Every change gives a new one."""
+"""Raster grid as a value: CRS, affine transform and shape. Every change gives a new one."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from affine import Affine
 from pyproj import CRS
+from pyproj.exceptions import CRSError
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
@@ -17,7 +20,20 @@ Bounds = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Window:
-    """A rectangle of pixels: first column and row, width and height."""
+    """Rectangle of pixels.
+
+    Attributes
+    ----------
+    col, row : int
+        Of the upper-left pixel, counted from 0.
+    width, height : int
+        Pixels.
+
+    Examples
+    --------
+    >>> Window(0, 0, 4, 3).intersection(Window(2, 1, 9, 9))
+    Window(col=2, row=1, width=2, height=2)
+    """
 
     col: int
     row: int
@@ -40,7 +56,7 @@ class Window:
         return self.width <= 0 or self.height <= 0
 
     def intersection(self, other: Window) -> Window:
-        """Return the common part; it may be empty."""
+        """Common part of two windows; it may be empty."""
         col, row = max(self.col, other.col), max(self.row, other.row)
         return Window(col, row, min(self.stop_col, other.stop_col) - col, min(self.stop_row, other.stop_row) - row)
 
@@ -60,7 +76,7 @@ class Window:
 
 @dataclass(frozen=True)
 class Grid:
-    """A raster's place on the map.
+    """Raster grid: CRS, affine transform and shape.
 
     Attributes
     ----------
@@ -71,6 +87,16 @@ class Grid:
         centre.
     width, height : int
         Pixels.
+
+    Examples
+    --------
+    >>> grid = Grid.from_bounds(CRS("EPSG:32633"), (500000.0, 5400000.0, 500100.0, 5400050.0), 0.5)
+    >>> grid.shape, grid.resolution
+    ((100, 200), (0.5, 0.5))
+    >>> grid.xy([[0.5, 0.5]]).tolist()
+    [[500000.25, 5400049.75]]
+    >>> Grid.from_profile(grid.to_profile()) == grid
+    True
     """
 
     crs: CRS
@@ -102,6 +128,59 @@ class Grid:
         width = max(1, math.ceil((right - left) / resolution - 1e-6))
         height = max(1, math.ceil((top - bottom) / resolution - 1e-6))
         return cls(crs, Affine(resolution, 0.0, left, 0.0, -resolution, top), width, height)
+
+    @classmethod
+    def from_profile(cls, profile: Mapping[str, Any]) -> Grid:
+        """Grid of a rasterio profile, `dataset.profile`.
+
+        Parameters
+        ----------
+        profile : mapping
+            With crs, transform, width and height; the CRS as anything pyproj understands.
+
+        Raises
+        ------
+        InputError
+            One of the four is missing.
+        """
+        missing = [name for name in ("crs", "transform", "width", "height") if profile.get(name) is None]
+        if missing:
+            raise InputError(
+                f"the profile has no {' and no '.join(missing)}", where="profile", hint="take that of a placed raster"
+            )
+        return cls(
+            _crs(profile["crs"]), Affine(*profile["transform"][:6]), int(profile["width"]), int(profile["height"])
+        )
+
+    def to_profile(self) -> dict[str, Any]:
+        """Part of a rasterio profile: `crs` (WKT), `transform`, `width` and `height`."""
+        return {"crs": self.crs.to_wkt(), "transform": self.transform, "width": self.width, "height": self.height}
+
+    @classmethod
+    def from_geobox(cls, geobox: Any) -> Grid:
+        """Grid of an `odc.geo.geobox.GeoBox`, or of anything with crs, affine and shape as it has them."""
+        height, width = geobox.shape
+        return cls(_crs(geobox.crs), Affine(*geobox.affine[:6]), int(width), int(height))
+
+    def to_geobox(self, geobox: Callable[..., Any] | None = None) -> Any:
+        """GeoBox of the same place.
+
+        Parameters
+        ----------
+        geobox : callable, optional
+            Called with shape (rows, columns), affine and CRS (WKT); `odc.geo.geobox.GeoBox` unless given.
+
+        Raises
+        ------
+        InputError
+            None is given, and odc-geo is not installed.
+        """
+        if geobox is None:
+            try:
+                from odc.geo.geobox import GeoBox as geobox
+            except ImportError:
+                raise InputError("a GeoBox needs odc-geo, which is not installed", hint="pip install odc-geo") from None
+        return geobox(self.shape, self.transform, self.crs.to_wkt())
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -137,7 +216,7 @@ class Grid:
         return np.column_stack([t.a * p[:, 0] + t.b * p[:, 1] + t.c, t.d * p[:, 0] + t.e * p[:, 1] + t.f])
 
     def crop(self, window: Window) -> Grid:
-        """Return the grid of one window of this grid."""
+        """Grid of one window of this grid."""
         return replace(
             self,
             transform=self.transform @ Affine.translation(window.col, window.row),
@@ -146,7 +225,7 @@ class Grid:
         )
 
     def coarser(self, factor: int) -> Grid:
-        """Return the same area in pixels `factor` times as large, the last row and column reaching over."""
+        """Same area in pixels `factor` times as large, the last row and column reaching over."""
         return replace(
             self,
             transform=self.transform @ Affine.scale(factor),
@@ -161,3 +240,13 @@ class Grid:
         low, high = np.floor(p.min(axis=0) + 1e-9), np.ceil(p.max(axis=0) - 1e-9)
         window = Window(int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
         return window.intersection(self.window)
+
+
+def _crs(given: Any) -> CRS:
+    """CRS of another library, such as rasterio's or odc-geo's, which all write WKT."""
+    if isinstance(given, CRS):
+        return given
+    try:
+        return CRS.from_user_input(given.to_wkt() if hasattr(given, "to_wkt") else given)
+    except CRSError as error:
+        raise InputError(f"the grid's CRS is not one ({error})", hint="name one, for example EPSG:32633") from None
