@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.control.parsing import Reading
-from geomosaic.control.points import ImageControl, Origin
+from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import SolveError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.georeferencing.examination import BadControlError
@@ -86,7 +86,7 @@ def ground(colrow: FloatArray, image: str) -> FloatArray:
     return np.column_stack([612_000 + x, 5_412_000 + y])
 
 
-def control(case: Case, count: int, seed: int) -> tuple[ImageControl, set[str]]:
+def control(case: Case, count: int, seed: int) -> tuple[ControlPoints, set[str]]:
     """Points all over the image, and the names of the wrong ones."""
     random = np.random.default_rng([seed, count, case.wrong])
     across = int(np.ceil(np.sqrt(count * 4 / 3)))
@@ -104,7 +104,7 @@ def control(case: Case, count: int, seed: int) -> tuple[ImageControl, set[str]]:
     bad = random.permutation(count)[: case.wrong]
     angle, length = random.uniform(0, 2 * np.pi, case.wrong), random.uniform(LEAST, MOST, case.wrong)
     measured[bad] += np.column_stack([length * np.cos(angle), length * np.sin(angle)])
-    points = ImageControl(
+    points = ControlPoints(
         tuple(f"P{i}" for i in range(count)),
         np.clip(measured, 0, SIZE),
         ground(colrow, case.image),
@@ -117,7 +117,7 @@ def control(case: Case, count: int, seed: int) -> tuple[ImageControl, set[str]]:
     return points, {f"P{i}" for i in bad}
 
 
-def outcome(points: ImageControl, bad: set[str]) -> str:
+def outcome(points: ControlPoints, bad: set[str]) -> str:
     """One of `OUTCOMES`."""
     size = (int(SIZE[0]), int(SIZE[1]))
     try:

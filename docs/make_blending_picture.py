@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw
 
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.inputs.area import Area
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.blending.options import Blending, Width
 from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
@@ -60,7 +60,7 @@ def main() -> None:
         files = views(folder)
         for text, blending in kinds.items():
             options = MosaicOptions(RenderOptions(overwrite=True), balance=False, stac=False, blending=blending)
-            make_mosaic(BlockInputs(tuple(files), "planar"), Area(), folder / "out.tif", options)
+            make_mosaic(Block(tuple(files), "planar"), Area(), folder / "out.tif", options)
             with rasterio.open(folder / "out.tif") as file:
                 picture = Image.fromarray(np.moveaxis(file.read(), 0, 2)[60:300, 260:500])
             picture = picture.resize((picture.width * 2, picture.height * 2), Image.Resampling.NEAREST)

@@ -12,7 +12,7 @@ from PIL import Image
 
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.inputs.area import Area
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
 from geomosaic.render.options import RenderOptions
@@ -54,7 +54,7 @@ def main() -> None:
         for more in ({"balance": False}, {"colour": ("gain",)}, {}):
             render = RenderOptions(overwrite=True)
             options = MosaicOptions(render, labels=False, vectors=False, stac=False, **more)
-            made = make_mosaic(BlockInputs(tuple(files), "planar"), Area(None, PIXEL), folder / "mosaic.tif", options)
+            made = make_mosaic(Block(tuple(files), "planar"), Area(None, PIXEL), folder / "mosaic.tif", options)
             print(more, made.balance.before, made.balance.after)
             with rasterio.open(made.path) as file:
                 shown.append(file.read([1, 2, 3]).transpose(1, 2, 0))

@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageOps
 
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.inputs.area import Area
-from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
+from geomosaic.inputs.declarations import Block, PlanarInputs
 from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_planar_mosaic
 from geomosaic.render.options import RenderOptions
@@ -54,7 +54,7 @@ def fly(folder: Path) -> list[Path]:
 def mosaic(folder: Path, files: list[Path], kind: str, **more: str) -> tuple[Image.Image, list[str]]:
     """A mosaic as a picture, with what was said of it."""
     wanted = PlanarInputs(kind, ties=folder / "ties.csv", scale=1.2, **more)
-    inputs = BlockInputs(tuple(files), "planar", crs=CRS, control=folder / "gcps.csv", planar=wanted)
+    inputs = Block(tuple(files), "planar", crs=CRS, control=folder / "gcps.csv", planar=wanted)
     options = MosaicOptions(RenderOptions(overwrite=True), feather=0.0)
     _, facts, _ = make_planar_mosaic(inputs, wanted, Area(resolution=1.2), folder / f"{kind}.tif", options)
     with rasterio.open(folder / f"{kind}.tif") as file:

@@ -17,7 +17,7 @@ sys.path.insert(0, "tests")
 from city_rig import CORNER, FOCAL, GROUND_CLASS, PIXEL, SIDE, WALL_CLASS, City, photograph
 
 from geomosaic.inputs.area import Area
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
 from geomosaic.render.options import RenderOptions
@@ -50,7 +50,7 @@ def main() -> None:
         photograph(city, np.array(centre), folder / f"p{number}.tif")
         rows.append(f"p{number},{CORNER[0] + centre[0]},{CORNER[1] + centre[1]},{centre[2]},0,0,0")
     (folder / "exterior.csv").write_text("\n".join(rows))
-    inputs = BlockInputs(
+    inputs = Block(
         tuple(folder / f"p{i}.tif" for i in range(6)), "frame", crs="EPSG:32633", heights="ellipsoidal",
         options={"camera": {"focal_length_px": FOCAL}, "treatment": "planar"}, exterior=folder / "exterior.csv",
         dem=folder / "dsm.tif", dem_heights="ellipsoidal",

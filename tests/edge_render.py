@@ -11,7 +11,7 @@ import rasterio
 from edge_rig import CORNER, SIZE, Rig, seam
 from scipy.interpolate import RectBivariateSpline
 
-from geomosaic.block.block import Block
+from geomosaic.block.block import OrientedBlock
 from geomosaic.inputs.area import Area, plan
 from geomosaic.mosaicking.mosaic import mosaic
 from geomosaic.mosaicking.options import MosaicOptions
@@ -70,7 +70,7 @@ def joined(
     options = MosaicOptions(
         RenderOptions(resampling="cubic", driver="GTiff", overwrite=True), 0.0, balance=False, vectors=False, stac=False
     )
-    made = mosaic(Block(scenes, None), grid, outlines, output, options)
+    made = mosaic(OrientedBlock(scenes, None), grid, outlines, output, options)
     with rasterio.open(made.path) as values, rasterio.open(made.labels) as labels:
         return values.read(1).astype(float), labels.read(1), values.transform
 

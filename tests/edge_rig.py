@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import ControlPoint, Scene
+from geomosaic.block.block import ControlPoint, OrientedImage
 from geomosaic.orientation.edges import CommonPoint
 from geomosaic_planar import PlanarModel, fit_planar
 
@@ -63,7 +63,7 @@ class Rig:
     """Photos with 4 control points each (0.5 px) and 8 common points at each seam (0.3 px by default)."""
 
     truths: list[TruePhoto]
-    photos: list[Scene]
+    photos: list[OrientedImage]
     control: list[ControlPoint]
     common: list[CommonPoint]
 
@@ -90,7 +90,7 @@ def rig(
 ) -> Rig:
     rng = np.random.default_rng(seed)
     truths = [TruePhoto(i, tilt, bend) for i in range(photos)]
-    scenes = [Scene(f"photo-{i}", "", "planar", start(kind, i)) for i in range(photos)]
+    scenes = [OrientedImage(f"photo-{i}", "", "planar", start(kind, i)) for i in range(photos)]
     known, shared = [], []
     for i, truth in enumerate(truths):
         for k, place in enumerate([(150.0, 140.0), (1850.0, 150.0), (1840.0, 1450.0), (160.0, 1460.0)]):

@@ -10,7 +10,7 @@ import rasterio
 from affine import Affine
 
 from geomosaic.inputs.area import Area
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.mosaicking.result import MosaicResult
 from geomosaic.products.from_inputs import make_mosaic
@@ -65,7 +65,7 @@ def run(
     """Make a mosaic of georeferenced images."""
     render = RenderOptions(overwrite=True, threads=threads, tile=tile, resampling=resampling)
     wanted = MosaicOptions(render, **{"balance": False, "stac": False, **options})
-    return make_mosaic(BlockInputs(tuple(files), "planar", bands=bands), area or Area(), output, wanted)
+    return make_mosaic(Block(tuple(files), "planar", bands=bands), area or Area(), output, wanted)
 
 
 def scene(rows: int, cols: int, seed: int = 0, bands: int = 3) -> np.ndarray:

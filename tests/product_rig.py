@@ -12,7 +12,7 @@ import numpy as np
 import rasterio
 from affine import Affine
 
-from geomosaic.block.block import Block, Scene
+from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.geo.crs import horizontal, parse_crs, with_heights
 from geomosaic.geo.grid import Grid
@@ -72,7 +72,7 @@ def sha(path: Path) -> str:
 class Job:
     """Photos of one block, ready for a product."""
 
-    block: Block
+    block: OrientedBlock
     grid: Grid
     outlines: list[Footprint]
 
@@ -96,11 +96,11 @@ def job(
     nodata: float | None = None,
 ) -> Job:
     scenes = tuple(
-        Scene(photo.name, str(file), "frame", model_of(photo, camera or SMALL), nodata)
+        OrientedImage(photo.name, str(file), "frame", model_of(photo, camera or SMALL), nodata)
         for file, photo in zip(files, photos, strict=True)
     )
     outlines = footprints(scenes, surface, MAP)
-    return Job(Block(scenes, surface), output_grid(MAP, outlines, resolution), outlines)
+    return Job(OrientedBlock(scenes, surface), output_grid(MAP, outlines, resolution), outlines)
 
 
 @dataclass(frozen=True)

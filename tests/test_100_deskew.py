@@ -17,7 +17,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning
 from geomosaic.inputs.area import Area
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.products.from_inputs import make_ortho
 from geomosaic.render.options import RenderOptions
 from geomosaic.sensor import registry
@@ -83,7 +83,7 @@ def test_skew_by_drift_goes(tmp_path: Path) -> None:
     path, out = tmp_path / "strip.tif", tmp_path / "flat.tif"
     write(path, strip(8.0))
     options = {"kind": "scanner", "field_of_view": FIELD, "height_above_ground": H, "advance": ADVANCE}
-    inputs = BlockInputs((path,), "panoramic", options=options | {"relative": True, "drift": 8.0})
+    inputs = Block((path,), "panoramic", options=options | {"relative": True, "drift": 8.0})
     make_ortho(inputs, Area(None, 10.0), out, RenderOptions(resampling="cubic"))
     values, x, y = read(out)
     inner = (np.abs(x + y * math.tan(math.radians(8.0))) < 2900) & (np.abs(y) < 2200)
@@ -141,7 +141,7 @@ def test_sweeps_become_an_ortho_that_shows_the_ground_where_it_is(tmp_path: Path
 
     path, out = tmp_path / "scene.tif", tmp_path / "ortho.tif"
     write(path, shade(*ground[:, :2].T).reshape(size[1], size[0]))
-    inputs = BlockInputs((path,), "panoramic", options=options, crs="EPSG:4979", heights="ellipsoidal", height=0.0)
+    inputs = Block((path,), "panoramic", options=options, crs="EPSG:4979", heights="ellipsoidal", height=0.0)
     with pytest.warns(GeomosaicWarning, match="interpolated within"):
         made = make_ortho(inputs, Area("EPSG:32632", 30.0), out, RenderOptions(resampling="cubic"))
     assert 0.02 < made.lattice_error < 0.8

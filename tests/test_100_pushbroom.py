@@ -15,7 +15,7 @@ from spot_rig import SIZE, TO_LLH, Satellite, with_places
 
 from geomosaic.cli.main import run
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 
 TOLD = Satellite(attitude=(0.0, 0.0, 0.0), rate=(0.0, 0.0, 0.0))
 BIASED = Satellite()
@@ -116,7 +116,7 @@ def test_control_of_a_project_refines_the_scene(scene: Path, tmp_path: Path) -> 
         lines.append(",".join(map(str, [i, *place, "IMAGERY.TIF", *pixel, "control"])))
     lines.append(",".join(map(str, ["far", *xyz[0], "IMAGERY.TIF", 5.0, 5.0, "check"])))
     (tmp_path / "gcps.csv").write_text("\n".join(lines))
-    inputs = BlockInputs(
+    inputs = Block(
         (scene / "IMAGERY.TIF",), "pushbroom", crs="EPSG:32624", heights="ellipsoidal", dem=scene / "dem.tif",
         dem_heights="ellipsoidal", control=tmp_path / "gcps.csv",
     )  # fmt: skip

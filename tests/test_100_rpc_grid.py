@@ -15,7 +15,7 @@ from spot_rig import SIZE, Satellite
 from geomosaic.cli.main import run
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.sensor import registry
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.plugin import SensorRequest
@@ -46,7 +46,7 @@ def trembling() -> str:
 def apart(image: Path, corrections: Path | None, exact: SensorModel, high: float) -> float:
     """Largest distance in pixels between the image's RPC, with a grid or not, and a sensor, at places of its own."""
     block = build_block(
-        BlockInputs((image,), sensor="rpc", corrections=corrections and str(corrections), options={"refine": "none"})
+        Block((image,), sensor="rpc", corrections=corrections and str(corrections), options={"refine": "none"})
     )
     model = block.scenes[0].model
     rng = np.random.default_rng(3)

@@ -17,7 +17,7 @@ from rasterio.enums import Resampling
 from rasterio.warp import reproject
 
 from geomosaic.inputs.area import Area
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.mosaicking.result import MosaicResult
 from geomosaic.products.from_inputs import make_mosaic, reference_scene
@@ -80,7 +80,7 @@ def make(real_data: RealData, tmp_path_factory: pytest.TempPathFactory) -> Calla
                 RenderOptions(), balance=terms != ("none",), colour=terms if terms != ("none",) else ("auto",),
                 reference=reference, labels=False, vectors=False, stac=False,
             )  # fmt: skip
-            inputs = BlockInputs(tuple(sorted((base / "source").glob("ngi_rgb_byte_?.tif"))), "planar")
+            inputs = Block(tuple(sorted((base / "source").glob("ngi_rgb_byte_?.tif"))), "planar")
             result = make_mosaic(inputs, Area(None, 10.0), folder / f"{name}.tif", options)
             found = {
                 key: judged(result.path, base / "reference" / file, bands) for key, (file, bands) in JUDGES.items()

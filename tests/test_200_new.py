@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import read_exterior
 from geomosaic.inputs.photos import photos_of
 from geomosaic.project.draft.image_metadata import Carried, carried_by, images_of, write_tables
@@ -18,7 +18,7 @@ from geomosaic.project.draft.write import Draft, draft_project
 RealData = Callable[[str], Path]
 
 
-def drafted(project: Path, inputs: BlockInputs) -> tuple[Carried, Draft]:
+def drafted(project: Path, inputs: Block) -> tuple[Carried, Draft]:
     carried = carried_by(inputs, project)
     write_tables(carried)
     angles = carried.inputs.angles if carried.inputs.exterior in carried.tables else None
@@ -28,9 +28,7 @@ def drafted(project: Path, inputs: BlockInputs) -> tuple[Carried, Draft]:
 def test_oblique_drone_photos_are_complete_with_a_datum(real_data: RealData, tmp_path: Path) -> None:
     base = real_data("orthority-odm")
     images = tuple(sorted((base / "images").glob("*.tif")))
-    inputs = BlockInputs(
-        images, "planar", heights="ellipsoidal", dem=base / "odm_dem" / "dsm.tif", dem_heights="ellipsoidal"
-    )
+    inputs = Block(images, "planar", heights="ellipsoidal", dem=base / "odm_dem" / "dsm.tif", dem_heights="ellipsoidal")
     carried, draft = drafted(tmp_path / "p.toml", inputs)
     assert draft.needed == []
     assert draft.misfit is None
@@ -49,7 +47,7 @@ def test_oblique_drone_photos_are_complete_with_a_datum(real_data: RealData, tmp
 
 def test_drone_photos_need_a_datum_and_the_ground(real_data: RealData, tmp_path: Path) -> None:
     images = tuple(sorted((real_data("drone-brighton-beach") / "images").iterdir()))
-    carried, draft = drafted(tmp_path / "p.toml", BlockInputs(images, "planar"))
+    carried, draft = drafted(tmp_path / "p.toml", Block(images, "planar"))
     assert [text.split(":")[0] for text in draft.needed] == ["the vertical datum of the positions", "the ground"]
     assert "39.8 to 40.1 m above the place of take-off" in "\n".join(carried.lines)
 
@@ -60,13 +58,13 @@ def test_drone_photos_need_a_datum_and_the_ground(real_data: RealData, tmp_path:
 )
 def test_scenes_with_rpc_need_the_ground(real_data: RealData, tmp_path: Path, folder: str, names: list[str]) -> None:
     images = tuple(real_data(folder) / name for name in names)
-    carried, draft = drafted(tmp_path / "p.toml", BlockInputs(images, "planar"))
+    carried, draft = drafted(tmp_path / "p.toml", Block(images, "planar"))
     assert carried.inputs.sensor == "rpc"
     assert [text.split(":")[0] for text in draft.needed] == ["the ground"]
 
 
 def test_photos_of_a_phone_have_positions_only(real_data: RealData, tmp_path: Path) -> None:
     images = images_of([real_data("opensfm-berlin") / "images"])
-    carried, draft = drafted(tmp_path / "p.toml", BlockInputs(images, "planar"))
+    carried, draft = drafted(tmp_path / "p.toml", Block(images, "planar"))
     assert carried.needed == ["gimbal attitudes: not all photos have them"]
     assert any("positions and angles" in text for text in draft.needed)

@@ -14,7 +14,7 @@ import pytest
 
 from geomosaic.accuracy.product_check import against_reference
 from geomosaic.inputs.area import Area
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.mosaicking.result import MosaicResult
 from geomosaic.products.from_inputs import make_mosaic, make_ortho
@@ -28,7 +28,7 @@ PIXEL = 6.0  # metres on the ground of a pixel of these photos
 FIRST = "3324c_2015_1004_05_0182_RGB.tif"
 
 
-def inputs(base: Path, names: str = "*_RGB.tif", options: Mapping[str, Any] | None = None, **more: Any) -> BlockInputs:
+def inputs(base: Path, names: str = "*_RGB.tif", options: Mapping[str, Any] | None = None, **more: Any) -> Block:
     given: dict[str, Any] = {
         "images": tuple(sorted(base.glob(names))),
         "sensor": "frame",
@@ -39,7 +39,7 @@ def inputs(base: Path, names: str = "*_RGB.tif", options: Mapping[str, Any] | No
         "dem": base / "dem.tif",
         "dem_heights": "egm96",
     }
-    return BlockInputs(**{**given, **more})
+    return Block(**{**given, **more})
 
 
 def on(product: Path, truth: Path) -> dict[str, Any]:

@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 import rasterio
 
-from geomosaic.block.block import Block
+from geomosaic.block.block import OrientedBlock
 from geomosaic.errors import InputError
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.area import Area, plan
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.match.shift import Shifts, shifts
 from geomosaic.mosaicking.mosaic import beside
 from geomosaic.mosaicking.options import MosaicOptions
@@ -34,11 +34,11 @@ RealData = Callable[[str], Path]
 RESOLUTION = 0.15
 
 
-def inputs(base: Path, reading: str = "odm", dem_heights: str = "ellipsoidal") -> BlockInputs:
+def inputs(base: Path, reading: str = "odm", dem_heights: str = "ellipsoidal") -> Block:
     images, dem = tuple(sorted((base / "images").glob("*.tif"))), base / "odm_dem" / "dsm.tif"
     file = base / "opensfm" / "reconstruction.json"
     if reading == "opensfm":
-        return BlockInputs(images, "frame", exterior=file, angles="opensfm", dem=dem, dem_heights=dem_heights)
+        return Block(images, "frame", exterior=file, angles="opensfm", dem=dem, dem_heights=dem_heights)
     options: dict[str, Any] = {"orientation": {"system": "odm", "reconstruction": str(file)}}
     if reading == "opk":
         # The camera as the reconstruction has it, in pixels of the full 5472 x 3648; the principal point up, in pixels.
@@ -59,7 +59,7 @@ def inputs(base: Path, reading: str = "odm", dem_heights: str = "ellipsoidal") -
             }
         }
     table = base / "io" / "odm_xyz_opk.csv" if reading == "opk" else None
-    return BlockInputs(
+    return Block(
         images,
         "frame",
         options,
@@ -72,7 +72,7 @@ def inputs(base: Path, reading: str = "odm", dem_heights: str = "ellipsoidal") -
 
 
 def agreement(
-    block: Block, folder: Path, resolution: float = RESOLUTION, tolerance: float = 0.02
+    block: OrientedBlock, folder: Path, resolution: float = RESOLUTION, tolerance: float = 0.02
 ) -> dict[tuple[int, int], Shifts]:
     """Shifts between the orthos of all pairs of photos that share any ground."""
     grid, outlines = plan(block.scenes, block.surface, Area(None, resolution))

@@ -17,7 +17,7 @@ from geomosaic.accuracy.product_check import against_reference
 from geomosaic.errors import InputError
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.area import Area
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.products.from_inputs import make_ortho
 from geomosaic.render.options import RenderOptions
 from geomosaic.sensor import registry
@@ -271,7 +271,7 @@ def test_two_orthos_of_a_stereo_pair_register(pair: tuple[list[Path], Path], tmp
     area = Area(None, 0.5, (left + 10, bottom + 10, right - 10, top - 10))
     made = []
     for path in images:
-        given = BlockInputs(images=(path,), sensor="rpc", dem=dsm, dem_heights="ellipsoidal")
+        given = Block(images=(path,), sensor="rpc", dem=dsm, dem_heights="ellipsoidal")
         made.append(make_ortho(given, area, tmp_path / path.name, RenderOptions()).path)
     found = against_reference(made[1], made[0], tile=32, reach=6)
     assert found["matched"] > 0.95 * found["tiles"] > 300

@@ -11,7 +11,7 @@ import pytest
 from helpers import PinholeOverMap
 from pyproj import CRS, Transformer
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.developed.outlines import developed_footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs, with_heights
@@ -144,14 +144,14 @@ def test_a_sensor_without_rays_sees_and_hides_the_same() -> None:
     first, second = with_rays.ground_to_image(net()), without.ground_to_image(net())
     assert np.array_equal(np.isnan(first), np.isnan(second))
     assert np.nanmax(np.abs(first - second)) == 0.0
-    outlines = [developed_footprint(Scene("photo", "photo.tif", "frame", m), m) for m in (with_rays, without)]
+    outlines = [developed_footprint(OrientedImage("photo", "photo.tif", "frame", m), m) for m in (with_rays, without)]
     assert outlines[0].polygon.symmetric_difference(outlines[1].polygon).area < 1e-2 * outlines[0].polygon.area
 
 
 def test_an_outline_over_the_cut_has_two_parts() -> None:
     """Seen from behind, the development is cut in the middle of the picture."""
     front, back = (
-        developed_footprint(Scene("photo", "photo.tif", "frame", model), model)
+        developed_footprint(OrientedImage("photo", "photo.tif", "frame", model), model)
         for model in (
             DevelopedModel(build(local_frame_crs(), eye.centre, eye.matrix), tower(), "frame")
             for eye in (camera(0.0), camera(180.0))
@@ -198,7 +198,7 @@ def test_frames_that_do_not_meet() -> None:
 def test_a_camera_inside_and_one_behind() -> None:
     eye = rig.Pinhole(np.array([1.0, 0.5, 1.6]), np.array([0.0, 3.0, 6.0]), Z)
     model = DevelopedModel(build(local_frame_crs(), eye.centre, eye.matrix), tower(), "frame")
-    scene = Scene("photo", "photo.tif", "frame", model)
+    scene = OrientedImage("photo", "photo.tif", "frame", model)
     with pytest.raises(InputError, match=r"stands inside the cylinder, 2\.9\d\d m from its surface"):
         developed_footprint(scene, model)
     within = DevelopedModel(model.model, replace(tower(), inside=True), "frame")

@@ -17,7 +17,7 @@ from solve_rig import PLACE
 
 from geomosaic.errors import HeightDatumError
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.surface.vertical_datum import undulation
@@ -112,7 +112,7 @@ def test_dem_under_a_scene_that_carries_its_own_model(tmp_path: Path) -> None:
     ) as file:  # fmt: skip
         file.write(np.full((1, 20, 20), 400, dtype=np.float32))
     with pytest.raises(HeightDatumError) as caught:
-        build_block(BlockInputs((tmp_path / "one.tif",), "rpc", dem=tmp_path / "dem.tif"))
+        build_block(Block((tmp_path / "one.tif",), "rpc", dem=tmp_path / "dem.tif"))
     metres, pixels = at_stake(caught.value)
     assert metres == pytest.approx(abs(undulation(CRS.from_epsg(4326), 12.3, 45.6)), abs=0.2)
     ground = rpc_rig.ground(5)

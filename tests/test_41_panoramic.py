@@ -17,7 +17,7 @@ from solve_rig import MAP, PLACE, control
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.local_frames import LocalFrame, map_place
 from geomosaic.inputs.area import Area
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.products.from_inputs import make_ortho
 from geomosaic.render.options import RenderOptions
 from geomosaic.sensor import registry
@@ -238,7 +238,7 @@ def test_a_strip_becomes_an_ortho_that_shows_the_ground_where_it_is(tmp_path: Pa
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with rasterio.open(path, "w", **profile) as dataset:
             dataset.write(image)
-    inputs = BlockInputs((path,), "panoramic", options=options, crs="EPSG:32633", heights="egm96", height=GROUND)
+    inputs = Block((path,), "panoramic", options=options, crs="EPSG:32633", heights="egm96", height=GROUND)
     made_of = make_ortho(inputs, Area(None, 10.0), out, RenderOptions(resampling="cubic"))
     assert made_of.lattice_error <= 0.02
     with rasterio.open(out) as dataset:

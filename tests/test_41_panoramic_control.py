@@ -15,7 +15,7 @@ from solve_rig import MAP, PLACE, control
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.sensor import registry
 from geomosaic.sensor import state as state_of
 from geomosaic.sensor.plugin import SensorRequest
@@ -149,7 +149,7 @@ def test_control_of_a_project_refines_the_strip(tmp_path: Path) -> None:
         lines.append(f"{i},{p['x']!r},{p['y']!r},{p['z']!r},strip.tif,{p['col']!r},{p['row']!r},0.3,control")
     lines.append(f"far,{X},{Y},450.0,strip.tif,5.0,5.0,0.3,check")
     (tmp_path / "gcps.csv").write_text("\n".join(lines) + "\n")
-    inputs = BlockInputs(
+    inputs = Block(
         (image,), "panoramic", options=SCANNER | WRONG["scanner"], crs="EPSG:32633", heights="egm96", height=450.0,
         control=tmp_path / "gcps.csv",
     )  # fmt: skip

@@ -7,7 +7,7 @@ import pytest
 from helpers import GROUND, MAP, Hills, PinholeOverMap
 from pyproj import Transformer
 
-from geomosaic.block.block import Block, Scene
+from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.block.footprint import footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
@@ -20,8 +20,8 @@ GROUND_HEIGHT = 40.0
 PLANE = Plane(GROUND, GROUND_HEIGHT)
 
 
-def scene(name: str = "photo", **camera: object) -> Scene:
-    return Scene(name, f"{name}.tif", "pinhole", PinholeOverMap(**camera))
+def scene(name: str = "photo", **camera: object) -> OrientedImage:
+    return OrientedImage(name, f"{name}.tif", "pinhole", PinholeOverMap(**camera))
 
 
 def on_the_plane(model: PinholeOverMap, colrow: np.ndarray, height: float = GROUND_HEIGHT) -> np.ndarray:
@@ -73,11 +73,11 @@ def test_the_centre_is_the_nadir_where_the_image_shows_it() -> None:
             return np.tile(self.centre, (len(colrow), 1)), d / np.linalg.norm(d, axis=1, keepdims=True)
 
     near = WithRays()
-    assert footprint(Scene("a", "a.tif", "pinhole", near), PLANE, MAP).centre == pytest.approx((X, Y), abs=1e-6)
+    assert footprint(OrientedImage("a", "a.tif", "pinhole", near), PLANE, MAP).centre == pytest.approx((X, Y), abs=1e-6)
     # Tilted by 45°, the photo does not show the ground under the camera: its middle counts.
     far = WithRays(tilt=(0.8, 0.0, 0.0))
     middle = on_the_plane(far, np.array([[500.0, 400.0]]))[0]
-    assert footprint(Scene("a", "a.tif", "pinhole", far), PLANE, MAP).centre == pytest.approx(middle, abs=1e-4)
+    assert footprint(OrientedImage("a", "a.tif", "pinhole", far), PLANE, MAP).centre == pytest.approx(middle, abs=1e-4)
     # A model without rays has no projection centre to ask for.
     assert footprint(scene(), PLANE, MAP).centre == pytest.approx(
         on_the_plane(PinholeOverMap(), np.array([[500.0, 400.0]]))[0], abs=1e-4
@@ -211,11 +211,11 @@ def test_an_image_of_the_sky() -> None:
 
 
 def test_blocks() -> None:
-    block = Block((scene("a"), scene("b")), PLANE)
+    block = OrientedBlock((scene("a"), scene("b")), PLANE)
     assert block.scene("b").name == "b"
     with pytest.raises(InputError, match="'c'"):
         block.scene("c")
     with pytest.raises(InputError, match="share the name 'a'"):
-        Block((scene("a"), scene("b"), scene("a")), PLANE)
+        OrientedBlock((scene("a"), scene("b"), scene("a")), PLANE)
     with pytest.raises(InputError, match="at least one"):
-        Block((), PLANE)
+        OrientedBlock((), PLANE)

@@ -11,7 +11,7 @@ import rasterio
 from pyproj import CRS
 from rasterio.control import GroundControlPoint
 
-from geomosaic.control.points import ImageControl, Origin
+from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.control.read import read_control, read_world_transform, recognise
 from geomosaic.errors import GeomosaicError, InputError
 
@@ -29,7 +29,7 @@ def write(tmp_path: Path) -> Write:
     return to
 
 
-def control(**changes: object) -> ImageControl:
+def control(**changes: object) -> ControlPoints:
     values: dict[str, object] = {
         "names": ("a", "b"),
         "colrow": np.array([[1.0, 2.0], [3.0, 4.0]]),
@@ -40,7 +40,7 @@ def control(**changes: object) -> ImageControl:
         "enabled": np.array([True, True]),
         "origins": (Origin("f.csv", 2), Origin("f.csv", 3)),
     }
-    return ImageControl(**{**values, **changes})
+    return ControlPoints(**{**values, **changes})
 
 
 def test_value_is_frozen_and_selects() -> None:

@@ -14,7 +14,7 @@ from pyproj import CRS
 from geomosaic.control.diagnostics import advise
 from geomosaic.control.distribution import hull_area, needed
 from geomosaic.control.findings import Advice
-from geomosaic.control.points import ImageControl, Origin
+from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.control.read import read_control
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
@@ -36,10 +36,10 @@ def ground(colrow: FloatArray, turn: float = 8.0, origin: tuple[float, float] = 
     return origin + flat / (1.0 + 2e-5 * flat[:, :1])
 
 
-def good(colrow: FloatArray = LIKE_A_GRID, crs: str = "EPSG:32633", **how: object) -> ImageControl:
+def good(colrow: FloatArray = LIKE_A_GRID, crs: str = "EPSG:32633", **how: object) -> ControlPoints:
     noise = np.random.default_rng(4).normal(0.0, 0.3, colrow.shape)
     count = len(colrow)
-    return ImageControl(
+    return ControlPoints(
         tuple(f"P{i}" for i in range(count)),
         colrow + noise,
         ground(colrow, **how),
@@ -51,11 +51,11 @@ def good(colrow: FloatArray = LIKE_A_GRID, crs: str = "EPSG:32633", **how: objec
     )
 
 
-def degrees(control: ImageControl) -> ImageControl:
+def degrees(control: ControlPoints) -> ControlPoints:
     return control.to_crs(CRS("EPSG:4326"))
 
 
-def moved(control: ImageControl, **parts: FloatArray) -> ImageControl:
+def moved(control: ControlPoints, **parts: FloatArray) -> ControlPoints:
     return replace(control, **parts)
 
 
@@ -63,10 +63,10 @@ def codes(found: tuple[Advice, ...]) -> list[str]:
     return [advice.code for advice in found]
 
 
-def with_last(image: tuple[float, float], of: int, aside: float = 0.0) -> ImageControl:
+def with_last(image: tuple[float, float], of: int, aside: float = 0.0) -> ControlPoints:
     """The good set and one more point: at an image place, with the ground of another."""
     control = good()
-    return ImageControl(
+    return ControlPoints(
         (*control.names, "again"),
         np.vstack([control.colrow, image]),
         np.vstack([control.ground, control.ground[of] + aside]),
@@ -93,11 +93,11 @@ MIDDLE = (LIKE_A_GRID - [2000, 1500]) * 0.62 + [2000, 1500]
 NO_CORNER = np.vstack([np.delete(LIKE_A_GRID, [1, 2, 5], axis=0), [1600.0, 180.0]])
 
 
-def mirror_rows(control: ImageControl) -> ImageControl:
+def mirror_rows(control: ControlPoints) -> ControlPoints:
     return moved(control, colrow=control.colrow * [1, -1] + [0, SIZE[1]])
 
 
-CASES: dict[str, tuple[Callable[[], ImageControl], list[str], str, dict[str, object]]] = {
+CASES: dict[str, tuple[Callable[[], ControlPoints], list[str], str, dict[str, object]]] = {
     "too few": (lambda: good(LIKE_A_GRID[[0, 8]]), ["few-points"], "2 places, and a fit .affine. needs 3", {}),
     "too few for an order": (
         lambda: good(),
@@ -240,7 +240,7 @@ CASES: dict[str, tuple[Callable[[], ImageControl], list[str], str, dict[str, obj
 
 @pytest.mark.parametrize(("make", "expected", "message", "options"), CASES.values(), ids=CASES.keys())
 def test_bad_control(
-    make: Callable[[], ImageControl], expected: list[str], message: str, options: dict[str, object]
+    make: Callable[[], ControlPoints], expected: list[str], message: str, options: dict[str, object]
 ) -> None:
     found = advise(make(), **{"size": SIZE, **options})
     assert codes(found) == expected
@@ -297,10 +297,10 @@ def test_needed() -> None:
         needed("afine")
 
 
-def cosicorr(folder: Path) -> ImageControl:
+def cosicorr(folder: Path) -> ControlPoints:
     rows = np.genfromtxt(folder / "basemap_VS_SP2_GCP_expec.csv", delimiter=",", skip_header=1)
     count = len(rows)
-    return ImageControl(
+    return ControlPoints(
         tuple(map(str, range(count))), rows[:, 3:5] + 0.5, rows[:, 5:7], CRS("EPSG:32636"), np.ones(count),
         ("control",) * count, np.ones(count, dtype=bool), tuple(Origin("gcps", i + 2) for i in range(count)),
     )  # fmt: skip
@@ -337,7 +337,7 @@ def test_real_ties_have_no_advice(real_data: Callable[[str], Path]) -> None:
     folder = real_data("otb-sensor-geoms")
     rows = np.loadtxt(folder / "QB_TOULOUSE_MUL_Extract_500_500_in_tie_points.txt")
     count = len(rows)
-    ties = ImageControl(
+    ties = ControlPoints(
         tuple(map(str, range(count))), rows[:, :2], rows[:, 2:], CRS("EPSG:4326"), np.ones(count),
         ("control",) * count, np.ones(count, dtype=bool), tuple(Origin("ties", i + 2) for i in range(count)),
     )  # fmt: skip

@@ -9,7 +9,7 @@ import pytest
 from edge_rig import SIZE, Rig, along_the_seam, rig, start, xyz
 from scipy.optimize import least_squares
 
-from geomosaic.block.block import ControlPoint, Scene
+from geomosaic.block.block import ControlPoint, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.orientation.edges import CommonPoint, EdgeMatch, match_edges
 from geomosaic.sensor.corrected import Corrected
@@ -213,7 +213,7 @@ def test_a_reference_stays_and_small_sigmas_give_less() -> None:
     r = rig(2)
     fixed = r.photos[0].model
     fixed = type(fixed)(**{**fixed.__dict__, "sigmas": np.zeros(6)})
-    photos = [Scene("photo-0", "", "planar", fixed), r.photos[1]]
+    photos = [OrientedImage("photo-0", "", "planar", fixed), r.photos[1]]
     common = [CommonPoint(p.id, p.image, p.colrow, 0.001 if p.image == "photo-0" else 0.5) for p in r.common]
     control = [p for p in r.control if p.image != "photo-0"]
     m = match_edges(photos, control, common)
@@ -258,7 +258,7 @@ def test_frames_over_known_heights() -> None:
             control.append(ControlPoint(f"c{k}", tuple(places[k]), name, tuple(image[k])))
         common += [CommonPoint(f"p{k}", name, tuple(image[k]), z=places[k, 2]) for k in range(15, 60) if seen[k]]
         moved = model.with_values(model.parameters.values + 3.0 * model.parameters.steps)
-        photos.append(Scene(name, "", "frame", moved))
+        photos.append(OrientedImage(name, "", "frame", moved))
     twice = {p.id for p in common if p.image == "a"} & {p.id for p in common if p.image == "b"}
     m = match_edges(photos, control, [p for p in common if p.id in twice], crs=MAP)
     assert len(twice) >= 8

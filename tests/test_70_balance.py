@@ -13,10 +13,10 @@ import pytest
 import rasterio
 from helpers import MAP, Hills, PinholeOverMap
 
-from geomosaic.block.block import Block, Scene
+from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.geo.grid import Bounds, Window
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.colour.balance import balance
 from geomosaic.mosaicking.mosaic import mosaic
 from geomosaic.mosaicking.options import MosaicOptions
@@ -33,7 +33,7 @@ SIZE = (96, 64)
 
 def photo_block(
     folder: Path, count: int, surface: Surface | None = None, step: float = 40.0, suffix: str = "tif"
-) -> Block:
+) -> OrientedBlock:
     """A strip of vertical photos of noise, 1 m per pixel, `step` metres apart."""
     rng = np.random.default_rng(1)
     scenes = []
@@ -45,11 +45,13 @@ def photo_block(
         ) as file:  # fmt: skip
             file.write(rng.integers(50, 200, SIZE[::-1], dtype=np.uint8), 1)
         centre = (500_000.0 + step * i, 5_500_000.0, 1000.0)
-        scenes.append(Scene(path.stem, str(path), "pinhole", PinholeOverMap(SIZE, centre, tilt=(0.0, 0.0, 0.0))))
-    return Block(tuple(scenes), surface or Hills(amplitude=1.0))
+        scenes.append(
+            OrientedImage(path.stem, str(path), "pinhole", PinholeOverMap(SIZE, centre, tilt=(0.0, 0.0, 0.0)))
+        )
+    return OrientedBlock(tuple(scenes), surface or Hills(amplitude=1.0))
 
 
-def opened(block: Block, resolution: float = 1.0, memory: int = 1 << 20) -> Photos:
+def opened(block: OrientedBlock, resolution: float = 1.0, memory: int = 1 << 20) -> Photos:
     outlines = footprints(block.scenes, block.surface, MAP)
     return Photos(block, output_grid(MAP, outlines, resolution), outlines, memory)
 
@@ -88,7 +90,7 @@ def test_open_files_do_not_grow_with_the_number_of_photos(
 def test_images_decoded_whole_are_kept_only_while_rows_need_them(tmp_path: Path) -> None:
     block = photo_block(tmp_path, 6, step=0.0, suffix="jpg")
     scenes = tuple(
-        Scene(
+        OrientedImage(
             s.name,
             s.path,
             s.sensor,
@@ -96,7 +98,7 @@ def test_images_decoded_whole_are_kept_only_while_rows_need_them(tmp_path: Path)
         )
         for i, s in enumerate(block.scenes)
     )
-    photos = opened(Block(scenes, block.surface))
+    photos = opened(OrientedBlock(scenes, block.surface))
     for i in range(6):
         with photos.using(i) as photo:
             photo.source.read(Window(0, 0, 8, 8))
@@ -178,7 +180,7 @@ def test_the_balance_does_not_depend_on_threads(tmp_path: Path) -> None:
 
 def sample_gains(sample: Path, files: list[Path], exterior: Path) -> tuple[np.ndarray, np.ndarray]:
     """Relative errors (photos, bands) of the solved gains, and the spread (bands,) of the exposures put in."""
-    inputs = BlockInputs(
+    inputs = Block(
         images=tuple(files), sensor="frame", camera=sample / "camera.toml", exterior=exterior, crs="EPSG:32633",
         heights="egm96", dem=sample / "dem.tif",
     )  # fmt: skip

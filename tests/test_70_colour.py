@@ -14,7 +14,7 @@ from affine import Affine
 
 from geomosaic.errors import InputError
 from geomosaic.inputs.area import Area
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.colour.stretch import read
 from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.mosaicking.result import MosaicResult
@@ -75,7 +75,7 @@ def make(shots: tuple[Path, ...], output: Path, threads: int = 2, tile: int = 10
     options = MosaicOptions(
         RenderOptions(threads=threads, tile=tile), feather=8.0, stac=False, labels=False, vectors=False, **more
     )
-    return make_mosaic(BlockInputs(shots, "planar"), Area(None, 1.0), output, options)
+    return make_mosaic(Block(shots, "planar"), Area(None, 1.0), output, options)
 
 
 def off_truth(path: Path) -> float:

@@ -12,7 +12,7 @@ from city_rig import CORNER, FOCAL, SIZE, write_image
 
 from geomosaic.errors import InputError
 from geomosaic.inputs.area import Area
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
 from geomosaic.render.options import RenderOptions
@@ -28,7 +28,7 @@ def height(x, y):
 
 
 @pytest.fixture
-def block(tmp_path: Path) -> BlockInputs:
+def block(tmp_path: Path) -> Block:
     rows = ["image,x,y,z,omega,phi,kappa"]
     for number, (x, y, z) in enumerate(CENTRES):
         write_image(tmp_path / f"p{number}.tif", np.full(SIZE[::-1], 100.0))
@@ -41,13 +41,13 @@ def block(tmp_path: Path) -> BlockInputs:
     with rasterio.open(tmp_path / "dem.tif", "w", **profile, transform=place) as dem:
         dem.write(height(x, y).astype(np.float32), 1)
     options = {"camera": {"focal_length_px": FOCAL}, "treatment": "planar"}
-    return BlockInputs(
+    return Block(
         tuple(tmp_path / f"p{i}.tif" for i in range(2)), "frame", options=options, exterior=tmp_path / "exterior.csv",
         crs="EPSG:32633", heights="ellipsoidal", dem=tmp_path / "dem.tif", dem_heights="ellipsoidal",
     )  # fmt: skip
 
 
-def test_displacement_is_that_of_the_textbooks(block: BlockInputs, tmp_path: Path) -> None:
+def test_displacement_is_that_of_the_textbooks(block: Block, tmp_path: Path) -> None:
     options = MosaicOptions(RenderOptions(), balance=False, displacement=LEVEL)
     make_mosaic(block, Area(None, PIXEL, BOUNDS), tmp_path / "m.tif", options)
     with (

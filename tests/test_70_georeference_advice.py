@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from test_50_control_advice import table_rows
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import footprint
 from geomosaic.control.findings import Advice
 from geomosaic.control.parsing import Reading
-from geomosaic.control.points import ImageControl, Origin
+from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.georeferencing.examination import BadControlError, fold_advice
@@ -36,7 +36,7 @@ def ground(colrow: FloatArray, bend: float = 0.0) -> FloatArray:
     return np.column_stack([612_000 + x, 5_412_000 + y]) + wave
 
 
-def control(across: int, down: int, part: float = 0.95, bend: float = 0.0, noise: float = 0.3) -> ImageControl:
+def control(across: int, down: int, part: float = 0.95, bend: float = 0.0, noise: float = 0.3) -> ControlPoints:
     """Points in rows over a part of the image, shaken, measured within `noise` pixels."""
     random = np.random.default_rng(5)
     t, u = np.linspace(-0.5, 0.5, across) * part, np.linspace(-0.5, 0.5, down) * part
@@ -44,7 +44,7 @@ def control(across: int, down: int, part: float = 0.95, bend: float = 0.0, noise
     colrow = (np.column_stack([c.ravel(), r.ravel()]) + 0.5) * SIZE
     colrow += random.uniform(-60, 60, colrow.shape) * part
     count = len(colrow)
-    return ImageControl(
+    return ControlPoints(
         tuple(f"P{i}" for i in range(count)),
         colrow + random.normal(0.0, noise, colrow.shape),
         ground(colrow, bend),
@@ -56,26 +56,26 @@ def control(across: int, down: int, part: float = 0.95, bend: float = 0.0, noise
     )
 
 
-def moved(points: ImageControl, which: list[int], by: float = 150.0) -> ImageControl:
+def moved(points: ControlPoints, which: list[int], by: float = 150.0) -> ControlPoints:
     """Points that were measured elsewhere."""
     colrow = points.colrow.copy()
     colrow[which] += np.random.default_rng(2).uniform(0.3, 1.0, (len(which), 2)) * by
     return replace(points, colrow=np.clip(colrow, 0, SIZE))
 
 
-def on_a_line() -> ImageControl:
+def on_a_line() -> ControlPoints:
     points = control(6, 1)
     colrow = np.column_stack([np.linspace(200, 3800, 6), np.linspace(300, 2700, 6)])
     return replace(points, colrow=colrow, ground=ground(colrow))
 
 
-def on_a_slope(points: ImageControl) -> ImageControl:
+def on_a_slope(points: ControlPoints) -> ControlPoints:
     """Those in the right half stand on a slope that displaces them."""
     share = np.maximum(points.colrow[:, 0] / SIZE[0] - 0.52, 0.0)
     return replace(points, colrow=points.colrow + np.column_stack([-60.0 * share, 25.0 * share]))
 
 
-def few(count: int, wrong: dict[int, tuple[float, float]], tilt: float = 2e-5) -> ImageControl:
+def few(count: int, wrong: dict[int, tuple[float, float]], tilt: float = 2e-5) -> ControlPoints:
     """The corners, the middle and the sides of an oblique photo; some points measured elsewhere."""
     share = [[0.06, 0.06], [0.94, 0.08], [0.05, 0.95], [0.94, 0.93], [0.5, 0.48], [0.52, 0.07], [0.07, 0.5], [0.9, 0.5]]
     colrow = np.array(share[:count]) * SIZE
@@ -88,12 +88,12 @@ def few(count: int, wrong: dict[int, tuple[float, float]], tilt: float = 2e-5) -
     return replace(points, colrow=colrow, ground=places)
 
 
-def exchanged() -> ImageControl:
+def exchanged() -> ControlPoints:
     points = few(4, {})
     return replace(points, colrow=points.colrow[[1, 0, 2, 3]])
 
 
-def lens(across: int, down: int, barrel: float, power: int) -> ImageControl:
+def lens(across: int, down: int, barrel: float, power: int) -> ControlPoints:
     """Points to the very corners of a photo under lens distortion; measured within 0.3 px."""
     colrow = np.stack(np.meshgrid(np.linspace(20, 3980, across), np.linspace(20, 2980, down)), axis=2).reshape(-1, 2)
     flat = colrow - np.array(SIZE) / 2
@@ -102,18 +102,18 @@ def lens(across: int, down: int, barrel: float, power: int) -> ImageControl:
     return replace(control(across, down), colrow=measured, ground=ground(bent + np.array(SIZE) / 2))
 
 
-def scattered() -> ImageControl:
+def scattered() -> ControlPoints:
     points = control(4, 3)
     return replace(points, colrow=points.colrow + np.random.default_rng(3).normal(0.0, 120.0, points.colrow.shape))
 
 
-def with_checks(points: ImageControl, judges: list[int], wrong: list[int], by: float = 60.0) -> ImageControl:
+def with_checks(points: ControlPoints, judges: list[int], wrong: list[int], by: float = 60.0) -> ControlPoints:
     """Some of the points judge, and some of these were measured elsewhere."""
     roles = tuple("check" if i in judges else "control" for i in range(len(points)))
     return moved(replace(points, roles=roles), wrong, by)
 
 
-CASES: dict[str, tuple[str, ImageControl, str, dict[str, float]]] = {
+CASES: dict[str, tuple[str, ControlPoints, str, dict[str, float]]] = {
     "one blunder of 12": ("`blunder` (error)", moved(control(4, 3), [7]), "affine", {}),
     "30 % of 20": ("`blunder` (error)", moved(control(5, 4), [1, 4, 8, 10, 15, 19]), "affine", {}),
     "one of 30 that a spline would follow": ("`blunder` (error)", moved(control(6, 5, bend=30.0), [13]), "tps", {}),
@@ -155,11 +155,11 @@ CASES: dict[str, tuple[str, ImageControl, str, dict[str, float]]] = {
 """What it is called, the finding looked for, points, model and what else is asked."""
 
 
-def found(points: ImageControl, model: str, more: dict[str, float]) -> list[Advice]:
+def found(points: ControlPoints, model: str, more: dict[str, float]) -> list[Advice]:
     """Findings of a fit and its picture."""
     request = FitRequest(model, insist=True, **more)
     solved = solve(Reading(points, "csv"), "photo.tif", SIZE, CRS, request, None, "m")
-    outline = footprint(Scene("photo", "photo.tif", "planar", solved.fit.model), None, CRS)
+    outline = footprint(OrientedImage("photo", "photo.tif", "planar", solved.fit.model), None, CRS)
     return [*solved.advice, *fold_advice(solved.fit.model, solved.fit.xyz, output_grid(CRS, [outline], 5.0))]
 
 
@@ -206,13 +206,13 @@ def test_of_good_control_nothing_is_said(model):
     assert found(control(6, 5), model, {}) == []
 
 
-def solved(points: ImageControl, **options: object) -> Solution:
+def solved(points: ControlPoints, **options: object) -> Solution:
     """What a request makes of control."""
     request = FitRequest(**{"model": "auto", **options})
     return solve(Reading(points, "csv", ()), "scan.tif", SIZE, CRS, request, None, "m")
 
 
-def bent_control() -> ImageControl:
+def bent_control() -> ControlPoints:
     """Twenty points of a map bent by an order of 2, the eighth of them 25 px off."""
     points = control(5, 4, noise=0.3)
     u, v = (points.colrow / SIZE - 0.5).T

@@ -10,7 +10,7 @@ import rasterio
 from affine import Affine
 from pyproj import CRS
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.geo.grid import Grid
 from geomosaic.render.extent import footprints
 from geomosaic.render.options import RenderOptions
@@ -53,7 +53,7 @@ def test_nine_by_nine_groundels(tmp_path: Path, nodata: float | None) -> None:
     points = [{"x": x, "y": y, "col": c + 0.5, "row": r + 0.5} for (x, y), (c, r) in zip(GROUND, PIXELS, strict=True)]
     model = build("planar", SensorRequest("scan", (8, 8), {"kind": "conformal", "points": points}, MAP))
     grid = Grid(MAP, Affine(10.0, 0.0, 5.0, 0.0, -10.0, 95.0), 9, 9)
-    scene = Scene("scan", str(path), "planar", model)
+    scene = OrientedImage("scan", str(path), "planar", model)
     outline = footprints((scene,), None, MAP)[0]
     made = ortho(
         scene, None, grid, outline, tmp_path / "map.tif", RenderOptions("nearest", driver="GTiff", nodata=nodata)

@@ -11,7 +11,7 @@ import pytest
 
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.area import Area
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.blending.options import Blending
 from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
@@ -59,7 +59,7 @@ def test_bands_by_name(tmp_path: Path) -> None:
     options = MosaicOptions(RenderOptions(overwrite=True), balance=False, stac=False, rule="mean")
 
     def run(*names: str) -> np.ndarray:
-        make_mosaic(BlockInputs((one, other), "planar", band_names=names), Area(), out, options)
+        make_mosaic(Block((one, other), "planar", band_names=names), Area(), out, options)
         return rig.read(out)[0]
 
     assert np.array_equal(run("red", "green", "blue"), values)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.render.extent import refuse_torn_crs
@@ -15,7 +15,7 @@ UTM = parse_crs("EPSG:32633")
 LAMBERT = "+proj=lcc +lat_1=30 +lat_2=60 +lat_0=45 +lon_0=10 +datum=WGS84"
 
 
-def scenes(kind: str) -> tuple[Scene, ...]:
+def scenes(kind: str) -> tuple[OrientedImage, ...]:
     """A photo, or a map, at longitude 15, latitude 49.65."""
     if kind == "planar":
         request = SensorRequest("map", (400, 300), {"transform": [1.0, 0.0, 5e5, 0.0, -1.0, 55e5]}, UTM)
@@ -25,7 +25,7 @@ def scenes(kind: str) -> tuple[Scene, ...]:
             "orientation": {"system": "opk", "omega": 0.0, "phi": 0.0, "kappa": 0.0},
         }  # fmt: skip
         request = SensorRequest("photo", (400, 300), options, with_heights(UTM, "ellipsoidal"))
-    return (Scene("it", "it.tif", kind, registry.build(kind, request), None, None),)
+    return (OrientedImage("it", "it.tif", kind, registry.build(kind, request), None, None),)
 
 
 @pytest.mark.parametrize("kind", ["frame", "planar"])

@@ -18,7 +18,7 @@ from geomosaic.geo.crs import with_heights
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.area import Area
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic, make_ortho
 from geomosaic.raster.vector import read_layer
@@ -61,9 +61,9 @@ def city(tmp_path_factory: pytest.TempPathFactory) -> tuple[City, Path]:
     return city, folder
 
 
-def inputs(folder: Path, *numbers: int) -> BlockInputs:
+def inputs(folder: Path, *numbers: int) -> Block:
     options = {"camera": {"focal_length_px": FOCAL}, "treatment": "planar"}
-    return BlockInputs(
+    return Block(
         tuple(folder / f"p{i}.tif" for i in numbers), "frame", options=options, exterior=folder / "exterior.csv",
         crs="EPSG:32633", heights="ellipsoidal", dem=folder / "dsm.tif", dem_heights="ellipsoidal",
     )  # fmt: skip

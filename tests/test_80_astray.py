@@ -14,12 +14,12 @@ import rasterio
 import rpc_rig
 from pyproj import Transformer
 
-from geomosaic.block.block import Block
+from geomosaic.block.block import OrientedBlock
 from geomosaic.cli.main import run
 from geomosaic.errors import InputError, SolveError
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.control_diagnostics import astray
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.project.sample import sample_folder
 from geomosaic_rpc.write import text_of
 
@@ -40,9 +40,9 @@ def changed(path: Path, change: Callable[[Row], dict[str, object]]) -> Path:
     return path
 
 
-def sample(control: Path) -> BlockInputs:
+def sample(control: Path) -> Block:
     base = sample_folder()
-    return BlockInputs(
+    return Block(
         tuple(base / "photos" / f"{name}.jpg" for name in PHOTOS), "frame", camera=base / "camera.toml",
         exterior=base / "exterior.csv", crs="EPSG:32633", heights="egm96", dem=base / "dem.tif", control=control,
     )  # fmt: skip
@@ -112,7 +112,7 @@ def test_coordinates_that_cannot_be_in_the_crs_are_refused(
     build_block(replace(inputs, trusted=True))
 
 
-def scene(folder: Path, change: Callable[[np.ndarray], np.ndarray], refine: str) -> tuple[BlockInputs, Block]:
+def scene(folder: Path, change: Callable[[np.ndarray], np.ndarray], refine: str) -> tuple[Block, OrientedBlock]:
     """An RPC scene with control in longitude, latitude and height."""
     with rasterio.open(folder / "one.tif", "w", driver="GTiff", width=4000, height=3000, count=1, dtype="uint8"):
         pass
@@ -126,7 +126,7 @@ def scene(folder: Path, change: Callable[[np.ndarray], np.ndarray], refine: str)
         for i, (xyz, pixel) in enumerate(zip(change(ground[inside]), image[inside], strict=True))
     ]
     (folder / "gcps.csv").write_text("\n".join(["id,x,y,z,image,col,row", *rows]) + "\n")
-    inputs = BlockInputs(
+    inputs = Block(
         (folder / "one.tif",), "rpc", {"refine": refine}, crs="EPSG:4326", heights="ellipsoidal", height=400.0,
         control=folder / "gcps.csv",
     )  # fmt: skip

@@ -15,13 +15,13 @@ import rasterio
 from helpers import PinholeOverMap
 from pyproj import CRS, Transformer
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, SYSTEM_NAMES
 from geomosaic.inputs.ground import height_below
 from geomosaic.inputs.usable_area import with_usable
@@ -35,7 +35,7 @@ CAMERA = {"projection_type": "brown", "width": 1200, "height": 900, "focal_x": 1
 LLA = {"longitude": 13.62, "latitude": 49.64, "altitude": 480.0}
 
 
-def inputs(sample: Path, **more: Any) -> BlockInputs:
+def inputs(sample: Path, **more: Any) -> Block:
     """One photo of the sample."""
     given: dict[str, Any] = {
         "images": (sample / "photos" / "strip1_02.jpg",),
@@ -46,7 +46,7 @@ def inputs(sample: Path, **more: Any) -> BlockInputs:
         "heights": "egm96",
         "dem": sample / "dem.tif",
     }
-    return BlockInputs(**(given | more))
+    return Block(**(given | more))
 
 
 def reconstruction(folder: Path, name: str = "reconstruction.json") -> Path:
@@ -284,8 +284,8 @@ def test_a_table_that_a_sensor_cannot_use_is_no_secret(sample: Path) -> None:
 
 
 def test_film_of_which_nothing_is_left_out_is_told() -> None:
-    scene = Scene("film.tif", "film.tif", "frame", PinholeOverMap())
-    film = BlockInputs((Path("film.tif"),), "frame", fiducials=Path("marks.csv"))
+    scene = OrientedImage("film.tif", "film.tif", "frame", PinholeOverMap())
+    film = Block((Path("film.tif"),), "frame", fiducials=Path("marks.csv"))
     with pytest.warns(GeomosaicWarning, match=r"borders of the film are shown like the ground \(film.tif\)"):
         assert with_usable(film, [scene])[0].usable is None
     assert with_usable(replace(film, margin=(5, 5, 5, 9)), [scene])[0].usable is not None

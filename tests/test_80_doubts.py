@@ -15,17 +15,17 @@ import pytest
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.rotation import omega_phi_kappa
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.project.sample import sample_folder
 
 Rows = list[dict[str, Any]]
 PHOTOS = ("strip1_02", "strip1_03", "strip2_02", "strip2_03")
 
 
-def sample(**more: Any) -> BlockInputs:
+def sample(**more: Any) -> Block:
     base = sample_folder()
     return replace(
-        BlockInputs(
+        Block(
             tuple(base / "photos" / f"{name}.jpg" for name in PHOTOS),
             "frame",
             camera=base / "camera.toml",

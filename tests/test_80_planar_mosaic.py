@@ -17,7 +17,7 @@ from scipy.ndimage import binary_erosion
 from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
+from geomosaic.inputs.declarations import Block, PlanarInputs
 from geomosaic.inputs.missing_inputs import needs
 from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.products.from_inputs import make_planar_mosaic
@@ -60,8 +60,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def inputs(folder: Path, wanted: PlanarInputs, control: bool = True) -> BlockInputs:
-    return BlockInputs(
+def inputs(folder: Path, wanted: PlanarInputs, control: bool = True) -> Block:
+    return Block(
         images=tuple(sorted(folder.glob("strip*.tif"))),
         sensor="planar",
         crs=CRS if control else None,
@@ -180,7 +180,7 @@ def refused(folder: Path, kind: str, control: bool = True, crs: str | None = CRS
     """Message of a block that cannot be built."""
     wanted = PlanarInputs(kind, **{"ties": folder / "ties.csv", **more})
     given = inputs(folder, wanted, control)
-    block = BlockInputs(given.images, "planar", crs=crs if control else None, control=given.control, planar=wanted)
+    block = Block(given.images, "planar", crs=crs if control else None, control=given.control, planar=wanted)
     with pytest.raises(InputError) as told:
         build_block(block)
     return str(told.value)
@@ -193,7 +193,7 @@ def test_what_is_missing_is_said(folder: Path) -> None:
     assert "are in degrees" in refused(folder, "grown", crs="EPSG:4326")
     assert "a semicontrolled mosaic has no projective model" in refused(folder, "semicontrolled", model="projective")
     assert "controlled takes projective" in refused(folder, "controlled", model="affine")
-    lacking = needs(BlockInputs(inputs(folder, PlanarInputs("grown")).images, "planar", planar=PlanarInputs("grown")))
+    lacking = needs(Block(inputs(folder, PlanarInputs("grown")).images, "planar", planar=PlanarInputs("grown")))
     assert [text.split(":")[0] for text in lacking] == ["control points", "the CRS of the control points", "tie points"]
 
 

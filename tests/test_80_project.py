@@ -283,7 +283,7 @@ def test_undeclared_heights_name_metres_pixels_and_option():
 
 def test_one_photo_of_a_table_in_radians_is_found_out(sample, tmp_path):
     """One image tells nothing of the unit; the rest of its table does."""
-    from geomosaic.inputs.declarations import BlockInputs
+    from geomosaic.inputs.declarations import Block
     from geomosaic.inputs.photos import photos_of
 
     lines = (sample / "exterior.csv").read_text().splitlines()
@@ -294,6 +294,6 @@ def test_one_photo_of_a_table_in_radians_is_found_out(sample, tmp_path):
     table = tmp_path / "exterior.csv"
     table.write_text("\n".join(turned) + "\n")
     photo = sorted((sample / "photos").glob("*.jpg"))[0]
-    inputs = BlockInputs(images=(photo,), sensor="frame", exterior=table, crs="EPSG:32633", heights="egm96")
+    inputs = Block(images=(photo,), sensor="frame", exterior=table, crs="EPSG:32633", heights="egm96")
     with pytest.raises(InputError, match="radians"):
         photos_of(inputs)

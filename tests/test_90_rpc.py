@@ -13,7 +13,7 @@ import rpc_rig as rig
 from geomosaic.cli.main import run
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.missing_inputs import needs
 from geomosaic.jobs.project import run_project, status_of
 from geomosaic.project.load import load_project
@@ -121,7 +121,7 @@ def test_a_project_refines_and_notices_changes(folder: Path) -> None:
 
 def test_what_a_scene_still_needs(folder: Path) -> None:
     """Positions are no matter of a scene that carries its RPC; the heights of its ground are."""
-    bare = BlockInputs(images=(folder / "scene.tif",), sensor="rpc", dem=folder / "dem.tif")
+    bare = Block(images=(folder / "scene.tif",), sensor="rpc", dem=folder / "dem.tif")
     assert [need.split(":")[0] for need in needs(bare)] == ["the vertical datum of the DEM"]
-    with_control = BlockInputs(**{**vars(bare), "control": folder / "gcps.csv", "dem_heights": "ellipsoidal"})
+    with_control = Block(**{**vars(bare), "control": folder / "gcps.csv", "dem_heights": "ellipsoidal"})
     assert "the CRS of the positions" in needs(with_control)[0]

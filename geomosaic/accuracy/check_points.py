@@ -12,7 +12,7 @@ from geomosaic.control.check_positions import has_positions, read_positions
 from geomosaic.control.coordinate_diagnostics import has_places
 from geomosaic.control.diagnostics import advise
 from geomosaic.control.findings import Advice
-from geomosaic.control.points import ImageControl
+from geomosaic.control.points import ControlPoints
 from geomosaic.control.read import read_control
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.crs import horizontal, parse_map
@@ -220,6 +220,6 @@ def _grid(info: SourceInfo, given: str | None) -> Grid:
     return Grid(crs, info.transform, info.width, info.height)
 
 
-def _examined(found: ImageControl, measured: FloatArray, size: tuple[int, int]) -> tuple[Advice, ...]:
+def _examined(found: ControlPoints, measured: FloatArray, size: tuple[int, int]) -> tuple[Advice, ...]:
     advice = advise(replace(found, colrow=measured), kind="conformal", size=size)
     return tuple(finding for finding in advice if finding.code in EXAMINED or finding.code.startswith("swapped"))

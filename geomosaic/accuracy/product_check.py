@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.block.block import Block
+from geomosaic.block.block import OrientedBlock
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid, Window
@@ -35,7 +35,7 @@ class ControlResidual:
     row: float
 
 
-def check_control(block: Block) -> list[ControlResidual]:
+def check_control(block: OrientedBlock) -> list[ControlResidual]:
     """Residuals of all control and check point measurements, in pixels; NaN where the image cannot see the point."""
     if block.crs is None:
         return []

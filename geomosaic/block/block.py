@@ -1,4 +1,4 @@
-"""Scenes and blocks: images with their sensor models, their common ground and observations."""
+"""Oriented images and blocks: images with their sensor models, their common ground and control points."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from geomosaic.surface.model import Surface
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
-    """An image file and the model that says where its pixels lie.
+class OrientedImage:
+    """Oriented image: a file and the sensor model that says where its pixels lie.
 
     Attributes
     ----------
@@ -76,12 +76,12 @@ class ControlPoint:
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
-    """Scenes over one surface.
+class OrientedBlock:
+    """Oriented images over one surface, as `Block` describes them before it is built.
 
     Attributes
     ----------
-    scenes : tuple of Scene
+    scenes : tuple of OrientedImage
     surface : Surface or None
         None where no model uses heights.
     control : tuple of ControlPoint
@@ -89,7 +89,7 @@ class Block:
         3-D CRS of the control points.
     """
 
-    scenes: tuple[Scene, ...]
+    scenes: tuple[OrientedImage, ...]
     surface: Surface | None
     control: tuple[ControlPoint, ...] = ()
     crs: CRS | None = None
@@ -104,7 +104,7 @@ class Block:
                 f"two images share the name '{doubled[0]}'", hint="rename one, or list the files one by one"
             )
 
-    def scene(self, name: str) -> Scene:
+    def scene(self, name: str) -> OrientedImage:
         """Return the scene of that name."""
         for scene in self.scenes:
             if scene.name == name:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic, horizontal
 from geomosaic.geo.grid import Grid
@@ -71,7 +71,7 @@ class Footprint:
         return orient(polygon)
 
 
-def footprint(scene: Scene, surface: Surface | None, crs: CRS) -> Footprint:
+def footprint(scene: OrientedImage, surface: Surface | None, crs: CRS) -> Footprint:
     """Project an image's border onto the surface and into the output map.
 
     Where a part of the border sees no ground (sky, or beyond the DEM), the outline follows the last point inwards that
@@ -108,7 +108,7 @@ def footprint(scene: Scene, surface: Surface | None, crs: CRS) -> Footprint:
     return Footprint(scene.name, ring, best, sampling, not bool(missing.any()))
 
 
-def _about_pole(scene: Scene, surface: Surface | None, crs: CRS, ring: FloatArray) -> FloatArray:
+def _about_pole(scene: OrientedImage, surface: Surface | None, crs: CRS, ring: FloatArray) -> FloatArray:
     """What an image with a pole in it shows: in longitude and latitude all longitudes, up to that pole.
 
     On a map of the globe the border of the image may lie within the map; its inner places are asked then, too.
@@ -129,7 +129,7 @@ def _about_pole(scene: Scene, surface: Surface | None, crs: CRS, ring: FloatArra
     return _rectangle(-turn / 2, low, turn / 2, high)
 
 
-def _with_inner_places(scene: Scene, crs: CRS, ring: FloatArray) -> FloatArray:
+def _with_inner_places(scene: OrientedImage, crs: CRS, ring: FloatArray) -> FloatArray:
     """The ring, or the rectangle about all that the image shows where that reaches well beyond the ring."""
     t = (np.arange(4 * SIDE) + 0.5) / (4 * SIDE)
     inner = _ground(scene, np.stack(np.meshgrid(t, t), axis=-1).reshape(-1, 2) * scene.model.size, None, crs)
@@ -148,7 +148,7 @@ def _rectangle(left: float, low: float, right: float, high: float) -> FloatArray
     return np.array([[left, high], [right, high], [right, low], [left, low]])
 
 
-def _looks_down(scene: Scene, colrow: FloatArray, surface: Surface) -> bool:
+def _looks_down(scene: OrientedImage, colrow: FloatArray, surface: Surface) -> bool:
     """Whether a line of sight would meet the surface, had it no holes and no end."""
     low, high = surface.range
     if not np.isfinite(high):
@@ -160,7 +160,7 @@ _STEPS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 """A place in the image and one pixel from it in each direction."""
 
 
-def _some_ground(scene: Scene, surface: Surface | None, crs: CRS) -> tuple[FloatArray, FloatArray] | None:
+def _some_ground(scene: OrientedImage, surface: Surface | None, crs: CRS) -> tuple[FloatArray, FloatArray] | None:
     """The place (1, 2) nearest to the middle of the image that sees ground, and the ground (3, 2) about it."""
     size = np.array(scene.model.size, dtype=np.float64)
     if surface is None or not _looks_down(scene, size / 2, surface):
@@ -193,7 +193,7 @@ def _around(usable: tuple[tuple[float, float], ...], width: int, height: int) ->
     return places
 
 
-def _ground(scene: Scene, colrow: FloatArray, surface: Surface | None, crs: CRS) -> FloatArray:
+def _ground(scene: OrientedImage, colrow: FloatArray, surface: Surface | None, crs: CRS) -> FloatArray:
     """Image (N, 2) to output map (N, 2)."""
     xyz = image_to_ground(scene.model, colrow, surface)
     source = scene.model.crs if surface is None else surface.crs
@@ -201,7 +201,7 @@ def _ground(scene: Scene, colrow: FloatArray, surface: Surface | None, crs: CRS)
 
 
 def _inwards(
-    scene: Scene, border: FloatArray, centre: FloatArray, surface: Surface | None, crs: CRS, middle: FloatArray
+    scene: OrientedImage, border: FloatArray, centre: FloatArray, surface: Surface | None, crs: CRS, middle: FloatArray
 ) -> FloatArray:
     """For each border point, the outermost point towards the centre that sees ground, by bisection."""
     seen, unseen = np.zeros(len(border)), np.ones(len(border))
@@ -215,7 +215,7 @@ def _inwards(
     return places
 
 
-def _origin(scene: Scene) -> FloatArray | None:
+def _origin(scene: OrientedImage) -> FloatArray | None:
     """Projection centre (1, 3) of the image's middle, in the CRS of the model, where that has rays."""
     model = scene.model
     if not isinstance(model, HasRays):
@@ -223,7 +223,7 @@ def _origin(scene: Scene) -> FloatArray | None:
     return model.rays(np.array([[model.size[0] / 2, model.size[1] / 2]]))[0]
 
 
-def _nadir(scene: Scene, crs: CRS) -> tuple[float, float] | None:
+def _nadir(scene: OrientedImage, crs: CRS) -> tuple[float, float] | None:
     """Map position of the projection centre of the image's middle, where the model has one."""
     model, origin = scene.model, _origin(scene)
     if origin is None:
@@ -236,7 +236,7 @@ def _nadir(scene: Scene, crs: CRS) -> tuple[float, float] | None:
     return (float(place[0]), float(place[1])) if np.isfinite(place).all() else None
 
 
-def _shows(scene: Scene, place: tuple[float, float], surface: Surface | None, crs: CRS) -> bool:
+def _shows(scene: OrientedImage, place: tuple[float, float], surface: Surface | None, crs: CRS) -> bool:
     """Whether a map place falls within the image."""
     if surface is None:
         return False
@@ -260,7 +260,7 @@ def _reach(grid: Grid | None) -> str:
     return f"; the DEM reaches over x {left} to {right}, y {bottom} to {top} ({horizontal(grid.crs).name})"
 
 
-def _no_ground(scene: Scene, surface: Surface | None, crs: CRS) -> InputError:
+def _no_ground(scene: OrientedImage, surface: Surface | None, crs: CRS) -> InputError:
     where = scene.name
     nadir = _nadir(scene, crs)
     if surface is not None and nadir is not None:

@@ -12,7 +12,7 @@ from geomosaic.cli.talk import Progress
 
 if TYPE_CHECKING:
     from geomosaic.inputs.area import Area
-    from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
+    from geomosaic.inputs.declarations import Block, PlanarInputs
     from geomosaic.mosaicking.options import MosaicOptions
     from geomosaic.mosaicking.seams.cost_terms import SeamWeights
     from geomosaic.render.options import RenderOptions
@@ -23,14 +23,14 @@ def block_inputs(
     flags: Mapping[str, Any],
     control: Path | None = None,
     planar: PlanarInputs | None = None,
-) -> BlockInputs:
+) -> Block:
     """Make the description of a block."""
     from geomosaic.errors import InputError
-    from geomosaic.inputs.declarations import BlockInputs
+    from geomosaic.inputs.declarations import Block
 
     if flags["sensor"] is None and (flags["exterior"] or flags["camera"] or flags["fiducials"]):
         raise InputError("--exterior, --camera or --fiducials is given without a sensor", hint="add --sensor frame")
-    return BlockInputs(
+    return Block(
         images=images,
         sensor=flags["sensor"] or "planar",
         options={name: value(text) for name, text in flags["sensor_options"].items()},

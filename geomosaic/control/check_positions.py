@@ -14,7 +14,7 @@ from geomosaic.control.parsing import (
     read_lines,
     split,
 )
-from geomosaic.control.points import ImageControl
+from geomosaic.control.points import ControlPoints
 from geomosaic.control.table import comment_crs, header_at, rows
 from geomosaic.errors import InputError
 from geomosaic.types import PathLike
@@ -36,7 +36,7 @@ def has_positions(path: PathLike) -> bool:
     return set(PLACES) <= {field.casefold() for field in split(header, delimiter_of(header))}
 
 
-def read_positions(path: PathLike, *, crs: str | CRS | None = None) -> ImageControl:
+def read_positions(path: PathLike, *, crs: str | CRS | None = None) -> ControlPoints:
     """Read a table with the columns x, y, measured_x, measured_y and optionally id.
 
     Parameters
@@ -47,7 +47,7 @@ def read_positions(path: PathLike, *, crs: str | CRS | None = None) -> ImageCont
 
     Returns
     -------
-    ImageControl
+    ControlPoints
         What takes the place of col and row is the measured x and y, in the CRS of the map.
 
     Raises

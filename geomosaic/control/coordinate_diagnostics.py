@@ -8,7 +8,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.control.findings import Advice, listed, named, plane
-from geomosaic.control.points import ImageControl
+from geomosaic.control.points import ControlPoints
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.projection_domain import Area, area_of_use, beyond, longitude_latitude
 from geomosaic.types import BoolArray, FloatArray, IntArray
@@ -51,12 +51,12 @@ def linear_part(colrow: FloatArray, ground: FloatArray) -> tuple[float, FloatArr
     return float(np.sign(np.linalg.det(matrices)).mean()), np.median(matrices, axis=0)
 
 
-def is_mirrored(control: ImageControl) -> bool:
+def is_mirrored(control: ControlPoints) -> bool:
     """Say whether ground and image (rows downwards) run the same way round."""
     return len(control) >= 3 and linear_part(control.colrow, plane(control))[0] > _VOTE
 
 
-def mirrored(control: ImageControl) -> list[Advice]:
+def mirrored(control: ControlPoints) -> list[Advice]:
     """Find a mirrored image, and say what it most looks like if north is about up, down, left or right.
 
     Rows or columns that run the wrong way and exchanged axes all mirror an image; they differ by where north is. A
@@ -81,7 +81,7 @@ def mirrored(control: ImageControl) -> list[Advice]:
     return [Advice(code, "note" if written else "warning", what, (), hint)]
 
 
-def swapped(control: ImageControl) -> tuple[str, str]:
+def swapped(control: ControlPoints) -> tuple[str, str]:
     """Return code and hint of exchanged ground axes."""
     if control.crs.is_geographic:
         return "latitude-longitude-swapped", "give longitude as x and latitude as y (or exchange col and row)"
@@ -101,12 +101,12 @@ def _inside(xy: FloatArray, crs: CRS, area: Area) -> BoolArray:
     return np.asarray((beyond(longitude_latitude(xy, crs), area) <= MARGIN).all(axis=1))
 
 
-def misplaced(control: ImageControl, near: tuple[float, float] | None = None, within: float = 1.0) -> list[Advice]:
+def misplaced(control: ControlPoints, near: tuple[float, float] | None = None, within: float = 1.0) -> list[Advice]:
     """Find ground coordinates that do not fit their CRS.
 
     Parameters
     ----------
-    control : ImageControl
+    control : ControlPoints
     near : tuple of float, optional
         Longitude and latitude in degrees of a place near the image (EXIF, a DEM, the map). Coordinates of one zone are
         valid in every other: only this tells them apart.
@@ -143,12 +143,12 @@ def misplaced(control: ImageControl, near: tuple[float, float] | None = None, wi
     return [Advice(code, "error", f"the points ({at}, ...) do not lie {reach}: {looks}", names, hint)]
 
 
-def has_places(control: ImageControl) -> bool:
+def has_places(control: ControlPoints) -> bool:
     """Whether all points may lie somewhere on the Earth: no latitude is beyond a pole."""
     return not (control.crs.is_geographic and bool((np.abs(control.xy[:, 1]) > 90.0).any()))
 
 
-def _tiny(control: ImageControl) -> bool:
+def _tiny(control: ControlPoints) -> bool:
     """Say whether numbers are small enough for degrees, and pixels too small for metres."""
     xy = np.abs(control.xy)
     small = (xy <= [180.0, 90.0]).all() or (xy <= [90.0, 180.0]).all()
@@ -156,7 +156,7 @@ def _tiny(control: ImageControl) -> bool:
     return bool(control.crs.is_projected and small and pixel < SMALLEST)
 
 
-def _cause(control: ImageControl, area: Area, near: tuple[float, float] | None) -> tuple[str, str, str]:
+def _cause(control: ControlPoints, area: Area, near: tuple[float, float] | None) -> tuple[str, str, str]:
     crs, xy = control.crs, control.xy
     if _inside(xy[:, ::-1], crs, area).mean() > 0.9:
         code, hint = swapped(control)
@@ -179,7 +179,7 @@ def _cause(control: ImageControl, area: Area, near: tuple[float, float] | None) 
     return "outside-crs-area", "no usual slip explains it", "check the CRS of the control; is it a local system?"
 
 
-def _zone(control: ImageControl, area: Area) -> str | None:
+def _zone(control: ControlPoints, area: Area) -> str | None:
     """Return the UTM zone on WGS 84 in which coordinates lie in an area."""
     if control.crs.utm_zone is None:
         return None

@@ -7,7 +7,7 @@ import numpy as np
 from geomosaic.control.coordinate_diagnostics import mirrored, misplaced
 from geomosaic.control.distribution import collinear, coverage, few_points, outside_image
 from geomosaic.control.findings import SEVERITIES, Advice, plane
-from geomosaic.control.points import ImageControl
+from geomosaic.control.points import ControlPoints
 from geomosaic.types import FloatArray
 
 SAME = 2.0
@@ -30,7 +30,7 @@ def pixel_on_ground(colrow: FloatArray, ground: FloatArray) -> float:
     return float(np.median(apart[kept] / image[kept])) if kept.any() else 0.0
 
 
-def contradictions(control: ImageControl) -> list[Advice]:
+def contradictions(control: ControlPoints) -> list[Advice]:
     """Find one image place with two on the ground, the reverse, and points given twice."""
     if len(control) < 2:
         return []
@@ -71,7 +71,7 @@ def _close(places: FloatArray) -> list[tuple[int, int]]:
 
 
 def advise(
-    control: ImageControl,
+    control: ControlPoints,
     *,
     kind: str = "affine",
     order: int = 1,
@@ -82,7 +82,7 @@ def advise(
 
     Parameters
     ----------
-    control : ImageControl
+    control : ControlPoints
         Points that are not enabled are left out. Check points are examined for their coordinates only.
     kind : str
         Fit it is meant for: 'conformal', 'affine', 'projective', 'tps', 'polynomial' (with `order`), 'poly1' ...
@@ -122,5 +122,5 @@ def advise(
     return tuple(sorted(found, key=lambda advice: SEVERITIES.index(advice.severity)))
 
 
-def _most(advice: Advice, control: ImageControl) -> bool:
+def _most(advice: Advice, control: ControlPoints) -> bool:
     return len(advice.points) > 0.5 * len(control) or advice.code in ("negative-rows", "swapped-columns-rows")

@@ -9,7 +9,7 @@ import numpy as np
 
 from geomosaic.control.coordinate_diagnostics import is_mirrored
 from geomosaic.control.findings import Advice, listed, named, plane
-from geomosaic.control.points import ImageControl
+from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.types import BoolArray, FloatArray
 
@@ -41,7 +41,7 @@ def needed(kind: str, order: int = 1) -> int:
     return NEEDED[kind]
 
 
-def few_points(control: ImageControl, kind: str, order: int = 1) -> list[Advice]:
+def few_points(control: ControlPoints, kind: str, order: int = 1) -> list[Advice]:
     """Find fewer places than a fit needs ('few-points'), or none to check it by ('no-redundancy')."""
     least, count = needed(kind, order), len(np.unique(control.colrow, axis=0))
     name = f"{kind} of order {order}" if kind == "polynomial" else kind
@@ -62,7 +62,7 @@ def elongation(points: FloatArray) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
 
-def collinear(control: ImageControl, kind: str) -> list[Advice]:
+def collinear(control: ControlPoints, kind: str) -> list[Advice]:
     """Find points on a line, in the image or on the ground; for a projective fit also all but one of them.
 
     A conformal fit is determined by two points, so a line of them is no error there; it is said all the same.
@@ -99,7 +99,7 @@ def _left(chosen: np.ndarray[tuple[int], np.dtype[np.int64]], count: int) -> int
     return int(np.setdiff1d(np.arange(count), chosen)[0])
 
 
-def outside_image(control: ImageControl, size: tuple[int, int]) -> list[Advice]:
+def outside_image(control: ControlPoints, size: tuple[int, int]) -> list[Advice]:
     """Find points beyond the edges, and what most of them being there looks like.
 
     Mirrored ground alone may be right, and so may a point beyond the edge; where both are mended by an exchange of
@@ -153,7 +153,7 @@ def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
-def coverage(control: ImageControl, size: tuple[int, int]) -> list[Advice]:
+def coverage(control: ControlPoints, size: tuple[int, int]) -> list[Advice]:
     """Find points all in one place ('clustered'), else corners without one and an image that lies mostly beyond."""
     width, height = size
     points = np.clip(control.colrow, 0.0, size)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.control.points import ImageControl
+from geomosaic.control.points import ControlPoints
 from geomosaic.types import AnyArray, FloatArray
 
 SEVERITIES = ("error", "warning", "note")
@@ -41,7 +41,7 @@ class Advice:
         return f"{self.severity} ({self.code}): {self.what}\n  hint: {self.hint}"
 
 
-def named(control: ImageControl, which: AnyArray | Sequence[int]) -> tuple[str, ...]:
+def named(control: ControlPoints, which: AnyArray | Sequence[int]) -> tuple[str, ...]:
     """Return names by mask or index."""
     chosen = np.asarray(which)
     return tuple(control.names[i] for i in (np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen))
@@ -53,7 +53,7 @@ def listed(names: Sequence[str], most: int = 6) -> str:
     return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
-def plane(control: ImageControl) -> FloatArray:
+def plane(control: ControlPoints) -> FloatArray:
     """Return ground (N, 2) from its mean, degrees of longitude as long as those of latitude; units of the CRS."""
     xy: FloatArray = control.xy - control.xy.mean(axis=0)
     if control.crs.is_geographic:

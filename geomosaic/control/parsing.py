@@ -12,7 +12,7 @@ from pathlib import Path, PurePath
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.control.points import ImageControl, Origin
+from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import parse_crs
 from geomosaic.types import PathLike
@@ -24,14 +24,14 @@ class Reading:
 
     Attributes
     ----------
-    control : ImageControl
+    control : ControlPoints
     format : str
         'csv', 'qgis', 'odm', 'raster' or 'world'.
     notes : tuple of str
         What was decided while reading, for the reader of the report.
     """
 
-    control: ImageControl
+    control: ControlPoints
     format: str
     notes: tuple[str, ...] = ()
 
@@ -49,7 +49,7 @@ class Measured:
     enabled: bool = True
 
 
-def control_of(points: Sequence[Measured], crs: CRS, path: str) -> ImageControl:
+def control_of(points: Sequence[Measured], crs: CRS, path: str) -> ControlPoints:
     """Join points to one value; heights are left off where no point has one.
 
     Raises
@@ -62,7 +62,7 @@ def control_of(points: Sequence[Measured], crs: CRS, path: str) -> ImageControl:
     ground = np.array([point.xyz for point in points])
     if np.isnan(ground[:, 2]).all():
         ground = ground[:, :2]
-    return ImageControl(
+    return ControlPoints(
         tuple(point.name for point in points),
         np.array([point.colrow for point in points]),
         ground,

@@ -37,8 +37,8 @@ class Origin:
 
 
 @dataclass(frozen=True, eq=False)
-class ImageControl:
-    """Points of one image with their places on the ground.
+class ControlPoints:
+    """Control and check points of one image: places in the image and on the ground.
 
     Attributes
     ----------
@@ -121,10 +121,10 @@ class ImageControl:
         """Ground without heights, (N, 2)."""
         return self.ground[:, :2]
 
-    def select(self, which: BoolArray | Sequence[bool]) -> ImageControl:
+    def select(self, which: BoolArray | Sequence[bool]) -> ControlPoints:
         """Return the points for which `which` (N,) is true."""
         kept = np.flatnonzero(np.asarray(which, dtype=np.bool_))
-        return ImageControl(
+        return ControlPoints(
             tuple(self.names[i] for i in kept),
             self.colrow[kept],
             self.ground[kept],
@@ -135,11 +135,11 @@ class ImageControl:
             tuple(self.origins[i] for i in kept),
         )
 
-    def of_role(self, role: str) -> ImageControl:
+    def of_role(self, role: str) -> ControlPoints:
         """Return the enabled points of a role, 'control' or 'check'."""
         return self.select(self.enabled & np.array([own == role for own in self.roles], dtype=np.bool_))
 
-    def without(self, names: Sequence[str], where: str | None = None) -> ImageControl:
+    def without(self, names: Sequence[str], where: str | None = None) -> ControlPoints:
         """Return the same points with those of these names not enabled.
 
         Raises
@@ -155,7 +155,7 @@ class ImageControl:
             raise InputError(f"there is no point '{unknown[0]}'", where=where, hint=hint)
         return replace(self, enabled=self.enabled & ~np.isin(np.array(self.names), list(names)))
 
-    def to_crs(self, crs: CRS) -> ImageControl:
+    def to_crs(self, crs: CRS) -> ControlPoints:
         """Return the same points with the ground in another CRS.
 
         Heights take part where both CRS have them, else they pass through (`geo.transform.Transform`).

@@ -23,7 +23,7 @@ from geomosaic.control.parsing import (
     read_lines,
     split,
 )
-from geomosaic.control.points import ImageControl, Origin
+from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import InputError, counted
 from geomosaic.types import FloatArray, PathLike
 
@@ -155,7 +155,7 @@ def _ground_sigma(line: Line, text: str, commas: bool) -> float:
     return sigma
 
 
-def _with_ground_sigma(control: ImageControl, spread: FloatArray) -> tuple[ImageControl, list[str]]:
+def _with_ground_sigma(control: ControlPoints, spread: FloatArray) -> tuple[ControlPoints, list[str]]:
     """Add standard deviations on the ground (N,), metres, to those in the image: a fit weighs the two together."""
     unit = control.crs.axis_info[0].unit_conversion_factor * (EARTH if control.crs.is_geographic else 1.0)
     pixel = pixel_on_ground(control.colrow, plane(control)) * unit

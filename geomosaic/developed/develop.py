@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomosaic.block.block import Block, Scene
+from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.developed.outlines import DevelopedFootprint, developed_footprint
 from geomosaic.developed.surface_file import SurfaceFile, read_surface
 from geomosaic.errors import InputError
@@ -16,7 +16,7 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.local_frames import is_free
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS
 from geomosaic.products.from_inputs import refuse_existing
 from geomosaic.render.extent import check_size, output_grid
@@ -60,13 +60,13 @@ class DevelopedResult:
 
 
 def make_developed(
-    inputs: BlockInputs, surface: Path, area: Area, output: Path, options: MosaicOptions, oblique: float
+    inputs: Block, surface: Path, area: Area, output: Path, options: MosaicOptions, oblique: float
 ) -> DevelopedResult:
     """Draw images on a developed surface.
 
     Parameters
     ----------
-    inputs : BlockInputs
+    inputs : Block
         Images, sensor and orientation. Without a CRS their positions count as the surface file does.
     surface : Path
         Surface file.
@@ -102,7 +102,7 @@ def make_developed(
         return DevelopedResult(facts, notes, ortho=one)
     from geomosaic.mosaicking.mosaic import mosaic
 
-    several = mosaic(Block(scenes, flat), grid, list(outlines), output, options)
+    several = mosaic(OrientedBlock(scenes, flat), grid, list(outlines), output, options)
     return DevelopedResult(facts, notes, mosaic=several)
 
 
@@ -113,7 +113,7 @@ def _outputs(output: Path, several: bool, options: MosaicOptions) -> list[Path]:
     return [output, *(beside(output, mark, suffix) for mark, suffix, wanted in named if wanted and several)]
 
 
-def _in_frame(inputs: BlockInputs, found: SurfaceFile) -> BlockInputs:
+def _in_frame(inputs: Block, found: SurfaceFile) -> Block:
     """The inputs with their positions in the surface's CRS, where they name none."""
     if inputs.dem is not None or inputs.height is not None:
         raise InputError("a DEM or a height has no part in a developed surface", hint="leave out --dem and --height")
@@ -124,7 +124,7 @@ def _in_frame(inputs: BlockInputs, found: SurfaceFile) -> BlockInputs:
     return replace(inputs, crs=found.crs.to_wkt())
 
 
-def _towards(found: SurfaceFile, block: Block) -> tuple[Developed, list[str]]:
+def _towards(found: SurfaceFile, block: OrientedBlock) -> tuple[Developed, list[str]]:
     """The surface; a plane that was fitted and not told its side is turned to the first camera."""
     if found.facing:
         return found.surface, []
@@ -141,7 +141,7 @@ def _towards(found: SurfaceFile, block: Block) -> tuple[Developed, list[str]]:
     return replace(found.surface, axes=axes), [f"the plane is looked at from the side of {scene.name}: normal {normal}"]
 
 
-def _plan(scenes: tuple[Scene, ...], area: Area) -> tuple[Grid, list[DevelopedFootprint]]:
+def _plan(scenes: tuple[OrientedImage, ...], area: Area) -> tuple[Grid, list[DevelopedFootprint]]:
     """Outlines of the images and the grid of the output, which ends where the development does."""
     outlines, models = [], []
     for scene in scenes:
@@ -161,7 +161,7 @@ def _plan(scenes: tuple[Scene, ...], area: Area) -> tuple[Grid, list[DevelopedFo
     return grid, outlines
 
 
-def _said(scene: Scene, several: bool) -> list[str]:
+def _said(scene: OrientedImage, several: bool) -> list[str]:
     """Notes of an image, with its name where there are several."""
     notes = [str(note) for note in getattr(scene.model, "notes", ())]
     return [f"{scene.name}: {note}" for note in notes] if several else notes

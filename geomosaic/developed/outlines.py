@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.sensor.developed import DevelopedModel
@@ -35,7 +35,7 @@ class DevelopedFootprint(Footprint):
         return self.parts
 
 
-def developed_footprint(scene: Scene, model: DevelopedModel) -> DevelopedFootprint:
+def developed_footprint(scene: OrientedImage, model: DevelopedModel) -> DevelopedFootprint:
     """Measure what an image shows of its surface.
 
     Places that the image shows are found by lines of sight over a net of pixels, and the area about them is asked cell
@@ -77,7 +77,7 @@ def developed_footprint(scene: Scene, model: DevelopedModel) -> DevelopedFootpri
     return DevelopedFootprint(scene.name, ring, centre, sampling, complete, parts)
 
 
-def check_side(scene: Scene, model: DevelopedModel) -> None:
+def check_side(scene: OrientedImage, model: DevelopedModel) -> None:
     """Refuse a camera from which the drawn side cannot be seen.
 
     Raises

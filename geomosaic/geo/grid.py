@@ -177,9 +177,10 @@ class Grid:
         """
         if geobox is None:
             try:
-                from odc.geo.geobox import GeoBox as geobox
+                from odc.geo.geobox import GeoBox
             except ImportError:
-                raise InputError("a GeoBox needs odc-geo, which is not installed", hint="pip install odc-geo") from None
+                raise InputError("odc-geo is not installed", where="to_geobox", hint="pip install odc-geo") from None
+            geobox = GeoBox
         return geobox(self.shape, self.transform, self.crs.to_wkt())
 
     @property

@@ -9,7 +9,7 @@ import numpy as np
 
 from geomosaic.control.distribution import needed
 from geomosaic.control.findings import listed
-from geomosaic.control.points import ImageControl
+from geomosaic.control.points import ControlPoints
 from geomosaic.orientation.single.blunder_hypotheses import FEWEST, MOST, Explanation, explain
 from geomosaic.orientation.single.blunders import BlunderSearch
 from geomosaic.orientation.single.model_selection import Choice
@@ -61,7 +61,7 @@ class Opinion:
         return self.lengths[name] > max(GROSS * self.rms, GROSS_PIXELS)
 
 
-def second_opinion(points: ImageControl, model: str) -> Opinion | None:
+def second_opinion(points: ControlPoints, model: str) -> Opinion | None:
     """Hold few points against every kind of fit, more against their neighbours.
 
     None where that says nothing more than the residuals of the model do, or where points are too few for any.
@@ -100,7 +100,7 @@ def _of_many(found: NeighbourSearch) -> Opinion:
     return Opinion(names, (), float(bool(names)), lengths, found.rms, "against their neighbours", said)
 
 
-def confirmed(opinion: Opinion, points: ImageControl, choice: Choice | None, everyone: Choice | None) -> Opinion:
+def confirmed(opinion: Opinion, points: ControlPoints, choice: Choice | None, everyone: Choice | None) -> Opinion:
     """Keep those blunders that no good kind of fit to the other points predicts.
 
     A corner, which neighbours only extrapolate, may be where a polynomial has it.
@@ -108,7 +108,7 @@ def confirmed(opinion: Opinion, points: ImageControl, choice: Choice | None, eve
     Parameters
     ----------
     opinion : Opinion
-    points : ImageControl
+    points : ControlPoints
         All of them.
     choice : Choice, optional
         Made without the blunders.
@@ -141,13 +141,13 @@ def confirmed(opinion: Opinion, points: ImageControl, choice: Choice | None, eve
     return replace(opinion, blunders=names, said=said)
 
 
-def pardoned(search: BlunderSearch, points: ImageControl, model: str) -> BlunderSearch:
+def pardoned(search: BlunderSearch, points: ControlPoints, model: str) -> BlunderSearch:
     """Take those out of what was found under a kind of fit that a smooth bend of the image explains.
 
     Parameters
     ----------
     search : BlunderSearch
-    points : ImageControl
+    points : ControlPoints
         All of them.
     model : str
         That suits the points best: of an image that is not bent none is pardoned.
@@ -163,13 +163,13 @@ def pardoned(search: BlunderSearch, points: ImageControl, model: str) -> Blunder
     return replace(search, blunders=left, bent=bent, said=f"{search.said}; a smooth bend explains {listed(bent)}")
 
 
-def unbent(choice: Choice, points: ImageControl) -> Choice:
+def unbent(choice: Choice, points: ControlPoints) -> Choice:
     """Take those out of what no kind of fit predicts that a smooth bend of the image explains.
 
     Parameters
     ----------
     choice : Choice
-    points : ImageControl
+    points : ControlPoints
         It was made with.
     """
     odd = np.array([name in choice.odd for name in points.names])

@@ -10,7 +10,7 @@ import numpy as np
 
 from geomosaic.control.distribution import collinear
 from geomosaic.control.findings import Advice
-from geomosaic.control.points import ImageControl
+from geomosaic.control.points import ControlPoints
 from geomosaic.errors import GeomosaicError
 from geomosaic.georeferencing.independent_check import Opinion, confirmed, pardoned, second_opinion, unbent
 from geomosaic.georeferencing.request import FitRequest, kind_order
@@ -30,7 +30,7 @@ AGREE = 0.1
 
 
 def look_at_four(
-    points: ImageControl, choice: Choice, builder: Callable[[str, ImageControl], Build]
+    points: ControlPoints, choice: Choice, builder: Callable[[str, ControlPoints], Build]
 ) -> tuple[str, Advice | None]:
     """Say why a projective fit takes the place of the one chosen, or which of four points is wrong.
 
@@ -40,7 +40,7 @@ def look_at_four(
 
     Parameters
     ----------
-    points : ImageControl
+    points : ControlPoints
     choice : Choice
         Among the fits that leave a point to judge them by.
     builder : callable
@@ -80,7 +80,7 @@ def _error(fit: ControlFit) -> float:
     return fit.sigma0 * float(np.sqrt(2.0) * np.median(fit.sigma))
 
 
-def _same_figure(points: ImageControl) -> bool:
+def _same_figure(points: ControlPoints) -> bool:
     """Whether the points are corners of a convex figure in both, in one order, rows running down and y up.
 
     Else a horizon runs between them, or the photo is mirrored; two exchanged points do either.
@@ -109,7 +109,7 @@ class Trial:
     ----------
     model : str
         Asked for or chosen.
-    points : ImageControl
+    points : ControlPoints
         Those that take part in the fit.
     suspects : tuple of str
         Those left out as blunders; none unless that was asked for.
@@ -128,7 +128,7 @@ class Trial:
     """
 
     model: str
-    points: ImageControl
+    points: ControlPoints
     suspects: tuple[str, ...]
     choice: Choice | None
     search: BlunderSearch | None
@@ -138,7 +138,7 @@ class Trial:
     four: Advice | None = None
 
 
-def try_models(image: str, size: tuple[int, int], points: ImageControl, request: FitRequest) -> Trial:
+def try_models(image: str, size: tuple[int, int], points: ControlPoints, request: FitRequest) -> Trial:
     """Choose the model where it is to be chosen, and look for blunders.
 
     A blunder spoils the choice, and the wrong model hides blunders: where blunders are to be left out and the model is
@@ -148,7 +148,7 @@ def try_models(image: str, size: tuple[int, int], points: ImageControl, request:
     ----------
     image, size : str, (int, int)
         Of the image.
-    points : ImageControl
+    points : ControlPoints
         Enabled control in the CRS of the fit.
     request : FitRequest
 
@@ -200,18 +200,18 @@ def try_models(image: str, size: tuple[int, int], points: ImageControl, request:
     return Trial(model, clean, suspects, choice, search, said, opinion, four=four)
 
 
-def _without(points: ImageControl, names: tuple[str, ...]) -> ImageControl:
+def _without(points: ControlPoints, names: tuple[str, ...]) -> ControlPoints:
     return points.select([name not in names for name in points.names]) if names else points
 
 
-def builder(model: str, image: str, size: tuple[int, int], points: ImageControl) -> Build:
+def builder(model: str, image: str, size: tuple[int, int], points: ControlPoints) -> Build:
     """Return the function that fits a model, by its name, to chosen points."""
     kind, order = kind_order(model)
     request = SensorRequest(image, size, {"kind": kind, "order": order}, points.crs)
     return registry_build(SENSOR, request, points.xy, points.colrow)
 
 
-def _choose(image: str, size: tuple[int, int], points: ImageControl, *, needed: bool) -> Choice | None:
+def _choose(image: str, size: tuple[int, int], points: ControlPoints, *, needed: bool) -> Choice | None:
     """Compare all models; where the choice is not needed, as far as that takes no long time."""
     if not needed and len(points) > COMPARED:
         return None
@@ -225,7 +225,7 @@ def _choose(image: str, size: tuple[int, int], points: ImageControl, *, needed: 
 
 
 def _search(
-    build: Build, points: ImageControl, model: str, opinion: Opinion | None
+    build: Build, points: ControlPoints, model: str, opinion: Opinion | None
 ) -> tuple[BlunderSearch | None, str]:
     if model == "tps":
         passes = "a thin plate spline passes through all points, blunders too"

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint, footprint
 from geomosaic.control.findings import SEVERITIES, Advice
-from geomosaic.control.points import ImageControl
+from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.units import short_unit
@@ -100,7 +100,7 @@ def georeference(
     if reading.format == "world" and request.model == "auto":
         request = replace(request, model="affine")
     solution = solve(reading, image.name, info.size, crs, request, given.near, short_unit(crs))
-    scene = Scene(image.stem, str(image), SENSOR, solution.fit.model, bands=bands)
+    scene = OrientedImage(image.stem, str(image), SENSOR, solution.fit.model, bands=bands)
     out_crs = target if target is not None else crs if not crs.is_geographic else _zone_of(reading.control)
     where = reading.control.origins[0].path
     outline = _outline(scene, out_crs, solution.model, where)
@@ -121,7 +121,7 @@ def georeference(
     return Georeferenced(product, solution, facts, *paths)
 
 
-def _outline(scene: Scene, crs: CRS, model: str, where: str) -> Footprint:
+def _outline(scene: OrientedImage, crs: CRS, model: str, where: str) -> Footprint:
     try:
         return footprint(scene, None, crs)
     except InputError as error:
@@ -133,7 +133,7 @@ def _outline(scene: Scene, crs: CRS, model: str, where: str) -> Footprint:
         raise BadControlError([Advice("nowhere", "error", what, (), hint)], where, final=True) from error
 
 
-def fit_crs(control: ImageControl, given: str | None, target: CRS | None) -> CRS:
+def fit_crs(control: ControlPoints, given: str | None, target: CRS | None) -> CRS:
     """Return the CRS in which the fit is made.
 
     That of the control where it is projected: a scanned map is straight in its own projection. Of control in longitude
@@ -154,7 +154,7 @@ def fit_crs(control: ImageControl, given: str | None, target: CRS | None) -> CRS
     return target if target is not None and target.is_projected else _zone_of(control)
 
 
-def _zone_of(control: ImageControl) -> CRS:
+def _zone_of(control: ControlPoints) -> CRS:
     from geomosaic.geo.projection_domain import longitude_latitude
 
     degrees = longitude_latitude(control.xy, control.crs)

@@ -12,7 +12,7 @@ from geomosaic.control.coordinate_diagnostics import has_places
 from geomosaic.control.diagnostics import advise
 from geomosaic.control.findings import SEVERITIES, Advice
 from geomosaic.control.parsing import Reading
-from geomosaic.control.points import ImageControl
+from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError
 from geomosaic.geo.transform import Transform
 from geomosaic.georeferencing.examination import (
@@ -49,7 +49,7 @@ class Solution:
         Why this one.
     crs : CRS
         In which the fit is made.
-    control : ImageControl
+    control : ControlPoints
         All points of the image, x and y in `crs`.
     states : tuple of str
         Of each: 'control' takes part in the fit, 'check' judges it; 'deleted' by the threshold, 'suspect' left out as a
@@ -75,7 +75,7 @@ class Solution:
     model: str
     why: str
     crs: CRS
-    control: ImageControl
+    control: ControlPoints
     states: tuple[str, ...]
     fit: ControlFit
     residuals: FloatArray
@@ -187,7 +187,7 @@ def solve(
 
 
 def first_look(
-    control: ImageControl, size: tuple[int, int], request: FitRequest, near: tuple[float, float] | None
+    control: ControlPoints, size: tuple[int, int], request: FitRequest, near: tuple[float, float] | None
 ) -> tuple[Advice, ...]:
     """Examine control before anything is computed with it; where the model is to be chosen, for the least of all.
 
@@ -206,7 +206,7 @@ HINT = "enable some, or give some the role 'control'"
 
 
 def _advised(
-    control: ImageControl, name: str, size: tuple[int, int], near: tuple[float, float] | None
+    control: ControlPoints, name: str, size: tuple[int, int], near: tuple[float, float] | None
 ) -> tuple[Advice, ...]:
     kind, order = kind_order(name)
     return advise(control, kind=kind, order=order, size=size, near=near)
@@ -216,7 +216,7 @@ def _named(advice: tuple[Advice, ...]) -> list[str]:
     return [name for found in advice if found.code in ("blunder", "contradiction") for name in found.points]
 
 
-def _placed(control: ImageControl, crs: CRS) -> ImageControl:
+def _placed(control: ControlPoints, crs: CRS) -> ControlPoints:
     """Control in the CRS of the fit, x and y, without those disabled points that have no place in it."""
     flat = replace(control, ground=control.xy)
     if not control.enabled.all():
@@ -229,7 +229,7 @@ def _spatial(xy: FloatArray) -> FloatArray:
     return np.column_stack([xy, np.zeros(len(xy))])
 
 
-def _states(control: ImageControl, fit: ControlFit, suspects: set[str], deletion: Deletion | None) -> tuple[str, ...]:
+def _states(control: ControlPoints, fit: ControlFit, suspects: set[str], deletion: Deletion | None) -> tuple[str, ...]:
     deleted = {row.id for row in deletion.deleted} if deletion is not None else set()
     used = set(fit.ids)
 

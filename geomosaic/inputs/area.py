@@ -12,7 +12,7 @@ import numpy as np
 from affine import Affine
 from pyproj import CRS
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import horizontal, parse_map
@@ -25,7 +25,7 @@ from geomosaic.surface.model import Surface
 MANY_PIXELS, FINER = 10_000_000_000, 10.0
 """Pixels of an output, and how many times finer than the images they are, that together nobody can mean."""
 
-FindOutlines = Callable[[tuple[Scene, ...], Surface | None, CRS], list[Footprint]]
+FindOutlines = Callable[[tuple[OrientedImage, ...], Surface | None, CRS], list[Footprint]]
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Area:
 
 
 def plan(
-    scenes: Sequence[Scene], surface: Surface | None, area: Area, find: FindOutlines = footprints
+    scenes: Sequence[OrientedImage], surface: Surface | None, area: Area, find: FindOutlines = footprints
 ) -> tuple[Grid, list[Footprint]]:
     """Outlines of the images, which `find` finds or remembers, and the grid of the output."""
     several = tuple(scenes)
@@ -112,7 +112,7 @@ _SCATTERED = 0.02
 
 
 def plan_mosaic(
-    scenes: Sequence[Scene], surface: Surface | None, area: Area, find: FindOutlines = footprints
+    scenes: Sequence[OrientedImage], surface: Surface | None, area: Area, find: FindOutlines = footprints
 ) -> tuple[Grid, list[Footprint]]:
     """Outlines of the images, which `find` finds or remembers, and the grid of their mosaic.
 
@@ -133,7 +133,7 @@ def plan_mosaic(
     return grid, outlines
 
 
-def _own_grid(scene: Scene, output: CRS) -> Grid | None:
+def _own_grid(scene: OrientedImage, output: CRS) -> Grid | None:
     """Grid of an image that lies as its file says, in the output's CRS and north up."""
     info = inspect(scene.path)
     t = info.transform

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import Block, ControlPoint, Scene
+from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import HeightDatumError, InputError, SolveError
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.correction_grids import read_corrections
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, Exterior
 from geomosaic.inputs.frames import DATUMS
 from geomosaic.inputs.ground import OF_POSITIONS, build_surface, height_below, undeclared_positions
@@ -41,7 +41,7 @@ GROUND = "ground_height"
 """Input of a sensor that is told how high the ground lies, where the user does not say it."""
 
 
-def build_block(inputs: BlockInputs, *, ground: bool = True) -> Block:
+def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:
     """Make the block; without its surface where no ground is looked for.
 
     Raises
@@ -59,7 +59,7 @@ def build_block(inputs: BlockInputs, *, ground: bool = True) -> Block:
     surface = build_surface(inputs, crs, photos, lambda: _moved_by_a_metre(inputs, photos, crs)) if ground else None
     control = _control(inputs, photos, crs)
 
-    def build(read: BlockInputs, some: Sequence[Photo], frame: CRS | None) -> tuple[Scene, ...]:
+    def build(read: Block, some: Sequence[Photo], frame: CRS | None) -> tuple[OrientedImage, ...]:
         return _scenes(read, some, frame, control, surface)
 
     try:
@@ -81,10 +81,10 @@ def build_block(inputs: BlockInputs, *, ground: bool = True) -> Block:
         from geomosaic.inputs.orientation_check.plausibility import check_orientation
 
         check_orientation(inputs, photos, crs, (scenes, surface, control), build)
-    return Block(with_usable(inputs, scenes), surface, control, crs)
+    return OrientedBlock(with_usable(inputs, scenes), surface, control, crs)
 
 
-def _moved_by_a_metre(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS | None) -> float | None:
+def _moved_by_a_metre(inputs: Block, photos: Sequence[Photo], crs: CRS | None) -> float | None:
     """Pixels that a metre of height moves the first image, whose model is its own; None where it cannot be said."""
     from geomosaic.sensor.vertical_datum import pixels_per_metre
 
@@ -98,17 +98,17 @@ def _moved_by_a_metre(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS | N
 
 
 def _scenes(
-    inputs: BlockInputs,
+    inputs: Block,
     photos: Sequence[Photo],
     crs: CRS | None,
     control: Sequence[ControlPoint],
     surface: Surface | None,
-) -> tuple[Scene, ...]:
+) -> tuple[OrientedImage, ...]:
     """Images with their models."""
     camera = read_camera(inputs.camera) if inputs.camera else None
     marks = read_fiducials(inputs.fiducials, [photo.name for photo in photos]) if inputs.fiducials else {}
     return tuple(
-        Scene(
+        OrientedImage(
             photo.name,
             str(photo.path),
             inputs.sensor,
@@ -120,7 +120,7 @@ def _scenes(
     )
 
 
-def _corrected(inputs: BlockInputs, photo: Photo, model: SensorModel) -> SensorModel:
+def _corrected(inputs: Block, photo: Photo, model: SensorModel) -> SensorModel:
     """Put the correction grid behind a model, where one is given."""
     if inputs.corrections is None:
         return model
@@ -129,7 +129,7 @@ def _corrected(inputs: BlockInputs, photo: Photo, model: SensorModel) -> SensorM
 
 
 def _model(
-    inputs: BlockInputs,
+    inputs: Block,
     photo: Photo,
     crs: CRS | None,
     camera: Mapping[str, Any] | None,
@@ -166,7 +166,7 @@ def _model(
         raise
 
 
-def _of_table(inputs: BlockInputs, row: Exterior) -> dict[str, Any]:
+def _of_table(inputs: Block, row: Exterior) -> dict[str, Any]:
     """What the table says of an image, as inputs of the sensor: those it has, or all where it would refuse them all."""
     declared_too = {"frame": inputs.angle_frame, "matrix": inputs.matrix}
     extra = {name: word for name, word in declared_too.items() if word is not None}
@@ -207,7 +207,7 @@ def _on_ground(
         return build_model(sensor, replace(request, options={**options, GROUND: height}))
 
 
-def _of_options(error: InputError, inputs: BlockInputs) -> bool:
+def _of_options(error: InputError, inputs: Block) -> bool:
     """Whether an error is about an input that is the same for all images, not about the image's row of the table."""
     shared = {*inputs.options, *(entry.name for entry in plugin(inputs.sensor).inputs)} - {"position", "orientation"}
     names = "|".join(map(re.escape, shared))
@@ -236,7 +236,7 @@ def _planar(options: dict[str, Any], photo: Photo, crs: CRS | None, control: Seq
     return photo.info.crs or crs
 
 
-def _refines(inputs: BlockInputs) -> bool:
+def _refines(inputs: Block) -> bool:
     """Whether the sensor refines itself, told so or of its own accord, and was given no points of its own."""
     known = {entry.name: entry for entry in plugin(inputs.sensor).inputs}
     if not {"refine", "points"} <= set(known) or "points" in inputs.options:
@@ -258,7 +258,7 @@ def _points(photo: Photo, control: Sequence[ControlPoint]) -> list[dict[str, Any
 
 
 def _from_control(
-    inputs: BlockInputs, photo: Photo, control: Sequence[ControlPoint], options: Mapping[str, Any]
+    inputs: Block, photo: Photo, control: Sequence[ControlPoint], options: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Control points in place of an orientation, for a sensor that can be placed by them."""
     known = {entry.name for entry in plugin(inputs.sensor).inputs}
@@ -268,7 +268,7 @@ def _from_control(
     return {POINTS: points} if points else {}
 
 
-def _control(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS | None) -> tuple[ControlPoint, ...]:
+def _control(inputs: Block, photos: Sequence[Photo], crs: CRS | None) -> tuple[ControlPoint, ...]:
     if inputs.control is None:
         return ()
     from geomosaic.inputs.control_points import read_control

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import Block, ControlPoint, Scene
+from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.control.coordinate_diagnostics import misplaced
 from geomosaic.errors import GeomosaicError, InputError, SolveError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.orientation_check.plausibility import BETTER, FAR, PLAUSIBLE, distance
 from geomosaic.inputs.planar.tables import image_control
 from geomosaic.sensor.registry import plugin
@@ -188,13 +188,13 @@ class Astray:
         return f"{self.role} points lie {off} (median) from where the images put them{why}: {self.hint}"
 
 
-def astray(inputs: BlockInputs, block: Block) -> list[Astray]:
+def astray(inputs: Block, block: OrientedBlock) -> list[Astray]:
     """Points, control and check apart, of which the median lies farther off than `FAR` pixels.
 
     Parameters
     ----------
-    inputs : BlockInputs
-    block : Block
+    inputs : Block
+    block : OrientedBlock
         Made of them; its images adjusted to the control as far as their sensor does that.
     """
     if block.crs is None or inputs.planar is not None or inputs.sensor == "planar":
@@ -210,7 +210,7 @@ def astray(inputs: BlockInputs, block: Block) -> list[Astray]:
     return found
 
 
-def explain(inputs: BlockInputs, control: Sequence[ControlPoint], crs: CRS | None, error: SolveError) -> None:
+def explain(inputs: Block, control: Sequence[ControlPoint], crs: CRS | None, error: SolveError) -> None:
     """Put the likeliest cause into the error of a sensor that its control points did not determine."""
     points = [point for point in control if point.role == "control"]
     scenes = _unrefined(inputs)
@@ -221,7 +221,7 @@ def explain(inputs: BlockInputs, control: Sequence[ControlPoint], crs: CRS | Non
         error.what, error.hint = f"{error.what}: the points do not lie in the image; {cause}", hint
 
 
-def _cause(scenes: Sequence[Scene], points: Sequence[ControlPoint], crs: CRS, given: float) -> tuple[str, str]:
+def _cause(scenes: Sequence[OrientedImage], points: Sequence[ControlPoint], crs: CRS, given: float) -> tuple[str, str]:
     """The reading of the points that brings them where the images put them, with its hint; empty words for none."""
     if len(points) < FEW or given <= FAR:
         return "", ""
@@ -234,7 +234,7 @@ def _cause(scenes: Sequence[Scene], points: Sequence[ControlPoint], crs: CRS, gi
     return "", ""
 
 
-def _unrefined(inputs: BlockInputs) -> Sequence[Scene] | None:
+def _unrefined(inputs: Block) -> Sequence[OrientedImage] | None:
     """The images without what the control made of them; None where their sensor cannot be had so."""
     from geomosaic.inputs.build import build_block
 
@@ -249,7 +249,7 @@ def _unrefined(inputs: BlockInputs) -> Sequence[Scene] | None:
         return None
 
 
-def _how_to_adjust(inputs: BlockInputs, role: str) -> str:
+def _how_to_adjust(inputs: Block, role: str) -> str:
     """Hint where nothing usual explains it."""
     known = {entry.name for entry in plugin(inputs.sensor).inputs}
     resected = "points" in known and inputs.exterior is None and "orientation" not in inputs.options

@@ -46,7 +46,7 @@ class PlanarInputs:
 
 
 @dataclass(frozen=True)
-class BlockInputs:
+class Block:
     """Files and declarations that describe a block.
 
     Attributes

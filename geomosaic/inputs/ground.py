@@ -12,7 +12,7 @@ from pyproj import CRS
 from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import SELF_PLACED
 from geomosaic.inputs.frames import declared, undeclared
 from geomosaic.inputs.photos import Photo
@@ -25,7 +25,7 @@ OF_DEM = "--dem-heights (in a project: heights under [dem])"
 
 
 def build_surface(
-    inputs: BlockInputs,
+    inputs: Block,
     crs: CRS | None,
     photos: Sequence[Photo] = (),
     of_model: Callable[[], float | None] = lambda: None,
@@ -34,7 +34,7 @@ def build_surface(
 
     Parameters
     ----------
-    inputs : BlockInputs
+    inputs : Block
     crs : CRS or None
         Of the positions; a height without a datum of its own takes theirs.
     photos : sequence of Photo
@@ -81,7 +81,7 @@ def build_surface(
     )
 
 
-def undeclared_positions(inputs: BlockInputs, crs: CRS, photos: Sequence[Photo]) -> HeightDatumError:
+def undeclared_positions(inputs: Block, crs: CRS, photos: Sequence[Photo]) -> HeightDatumError:
     """Say what positions without a vertical datum could do at the first photo, over the DEM or height that is given."""
     ground = 0.0 if inputs.height is None else inputs.height
     if inputs.dem is not None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from geomosaic.errors import SensorError
 from geomosaic.geo.crs import has_heights
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import (
     RECONSTRUCTION_SYSTEM,
     RECONSTRUCTIONS,
@@ -21,7 +21,7 @@ from geomosaic.sensor.registry import plugin
 HEIGHTS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or the path of a geoid grid"
 
 
-def needs(inputs: BlockInputs) -> list[str]:
+def needs(inputs: Block) -> list[str]:
     """Say what a block still lacks, each with the key that takes it."""
     found: list[str] = []
     if inputs.planar is not None:
@@ -85,7 +85,7 @@ def undeclared_heights(dem: Path | None) -> bool:
     return dem is not None and (crs is None or not has_heights(crs))
 
 
-def _takes_positions(inputs: BlockInputs) -> bool:
+def _takes_positions(inputs: Block) -> bool:
     """Whether the CRS of positions or of control points is of any use."""
     if inputs.exterior is not None or inputs.control is not None:
         return True

@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.local_frames import is_free
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import (
     RECONSTRUCTIONS,
     SELF_PLACED,
@@ -40,7 +40,7 @@ class Photo:
         return self.path.name
 
 
-def _table(inputs: BlockInputs, path: Path) -> ExteriorTable:
+def _table(inputs: Block, path: Path) -> ExteriorTable:
     if inputs.angles != "printed":
         return read_exterior(path, inputs.angles)
     from geomosaic.inputs.printed_orientation import read_printed
@@ -54,7 +54,7 @@ def _table(inputs: BlockInputs, path: Path) -> ExteriorTable:
     return read_printed(path, inputs.printed, inputs.angle_unit, inputs.matrix)
 
 
-def photos_of(inputs: BlockInputs) -> tuple[list[Photo], CRS | None]:
+def photos_of(inputs: Block) -> tuple[list[Photo], CRS | None]:
     """Look at the images and their rows of the orientation table; no pixel is read.
 
     Returns

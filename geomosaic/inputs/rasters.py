@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid
@@ -19,7 +19,7 @@ from geomosaic.raster.info import SourceInfo, control_point_count, inspect
 _COLOURS = ("red", "green", "blue")
 
 
-def with_named_bands(scenes: Sequence[Scene], names: Sequence[str]) -> tuple[Scene, ...]:
+def with_named_bands(scenes: Sequence[OrientedImage], names: Sequence[str]) -> tuple[OrientedImage, ...]:
     """Scenes of which the bands of these names are used, in this order; each file may have them where it will.
 
     Raises
@@ -30,7 +30,7 @@ def with_named_bands(scenes: Sequence[Scene], names: Sequence[str]) -> tuple[Sce
     return tuple(replace(scene, bands=tuple(_number(scene.path, name) for name in names)) for scene in scenes)
 
 
-def check_same_bands(scenes: Sequence[Scene]) -> None:
+def check_same_bands(scenes: Sequence[OrientedImage]) -> None:
     """Refuse images with different numbers of bands, or with the same named bands in another order.
 
     Raises

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.tables import find_by_name, read_table
 
 Ring = tuple[tuple[float, float], ...]
@@ -17,7 +17,7 @@ EVERY = "*"
 """In place of an image's name: all that have no polygon of their own."""
 
 
-def with_usable(inputs: BlockInputs, scenes: Sequence[Scene]) -> tuple[Scene, ...]:
+def with_usable(inputs: Block, scenes: Sequence[OrientedImage]) -> tuple[OrientedImage, ...]:
     """Scenes of which only the usable part is seen, where the inputs name one.
 
     A polygon of an image's own wins over one of all images, and that over the margin.
@@ -61,7 +61,7 @@ def read_usable(path: Path) -> dict[str, Ring]:
     return {name: tuple(ring) for name, ring in rings.items()}
 
 
-def _inner(inputs: BlockInputs, scene: Scene) -> Ring | None:
+def _inner(inputs: Block, scene: OrientedImage) -> Ring | None:
     if inputs.margin is None:
         return None
     left, top, right, bottom = inputs.margin
@@ -75,7 +75,7 @@ def _inner(inputs: BlockInputs, scene: Scene) -> Ring | None:
     return (left, top), (width - right, top), (width - right, height - bottom), (left, height - bottom)
 
 
-def _check(ring: Ring, scene: Scene, where: str) -> None:
+def _check(ring: Ring, scene: OrientedImage, where: str) -> None:
     import shapely
 
     area, image = shapely.Polygon(ring), shapely.box(0, 0, *scene.model.size)

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import Block, Scene
+from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.crs import height_name, parse_crs
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.control_diagnostics import astray
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.orientation_check.plausibility import FAR, distance
 from geomosaic.monoplotting import Certainty, Places, ground_crs, locate, orientation
 from geomosaic.monoplotting.tables import (
@@ -48,7 +48,7 @@ class MonoplotInputs:
 
     Attributes
     ----------
-    block : BlockInputs
+    block : Block
         The image, its sensor and the surface.
     source : Path, optional
         Table or vectors of pixels; with `draw_vectors` vectors of the map.
@@ -72,7 +72,7 @@ class MonoplotInputs:
     overwrite : bool
     """
 
-    block: BlockInputs
+    block: Block
     source: Path | None = None
     layer: str | None = None
     pixels: FloatArray | None = None
@@ -167,13 +167,15 @@ def error_columns(places: Places) -> FloatArray:
     return np.column_stack([error.semi_axes, error.azimuth, error.sigma_z])
 
 
-def scene_of(inputs: BlockInputs) -> tuple[Block, Scene]:
+def scene_of(inputs: Block) -> tuple[OrientedBlock, OrientedImage]:
     """Block of one image, and the image."""
     block = build_block(inputs)
     return block, block.scenes[0]
 
 
-def oriented(inputs: MonoplotInputs, block: Block, scene: Scene) -> tuple[Scene, FloatArray | None, str]:
+def oriented(
+    inputs: MonoplotInputs, block: OrientedBlock, scene: OrientedImage
+) -> tuple[OrientedImage, FloatArray | None, str]:
     """Adjust the image to its control points, where it has any; the covariance of its orientation, and a note."""
     control = [point for point in block.control if point.image == scene.name and point.role == "control"]
     try:
@@ -212,7 +214,12 @@ def _write_points(path: Path, found: Located, *, overwrite: bool) -> None:
 
 
 def _located_vectors(
-    inputs: MonoplotInputs, block: Block, scene: Scene, crs: CRS, certainty: Certainty, frame: GeoDataFrame
+    inputs: MonoplotInputs,
+    block: OrientedBlock,
+    scene: OrientedImage,
+    crs: CRS,
+    certainty: Certainty,
+    frame: GeoDataFrame,
 ) -> Located:
     """Bring digitized vectors to the ground; the error of a feature is that of its worst vertex."""
     import shapely

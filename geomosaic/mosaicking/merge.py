@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from geomosaic.block.block import Block
+from geomosaic.block.block import OrientedBlock
 from geomosaic.block.footprint import Footprint
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.blending.rules import LABELLED, Ruler, check_rule, output_info
@@ -26,12 +26,14 @@ from geomosaic.resample.engine import engine_for
 from geomosaic.sensor.map_to_image import Ground
 
 
-def merge(block: Block, grid: Grid, outlines: list[Footprint], output: Path, options: MosaicOptions) -> MosaicResult:
+def merge(
+    block: OrientedBlock, grid: Grid, outlines: list[Footprint], output: Path, options: MosaicOptions
+) -> MosaicResult:
     """Lay images together by `options.rule`.
 
     Parameters
     ----------
-    block : Block
+    block : OrientedBlock
     grid : Grid
         The output.
     outlines : list of Footprint

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomosaic.block.block import Block
+from geomosaic.block.block import OrientedBlock
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
@@ -58,13 +58,13 @@ def beside(output: Path, what: str, suffix: str) -> Path:
 
 
 def mosaic(
-    block: Block, grid: Grid, outlines: list[Footprint], output: Path, options: MosaicOptions | None = None
+    block: OrientedBlock, grid: Grid, outlines: list[Footprint], output: Path, options: MosaicOptions | None = None
 ) -> MosaicResult:
     """Balance, seam, rectify and blend all images of a block in one pass.
 
     Parameters
     ----------
-    block : Block
+    block : OrientedBlock
     grid : Grid
         The output, see `extent.output_grid`.
     outlines : list of Footprint

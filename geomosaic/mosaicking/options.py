@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.mosaicking.blending.options import Blending
 from geomosaic.mosaicking.retouch import Retouch
@@ -51,7 +51,7 @@ class MosaicOptions:
         Match histograms instead: 'overlap' in sequence over what images share, 'whole' over all that they show.
     master : str, optional
         Name of the image that the others are matched to; unless given, the one that shares most.
-    reference : Scene, optional
+    reference : OrientedImage, optional
         Georeferenced raster that all images are matched to, instead of a master.
     seams : str
         'nearest' halfway between the places that images see best; 'halve' where the edges of two are equally far;
@@ -102,7 +102,7 @@ class MosaicOptions:
     stac: bool = True
     histogram: str | None = None
     master: str | None = None
-    reference: Scene | None = None
+    reference: OrientedImage | None = None
     seams: str = "nearest"
     seam_weights: SeamWeights = field(default_factory=SeamWeights)
     follow: tuple[Path, ...] = ()

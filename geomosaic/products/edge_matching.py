@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import Block, ControlPoint, Scene
+from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
 from geomosaic.geo.crs import parse_map
 from geomosaic.inputs.area import Area, plan
@@ -126,14 +126,14 @@ def make_edge_mosaic(
     refuse_existing(output, options.render.overwrite)
     matched = match_photos(inputs)
     grid, outlines = plan(matched.photos, None, area)
-    return matched, mosaic(Block(matched.photos, None), grid, outlines, output, options)
+    return matched, mosaic(OrientedBlock(matched.photos, None), grid, outlines, output, options)
 
 
 def _started(
     inputs: EdgeInputs, crs: CRS, control: Sequence[ControlPoint], common: Sequence[CommonPoint]
-) -> list[Scene]:
+) -> list[OrientedImage]:
     """Start models: by the photo's own control, else by what photos that have one show of the common points."""
-    scenes: dict[str, Scene] = {}
+    scenes: dict[str, OrientedImage] = {}
     waiting = {path.name: path for path in inputs.images}
     reason: SolveError | None = None
     while waiting:
@@ -155,7 +155,7 @@ def _started(
             except SolveError as error:
                 reason = error
                 continue
-            made[name] = Scene(name, str(path), "planar", model, bands=inputs.bands)
+            made[name] = OrientedImage(name, str(path), "planar", model, bands=inputs.bands)
         if not made:
             raise reason or SolveError("no photo can be placed")
         scenes.update(made)

@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.inputs.area import Area, plan
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
+from geomosaic.inputs.declarations import Block, PlanarInputs
 from geomosaic.raster.output_files import check_output
 
 if TYPE_CHECKING:
@@ -21,18 +21,18 @@ if TYPE_CHECKING:
     from geomosaic.render.ortho import OrthoResult
 
 
-def refuse_existing(path: Path, overwrite: bool, inputs: BlockInputs | None = None) -> None:
+def refuse_existing(path: Path, overwrite: bool, inputs: Block | None = None) -> None:
     """Stop before any work where the output exists; an input is never written over, asked for or not."""
     read = () if inputs is None else (*inputs.images, *inputs.tables, *inputs.ground)
     check_output(path, overwrite=overwrite, inputs=read)
 
 
-def make_ortho(inputs: BlockInputs, area: Area, output: Path, options: RenderOptions) -> OrthoResult:
+def make_ortho(inputs: Block, area: Area, output: Path, options: RenderOptions) -> OrthoResult:
     """Rectify the one image of `inputs`.
 
     Parameters
     ----------
-    inputs : BlockInputs
+    inputs : Block
     area : Area
     output : Path
         GeoTIFF to write.
@@ -51,17 +51,17 @@ def make_ortho(inputs: BlockInputs, area: Area, output: Path, options: RenderOpt
     return ortho(block.scenes[0], block.surface, grid, outlines[0], output, options)
 
 
-def reference_scene(path: Path, bands: Sequence[int] | None) -> Scene:
+def reference_scene(path: Path, bands: Sequence[int] | None) -> OrientedImage:
     """Open a georeferenced raster as a scene, to match histograms to."""
-    return build_block(BlockInputs((path,), "planar", bands=None if bands is None else tuple(bands))).scenes[0]
+    return build_block(Block((path,), "planar", bands=None if bands is None else tuple(bands))).scenes[0]
 
 
-def make_mosaic(inputs: BlockInputs, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
+def make_mosaic(inputs: Block, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
     """Make a mosaic of all images of `inputs`.
 
     Parameters
     ----------
-    inputs : BlockInputs
+    inputs : Block
     area : Area
     output : Path
         GeoTIFF to write; labels, vectors and the STAC item go beside it.
@@ -96,13 +96,13 @@ def _files(output: Path, options: MosaicOptions) -> list[Path]:
 
 
 def make_planar_mosaic(
-    inputs: BlockInputs, wanted: PlanarInputs, area: Area, output: Path, options: MosaicOptions
+    inputs: Block, wanted: PlanarInputs, area: Area, output: Path, options: MosaicOptions
 ) -> tuple[MosaicResult, dict[str, Any], Path]:
     """Place photos of flat ground together and make their mosaic.
 
     Parameters
     ----------
-    inputs : BlockInputs
+    inputs : Block
     wanted : PlanarInputs
         How they are placed.
     area : Area

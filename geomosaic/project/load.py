@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.inputs.declarations import BlockInputs, PlanarInputs, wrong_policy
+from geomosaic.inputs.declarations import Block, PlanarInputs, wrong_policy
 from geomosaic.inputs.photos import read_toml
 from geomosaic.inputs.printed_orientation import Printed
 from geomosaic.inputs.tables import read_text
@@ -67,10 +67,10 @@ class Project:
         return tuple(self.folder / path for path in paths)
 
     @property
-    def inputs(self) -> BlockInputs:
+    def inputs(self) -> Block:
         """The block the project describes."""
         s = self.settings
-        return BlockInputs(
+        return Block(
             images=self.images,
             sensor=s.sensor.name,
             options=s.sensor.options,

@@ -68,7 +68,9 @@ class RasterProduct:
         try:
             import rioxarray
         except ImportError:
-            raise InputError("to_xarray needs rioxarray, which is not installed", hint="pip install rioxarray") from None
+            raise InputError(
+                "to_xarray needs rioxarray, which is not installed", hint="pip install rioxarray"
+            ) from None
         return rioxarray.open_rasterio(self.path, **{"masked": True, **options})
 
     def __repr__(self) -> str:

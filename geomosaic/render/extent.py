@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint, footprint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import geographic, horizontal, longitude_latitude_crs
@@ -24,7 +24,7 @@ FAR = 6.0
 """Degrees beyond the area of use of the output CRS, a zone's width, that are told."""
 
 
-def output_crs(scenes: tuple[Scene, ...], surface: Surface | None) -> CRS:
+def output_crs(scenes: tuple[OrientedImage, ...], surface: Surface | None) -> CRS:
     """Map CRS of the output where none is given: the surface's or model's own, or the UTM zone it lies in."""
     model = scenes[0].model
     own = horizontal(model.crs if surface is None or not model.crs.is_geocentric else surface.crs)
@@ -45,7 +45,7 @@ def utm_zone(lon: float, lat: float) -> CRS:
     return CRS.from_epsg(int(zones[0].code))
 
 
-def footprints(scenes: tuple[Scene, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
+def footprints(scenes: tuple[OrientedImage, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
     """Outlines of all scenes in the output map."""
     return [footprint(scene, surface, crs) for scene in scenes]
 
@@ -131,7 +131,7 @@ def note_far_crs(crs: CRS, outlines: list[Footprint]) -> None:
         )
 
 
-def refuse_torn_crs(crs: CRS, scenes: tuple[Scene, ...]) -> None:
+def refuse_torn_crs(crs: CRS, scenes: tuple[OrientedImage, ...]) -> None:
     """Refuse an output CRS that has no place for the images, or tears them apart: one made for the Earth's other side.
 
     Raises

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid, Window
@@ -95,7 +95,7 @@ def tiles(grid: Grid, width: int) -> list[Window]:
 
 
 def ortho(
-    scene: Scene,
+    scene: OrientedImage,
     surface: Surface | None,
     grid: Grid,
     outline: Footprint,
@@ -106,7 +106,7 @@ def ortho(
 
     Parameters
     ----------
-    scene : Scene
+    scene : OrientedImage
     surface : Surface or None
         None where the model uses no heights.
     grid : Grid

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
@@ -34,7 +34,7 @@ class Photo:
     they are pixels of it.
     """
 
-    scene: Scene
+    scene: OrientedImage
     source: Source
     mapper: MapToImage
     footprint: Footprint
@@ -59,7 +59,13 @@ class Photo:
 
     @classmethod
     def open(
-        cls, scene: Scene, surface: Surface | None, grid: Grid, footprint: Footprint, memory: int, scale: float = 1.0
+        cls,
+        scene: OrientedImage,
+        surface: Surface | None,
+        grid: Grid,
+        footprint: Footprint,
+        memory: int,
+        scale: float = 1.0,
     ) -> Photo:
         """Open the image and check that it is the one the model was made for."""
         source = Source(scene.path, nodata=scene.nodata, bands=scene.bands, memory_limit=memory, usable=scene.usable)

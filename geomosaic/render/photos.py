@@ -9,7 +9,7 @@ from threading import Lock, Thread, current_thread
 
 import numpy as np
 
-from geomosaic.block.block import Block
+from geomosaic.block.block import OrientedBlock
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
@@ -27,7 +27,7 @@ class Photos:
 
     Parameters
     ----------
-    block : Block
+    block : OrientedBlock
     grid : Grid
         The output.
     outlines : sequence of Footprint
@@ -42,7 +42,7 @@ class Photos:
 
     def __init__(
         self,
-        block: Block,
+        block: OrientedBlock,
         grid: Grid,
         outlines: Sequence[Footprint],
         memory: int,
@@ -157,7 +157,7 @@ def _most_at_once(windows: Sequence[Window]) -> int:
     return max(1, int(max(np.cumsum([change for _, change in sorted(events)]), default=1)))
 
 
-def _common(infos: list[SourceInfo], block: Block) -> SourceInfo:
+def _common(infos: list[SourceInfo], block: OrientedBlock) -> SourceInfo:
     """Bands that all images share."""
     first = infos[0]
     for scene, info in zip(block.scenes, infos, strict=True):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import Block, ControlPoint
+from geomosaic.block.block import ControlPoint, OrientedBlock
 from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.tables import read_table, stem
@@ -103,7 +103,7 @@ class Wanted:
 
 def refined(
     tool: HasRational,
-    block: Block,
+    block: OrientedBlock,
     made: Sequence[tuple[SensorModel, ImageRpc]],
     wanted: Wanted,
 ) -> list[tuple[SensorModel, ImageRpc]]:
@@ -112,7 +112,7 @@ def refined(
     Parameters
     ----------
     tool : HasRational
-    block : Block
+    block : OrientedBlock
     made : sequence of (SensorModel, ImageRpc)
         RPC of each image of the block.
     wanted : Wanted

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import Block, Scene
+from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.errors import InputError, OutputExistsError, SensorError, SolveError, did_you_mean
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.correction_grids import write_corrections
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.raster.output_files import write_text
 from geomosaic.raster.rpc_tags import read_rpc_tags, write_rpc_tags
 from geomosaic.rpc.correction_grid import GridFit, fit_pair
@@ -37,7 +37,7 @@ class RpcInputs:
 
     Attributes
     ----------
-    block : BlockInputs
+    block : Block
         Images with their sensor; control points in it refine them.
     heights : tuple of float, optional
         Lowest and highest ellipsoidal height in metres to fit to; those of the DEM under the image unless given.
@@ -58,7 +58,7 @@ class RpcInputs:
     overwrite : bool
     """
 
-    block: BlockInputs
+    block: Block
     heights: tuple[float, float] | None = None
     refine: str | None = None
     ties: Path | None = None
@@ -129,7 +129,9 @@ def _tool() -> HasRational:
     return found
 
 
-def _rational(tool: HasRational, scene: Scene, block: Block, inputs: RpcInputs) -> tuple[SensorModel, ImageRpc]:
+def _rational(
+    tool: HasRational, scene: OrientedImage, block: OrientedBlock, inputs: RpcInputs
+) -> tuple[SensorModel, ImageRpc]:
     """The RPC of an image: its own, or one fitted to its model."""
     if inputs.block.sensor == SENSOR and inputs.block.corrections is None:
         return scene.model, ImageRpc(scene.name, "as it came", {})
@@ -163,7 +165,7 @@ def _facts_of_pair(pair: GridFit, heights: tuple[float, float]) -> dict[str, Any
     }
 
 
-def _heights(scene: Scene, block: Block) -> tuple[float, float]:
+def _heights(scene: OrientedImage, block: OrientedBlock) -> tuple[float, float]:
     """Ellipsoidal heights of the ground an image shows, somewhat widened."""
     if block.surface is None:
         raise InputError(
@@ -184,7 +186,7 @@ def _heights(scene: Scene, block: Block) -> tuple[float, float]:
     return low - more, high + more
 
 
-def _targets(scene: Scene, inputs: RpcInputs) -> tuple[Path | None, Path | None, Path | None]:
+def _targets(scene: OrientedImage, inputs: RpcInputs) -> tuple[Path | None, Path | None, Path | None]:
     """Files to write for an image; refused before any work where they hold an RPC already."""
     path = Path(scene.path)
     tags = path if inputs.tags else None

@@ -43,7 +43,7 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
         --option height_above_ground=3000 --option v_over_h=0.00133 -o flat.tif
     """
     from geomosaic.errors import InputError
-    from geomosaic.inputs.declarations import BlockInputs
+    from geomosaic.inputs.declarations import Block
     from geomosaic.products.from_inputs import make_ortho
 
     if flags["dst_crs"] is not None:
@@ -52,7 +52,7 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
             hint="leave it out, or use `geomosaic ortho` with a position",
         )
     options = {name: value(text) for name, text in flags["sensor_options"].items()} | {"relative": True}
-    inputs = BlockInputs((image,), flags["sensor"], options=options, bands=flags["bands"])
+    inputs = Block((image,), flags["sensor"], options=options, bands=flags["bands"])
     note_memory(flags["mem_limit"], flags["threads"])
     with notes(), progress(as_json) as report:
         result = make_ortho(inputs, area(flags), output, render_options(flags, report))

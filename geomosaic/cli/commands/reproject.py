@@ -57,7 +57,7 @@ def command(
     from geomosaic.geo.crs import horizontal, parse_map
     from geomosaic.geo.datum import doubt, operation_between
     from geomosaic.inputs.area import Area, grid_of
-    from geomosaic.inputs.declarations import BlockInputs
+    from geomosaic.inputs.declarations import Block
     from geomosaic.inputs.rasters import check_placed
     from geomosaic.products.from_inputs import make_ortho
     from geomosaic.raster.info import inspect
@@ -80,7 +80,7 @@ def command(
         if src_crs is not None and info.transform is not None:
             t = info.transform
             options["transform"] = [t.a, t.b, t.c, t.d, t.e, t.f]
-        inputs = BlockInputs((source,), "planar", options=options, crs=src_crs)
+        inputs = Block((source,), "planar", options=options, crs=src_crs)
         area = Area(flags["dst_crs"], flags["res"], flags["bounds"], snap, like)
         result = make_ortho(inputs, area, output, render_options(flags, report))
     words = _operation(own, result.grid.crs)

@@ -13,7 +13,7 @@ from functools import partial
 from pyproj import CRS
 
 from geomosaic.geo.crs import horizontal
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import MATRIX, SYSTEMS, TO_DEGREES
 from geomosaic.inputs.photos import Photo
 from geomosaic.surface.vertical_datum import undulation
@@ -41,7 +41,7 @@ class Reading:
         Follows 'with': what would be different.
     hint : str
         The key to set, or the column to change.
-    inputs : BlockInputs
+    inputs : Block
         With that key.
     photos : tuple of Photo
         With those columns.
@@ -49,16 +49,16 @@ class Reading:
 
     what: str
     hint: str
-    inputs: BlockInputs
+    inputs: Block
     photos: tuple[Photo, ...]
 
 
-def readings(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS) -> Iterator[Reading]:
+def readings(inputs: Block, photos: Sequence[Photo], crs: CRS) -> Iterator[Reading]:
     """Other readings of the orientations of some photos: those that one key of the project sets come first.
 
     Parameters
     ----------
-    inputs : BlockInputs
+    inputs : Block
         As declared.
     photos : sequence of Photo
         Those to read otherwise, with their rows of the table.
@@ -72,7 +72,7 @@ def readings(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS) -> Iterator
     yield from _by_height(inputs, several, crs)
 
 
-def _by_key(inputs: BlockInputs, photos: tuple[Photo, ...]) -> Iterator[Reading]:
+def _by_key(inputs: Block, photos: tuple[Photo, ...]) -> Iterator[Reading]:
     if inputs.angles not in SYSTEMS:
         return
     unit, north = inputs.angle_unit or "deg", inputs.angle_frame or NORTH.get(inputs.angles, "grid")
@@ -95,7 +95,7 @@ def _by_key(inputs: BlockInputs, photos: tuple[Photo, ...]) -> Iterator[Reading]
     yield Reading(f"angles from {words}", f"set angle_frame = '{other}'", replace(inputs, angle_frame=other), photos)
 
 
-def _by_datum(inputs: BlockInputs, photos: tuple[Photo, ...], crs: CRS) -> Iterator[Reading]:
+def _by_datum(inputs: Block, photos: tuple[Photo, ...], crs: CRS) -> Iterator[Reading]:
     """Heights of the positions from the ellipsoid instead of the geoid, and the other way round."""
     if inputs.heights is None or crs.is_geocentric:
         return
@@ -109,7 +109,7 @@ def _by_datum(inputs: BlockInputs, photos: tuple[Photo, ...], crs: CRS) -> Itera
     )
 
 
-def _by_column(inputs: BlockInputs, photos: tuple[Photo, ...]) -> Iterator[Reading]:
+def _by_column(inputs: Block, photos: tuple[Photo, ...]) -> Iterator[Reading]:
     table = inputs.exterior.name if inputs.exterior is not None else "the table"
     half = 180.0 / TO_DEGREES[inputs.angle_unit or "deg"]
 
@@ -177,7 +177,7 @@ def _by_column(inputs: BlockInputs, photos: tuple[Photo, ...]) -> Iterator[Readi
         yield Reading(what, hint, inputs, changed(change))
 
 
-def _by_height(inputs: BlockInputs, photos: tuple[Photo, ...], crs: CRS) -> Iterator[Reading]:
+def _by_height(inputs: Block, photos: tuple[Photo, ...], crs: CRS) -> Iterator[Reading]:
     """Positions off by the height of the geoid, where the control points, which share their datum, are right."""
     if inputs.control is None or crs.is_geocentric or not photos or photos[0].exterior is None:
         return

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.transform import Transform
 from geomosaic.raster.preview import preview
@@ -62,7 +62,9 @@ def _box_mean(values: FloatArray) -> FloatArray:
     return mean
 
 
-def likeness(first: Scene, second: Scene, copies: tuple[SmallCopy, SmallCopy], surface: Surface) -> float:
+def likeness(
+    first: OrientedImage, second: OrientedImage, copies: tuple[SmallCopy, SmallCopy], surface: Surface
+) -> float:
     """Correlation of the details of two images where both show the same ground; 0 where nothing is shown by both.
 
     Places of a lattice in the first image go to the surface and from there into the second. The largest correlation
@@ -108,7 +110,7 @@ def neighbours(places: FloatArray, pairs: int) -> list[tuple[int, int]]:
     return list(found)
 
 
-def together(scenes: Sequence[Scene], copies: Sequence[SmallCopy], surface: Surface) -> float:
+def together(scenes: Sequence[OrientedImage], copies: Sequence[SmallCopy], surface: Surface) -> float:
     """Median likeness of pairs of scenes: the first with the second, the third with the fourth, and so on."""
     each = [
         likeness(scenes[i], scenes[i + 1], (copies[i], copies[i + 1]), surface) for i in range(0, len(scenes) - 1, 2)

@@ -17,10 +17,10 @@ from dataclasses import replace
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import ControlPoint, Scene
+from geomosaic.block.block import ControlPoint, OrientedImage
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.frames import named
 from geomosaic.inputs.orientation_check.hypotheses import Reading, readings
 from geomosaic.inputs.orientation_check.overlap_similarity import neighbours, small_copy, together
@@ -28,7 +28,7 @@ from geomosaic.inputs.photos import Photo
 from geomosaic.render.workers import in_order
 from geomosaic.surface.model import Surface
 
-Build = Callable[[BlockInputs, Sequence[Photo], CRS], Sequence[Scene]]
+Build = Callable[[Block, Sequence[Photo], CRS], Sequence[OrientedImage]]
 """Scenes of some photos, with the CRS of their positions."""
 
 FAR = 5.0
@@ -47,17 +47,17 @@ TRUST = "if the orientation is right as it is, say so: --trust-orientation (trus
 
 
 def check_orientation(
-    inputs: BlockInputs,
+    inputs: Block,
     photos: Sequence[Photo],
     crs: CRS | None,
-    block: tuple[Sequence[Scene], Surface | None, Sequence[ControlPoint]],
+    block: tuple[Sequence[OrientedImage], Surface | None, Sequence[ControlPoint]],
     build: Build,
 ) -> None:
     """Stop where an orientation cannot be meant, and another reading of the same table can.
 
     Parameters
     ----------
-    inputs : BlockInputs
+    inputs : Block
     photos : sequence of Photo
         All of the block.
     crs : CRS or None
@@ -81,7 +81,7 @@ def check_orientation(
         _by_pictures(inputs, photos, crs, scenes, surface, build)
 
 
-def looking_down(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS, build: Build) -> list[str]:
+def looking_down(inputs: Block, photos: Sequence[Photo], crs: CRS, build: Build) -> list[str]:
     """Hints with which photos that look at the sky would look at the ground, the likeliest first."""
     oriented = [photo for photo in photos if photo.exterior]
     some = oriented[:: max(1, len(oriented) // 6)]
@@ -93,10 +93,10 @@ def looking_down(inputs: BlockInputs, photos: Sequence[Photo], crs: CRS, build: 
 
 
 def _by_control(
-    inputs: BlockInputs,
+    inputs: Block,
     photos: Sequence[Photo],
     crs: CRS,
-    scenes: Sequence[Scene],
+    scenes: Sequence[OrientedImage],
     control: Sequence[ControlPoint],
     build: Build,
 ) -> None:
@@ -122,10 +122,10 @@ def _by_control(
 
 
 def _by_pictures(
-    inputs: BlockInputs,
+    inputs: Block,
     photos: Sequence[Photo],
     crs: CRS,
-    scenes: Sequence[Scene],
+    scenes: Sequence[OrientedImage],
     surface: Surface,
     build: Build,
 ) -> None:
@@ -159,7 +159,7 @@ def _by_pictures(
         raise _doubt(inputs, what, best, f"they do ({alike:.2f})")
 
 
-def distance(scenes: Sequence[Scene], control: Sequence[ControlPoint], crs: CRS) -> float:
+def distance(scenes: Sequence[OrientedImage], control: Sequence[ControlPoint], crs: CRS) -> float:
     """Median distance in pixels of measured places from computed ones; a point that is not seen is infinitely far."""
     models = {scene.name: scene.model for scene in scenes}
     off = []
@@ -174,7 +174,7 @@ def distance(scenes: Sequence[Scene], control: Sequence[ControlPoint], crs: CRS)
     return float(np.median(off)) if off else 0.0
 
 
-def _built(reading: Reading, crs: CRS, build: Build) -> Sequence[Scene] | None:
+def _built(reading: Reading, crs: CRS, build: Build) -> Sequence[OrientedImage] | None:
     """Scenes of a reading; None where it cannot be."""
     try:
         with warnings.catch_warnings():
@@ -184,11 +184,11 @@ def _built(reading: Reading, crs: CRS, build: Build) -> Sequence[Scene] | None:
         return None
 
 
-def _crs(inputs: BlockInputs, crs: CRS) -> CRS:
+def _crs(inputs: Block, crs: CRS) -> CRS:
     return named(inputs.crs, inputs.heights) if inputs.crs is not None else crs
 
 
-def _doubt(inputs: BlockInputs, refused: str, best: Reading, accepted: str) -> InputError:
+def _doubt(inputs: Block, refused: str, best: Reading, accepted: str) -> InputError:
     return InputError(
         f"the orientation cannot be meant: {refused}; with {best.what}, {accepted}",
         where=str(inputs.exterior),

@@ -12,7 +12,7 @@ from geomosaic.inputs.area import Area, plan
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.control_diagnostics import astray
 from geomosaic.inputs.control_points import read_control
-from geomosaic.inputs.declarations import BlockInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import undeclared_reconstruction
 from geomosaic.inputs.frames import crs_name, describe
 from geomosaic.inputs.missing_inputs import needs
@@ -20,7 +20,7 @@ from geomosaic.inputs.photos import Photo, photos_of
 from geomosaic.raster.info import inspect
 
 
-def understood(inputs: BlockInputs) -> tuple[list[str], str | None]:
+def understood(inputs: Block) -> tuple[list[str], str | None]:
     """Describe images, positions, DEM and control points; where the block is complete, its place and sampling.
 
     Also what speaks against the whole, although nothing is missing.
@@ -51,7 +51,7 @@ def understood(inputs: BlockInputs) -> tuple[list[str], str | None]:
         return lines, str(error)
 
 
-def _images(inputs: BlockInputs) -> list[str]:
+def _images(inputs: Block) -> list[str]:
     infos = [inspect(path, inputs.bands) for path in inputs.images]
     sizes = sorted({info.size for info in infos})
     shown = ", ".join(f"{width} x {height}" for width, height in sizes[:3]) + (" ..." if len(sizes) > 3 else "")
@@ -77,7 +77,7 @@ def _positions(photos: Sequence[Photo], unit: str) -> list[str]:
     return lines
 
 
-def _dem(inputs: BlockInputs) -> str:
+def _dem(inputs: Block) -> str:
     if inputs.dem is None:
         return ""
     info = inspect(inputs.dem)
@@ -99,7 +99,7 @@ def _dem(inputs: BlockInputs) -> str:
         dem.close()
 
 
-def _block(inputs: BlockInputs) -> tuple[str, str | None]:
+def _block(inputs: Block) -> tuple[str, str | None]:
     """Place and sampling of the whole; what its control says against it."""
     block = build_block(inputs)
     grid, outlines = plan(block.scenes, block.surface, Area())

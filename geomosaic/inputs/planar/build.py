@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from pyproj import CRS
 
-from geomosaic.block.block import Block, ControlPoint, Scene
+from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, counted
 from geomosaic.geo.crs import horizontal, parse_map
-from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
+from geomosaic.inputs.declarations import Block, PlanarInputs
 from geomosaic.inputs.photos import Photo, photos_of
 from geomosaic.inputs.planar.facts import (
     chain_facts,
@@ -55,19 +55,19 @@ class Placed:
     facts: dict[str, Any]
 
 
-def build_planar(inputs: BlockInputs, wanted: PlanarInputs) -> tuple[Block, dict[str, Any]]:
+def build_planar(inputs: Block, wanted: PlanarInputs) -> tuple[OrientedBlock, dict[str, Any]]:
     """Place the photos and make the block.
 
     Parameters
     ----------
-    inputs : BlockInputs
+    inputs : Block
         Images, control and its CRS.
     wanted : PlanarInputs
         Its `planar`.
 
     Returns
     -------
-    block : Block
+    block : OrientedBlock
         Without surface; its control points have height 0, which no planar model looks at.
     facts : dict
         How the photos were placed and how well, as JSON values.
@@ -89,7 +89,7 @@ def build_planar(inputs: BlockInputs, wanted: PlanarInputs) -> tuple[Block, dict
     scenes = tuple(_scene(inputs, photo, placed.transforms[photo.name], crs) for photo in photos)
     known: tuple[ControlPoint, ...] = () if wanted.kind == "uncontrolled" else points
     facts = {"summary": placement_words(placed.facts), **placed.facts, "unused": _unused(block)}
-    return Block(scenes, None, known, crs if known else None), facts
+    return OrientedBlock(scenes, None, known, crs if known else None), facts
 
 
 def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and control points") -> Placed:
@@ -177,7 +177,7 @@ def _singly(block: PlanarBlock, wanted: PlanarInputs) -> bool:
     return min(counts.values()) >= 4
 
 
-def _map(inputs: BlockInputs, wanted: PlanarInputs) -> CRS:
+def _map(inputs: Block, wanted: PlanarInputs) -> CRS:
     """CRS of the mosaic: that of the control, or a local one."""
     if wanted.kind == "uncontrolled":
         return CRS.from_wkt(LOCAL)
@@ -202,10 +202,10 @@ def _map(inputs: BlockInputs, wanted: PlanarInputs) -> CRS:
     return crs
 
 
-def _scene(inputs: BlockInputs, photo: Photo, transform: PlanarTransform, crs: CRS) -> Scene:
+def _scene(inputs: Block, photo: Photo, transform: PlanarTransform, crs: CRS) -> OrientedImage:
     request = SensorRequest(photo.name, photo.info.size, transform.options(), crs, str(inputs.base))
     model = build("planar", request)
-    scene = Scene(photo.name, str(photo.path), "planar", model, inputs.nodata, inputs.bands)
+    scene = OrientedImage(photo.name, str(photo.path), "planar", model, inputs.nodata, inputs.bands)
     return with_usable(inputs, [scene])[0]
 
 

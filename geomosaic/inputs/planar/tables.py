@@ -13,7 +13,7 @@ from geomosaic.block.block import ControlPoint
 from geomosaic.control.coordinate_diagnostics import misplaced
 from geomosaic.control.diagnostics import contradictions
 from geomosaic.control.findings import Advice
-from geomosaic.control.points import ImageControl, Origin
+from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean
 from geomosaic.inputs.control_points import ROLES
 from geomosaic.inputs.photos import Photo
@@ -188,10 +188,10 @@ def examine(points: Sequence[ControlPoint], crs: CRS, path: Path | None, policy:
             warnings.warn(f"{at}: {what}; {advice.hint}", GeomosaicWarning, stacklevel=3)
 
 
-def image_control(points: Sequence[ControlPoint], crs: CRS, where: str) -> ImageControl:
+def image_control(points: Sequence[ControlPoint], crs: CRS, where: str) -> ControlPoints:
     """Control points, no two of one name, as the examinations of `geomosaic.control` take them."""
     count = len(points)
-    return ImageControl(
+    return ControlPoints(
         tuple(point.id for point in points),
         np.array([point.colrow for point in points]).reshape(-1, 2),
         np.array([point.xyz[:2] for point in points]).reshape(-1, 2),

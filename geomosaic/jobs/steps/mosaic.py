@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.inputs.area import FindOutlines, plan_mosaic
 from geomosaic.inputs.frames import describe
@@ -208,7 +208,7 @@ def _remembered(memory: Memory) -> FindOutlines:
     from geomosaic.mosaicking.reruns.earlier_results import VERSION, Recall, digest_of
     from geomosaic.render.extent import footprints
 
-    def find(scenes: tuple[Scene, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
+    def find(scenes: tuple[OrientedImage, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
         key = digest_of(VERSION, *memory.scenes, memory.ground, crs.to_wkt())
         return Recall(memory.found).get("footprints", key, lambda: footprints(scenes, surface, crs))
 

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from geomosaic.accuracy.product_check import check_control, rms
-from geomosaic.block.block import Block, Scene
+from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.build import build_block
@@ -83,7 +83,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     return {"images": len(block.scenes), "control": len(residuals)}
 
 
-def _block(project: Project) -> tuple[Block, dict[str, Any] | None]:
+def _block(project: Project) -> tuple[OrientedBlock, dict[str, Any] | None]:
     """Build the block, and say how plane transformations placed its photos where they did.
 
     Where that fails for want of something, say all that is wanting, not only the first.
@@ -106,15 +106,17 @@ def _block(project: Project) -> tuple[Block, dict[str, Any] | None]:
         ) from error
 
 
-def restore_block(project: Project) -> Block:
+def restore_block(project: Project) -> OrientedBlock:
     """Read the models that 'orient' wrote, with images and surface."""
     inputs = project.inputs
     crs = named(inputs.crs, inputs.heights) if inputs.crs else None
     scenes = []
     for image, path in zip(project.images, Layout(project).models, strict=True):
         state = read_json(path)
-        scenes.append(Scene(image.name, str(image), state["sensor"], from_dict(state), inputs.nodata, inputs.bands))
-    return Block(with_usable(inputs, scenes), build_surface(inputs, crs), (), crs)
+        scenes.append(
+            OrientedImage(image.name, str(image), state["sensor"], from_dict(state), inputs.nodata, inputs.bands)
+        )
+    return OrientedBlock(with_usable(inputs, scenes), build_surface(inputs, crs), (), crs)
 
 
 def area_of(project: Project) -> Area:

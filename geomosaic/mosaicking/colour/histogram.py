@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint, footprint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid
@@ -91,7 +91,7 @@ def _piece(photos: Photos, index: int, grid: Grid) -> Thumbnail:
         return thumbnail(photo, photos.block.surface, grid, window, "nearest", photos.info.dtype)
 
 
-def _reference(photos: Photos, scene: Scene, grid: Grid, options: RenderOptions) -> Thumbnail:
+def _reference(photos: Photos, scene: OrientedImage, grid: Grid, options: RenderOptions) -> Thumbnail:
     outline: Footprint = footprint(scene, None, grid.crs)
     photo = Photo.open(scene, None, grid, outline, options.memory_limit // 4)
     try:

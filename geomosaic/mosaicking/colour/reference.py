@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
@@ -20,7 +20,7 @@ from geomosaic.resample.warp import value_range
 
 
 def meet_reference(
-    photos: Photos, options: RenderOptions, grid: Grid, reference: Scene, hidden: Sequence[Any] = ()
+    photos: Photos, options: RenderOptions, grid: Grid, reference: OrientedImage, hidden: Sequence[Any] = ()
 ) -> tuple[list[Overlap], str]:
     """Samples of each photo and the reference, which gets the number after the last photo; and what was done, in words.
 
@@ -81,7 +81,7 @@ def _unclipped(pair: Overlap, clipped: tuple[float, float] | None) -> Overlap:
     )
 
 
-def _shown(reference: Scene, photos: Photos, coarse: Grid) -> Thumbnail:
+def _shown(reference: OrientedImage, photos: Photos, coarse: Grid) -> Thumbnail:
     outline = footprint(reference, None, photos.grid.crs)
     photo = Photo.open(reference, None, coarse, outline, 1 << 28)
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from geomosaic.block.block import Scene
+from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.mosaicking.seams.voronoi import polygonal
@@ -15,13 +15,13 @@ ORDERS = ("list", "name", "resolution", "date")
 
 
 def image_order(
-    scenes: Sequence[Scene], outlines: Sequence[Footprint], order: str = "list", base: str | None = None
+    scenes: Sequence[OrientedImage], outlines: Sequence[Footprint], order: str = "list", base: str | None = None
 ) -> list[int]:
     """Numbers of the images in order of precedence, the uppermost first.
 
     Parameters
     ----------
-    scenes : sequence of Scene
+    scenes : sequence of OrientedImage
     outlines : sequence of Footprint
         Of the scenes, with their ground sampling distance.
     order : str
@@ -52,7 +52,7 @@ def image_order(
     return numbers
 
 
-def image_index(name: str, scenes: Sequence[Scene]) -> int:
+def image_index(name: str, scenes: Sequence[OrientedImage]) -> int:
     """Number of the image of a name, with or without its suffix.
 
     Raises
@@ -74,7 +74,7 @@ def image_index(name: str, scenes: Sequence[Scene]) -> int:
     return found[0]
 
 
-def _acquisition_date(scene: Scene) -> str:
+def _acquisition_date(scene: OrientedImage) -> str:
     date = dated(scene.path)
     if date is None:
         raise InputError(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import ControlPoint, Scene
+from geomosaic.block.block import ControlPoint, OrientedImage
 from geomosaic.errors import InputError, SolveError
 from geomosaic.estimation.blunders import Doubt, Findings, findings, named
 from geomosaic.estimation.outlier_search import search
@@ -60,7 +60,7 @@ class EdgeMatch:
 
     Attributes
     ----------
-    photos : tuple of Scene
+    photos : tuple of OrientedImage
         With the models of the exact join; `photos[i].model` is `models[i]`.
     models : tuple of SensorModel
         Adjusted and joined: a `Corrected` model where a photo shares points, the adjusted one elsewhere.
@@ -95,7 +95,7 @@ class EdgeMatch:
         Of the search for wrong points.
     """
 
-    photos: tuple[Scene, ...]
+    photos: tuple[OrientedImage, ...]
     models: tuple[SensorModel, ...]
     adjusted: tuple[SensorModel, ...]
     grids: tuple[CorrectionGrid | None, ...]
@@ -117,7 +117,7 @@ class EdgeMatch:
 
 
 def match_edges(
-    photos: Sequence[Scene],
+    photos: Sequence[OrientedImage],
     control: Sequence[ControlPoint],
     common: Sequence[CommonPoint],
     *,
@@ -139,7 +139,7 @@ def match_edges(
 
     Parameters
     ----------
-    photos : sequence of Scene
+    photos : sequence of OrientedImage
         Names, sensors and start models.
     control : sequence of ControlPoint
         With coordinates in `crs`; a sigma_xy above 0 lets their x and y be adjusted. Check points take no part.
@@ -207,7 +207,7 @@ def match_edges(
 
 
 def _solved(
-    photos: Sequence[Scene], control: Sequence[ControlPoint], common: Sequence[CommonPoint], crs: CRS
+    photos: Sequence[OrientedImage], control: Sequence[ControlPoint], common: Sequence[CommonPoint], crs: CRS
 ) -> tuple[Problem, list[SensorModel], BoolArray, Solution]:
     """Adjust; with the photos fitted to their own control alone, and which of them that determines."""
     given = [photo.model for photo in photos]

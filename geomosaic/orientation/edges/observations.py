@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import ControlPoint, Scene
+from geomosaic.block.block import ControlPoint, OrientedImage
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import has_heights
 from geomosaic.types import BoolArray, FloatArray, IntArray
@@ -86,7 +86,9 @@ class Stations:
         return several
 
     @classmethod
-    def of(cls, photos: Sequence[Scene], control: Sequence[ControlPoint], common: Sequence[CommonPoint]) -> Stations:
+    def of(
+        cls, photos: Sequence[OrientedImage], control: Sequence[ControlPoint], common: Sequence[CommonPoint]
+    ) -> Stations:
         """Gather control points (those of role 'check' are left out) and common points.
 
         Raises
@@ -146,7 +148,7 @@ class Stations:
         return stations
 
 
-def map_crs(photos: Sequence[Scene], crs: CRS | None) -> CRS:
+def map_crs(photos: Sequence[OrientedImage], crs: CRS | None) -> CRS:
     """CRS in which stations are adjusted: the one given, or that of the models where they share one map.
 
     Raises

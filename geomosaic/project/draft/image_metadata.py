@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from geomosaic.errors import GeomosaicError, InputError, OutputExistsError
-from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
+from geomosaic.inputs.declarations import Block, PlanarInputs
 from geomosaic.project.draft.exif import PhotoFacts, photo_facts
 from geomosaic.raster.info import control_point_count, inspect
 from geomosaic.raster.photo_metadata import read_photo_tags
@@ -30,7 +30,7 @@ class Carried:
 
     Attributes
     ----------
-    inputs : BlockInputs
+    inputs : Block
     tables : dict of Path to str
         Files to write beside the project.
     lines : list of str
@@ -39,7 +39,7 @@ class Carried:
         What no image says.
     """
 
-    inputs: BlockInputs
+    inputs: Block
     tables: dict[Path, str] = field(default_factory=dict)
     lines: list[str] = field(default_factory=list)
     needed: list[str] = field(default_factory=list)
@@ -79,7 +79,7 @@ def images_in_scene(folder: Path) -> list[Path]:
     return [file for file in sorted(folder.glob("IMAGERY*")) if file.suffix.lower() in RASTERS]
 
 
-def carried_by(inputs: BlockInputs, project: Path) -> Carried:
+def carried_by(inputs: Block, project: Path) -> Carried:
     """Complete the inputs of a project from its images, where no sensor was named."""
     own = _own_models(inputs)
     infos = [inspect(path, inputs.bands) for path in inputs.images]
@@ -123,7 +123,7 @@ def write_tables(carried: Carried, *, overwrite: bool = False) -> None:
         write_atomic(path, text)
 
 
-def _own_models(inputs: BlockInputs) -> list[str]:
+def _own_models(inputs: Block) -> list[str]:
     """Sensors for which every image carries its model, tried out."""
     names = {entry.name for entry in installed()}
     return [name for name in SCENES if name in names and all(_carries(name, path) for path in inputs.images)]
@@ -174,7 +174,7 @@ def _share(focal: int | None) -> str:
     return "unknown" if focal is None else f"{focal / 1000.0:.3f} of the diagonal"
 
 
-def _photos(inputs: BlockInputs, facts: Sequence[PhotoFacts], size: tuple[int, int], project: Path) -> Carried:
+def _photos(inputs: Block, facts: Sequence[PhotoFacts], size: tuple[int, int], project: Path) -> Carried:
     """Tables of the positions and attitudes of photos, and a camera of their focal length."""
     lines, needed, tables = [], [], {}
     change: dict[str, object] = {"sensor": "frame"}

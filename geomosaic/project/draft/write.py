@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import OutputExistsError
-from geomosaic.inputs.declarations import BlockInputs, PlanarInputs
+from geomosaic.inputs.declarations import Block, PlanarInputs
 from geomosaic.inputs.exterior_orientation import (
     RECONSTRUCTION_SYSTEM,
     RECONSTRUCTIONS,
@@ -37,14 +37,14 @@ class Draft:
     misfit: str | None
 
 
-def draft_project(path: Path, inputs: BlockInputs, angles: str | None) -> Draft:
+def draft_project(path: Path, inputs: Block, angles: str | None) -> Draft:
     """Write the text of a project.
 
     Parameters
     ----------
     path : Path
         Where the project file will be; paths in it start there.
-    inputs : BlockInputs
+    inputs : Block
         What is known.
     angles : str or None
         Angle system as declared; read off the columns of the table where it is not. A reconstruction does not say
@@ -87,7 +87,7 @@ def _system(table: Path) -> str | None:
     return fitting[0] if fitting else "opk"
 
 
-def _angles(inputs: BlockInputs, read: str | None) -> list[str]:
+def _angles(inputs: Block, read: str | None) -> list[str]:
     """Say what angle system was read off the table, and what it could be taken for."""
     if read is None:
         return []
@@ -99,7 +99,7 @@ def _angles(inputs: BlockInputs, read: str | None) -> list[str]:
     return [f"angle system: {read}, from the columns of the table{doubt}"]
 
 
-def _text(path: Path, inputs: BlockInputs, read: bool) -> str:
+def _text(path: Path, inputs: Block, read: bool) -> str:
     folder = path.absolute().parent
     undeclared = undeclared_reconstruction(inputs.exterior, inputs.angles)
     reconstruction = undeclared or inputs.angles in RECONSTRUCTIONS
@@ -205,7 +205,7 @@ def _planar(planar: PlanarInputs, near: Callable[[Path], str]) -> list[str]:
     return [*lines, '# model = "conformal"    # conformal, affine, projective; as is usual for the kind unless given']
 
 
-def _ground(inputs: BlockInputs, near: Any, folder: Path) -> list[str]:
+def _ground(inputs: Block, near: Any, folder: Path) -> list[str]:
     if inputs.dem is not None:
         lines = ["[dem]", f"file = {near(inputs.dem)}"]
     elif inputs.height is not None:
