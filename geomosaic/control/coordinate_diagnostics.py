@@ -11,6 +11,7 @@ from geomosaic.control.findings import Advice, listed, named, plane
 from geomosaic.control.points import ControlPoints
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.projection_domain import Area, area_of_use, beyond, longitude_latitude
+from geomosaic.geo.units import linear_unit
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 _ALL = 18  # points whose triples are all taken; of more, a fixed random sample
@@ -167,7 +168,7 @@ def _cause(control: ControlPoints, area: Area, near: tuple[float, float] | None)
         return "wrong-zone", f"they do in {zone}", f"give {zone} as the CRS of the control"
     miss = beyond(longitude_latitude(xy, crs), area)
     side = not np.isnan(miss).any() and bool((np.median(miss, axis=0) <= [ZONE, MARGIN]).all())
-    metre = abs(crs.axis_info[0].unit_conversion_factor - 1.0) < 1e-9
+    metre = abs(linear_unit(crs) - 1.0) < 1e-9
     units = ((FOOT, "feet"), (1000.0, "kilometres")) if metre else ((1 / FOOT, "metres"),)
     unit = next((name for factor, name in units if crs.is_projected and _inside(xy * factor, crs, area).all()), None)
     # A place some zones aside is, taken for feet, often inside too: in a metric zone the zone is the likelier slip.

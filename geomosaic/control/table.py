@@ -25,6 +25,7 @@ from geomosaic.control.parsing import (
 )
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import InputError, counted
+from geomosaic.geo.units import linear_unit
 from geomosaic.types import FloatArray, PathLike
 
 NEEDED = ("x", "y", "col", "row")
@@ -157,8 +158,7 @@ def _ground_sigma(line: Line, text: str, commas: bool) -> float:
 
 def _with_ground_sigma(control: ControlPoints, spread: FloatArray) -> tuple[ControlPoints, list[str]]:
     """Add standard deviations on the ground (N,), metres, to those in the image: a fit weighs the two together."""
-    unit = control.crs.axis_info[0].unit_conversion_factor * (EARTH if control.crs.is_geographic else 1.0)
-    pixel = pixel_on_ground(control.colrow, plane(control)) * unit
+    pixel = pixel_on_ground(control.colrow, plane(control)) * linear_unit(control.crs)
     if pixel <= 0.0 or not spread.any():
         return control, []
     return (
@@ -167,8 +167,6 @@ def _with_ground_sigma(control: ControlPoints, spread: FloatArray) -> tuple[Cont
     )
 
 
-EARTH = 6.371e6
-"""Radius in metres: standard deviations need no better one."""
 _DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
 
 

@@ -11,6 +11,7 @@ from pyproj import CRS
 from geomosaic.geo.crs import horizontal, in_degrees, longitude_latitude_crs
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.transform import Transform
+from geomosaic.geo.units import axis_unit
 from geomosaic.types import BoolArray, FloatArray
 
 _CENTRE = (
@@ -118,7 +119,7 @@ class Rim:
         """Rim of a projected CRS."""
         flat = horizontal(crs)
         there = Transform(flat, longitude_latitude_crs(flat))
-        return cls(there, there.inverse(), APART / float(flat.axis_info[0].unit_conversion_factor))
+        return cls(there, there.inverse(), APART / axis_unit(flat))
 
     def beyond(self, xy: FloatArray) -> BoolArray:
         """Which places (N, 2) of the map lie beyond its end."""
@@ -145,7 +146,7 @@ def limits(crs: CRS) -> Bounds:
 
 def whole_turn(crs: CRS) -> float | None:
     """A whole turn of longitude in units of a geographic CRS (360 degrees, 400 grads); None of any other CRS."""
-    return 2 * math.pi / float(crs.axis_info[0].unit_conversion_factor) if in_degrees(crs) else None
+    return 2 * math.pi / axis_unit(crs) if in_degrees(crs) else None
 
 
 def near(xy: FloatArray, middle: float, turn: float | None) -> FloatArray:

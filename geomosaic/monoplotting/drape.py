@@ -9,15 +9,13 @@ from pyproj import CRS
 
 from geomosaic.geo.crs import has_heights, horizontal
 from geomosaic.geo.transform import Transform
-from geomosaic.geo.units import metres_per_axis
+from geomosaic.geo.units import linear_unit, metres_per_unit
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve import image_to_ground
 from geomosaic.sensor.solve.derivatives import pixel_step
 from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray
 
-DEGREE = 111_000.0
-"""Metres that a degree is about; it only chooses steps and tolerances."""
 TOLERANCE = 0.05
 """Pixels' widths on the ground by which ground must be nearer to hide a place."""
 UNSEEN, HIDDEN, SEEN = 0, 1, 2
@@ -108,10 +106,8 @@ class View:
     def _hidden(self, ground: FloatArray, image: FloatArray) -> BoolArray:
         assert self.surface is not None
         first = image_to_ground(self.model, image, self.surface)
-        apart = (first - ground) * metres_per_axis(self.surface.crs, ground)
-        tolerance = TOLERANCE * self.sampling * float(metres_per_axis(self.surface.crs, ground[:1])[0, 1])
-        if self.surface.crs.is_geographic != self.crs.is_geographic:
-            tolerance = TOLERANCE * self.sampling * (1.0 if self.crs.is_projected else DEGREE)
+        apart = (first - ground) * metres_per_unit(self.surface.crs, ground)
+        tolerance = TOLERANCE * self.sampling * linear_unit(self.crs)
         hidden: BoolArray = (np.linalg.norm(apart, axis=1) > tolerance) & (apart[:, 2] > 0.0)
         return hidden
 
@@ -125,7 +121,4 @@ def _spacing(surface: Surface | None, crs: CRS, place: FloatArray) -> float:
         x, y = place
         t = surface.patch((x, y, x, y)).transform
         known = 1.0 / max(np.hypot(t.a, t.d), np.hypot(t.b, t.e))
-    spacing = float(known)
-    if surface.crs.is_geographic == crs.is_geographic:
-        return spacing
-    return spacing * DEGREE if surface.crs.is_geographic else spacing / DEGREE
+    return float(known) * linear_unit(surface.crs) / linear_unit(crs)

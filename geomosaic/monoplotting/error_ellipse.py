@@ -19,7 +19,7 @@ from pyproj import CRS
 
 from geomosaic.geo.crs import has_heights, horizontal
 from geomosaic.geo.transform import Transform
-from geomosaic.geo.units import metres_per_axis
+from geomosaic.geo.units import metres_per_unit
 from geomosaic.monoplotting.uncertainty import Certainty
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve import jacobian
@@ -81,7 +81,7 @@ def ellipses(
         What is not known in it takes no part.
     """
     to_model = Transform(crs, model.crs) if has_heights(model.crs) else Transform(horizontal(crs), model.crs)
-    metres = metres_per_axis(crs, ground)
+    metres = metres_per_unit(crs, ground)
 
     def image(points: FloatArray) -> FloatArray:
         return model.ground_to_image(_through(to_model, points))

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from affine import Affine
-from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.geo.units import linear_unit
 from geomosaic.resample.occlusion import STEP, WALL, Field, Relief
 from geomosaic.resample.occlusion import hidden as hidden_by_numpy
 from geomosaic.resample.vertical_walls import Way
@@ -57,7 +57,7 @@ class UprightGround(Ground):
             return found
         way: Way = (t.a, t.c - 0.5, t.e, t.f - 0.5)
         heights = np.empty(wider.shape, dtype=np.float32)
-        wall = WALL * node * rough_metres(self.surface.crs)
+        wall = WALL * node * linear_unit(self.surface.crs)
         if self.compiled:
             from geomosaic.resample.kernels.upright import upright
 
@@ -67,11 +67,6 @@ class UprightGround(Ground):
 
             by_numpy(found.patch.heights, way, wall, heights)
         return BlockGround(window, HeightPatch(heights, ~wider.transform), found.heights)
-
-
-def rough_metres(crs: CRS) -> float:
-    """Metres in a unit of a map, roughly."""
-    return float(crs.axis_info[0].unit_conversion_factor * (6.4e6 if crs.is_geographic else 1.0))
 
 
 LEVELS = np.cos((2 * np.arange(3) + 1) * np.pi / 6)
@@ -147,7 +142,7 @@ class Visibility:
         nodes[..., 2:5] = t.a * slopes[:, :, 0] + t.b * slopes[:, :, 1]
         nodes[..., 5:8] = t.d * slopes[:, :, 0] + t.e * slopes[:, :, 1]
         longest = np.nanmax(np.hypot(np.abs(nodes[..., 2:5]).sum(axis=-1), np.abs(nodes[..., 5:8]).sum(axis=-1)))
-        width = rough_metres(surface.crs) / math.sqrt(abs(t.determinant))
+        width = linear_unit(surface.crs) / math.sqrt(abs(t.determinant))
         relief = Relief.of(patch.heights, float(longest), width, compiled=self.compiled)
         if not relief.may_hide(float(longest)):
             return None
@@ -167,7 +162,7 @@ class Visibility:
         r = window.row + STEP * np.arange(-(-window.height // STEP) + 1)
         xy = mapper.surface_xy(self.grid.xy(np.stack(np.meshgrid(c, r), axis=-1).reshape(-1, 2).astype(np.float64)))
         across = AHEAD * self.below.spacing
-        metres = AHEAD * self.grid.resolution[0] * rough_metres(self.grid.crs)
+        metres = AHEAD * self.grid.resolution[0] * linear_unit(self.grid.crs)
         levels = middle + half * LEVELS
         places = [xy, xy + np.array([across, 0.0]), xy + np.array([0.0, across]), xy]
         heights = [np.repeat(level + (metres if i == 3 else 0.0), len(xy)) for level in levels for i in range(4)]

@@ -9,6 +9,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.local_frames import enu_axes
 from geomosaic.geo.transform import Transform
+from geomosaic.geo.units import axis_unit
 from geomosaic.sensor.model import HasRays, SensorModel
 from geomosaic.types import FloatArray
 
@@ -62,7 +63,7 @@ def unit_suspicion(angles_deg: FloatArray, positions: FloatArray, crs: CRS | Non
     angles, places = angles[good], places[good, :2]
     shrink = np.ones(len(places))
     if crs is not None and crs.is_geographic:
-        shrink = np.cos(places[:, 1] * crs.axis_info[0].unit_conversion_factor)
+        shrink = np.cos(places[:, 1] * axis_unit(crs))
     flight = _flight_directions(places, shrink)
     known = np.isfinite(flight)
     if np.count_nonzero(known) < 2:

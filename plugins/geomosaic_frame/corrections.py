@@ -12,6 +12,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic, horizontal
 from geomosaic.geo.local_frames import is_free, map_place
 from geomosaic.geo.transform import Transform
+from geomosaic.geo.units import height_unit
 from geomosaic.sensor.inputs import flag
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import Camera
@@ -119,5 +120,5 @@ def _metres(crs: CRS, position: FloatArray, ground: float) -> tuple[float, float
     """Heights of camera and ground in metres."""
     level = geographic(crs) if crs.is_geocentric else crs
     height = float(Transform(crs, level)(position[None])[0, 2]) if crs.is_geocentric else float(position[2])
-    unit = float(level.axis_info[-1].unit_conversion_factor) if len(level.axis_info) > 2 else 1.0
+    unit = height_unit(level)
     return height * unit, ground * unit

@@ -14,6 +14,7 @@ from geomosaic.geo.crs import geographic
 from geomosaic.geo.local_frames import LocalFrame, is_free
 from geomosaic.geo.rotation import angles_of
 from geomosaic.geo.transform import Transform
+from geomosaic.geo.units import height_unit
 from geomosaic.sensor.inputs import flag, known_keys, number, table_of
 from geomosaic.sensor.model import Parameters
 from geomosaic.sensor.plausibility import SkyError, centre_dip
@@ -128,7 +129,7 @@ def _ground_ahead(
     to_level = Transform(model.crs, level)
     if crs.is_geocentric:
         height = float(to_level(origin[None])[0, 2])
-    unit = 1.0 if not model.crs.is_geocentric else float(level.axis_info[-1].unit_conversion_factor)
+    unit = 1.0 if not model.crs.is_geocentric else height_unit(level)
     if ground is None:
         ground = 0.0 if height * unit > 1.0 else height - GUESSED_HEIGHT / unit
     above = (height - ground) * unit

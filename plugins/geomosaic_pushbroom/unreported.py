@@ -19,6 +19,7 @@ from geomosaic.geo.crs import geographic
 from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.rotation import angles_of
 from geomosaic.geo.transform import Transform
+from geomosaic.geo.units import EARTH_RADIUS
 from geomosaic.sensor.inputs import known_keys, number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
@@ -237,7 +238,7 @@ def start_from_points(
     elif options.get("focal_length_px") is not None:
         focal = positive(options["focal_length_px"], "focal_length_px", where)
         distance = focal * size_of_pixel
-        flying = float(np.linalg.norm(distance * -view + [0.0, 0.0, EARTH]) - EARTH)
+        flying = float(np.linalg.norm(distance * -view + [0.0, 0.0, EARTH_RADIUS]) - EARTH_RADIUS)
     else:
         raise InputError(
             "a scene without metadata needs its camera constant or its flying height",
@@ -254,14 +255,10 @@ def start_from_points(
     return Start(np.array([*values, *np.degrees(angles_of(rotation))]), focal, flying)
 
 
-EARTH = 6.371e6
-"""Mean radius of the Earth in metres."""
-
-
 def _slant(height: float, cosine: float) -> float:
     """Distance to a height above a round Earth, along a line that leaves the ground at that cosine to the vertical."""
-    along = EARTH * cosine
-    return float(np.sqrt(along**2 + 2.0 * EARTH * height + height**2) - along)
+    along = EARTH_RADIUS * cosine
+    return float(np.sqrt(along**2 + 2.0 * EARTH_RADIUS * height + height**2) - along)
 
 
 def parallel_projection(

@@ -10,12 +10,12 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
+from geomosaic.geo.units import linear_unit
 
 KINDS = ("feather", "overlap", "multiband", "none")
 RAMPS = ("linear", "smooth")
 PIXELS = 32.0
 """Width unless one is given."""
-_EARTH = 6371008.8
 
 
 @dataclass(frozen=True)
@@ -55,13 +55,11 @@ class Width:
 
 
 def _units_per_metre(grid: Grid) -> float:
-    crs = grid.crs
-    if crs.is_geographic:
+    metres = linear_unit(grid.crs)
+    if grid.crs.is_geographic:  # the mean of both axes
         bottom, top = grid.bounds[1::2]
-        degrees = math.degrees(1.0 / _EARTH)
-        return degrees / math.sqrt(max(0.01, float(np.cos(np.radians((bottom + top) / 2)))))
-    factor = crs.axis_info[0].unit_conversion_factor if crs.axis_info else 1.0
-    return 1.0 / (factor or 1.0)
+        metres *= math.sqrt(max(0.01, float(np.cos(np.radians((bottom + top) / 2)))))
+    return 1.0 / (metres or 1.0)
 
 
 @dataclass(frozen=True)

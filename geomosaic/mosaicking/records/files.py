@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyproj import CRS, Geod
+from pyproj import CRS
 
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
+from geomosaic.geo.units import metres_per_unit
 from geomosaic.mosaicking.records.provenance import time_span
 from geomosaic.mosaicking.seams.seamlines import SeamQuality, Segment, seam_segments
 from geomosaic.radiometry.gain_offset import Balance
@@ -246,15 +247,9 @@ def _outline(grid: Grid, outlines: list[Any]) -> tuple[dict[str, Any] | None, li
 
 
 def _metres(grid: Grid) -> float:
-    """Pixel size in metres, whatever the unit of the map."""
-    crs = horizontal(grid.crs)
-    if not crs.is_geographic:
-        return float(grid.resolution[0] * crs.axis_info[0].unit_conversion_factor)
-    middle = np.array([grid.width / 2, grid.height / 2])
-    ends = grid.xy(middle + np.array([[0.0, 0.0], [0.0, 1.0]])) * crs.axis_info[0].unit_conversion_factor
-    geod = crs.get_geod() or Geod(ellps="WGS84")
-    (west, south), (east, north) = ends
-    return float(geod.inv(west, south, east, north, radians=True)[2])
+    """Pixel size in metres, along y at the middle of the grid."""
+    middle = grid.xy(np.array([[grid.width / 2, grid.height / 2]]))[0]
+    return float(grid.resolution[1] * metres_per_unit(grid.crs, middle)[1])
 
 
 def _plain(value: Any) -> Any:

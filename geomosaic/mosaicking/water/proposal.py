@@ -12,6 +12,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import height_name, horizontal
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
+from geomosaic.geo.units import linear_unit
 from geomosaic.mosaicking.water.level_ground import Lake, find_lakes
 from geomosaic.raster.output_files import check_output
 from geomosaic.raster.source import Source
@@ -96,7 +97,7 @@ def propose_water(
             full = _grid(source)
             shrink = _pixels_per_cell(full, surface)
             values, valid = _read(source, shrink)
-        grid, metre = full.coarser(shrink), float(full.crs.axis_info[0].unit_conversion_factor)
+        grid, metre = full.coarser(shrink), linear_unit(full.crs)
         under = _heights(surface, grid)
         datum = height_name(surface.crs)
     finally:
