@@ -9,8 +9,9 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError, did_you_mean
+from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
-from geomosaic.types import BoolArray, FloatArray
+from geomosaic.types import BoolArray, FloatArray, PathLike
 
 ROLES = ("control", "check")
 
@@ -112,6 +113,88 @@ class ControlPoints:
                     hint="rename one; one point is measured once in an image",
                 )
             first[name] = origin
+
+    @classmethod
+    def from_arrays(
+        cls,
+        colrow: FloatArray,
+        ground: FloatArray,
+        crs: CRS | str,
+        *,
+        names: Sequence[str] | None = None,
+        sigma: FloatArray | float = 1.0,
+        roles: Sequence[str] | str = "control",
+    ) -> ControlPoints:
+        """Points of one image from arrays.
+
+        Parameters
+        ----------
+        colrow : array (N, 2)
+            Pixels, corner-based: (0.5, 0.5) is the centre of the upper-left pixel.
+        ground : array (N, 2) or (N, 3)
+            x, y and, where they are known, heights, in `crs`.
+        crs : CRS or str
+            Of the ground.
+        names : sequence of str, optional
+            '1', '2', ... unless given.
+        sigma : array (N,) or float
+            Standard deviation of the image coordinates, pixels.
+        roles : sequence of str, or str
+            'control' or 'check', for each or for all.
+
+        Raises
+        ------
+        InputError
+            See `ControlPoints`.
+
+        Examples
+        --------
+        >>> ground = [[500000.0, 5400000.0], [500195.0, 5399995.0]]
+        >>> points = ControlPoints.from_arrays([[10.0, 20.0], [400.0, 30.0]], ground, "EPSG:32633")
+        >>> points.names, points.roles
+        (('1', '2'), ('control', 'control'))
+        """
+        count = len(colrow)
+        return cls(
+            tuple(map(str, range(1, count + 1))) if names is None else tuple(names),
+            colrow,
+            ground,
+            parse_crs(crs, "`crs`"),
+            np.broadcast_to(np.asarray(sigma, dtype=np.float64), (count,)),
+            (roles,) * count if isinstance(roles, str) else tuple(roles),
+            np.ones(count, dtype=np.bool_),
+            tuple(Origin("values", number, "point") for number in range(1, count + 1)),
+        )
+
+    @classmethod
+    def read(
+        cls,
+        path: PathLike,
+        *,
+        image: str | None = None,
+        crs: CRS | str | None = None,
+        size: tuple[int, int] | None = None,
+    ) -> ControlPoints:
+        """Points of one image from a file: a table, QGIS .points, gcp_list.txt, the tags of a raster, a world file.
+
+        Parameters
+        ----------
+        path : path
+        image : str, optional
+            Name of the image, where the file has points of several.
+        crs : CRS or str, optional
+            Of the ground, where the file names none.
+        size : tuple of int, optional
+            Width and height of the image in pixels; needed for a world file.
+
+        Raises
+        ------
+        InputError
+            Names file, line, point and column.
+        """
+        from geomosaic.control.read import read_control
+
+        return read_control(path, image=image, crs=crs, size=size).control
 
     def __len__(self) -> int:
         return len(self.names)

@@ -14,8 +14,8 @@ from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.local_frames import LocalFrame, local_frame_crs
 from geomosaic.geo.transform import Transform
+from geomosaic.inputs.camera import read_toml
 from geomosaic.inputs.frames import DATUMS, named
-from geomosaic.inputs.photos import read_toml
 from geomosaic.surface.developed.base import Axes, Body
 from geomosaic.surface.developed.developable import Cone, Cylinder, Flat
 from geomosaic.surface.developed.ellipsoid import PROJECTIONS, Ellipsoid

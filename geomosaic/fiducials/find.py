@@ -8,7 +8,7 @@ from pathlib import Path
 
 from geomosaic.errors import InputError
 from geomosaic.fiducials.measurement import expected_places, find_fiducials, read_template
-from geomosaic.inputs.photos import read_camera
+from geomosaic.inputs.camera import read_camera
 from geomosaic.match.marks import Mark
 from geomosaic.raster.info import inspect
 from geomosaic.whole_files import write_atomic

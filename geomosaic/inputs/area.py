@@ -42,15 +42,15 @@ class Area:
         Left, bottom, right, top in it.
     snap : bool
         Widen the bounds to whole multiples of the pixel size; without bounds that is always done.
-    like : Path, optional
-        Raster whose CRS, pixels and extent the output takes; nothing else is given then.
+    like : Path or Grid, optional
+        Raster or grid whose CRS, pixels and extent the output takes; nothing else is given then.
     """
 
     crs: str | None = None
     resolution: float | None = None
     bounds: Bounds | None = None
     snap: bool = False
-    like: Path | None = None
+    like: Path | Grid | None = None
 
 
 def plan(
@@ -71,8 +71,10 @@ def plan(
     return grid, outlines
 
 
-def grid_of(path: Path) -> Grid:
+def grid_of(path: Path | Grid) -> Grid:
     """Grid of a georeferenced raster."""
+    if isinstance(path, Grid):
+        return path
     info = inspect(path)
     if info.crs is None or info.transform is None:
         raise InputError("the raster is not georeferenced", where=str(path), hint="name one that is")

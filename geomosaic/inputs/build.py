@@ -6,6 +6,7 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,12 +16,13 @@ from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import HeightDatumError, InputError, SolveError
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
+from geomosaic.inputs.camera import read_camera
 from geomosaic.inputs.correction_grids import read_corrections
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, Exterior
+from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
 from geomosaic.inputs.frames import DATUMS
 from geomosaic.inputs.ground import OF_POSITIONS, build_surface, height_below, undeclared_positions
-from geomosaic.inputs.photos import Photo, photos_of, read_camera
+from geomosaic.inputs.photos import Photo, photos_of
 from geomosaic.inputs.tables import corrections_file, read_fiducials
 from geomosaic.inputs.usable_area import with_usable
 from geomosaic.sensor.corrected import Corrected
@@ -143,7 +145,7 @@ def _model(
     if marks is not None:
         options["fiducials"] = dict(marks)
     row = photo.exterior
-    if inputs.angles in RECONSTRUCTIONS and inputs.exterior is not None:
+    if inputs.angles in RECONSTRUCTIONS and isinstance(inputs.exterior, Path):
         options["orientation"] = {"system": inputs.angles, "reconstruction": str(inputs.exterior.resolve())}
     if row is not None:
         options.update(_of_table(inputs, row))
@@ -166,7 +168,7 @@ def _model(
         raise
 
 
-def _of_table(inputs: Block, row: Exterior) -> dict[str, Any]:
+def _of_table(inputs: Block, row: ExteriorRow) -> dict[str, Any]:
     """What the table says of an image, as inputs of the sensor: those it has, or all where it would refuse them all."""
     declared_too = {"frame": inputs.angle_frame, "matrix": inputs.matrix}
     extra = {name: word for name, word in declared_too.items() if word is not None}
@@ -271,15 +273,18 @@ def _from_control(
 def _control(inputs: Block, photos: Sequence[Photo], crs: CRS | None) -> tuple[ControlPoint, ...]:
     if inputs.control is None:
         return ()
-    from geomosaic.inputs.control_points import read_control
+    from geomosaic.inputs.control_points import control_values, read_control
 
     if crs is None:
         raise InputError(
             "the control points have no CRS", where=str(inputs.control), hint="name it: crs under [exterior]"
         )
-    points = read_control(inputs.control, [photo.name for photo in photos])
+    if isinstance(inputs.control, Mapping):
+        points, where = control_values(inputs.control, crs), "`control`"
+    else:
+        points, where = read_control(inputs.control, [photo.name for photo in photos]), str(inputs.control)
     if points and not inputs.trusted:
         from geomosaic.inputs.control_diagnostics import refuse_misplaced
 
-        refuse_misplaced(points, crs, inputs.control)
+        refuse_misplaced(points, crs, where)
     return points

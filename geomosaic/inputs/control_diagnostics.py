@@ -9,7 +9,6 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
@@ -35,7 +34,7 @@ _MENDS = {
 }
 
 
-def refuse_misplaced(points: Sequence[ControlPoint], crs: CRS, path: Path) -> None:
+def refuse_misplaced(points: Sequence[ControlPoint], crs: CRS, where: str) -> None:
     """Refuse coordinates in another unit than the CRS, or with exchanged axes.
 
     Raises
@@ -44,9 +43,9 @@ def refuse_misplaced(points: Sequence[ControlPoint], crs: CRS, path: Path) -> No
         Says what they look like, and a hint.
     """
     once = list({point.id: point for point in points}.values())
-    for advice in misplaced(image_control(once, horizontal(crs), str(path))):
+    for advice in misplaced(image_control(once, horizontal(crs), where)):
         if advice.code in CERTAIN and len(advice.points) > len(once) / 2:
-            raise InputError(advice.what, where=str(path), hint=_MENDS.get(advice.code, advice.hint))
+            raise InputError(advice.what, where=where, hint=_MENDS.get(advice.code, advice.hint))
 
 
 FOOT = 0.3048

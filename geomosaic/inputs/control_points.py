@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from pyproj import CRS
 
 from geomosaic.block.block import ControlPoint
+from geomosaic.control.points import ControlPoints
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.tables import Row, file_name, read_table, stem
 from geomosaic.types import PathLike
@@ -81,6 +85,32 @@ def read_control(path: PathLike, images: Sequence[str]) -> tuple[ControlPoint, .
             stacklevel=2,
         )
     return tuple(points)
+
+
+def control_values(given: Mapping[str, ControlPoints], crs: CRS) -> tuple[ControlPoint, ...]:
+    """Measurements of control points that are given as values by image name, brought to a block's CRS.
+
+    A point without a height lies at 0.
+    """
+    found = []
+    for image, points in given.items():
+        xyz = np.zeros((len(points), 3))
+        ground = points.to_crs(crs).ground
+        xyz[:, : ground.shape[1]] = np.nan_to_num(ground)
+        for index in np.flatnonzero(points.enabled).tolist():
+            place, measured = xyz[index].tolist(), points.colrow[index].tolist()
+            found.append(
+                ControlPoint(
+                    id=points.names[index],
+                    xyz=(place[0], place[1], place[2]),
+                    image=image,
+                    colrow=(measured[0], measured[1]),
+                    sigma_px=float(points.sigma[index]),
+                    role=points.roles[index],
+                    where=str(points.origins[index]),
+                )
+            )
+    return tuple(found)
 
 
 def _sigma(row: Row, name: str, default: float) -> float:

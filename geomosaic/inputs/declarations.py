@@ -1,4 +1,4 @@
-"""What a block is made of, as plain values: the same whether they come from a project file or from the command line."""
+"""Declaration of a block: images, sensor, orientation, ground and control, as files or as values."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geomosaic.inputs.exterior_orientation import PIX4D
+from geomosaic.control.points import ControlPoints
+from geomosaic.errors import InputError
+from geomosaic.inputs.camera import Camera
+from geomosaic.inputs.exterior_orientation import PIX4D, Exterior, ExteriorTable, exterior_values
 from geomosaic.inputs.tables import corrections_file
+from geomosaic.surface.dem import Dem
 
 if TYPE_CHECKING:
     from geomosaic.inputs.printed_orientation import Printed
@@ -47,25 +51,28 @@ class PlanarInputs:
 
 @dataclass(frozen=True)
 class Block:
-    """Files and declarations that describe a block.
+    """Images of one sensor with what is known of them; nothing is read before the block is used.
+
+    What a file can say can be given as a value, too: `Camera`, `Exterior`, `Dem`, `ControlPoints`.
 
     Attributes
     ----------
     images : tuple of Path
+        One path, or several.
     sensor : str
-        Name of the sensor plugin.
+        Name of the sensor plugin; unless given, images lie as their files say.
     options : mapping
         The plugin's own inputs, the same for all images.
     base : Path
         Folder that relative file names in `options` start from.
-    camera : Path, optional
+    camera : Path or Camera, optional
         Camera description (TOML).
     corrections : str, optional
         File of a correction grid; '{image}' in it takes the name of each image, without it one serves all.
     fiducials : Path, optional
         Fiducial marks measured in the scans of films.
-    exterior : Path, optional
-        Orientation table.
+    exterior : Path, Exterior or mapping of str to Exterior, optional
+        Orientation table; or orientations by image name, which bring `crs`, `heights` and `angles` with them.
     crs : str, optional
         CRS of positions and control points.
     heights : str, optional
@@ -82,14 +89,14 @@ class Block:
         How a printed list of orientations is to be read, with angles 'printed'.
     trusted : bool
         Do not look whether the orientation can be meant.
-    dem : Path, optional
+    dem : Path or Dem, optional
         Digital elevation model.
     height : float, optional
         A constant height in metres, instead of a DEM.
     dem_heights : str, optional
         Vertical datum of the DEM or of `height`; overrides what the DEM's file says.
-    control : Path, optional
-        Control and check points.
+    control : Path, ControlPoints or mapping of str to ControlPoints, optional
+        Control and check points; as values by image name.
     nodata : float, optional
         Value of missing pixels of the images, in place of what the files say.
     bands : tuple of int, optional
@@ -105,13 +112,13 @@ class Block:
     """
 
     images: tuple[Path, ...]
-    sensor: str
+    sensor: str = "planar"
     options: Mapping[str, Any] = field(default_factory=dict)
     base: Path = Path()
-    camera: Path | None = None
+    camera: Path | Camera | None = None
     corrections: str | None = None
     fiducials: Path | None = None
-    exterior: Path | None = None
+    exterior: Path | ExteriorTable | None = None
     crs: str | None = None
     heights: str | None = None
     angles: str = "opk"
@@ -120,10 +127,10 @@ class Block:
     matrix: str | None = None
     printed: Printed | None = None
     trusted: bool = False
-    dem: Path | None = None
+    dem: Path | Dem | None = None
     height: float | None = None
     dem_heights: str | None = None
-    control: Path | None = None
+    control: Path | Mapping[str, ControlPoints] | None = None
     nodata: float | None = None
     bands: tuple[int, ...] | None = None
     planar: PlanarInputs | None = None
@@ -131,19 +138,88 @@ class Block:
     usable: Path | None = None
     band_names: tuple[str, ...] | None = None
 
+    def __post_init__(self) -> None:
+        put = object.__setattr__  # the value is frozen from here on
+        put(self, "images", _paths(self.images))
+        for name in ("camera", "fiducials", "exterior", "dem", "control", "usable"):
+            if isinstance(getattr(self, name), str):
+                put(self, name, Path(getattr(self, name)))
+        if isinstance(self.control, ControlPoints):
+            put(self, "control", {self._only("control"): self.control})
+        if isinstance(self.exterior, Exterior):
+            put(self, "exterior", {self._only("exterior"): self.exterior})
+        if isinstance(self.exterior, Mapping):
+            table, common = exterior_values(self.exterior)
+            put(self, "exterior", table)
+            for name, value in common.items():
+                put(self, name, value)
+        if isinstance(self.control, Mapping) and self.control and self.crs is None:
+            put(self, "crs", next(iter(self.control.values())).crs.to_wkt())
+
+    def _only(self, parameter: str) -> str:
+        """Name of the one image that a single value can belong to."""
+        if len(self.images) != 1:
+            raise InputError(
+                f"one value is given for {len(self.images)} images",
+                where=f"`{parameter}`",
+                hint="give one by image name",
+            )
+        return self.images[0].name
+
     @property
     def tables(self) -> tuple[Path, ...]:
         """Files that say how the images were taken."""
         ties = self.planar.ties if self.planar else None
-        own = (self.camera, self.fiducials, self.exterior, self.control, ties, self.usable, _grid(self.heights))
+        given = (self.camera, self.fiducials, self.exterior, self.control, ties, self.usable)
+        own = (*map(file_of, given), _grid(self.heights))
         grids = [corrections_file(self.corrections, image.name) for image in self.images] if self.corrections else []
         others = _beside(self.exterior, self.angles, self.images)
-        return (*(path for path in own if path), *others, *dict.fromkeys(grids), *_named_in(self.options, self.base))
+        return (
+            *(path for path in own if isinstance(path, Path)),
+            *others,
+            *dict.fromkeys(grids),
+            *_named_in(self.options, self.base),
+        )
 
     @property
     def ground(self) -> tuple[Path, ...]:
         """Files that say how high the ground is."""
-        return tuple(path for path in (self.dem, _grid(self.dem_heights), _grid(self.heights)) if path)
+        return tuple(path for path in (file_of(self.dem), _grid(self.dem_heights), _grid(self.heights)) if path)
+
+
+@dataclass(frozen=True)
+class Scene(Block):
+    """One image with what is known of it: a block of one, with the attributes of `Block`.
+
+    Examples
+    --------
+    >>> camera = Camera(focal_mm=50.0, pixel_um=5.0)
+    >>> angles = {"omega": 0.1, "phi": -0.2, "kappa": 91.0}
+    >>> exterior = Exterior(500000.0, 5400000.0, 1200.0, **angles, crs="EPSG:32633", heights="egm96")
+    >>> Scene("0417.tif", "frame", camera=camera, exterior=exterior).name
+    '0417.tif'
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._only("images")
+
+    @property
+    def name(self) -> str:
+        """Name of the image: that of its file, without folders."""
+        return self.images[0].name
+
+
+def file_of(given: object) -> Path | None:
+    """File of an input; None of one that is given as a value, or not at all."""
+    if isinstance(given, Dem):
+        return Path(given.path) if given.path else None
+    return given if isinstance(given, Path) else None
+
+
+def _paths(images: Any) -> tuple[Path, ...]:
+    """Paths of one or several images."""
+    return (Path(images),) if isinstance(images, str | Path) else tuple(map(Path, images))
 
 
 def _grid(heights: str | None) -> Path | None:
@@ -151,9 +227,9 @@ def _grid(heights: str | None) -> Path | None:
     return Path(heights) if heights and heights.lower().endswith((".tif", ".gtx")) else None
 
 
-def _beside(exterior: Path | None, angles: str, images: Sequence[Path]) -> tuple[Path, ...]:
+def _beside(exterior: Path | ExteriorTable | None, angles: str, images: Sequence[Path]) -> tuple[Path, ...]:
     """Files of another program that are read with the one that is named."""
-    if exterior is None:
+    if not isinstance(exterior, Path):
         return ()
     if angles == "colmap":
         return (exterior.with_name("cameras.txt"), exterior.with_name("images.txt"))

@@ -6,7 +6,7 @@ import math
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -62,8 +62,87 @@ RECONSTRUCTION_SYSTEM = (
 """The choice between them, which the file does not say."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Exterior:
+    """Exterior orientation of one image: where it was taken, and how the camera was turned.
+
+    The names of the angles say their system: omega, phi, kappa; roll, pitch, yaw; gimbal_yaw, gimbal_pitch,
+    gimbal_roll; or r11 to r33 of a rotation matrix.
+
+    Parameters
+    ----------
+    x, y, z : float
+        Projection centre in `crs`, z in metres above `heights`.
+    omega, phi, kappa : float, optional
+        Degrees unless `angle_unit` says otherwise.
+    crs : str, optional
+        CRS of x and y.
+    heights : str, optional
+        Vertical datum of z: 'ellipsoidal', 'egm96', an EPSG code or the path of a geoid grid.
+    system : str, optional
+        One of `SYSTEMS` where the names leave a choice: 'pok' turns phi first, 'patb' prints its matrix its own way.
+    angle_unit : str, optional
+        'deg', 'gon' or 'rad'.
+    **angles : float
+        Angles of another system by name.
+
+    Raises
+    ------
+    InputError
+        The angles are those of no system.
+
+    Examples
+    --------
+    >>> Exterior(500000.0, 5400000.0, 1200.0, omega=0.1, phi=-0.2, kappa=91.0, crs="EPSG:32633").system
+    'opk'
+    >>> Exterior(11.0, 47.5, 1200.0, roll=0.1, pitch=-0.2, yaw=91.0, crs="EPSG:4326").system
+    'rpy'
+    """
+
+    position: tuple[float, float, float]
+    angles: Mapping[str, float]
+    system: str
+    crs: str | None
+    heights: str | None
+    angle_unit: str | None
+
+    def __init__(
+        self,
+        x: float,
+        y: float,
+        z: float,
+        omega: float | None = None,
+        phi: float | None = None,
+        kappa: float | None = None,
+        *,
+        crs: str | None = None,
+        heights: str | None = None,
+        system: str | None = None,
+        angle_unit: str | None = None,
+        **angles: float,
+    ) -> None:
+        named = {"omega": omega, "phi": phi, "kappa": kappa, **angles}
+        given = {name: float(value) for name, value in named.items() if value is not None}
+        fitting = [name for name, columns in SYSTEMS.items() if set(columns) == set(given)]
+        if system is None and fitting:
+            system = fitting[0]
+        if system not in fitting:
+            raise InputError(
+                f"{', '.join(given) or 'no angles'} are not the angles of {system or 'any system'}",
+                where="Exterior",
+                hint="; ".join(f"{name}: {', '.join(columns)}" for name, columns in SYSTEMS.items() if name != "patb"),
+            )
+        if angle_unit not in (None, *TO_DEGREES):
+            raise InputError(f"no angle unit named '{angle_unit}'", hint=f"use one of {', '.join(TO_DEGREES)}")
+        position = (float(x), float(y), float(z))
+        if not all(map(math.isfinite, (*position, *given.values()))):
+            raise InputError("a coordinate or an angle is not finite", where="Exterior", hint="give numbers")
+        for field, value in zip(fields(self), (position, given, system, crs, heights, angle_unit), strict=True):
+            object.__setattr__(self, field.name, value)
+
+
+@dataclass(frozen=True)
+class ExteriorRow:
     """Position and attitude of one image as the table has them.
 
     Attributes
@@ -90,9 +169,17 @@ class ExteriorTable:
 
     path: str
     system: str
-    rows: Mapping[str, Exterior]
+    rows: Mapping[str, ExteriorRow]
 
-    def row(self, image: str) -> Exterior:
+    @property
+    def name(self) -> str:
+        """Name of the file, for messages; of orientations given as values that of the parameter."""
+        return Path(self.path).name
+
+    def __str__(self) -> str:
+        return self.path
+
+    def row(self, image: str) -> ExteriorRow:
         """Return the row of an image file, by name with or without extension."""
         found = find_by_name(self.rows, image)
         if found is None:
@@ -100,9 +187,47 @@ class ExteriorTable:
         return found
 
 
-def undeclared_reconstruction(path: PathLike | None, system: str) -> bool:
+def exterior_values(given: Mapping[str, Exterior]) -> tuple[ExteriorTable, dict[str, str]]:
+    """Table of orientations given as values by image name, and what they say of themselves.
+
+    Returns
+    -------
+    table : ExteriorTable
+    common : dict of str
+        `angles`, and `crs`, `heights` and `angle_unit` where they have them.
+
+    Raises
+    ------
+    InputError
+        Two of them differ in system, unit, CRS or vertical datum.
+    """
+    common: dict[str, str] = {}
+    for parameter, name in (("angles", "system"), ("crs", "crs"), ("heights", "heights"), ("angle_unit", "angle_unit")):
+        found = {getattr(exterior, name) for exterior in given.values()}
+        if len(found) > 1:
+            raise InputError(
+                f"the orientations have different {name}: {', '.join(map(str, sorted(map(str, found))))}",
+                where="`exterior`",
+                hint="bring them to the same; a block has one",
+            )
+        value = found.pop() if found else None
+        if value is not None:
+            common[parameter] = value
+    rows = {
+        image: ExteriorRow(image, exterior.position, exterior.angles, number)
+        for number, (image, exterior) in enumerate(given.items(), start=1)
+    }
+    return ExteriorTable("exterior", common.get("angles", "opk"), rows), common
+
+
+def undeclared_reconstruction(path: PathLike | ExteriorTable | None, system: str) -> bool:
     """Whether a file is a reconstruction, and nothing says whose: the two kinds look the same inside."""
-    return path is not None and Path(path).suffix.lower() == ".json" and system not in RECONSTRUCTIONS
+    return (
+        path is not None
+        and not isinstance(path, ExteriorTable)
+        and Path(path).suffix.lower() == ".json"
+        and system not in RECONSTRUCTIONS
+    )
 
 
 def read_exterior(path: PathLike, system: str) -> ExteriorTable:
@@ -145,7 +270,7 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
     checked = CHECKED.get(system, ())
     if set(checked) <= set(table.columns):
         columns = (*columns, *checked)
-    rows: dict[str, Exterior] = {}
+    rows: dict[str, ExteriorRow] = {}
     lines: dict[str, int] = {}
     for row in table:
         image = row.text("image")
@@ -158,7 +283,7 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
             )
         lines[bare] = row.line
         x, y, z = (row.number(axis) for axis in "xyz")
-        rows[image] = Exterior(image, (x, y, z), {name: row.number(name) for name in columns}, row.line)
+        rows[image] = ExteriorRow(image, (x, y, z), {name: row.number(name) for name in columns}, row.line)
     return ExteriorTable(str(path), system, rows)
 
 
@@ -178,7 +303,7 @@ HEADINGS: Mapping[str, tuple[tuple[str, float], ...]] = {
 """Two tilts and the turn of each system, the turn counted counter-clockwise as kappa is, up to multiples of 90°."""
 
 
-def check_units(table: ExteriorTable, unit: str | None, rows: Sequence[Exterior], crs: CRS | None = None) -> None:
+def check_units(table: ExteriorTable, unit: str | None, rows: Sequence[ExteriorRow], crs: CRS | None = None) -> None:
     """Stop where angles without a declared unit look as if they were not in degrees; note it where one is declared.
 
     Parameters

@@ -17,6 +17,7 @@ from geomosaic.inputs.exterior_orientation import SELF_PLACED
 from geomosaic.inputs.frames import declared, undeclared
 from geomosaic.inputs.photos import Photo
 from geomosaic.raster.info import inspect
+from geomosaic.surface.dem import Dem
 from geomosaic.surface.model import Surface
 from geomosaic.types import FloatArray
 
@@ -57,8 +58,8 @@ def build_surface(
             raise undeclared("the ground", "--height", OF_DEM, frame, _place(photos), _reach(photos, inputs.height))
         return Plane(frame, inputs.height)
     if inputs.dem is not None:
-        from geomosaic.surface.dem import Dem
-
+        if isinstance(inputs.dem, Dem):
+            return inputs.dem
         info = inspect(inputs.dem)
         if inputs.dem_heights is None and info.crs is not None and not has_heights(info.crs):
             raise _undeclared_dem(inputs.dem, crs, photos, of_model)
@@ -94,8 +95,6 @@ def _undeclared_dem(
     path: Path, crs: CRS | None, photos: Sequence[Photo], of_model: Callable[[], float | None]
 ) -> HeightDatumError:
     """Say what a DEM without a vertical datum could do at the first photo, else in its middle."""
-    from geomosaic.surface.dem import Dem
-
     dem = Dem.open(path, heights="ellipsoidal")
     grid = dem.grid
     dem.close()
@@ -107,16 +106,17 @@ def _undeclared_dem(
     return undeclared("the DEM", str(path), OF_DEM, grid.crs, (float(place[0, 0]), float(place[0, 1])), reach)
 
 
-def _as_written(path: Path, crs: CRS, photos: Sequence[Photo]) -> tuple[FloatArray, float]:
+def _as_written(path: Path | Dem, crs: CRS, photos: Sequence[Photo]) -> tuple[FloatArray, float]:
     """Place of the first photo in the map of the DEM (1, 2), and the height written there; NaN where there is none."""
-    from geomosaic.surface.dem import Dem
-
-    dem = Dem.open(path, heights="ellipsoidal")  # the datum does not matter: heights are taken as they stand
+    given = isinstance(path, Dem)
+    # The datum does not matter: heights are taken as they stand.
+    dem = path if isinstance(path, Dem) else Dem.open(path, heights="ellipsoidal")
     try:
         under = Transform(horizontal(crs), dem.grid.crs)(np.array([_place(photos)]))
         return under, float(dem.height(under)[0])
     finally:
-        dem.close()
+        if not given:
+            dem.close()
 
 
 def _place(photos: Sequence[Photo]) -> tuple[float, float]:

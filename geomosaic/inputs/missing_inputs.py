@@ -6,7 +6,7 @@ from pathlib import Path
 
 from geomosaic.errors import SensorError
 from geomosaic.geo.crs import has_heights
-from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.exterior_orientation import (
     RECONSTRUCTION_SYSTEM,
     RECONSTRUCTIONS,
@@ -54,7 +54,8 @@ def needs(inputs: Block) -> list[str]:
         )
     if inputs.angles == "colmap" and inputs.options.get("world") in ("map", "geocentric"):
         framed = False
-    of_text = inputs.angles == "metashape" and inputs.exterior is not None and inputs.exterior.suffix.lower() != ".xml"
+    exterior = file_of(inputs.exterior)
+    of_text = inputs.angles == "metashape" and exterior is not None and exterior.suffix.lower() != ".xml"
     if of_text:
         framed, reconstruction = False, False
     if inputs.sensor == "frame" and inputs.camera is None and not reconstruction:
@@ -63,7 +64,7 @@ def needs(inputs: Block) -> list[str]:
         found.append(
             "positions and angles of the photos: [exterior] file, a table with image, x, y, z, omega, phi, kappa"
         )
-    of_map, of_heights = frame_words(inputs.exterior if inputs.angles == "ori" else None)
+    of_map, of_heights = frame_words(exterior if inputs.angles == "ori" else None)
     if inputs.crs is None and not framed:
         found.append(f"the CRS of the positions: [exterior] crs, such as EPSG:32633{of_map}")
     declared = inputs.heights is not None or framed
@@ -74,7 +75,7 @@ def needs(inputs: Block) -> list[str]:
     own = framed and (inputs.sensor != "frame" or (inputs.exterior is not None and inputs.angles in SELF_PLACED))
     if own and inputs.height is not None and not (inputs.dem_heights or inputs.heights or inputs.crs):
         found.append(f"what the height of the ground counts from: [dem] heights: {HEIGHTS}")
-    if inputs.dem_heights is None and undeclared_heights(inputs.dem):
+    if inputs.dem_heights is None and undeclared_heights(file_of(inputs.dem)):
         found.append(f"the vertical datum of the DEM: [dem] heights: {HEIGHTS}")
     return found
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from pyproj import CRS
 
@@ -15,15 +13,13 @@ from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import (
     RECONSTRUCTIONS,
     SELF_PLACED,
-    Exterior,
+    ExteriorRow,
     ExteriorTable,
     check_units,
     read_exterior,
 )
 from geomosaic.inputs.frames import named
-from geomosaic.inputs.tables import read_text
 from geomosaic.raster.info import SourceInfo, inspect
-from geomosaic.types import PathLike
 
 
 @dataclass(frozen=True)
@@ -32,7 +28,7 @@ class Photo:
 
     path: Path
     info: SourceInfo
-    exterior: Exterior | None
+    exterior: ExteriorRow | None
 
     @property
     def name(self) -> str:
@@ -40,7 +36,9 @@ class Photo:
         return self.path.name
 
 
-def _table(inputs: Block, path: Path) -> ExteriorTable:
+def _table(inputs: Block, path: Path | ExteriorTable) -> ExteriorTable:
+    if isinstance(path, ExteriorTable):
+        return path
     if inputs.angles != "printed":
         return read_exterior(path, inputs.angles)
     from geomosaic.inputs.printed_orientation import read_printed
@@ -85,33 +83,3 @@ def photos_of(inputs: Block) -> tuple[list[Photo], CRS | None]:
     if crs is None or not is_free(crs):  # who walks round a thing turns with it, not along his way
         check_units(table, inputs.angle_unit, list(table.rows.values()), crs)
     return photos, crs
-
-
-LARGEST = 4 << 20
-
-
-def read_toml(path: PathLike, what: str, largest: int = LARGEST) -> dict[str, Any]:
-    """Read a TOML file of limited size.
-
-    Raises
-    ------
-    InputError
-        Names file and line.
-    """
-    try:
-        return tomllib.loads(read_text(path, what, largest))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"the {what} is not valid TOML: {error}", where=str(path), hint="correct that line") from None
-    except RecursionError:
-        raise InputError(f"the {what} is nested too deeply", where=str(path)) from None
-
-
-def read_camera(path: PathLike) -> dict[str, Any]:
-    """Read a camera file; a single [camera] table at the top is unwrapped."""
-    if Path(path).suffix.lower() != ".toml":
-        raise InputError("a camera is described in a .toml file", where=str(path), hint="see `geomosaic sensors frame`")
-    values = read_toml(path, "camera file")
-    camera = values.get("camera")
-    if isinstance(camera, dict) and len(values) == 1:
-        return dict(camera)
-    return values

@@ -18,7 +18,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.geo.rotation import r1, r2, r3
-from geomosaic.inputs.exterior_orientation import MATRIX, TO_DEGREES, Exterior, ExteriorTable
+from geomosaic.inputs.exterior_orientation import MATRIX, TO_DEGREES, ExteriorRow, ExteriorTable
 from geomosaic.inputs.tables import read_text, stem
 from geomosaic.types import FloatArray
 
@@ -78,7 +78,7 @@ def read_printed(path: Path, how: Printed, unit: str | None, direction: str | No
     has_angles, has_matrix = (set(names) <= set(how.columns) for names in (ANGLES, MATRIX))
     _complete(how, has_angles, has_matrix, unit, direction, where)
     to_image = image_axes(how.axes, where)
-    rows: dict[str, Exterior] = {}
+    rows: dict[str, ExteriorRow] = {}
     seen: dict[str, int] = {}
     for line, record in _records(path, how):
         here = f"{path}, line {line}"
@@ -98,7 +98,7 @@ def read_printed(path: Path, how: Printed, unit: str | None, direction: str | No
         else:
             rotation = _nearest(printed, here) if printed is not None else np.eye(3)
         elements = dict(zip(MATRIX, (to_image.T @ rotation).ravel().tolist(), strict=True))
-        rows[name] = Exterior(name, (values["x"], values["y"], values["z"]), elements, line)
+        rows[name] = ExteriorRow(name, (values["x"], values["y"], values["z"]), elements, line)
     if not rows:
         raise InputError("the list has no record", where=where, hint="check skip and lines")
     return ExteriorTable(where, "printed", rows)

@@ -11,8 +11,8 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from geomosaic.errors import InputError, did_you_mean
+from geomosaic.inputs.camera import read_toml
 from geomosaic.inputs.declarations import Block, PlanarInputs, wrong_policy
-from geomosaic.inputs.photos import read_toml
 from geomosaic.inputs.printed_orientation import Printed
 from geomosaic.inputs.tables import read_text
 from geomosaic.project.schema import ProjectFile

@@ -11,7 +11,7 @@ from typing import Any
 
 from geomosaic.enhancement.picture import stretch_given
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.inputs.photos import read_toml
+from geomosaic.inputs.camera import read_toml
 from geomosaic.inputs.tables import read_text
 from geomosaic.options.toml_tables import build
 from geomosaic.sheets.drawing.save import FileOptions

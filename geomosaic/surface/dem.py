@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from pyproj import CRS
 
@@ -9,7 +11,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import has_heights, height_name, horizontal, parse_crs, with_heights
 from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.raster.source import Source
-from geomosaic.surface.dem_nodes import BLOCK, Nodes
+from geomosaic.surface.dem_nodes import BLOCK, ArraySource, Nodes
 from geomosaic.surface.model import HeightPatch
 from geomosaic.surface.vertical_datum import undeclared_heights
 from geomosaic.types import BoolArray, Float32Array, FloatArray, IntArray, PathLike
@@ -37,7 +39,9 @@ _UNITS = {
 
 
 class Dem:
-    """A digital elevation model; a `Surface`. Thread-safe. Made by `Dem.open`.
+    """Digital elevation model; a `Surface`. Thread-safe. Made by `Dem.open` or `Dem.from_array`.
+
+    Heights are bilinear between nodes, which are the pixel centres, and unknown where a node that counts is unknown.
 
     Attributes
     ----------
@@ -135,6 +139,47 @@ class Dem:
             overridden=height_name(file_crs) if heights is not None and own else None,
             notes=notes,
         )
+
+    @classmethod
+    def from_array(cls, heights: FloatArray, grid: Grid, datum: str | None = None) -> Dem:
+        """DEM of heights in memory.
+
+        Parameters
+        ----------
+        heights : array (rows, cols)
+            Metres, at the pixel centres of `grid`; NaN where unknown.
+        grid : Grid
+        datum : str, optional
+            What the heights count from: 'ellipsoidal', 'egm96', an EPSG code, or the path of a geoid grid; not needed
+            where the grid's CRS has heights.
+
+        Raises
+        ------
+        HeightDatumError
+            Nothing says what the heights count from.
+        InputError
+            The array has another shape than the grid.
+
+        Examples
+        --------
+        >>> grid = Grid.from_bounds(CRS("EPSG:32633"), (500000.0, 5400000.0, 500030.0, 5400020.0), 10.0)
+        >>> dem = Dem.from_array(np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]), grid, "egm96")
+        >>> dem.height(np.array([[500015.0, 5400010.0]])).tolist()
+        [3.5]
+        """
+        values = np.array(heights, dtype=np.float32)
+        if values.shape != grid.shape:
+            raise InputError(
+                f"the heights are {values.shape} and the grid has {grid.shape} rows and columns", where="`heights`"
+            )
+        own = has_heights(grid.crs)
+        flat = replace(grid, crs=horizontal(grid.crs))
+        if datum is None and not own:
+            x, y = flat.xy(np.array([[flat.width / 2, flat.height / 2]]))[0]
+            raise undeclared_heights(flat.crs, float(x), float(y), "`heights`")
+        crs = grid.crs if datum is None else with_heights(flat.crs, datum, "`datum`")
+        values.flags.writeable = False
+        return cls(Nodes(ArraySource(values), 1.0, 0.0, values.nbytes), "", crs, flat, declared=datum)
 
     def close(self) -> None:
         """Close the file and free the memory."""

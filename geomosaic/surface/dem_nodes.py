@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.raster.preview import block_sum
-from geomosaic.raster.source import Source
-from geomosaic.types import Float32Array
+from geomosaic.types import AnyArray, ByteArray, Float32Array
 
 HIGHEST = 20_000.0
 """Metres; a height beyond this either way is a mark for 'unknown' that the file forgot to declare."""
@@ -22,12 +23,61 @@ _BLOCKS_KEPT = 64
 _STRIP_NODES = 4 << 20
 
 
+class _Size(Protocol):
+    @property
+    def width(self) -> int: ...
+    @property
+    def height(self) -> int: ...
+    @property
+    def path(self) -> str: ...
+
+
+class HeightSource(Protocol):
+    """Where nodes come from: a `Source` of one band, or an array."""
+
+    @property
+    def info(self) -> _Size:
+        """Size in nodes, and the name for messages."""
+
+    def read(self, window: Window) -> tuple[AnyArray, ByteArray | None]:
+        """Values (rows, cols, 1) of a window, and which of them are valid."""
+
+    def close(self) -> None:
+        """Close the file."""
+
+
+@dataclass(frozen=True)
+class _ArraySize:
+    width: int
+    height: int
+    path: str = "the array of heights"
+
+
+@dataclass(frozen=True, eq=False)
+class ArraySource:
+    """Heights (rows, cols) held in memory, as a source of nodes."""
+
+    heights: Float32Array
+
+    @property
+    def info(self) -> _ArraySize:
+        """Size of the array."""
+        return _ArraySize(self.heights.shape[1], self.heights.shape[0])
+
+    def read(self, window: Window) -> tuple[Float32Array, None]:
+        """Values (rows, cols, 1) of a window; unknown ones are NaN."""
+        return self.heights[window.row : window.stop_row, window.col : window.stop_col, None], None
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
 class Nodes:
     """Heights at the pixel centres of a raster. Thread-safe.
 
     Parameters
     ----------
-    source : Source
+    source : HeightSource
         One band.
     scale, offset : float
         Stored values × scale + offset are metres.
@@ -35,7 +85,7 @@ class Nodes:
         Bytes; a file of no more nodes than fit is read once and kept.
     """
 
-    def __init__(self, source: Source, scale: float, offset: float, memory: int) -> None:
+    def __init__(self, source: HeightSource, scale: float, offset: float, memory: int) -> None:
         self._source, self._scale, self._offset = source, scale, offset
         self.window = Window(0, 0, source.info.width, source.info.height)
         self._keep = 4 * self.window.width * self.window.height <= memory

@@ -12,7 +12,7 @@ from geomosaic.inputs.area import Area, plan
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.control_diagnostics import astray
 from geomosaic.inputs.control_points import read_control
-from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.exterior_orientation import undeclared_reconstruction
 from geomosaic.inputs.frames import crs_name, describe
 from geomosaic.inputs.missing_inputs import needs
@@ -35,8 +35,9 @@ def understood(inputs: Block) -> tuple[list[str], str | None]:
         lines.append(_dem(inputs))
     if inputs.height is not None:
         lines.append(f"ground: one height, {inputs.height:g} m")
-    if inputs.control is not None:
-        points = read_control(inputs.control, [path.name for path in inputs.images])
+    control = file_of(inputs.control)
+    if control is not None:
+        points = read_control(control, [path.name for path in inputs.images])
         names = {role: {point.id for point in points if point.role == role} for role in ("control", "check")}
         lines.append(
             f"control: {len(names['control'])} control and {len(names['check'])} check points, "
@@ -78,16 +79,17 @@ def _positions(photos: Sequence[Photo], unit: str) -> list[str]:
 
 
 def _dem(inputs: Block) -> str:
-    if inputs.dem is None:
+    path = file_of(inputs.dem)
+    if path is None:
         return ""
-    info = inspect(inputs.dem)
+    info = inspect(path)
     if info.crs is None or info.transform is None:
         return f"DEM: {info.width} x {info.height} nodes, not georeferenced"
     if inputs.dem_heights is None and not has_heights(info.crs):
         return f"DEM: {info.width} x {info.height} nodes, {describe(info.crs)}"
     from geomosaic.surface.dem import Dem
 
-    dem = Dem.open(inputs.dem, heights=inputs.dem_heights)
+    dem = Dem.open(path, heights=inputs.dem_heights)
     try:
         low, high = dem.range
         unit = dem.crs.axis_info[0].unit_name

@@ -11,7 +11,7 @@ from pyproj import CRS
 from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, counted
 from geomosaic.geo.crs import horizontal, parse_map
-from geomosaic.inputs.declarations import Block, PlanarInputs
+from geomosaic.inputs.declarations import Block, PlanarInputs, file_of
 from geomosaic.inputs.photos import Photo, photos_of
 from geomosaic.inputs.planar.facts import (
     chain_facts,
@@ -81,10 +81,17 @@ def build_planar(inputs: Block, wanted: PlanarInputs) -> tuple[OrientedBlock, di
     """
     crs = _map(inputs, wanted)
     photos, _ = photos_of(inputs)
-    block, points = read_block(photos, wanted.ties, inputs.control)
-    if points and wanted.kind != "uncontrolled":
-        examine(points, crs, inputs.control, wanted.wrong)
-    tables = " and ".join(path.name for path in (wanted.ties, inputs.control) if path is not None)
+    control = file_of(inputs.control)
+    if control is None and inputs.control is not None:
+        raise InputError(
+            "photos that are placed together take their control points from a file",
+            where="`control`",
+            hint="write a table: id, x, y, image, col, row",
+        )
+    block, points = read_block(photos, wanted.ties, control)
+    if points and control is not None and wanted.kind != "uncontrolled":
+        examine(points, crs, control, wanted.wrong)
+    tables = " and ".join(path.name for path in (wanted.ties, control) if path is not None)
     placed = place(block, wanted, tables)
     scenes = tuple(_scene(inputs, photo, placed.transforms[photo.name], crs) for photo in photos)
     known: tuple[ControlPoint, ...] = () if wanted.kind == "uncontrolled" else points

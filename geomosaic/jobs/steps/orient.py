@@ -12,13 +12,13 @@ from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.build import build_block
+from geomosaic.inputs.camera import read_camera
 from geomosaic.inputs.control_diagnostics import astray
 from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
 from geomosaic.inputs.frames import describe, named
 from geomosaic.inputs.ground import build_surface
 from geomosaic.inputs.missing_inputs import needs
 from geomosaic.inputs.orientation_check.plausibility import FAR
-from geomosaic.inputs.photos import read_camera
 from geomosaic.inputs.usable_area import with_usable
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.manifest import heard, read_json, write_json

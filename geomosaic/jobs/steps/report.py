@@ -8,6 +8,7 @@ from typing import Any
 
 import geomosaic
 from geomosaic.errors import QualityError
+from geomosaic.inputs.declarations import file_of
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.manifest import plain, read_json, write_json
 from geomosaic.jobs.step import Context
@@ -34,11 +35,11 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
     layout, inputs = Layout(project), project.inputs
     facts = {step: read_json(layout.facts(step)) for step in ("orient", "mosaic", "check")}
     roles = {
-        inputs.camera: "camera",
-        inputs.fiducials: "fiducials",
-        inputs.exterior: "orientations",
-        inputs.dem: "DEM",
-        inputs.control: "control points",
+        file_of(inputs.camera): "camera",
+        file_of(inputs.fiducials): "fiducials",
+        file_of(inputs.exterior): "orientations",
+        file_of(inputs.dem): "DEM",
+        file_of(inputs.control): "control points",
         project.file(project.settings.quality.reference): "reference",
         project.path: "project",
     }

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from geomosaic.errors import OutputExistsError
-from geomosaic.inputs.declarations import Block, PlanarInputs
+from geomosaic.errors import InputError, OutputExistsError
+from geomosaic.inputs.declarations import Block, PlanarInputs, file_of
 from geomosaic.inputs.exterior_orientation import (
     RECONSTRUCTION_SYSTEM,
     RECONSTRUCTIONS,
@@ -56,8 +56,9 @@ def draft_project(path: Path, inputs: Block, angles: str | None) -> Draft:
         A file that was given cannot be read.
     """
     read = None
-    if inputs.exterior is not None and angles is None:
-        read = _system(inputs.exterior)
+    exterior = file_of(inputs.exterior)
+    if exterior is not None and angles is None:
+        read = _system(exterior)
         inputs = replace(inputs, angles=read or inputs.angles)
     needed = needs(inputs)
     text = _text(path, inputs, read is not None)
@@ -104,7 +105,10 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
     undeclared = undeclared_reconstruction(inputs.exterior, inputs.angles)
     reconstruction = undeclared or inputs.angles in RECONSTRUCTIONS
 
-    def near(file: Path) -> str:
+    def near(given: object) -> str:
+        file = file_of(given)
+        if file is None:
+            raise InputError("a project names files, and a value is given", hint="write it to a file first")
         return _string(relative(file, folder))
 
     lines = [
@@ -217,7 +221,7 @@ def _ground(inputs: Block, near: Any, folder: Path) -> list[str]:
     if inputs.dem_heights:
         lines.append(f"heights = {_string(_datum(inputs.dem_heights, folder))}    # overrides what the file says")
     else:
-        said = inputs.height is None and not undeclared_heights(inputs.dem)
+        said = inputs.height is None and not undeclared_heights(file_of(inputs.dem))
         mark = "overrides what the file says" if said else f"NEEDED: {HEIGHTS}"
         lines.append(f'# heights = "egm96"    # vertical datum; {mark}')
     return lines
