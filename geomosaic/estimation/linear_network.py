@@ -11,11 +11,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
-from geomosaic.estimation.normal_equations import Normals
+from geomosaic.estimation.equations import Equations
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 CHUNK = 512
@@ -81,8 +80,8 @@ class Network:
         return first
 
     @cached_property
-    def design(self) -> Any:
-        """Sparse design (rows, unknowns), rows over their standard deviations: views, given coordinates, priors."""
+    def equations(self) -> Equations:
+        """Sparse equations of all unknowns; rows are image positions, given coordinates, a-priori values."""
         from scipy.sparse import coo_array
 
         count, weight = len(self.point), 1.0 / self.sigma[:, None, None]
@@ -102,48 +101,24 @@ class Network:
         data = [(self.by_parameters * weight)[used], (self.by_point * weight)[free].ravel(), known]
         entries = np.concatenate([*data, 1.0 / self.priors[prior]])
         size = (2 * count + len(known) + len(prior), self.unknowns + 2 * int(self.moving.sum()))
-        return coo_array((entries, (np.concatenate(rows), np.concatenate(cols))), shape=size).tocsr()
+        design = coo_array((entries, (np.concatenate(rows), np.concatenate(cols))), shape=size).tocsr()
+        return Equations(design, self._misclosure())
 
-    @cached_property
-    def right(self) -> FloatArray:
-        """Right-hand side (rows,), over the standard deviations."""
+    def _misclosure(self) -> FloatArray:
         prior = np.isfinite(self.priors)
         given = self.given[self.observed] / self.given_sigma[self.observed, None]
         views = self.errors / self.sigma[:, None]
         return np.concatenate([views.ravel(), given.ravel(), self.from_priors[prior] / self.priors[prior]])
 
-    @cached_property
-    def normals(self) -> Normals:
-        """Factored normal equations of all unknowns."""
-        return Normals.of(self.design)
-
-    @property
-    def redundancy(self) -> int:
-        """Rows less unknowns."""
-        rows, unknowns = self.design.shape
-        return int(rows - unknowns)
-
-    def step(self) -> FloatArray:
-        """Changes of all unknowns that least squares asks for."""
-        right: FloatArray = self.design.T @ self.right
-        return self.normals.solve(right) if len(right) else right
-
-    def changes(self) -> tuple[FloatArray, FloatArray]:
-        """Changes of the parameters (U,) and of the points (S, 2), 0 for those that are held."""
-        step = self.step()
-        moved = np.zeros((len(self.moving), 2))
-        moved[self.moving] = step[self.unknowns :].reshape(-1, 2)
-        return step[: self.unknowns], moved
-
     def cofactors(self) -> tuple[FloatArray, FloatArray]:
         """Cofactors of the parameters (U, U), and of x and y of each point (S, 2, 2), 0 for those that are held."""
-        size, count = self.design.shape[1], self.unknowns
+        size, count = self.equations.design.shape[1], self.unknowns
         parameters, points = np.zeros((count, count)), np.zeros((int(self.moving.sum()), 2, 2))
         for first in range(0, size, CHUNK):
             own = np.arange(first, min(first + CHUNK, size))
             unit = np.zeros((size, len(own)))
             unit[own, np.arange(len(own))] = 1.0
-            solved = self.normals.solve(unit)
+            solved = self.equations.normals.solve(unit)
             inner = own < count
             parameters[:, own[inner]] = solved[:count, inner]
             place, axis = np.divmod(own[~inner] - count, 2)

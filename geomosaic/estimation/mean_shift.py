@@ -90,19 +90,19 @@ class Shifts:
                 cols.append(np.broadcast_to(2 * k + np.array([[0, 1]]), block.shape).ravel())
                 data.append(block.ravel())
         entries = (np.concatenate(data), (np.concatenate(rows), np.concatenate(cols)))
-        return coo_array(entries, shape=(n.design.shape[0], 2 * len(self))).tocsc()
+        return coo_array(entries, shape=(n.equations.design.shape[0], 2 * len(self))).tocsc()
 
     @cached_property
     def _base(self) -> tuple[FloatArray, FloatArray, FloatArray, float]:
         """Z (H, 2), blocks of C (H, 2, 2), of BᵀB (H, 2, 2), and the sum of squares, without any shift."""
         n, b = self.network, self._columns
-        v = n.right - n.design @ n.step()
-        turned = (n.design.T @ b).tocsc()
+        v = n.equations.residuals(n.equations.step())
+        turned = (n.equations.design.T @ b).tocsc()
         blocks, own = np.zeros((len(self), 2, 2)), np.zeros((len(self), 2, 2))
         for first in range(0, len(self), CHUNK):
             last = min(first + CHUNK, len(self))
             part, whole = turned[:, 2 * first : 2 * last], b[:, 2 * first : 2 * last]
-            solved = n.normals.solve(part.toarray())
+            solved = n.equations.normals.solve(part.toarray())
             for i, j in ((0, 0), (0, 1), (1, 1)):
                 square = np.asarray(whole[:, i::2].multiply(whole[:, j::2]).sum(axis=0)).ravel()
                 own[first:last, i, j] = own[first:last, j, i] = square
@@ -115,7 +115,7 @@ class Shifts:
         if shift not in self._cache:
             n, b = self.network, self._columns
             one = b[:, 2 * shift : 2 * shift + 2].toarray()
-            one = one - n.design @ n.normals.solve(n.design.T @ one)
+            one = one - n.equations.design @ n.equations.normals.solve(n.equations.design.T @ one)
             self._cache[shift] = b.T @ one
         return self._cache[shift]
 
@@ -146,11 +146,11 @@ class Shifts:
         solved = np.linalg.solve(blocks[checked], z[checked][:, :, None])[:, :, 0]
         shifts[checked] = solved
         statistic[checked] = (z[checked] * solved).sum(axis=1)
-        return State(statistic, shifts, max(squares, 0.0), self.network.redundancy - 2 * len(chosen))
+        return State(statistic, shifts, max(squares, 0.0), self.network.equations.redundancy - 2 * len(chosen))
 
     def unknowns(self, taken: Sequence[int]) -> FloatArray:
         """Unknowns (U,) of the photos with some shifts let in; they must be told apart."""
-        n, right = self.network, self.network.right
+        n, right = self.network, self.network.equations.misclosure
         if len(taken):
             at = self.state(taken)
             if at is None:
@@ -158,7 +158,7 @@ class Shifts:
             chosen = np.array(taken, dtype=np.int64)
             columns = self._columns[:, (2 * chosen[:, None] + [0, 1]).ravel()]
             right = right - columns @ at.shifts[chosen].ravel()
-        solved: FloatArray = n.normals.solve(n.design.T @ right)[: n.unknowns]
+        solved: FloatArray = n.equations.normals.solve(n.equations.design.T @ right)[: n.unknowns]
         return solved
 
     @property

@@ -76,7 +76,7 @@ def search(shifts: Shifts, start: Sequence[int] = ()) -> Search:
 def _more(shifts: Shifts, taken: list[int], floor: float, limit: float) -> list[int]:
     """Let shifts in, the one that is needed most first."""
     at: State | None = _known(shifts, taken)
-    most = max(1, shifts.network.redundancy // 4)
+    most = max(1, shifts.network.equations.redundancy // 4)
     while at is not None and len(taken) < most:
         worst = _worst(at, taken, floor, limit)
         at = None if worst is None else shifts.state([*taken, worst])

@@ -7,32 +7,38 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from geomosaic.errors import SolveError
+from geomosaic.estimation.equations import Equations, SingularValues
+from geomosaic.estimation.problem import Problem
+from geomosaic.estimation.solver import Stopping, solve
 from geomosaic.types import FloatArray
 from geomosaic_planar import spline
 from geomosaic_planar.terms import AXES, article, basis, derivatives, evaluate, least_points
 
 WORST_CONDITION = 1e6
+RULES = Stopping(rounds=50, step=1e-11, near=0.0)
 SURE = 3.0
 """Logarithm of the ratio of likelihoods from which control is taken for mirrored; e³ is about 20 to 1."""
 
 
-def least_squares(
-    design: FloatArray, right: FloatArray, label: str, where: str | None
-) -> tuple[FloatArray, float, FloatArray]:
-    """Least squares by singular values; solution, condition, cofactors."""
-    length = np.linalg.norm(design, axis=0)
-    length = np.where(length > 0.0, length, 1.0)
-    left, singular, turned = np.linalg.svd(design / length, full_matrices=False)
-    if singular[-1] * WORST_CONDITION < singular[0]:
+def determined(design: FloatArray, label: str, where: str | None) -> SingularValues:
+    """Singular values of a weighted design, refused where the points do not determine its unknowns."""
+    factors = SingularValues.of(design)
+    if factors.condition()[0] > WORST_CONDITION:
         raise SolveError(
             f"the control points do not determine {article(label)} {label} transformation: they lie on a "
             "line or curve, or too many of them on one place",
             where=where,
             hint="spread the points over the image, or choose a simpler kind",
         )
-    root = turned.T / singular
-    solution = ((root @ (left.T @ right)).T / length).T
-    return solution, float(singular[0] / singular[-1]), (root @ root.T) / np.outer(length, length)
+    return factors
+
+
+def least_squares(
+    design: FloatArray, right: FloatArray, label: str, where: str | None
+) -> tuple[FloatArray, float, FloatArray]:
+    """Least squares solution, condition number and cofactors of a weighted linear problem."""
+    factors = determined(design, label, where)
+    return factors.solve(right), factors.condition()[0], factors.cofactors()
 
 
 def conformal(
@@ -70,32 +76,44 @@ def linear(
     return solution.T.ravel(), condition, both
 
 
-ROUNDS = 50
+@dataclass(frozen=True, eq=False)
+class _Projective(Problem[FloatArray]):
+    """Residuals of a projective transformation in pixels, weighted."""
+
+    uv: FloatArray
+    image: FloatArray
+    root: FloatArray
+    where: str | None
+
+    def linearise(self, state: FloatArray) -> Equations:
+        design = (derivatives("projective", 1, state, self.uv)[0] * self.root[:, None, None]).reshape(-1, 8)
+        equations = Equations(design, self._misclosure(state).ravel())
+        # The condition is that of the true residuals; the algebraic start cannot be asked for it.
+        determined(design, "projective", self.where)
+        return equations
+
+    def squares(self, state: FloatArray) -> float:
+        return float((self._misclosure(state) ** 2).sum())
+
+    def moved(self, state: FloatArray, step: FloatArray) -> FloatArray:
+        return state + step
+
+    def movement(self, state: FloatArray, trial: FloatArray, equations: Equations, step: FloatArray) -> float:
+        """Largest change of an observation, as a share of the size of the image."""
+        return float(np.abs(equations.design @ step).max()) / max(1.0, float(np.abs(self.image).max()))
+
+    def _misclosure(self, values: FloatArray) -> FloatArray:
+        return (self.image - evaluate("projective", 1, values, self.uv)) * self.root[:, None]
 
 
 def projective(
     uv: FloatArray, image: FloatArray, root: FloatArray, where: str | None
 ) -> tuple[FloatArray, float, FloatArray]:
-    """Direct linear start, then Gauss-Newton on the true residuals in pixels."""
-    values = _direct_linear(uv, image, root, where)
-    for _ in range(ROUNDS):
-        residuals = (image - evaluate("projective", 1, values, uv)) * root[:, None]
-        design = (derivatives("projective", 1, values, uv)[0] * root[:, None, None]).reshape(-1, 8)
-        step, condition, cofactors = least_squares(design, residuals.ravel(), "projective", where)
-        before = float((residuals**2).sum())
-        factor = 1.0
-        while factor > 1e-6:
-            trial = values + factor * step
-            after = float((((image - evaluate("projective", 1, trial, uv)) * root[:, None]) ** 2).sum())
-            if after <= before * (1.0 + 1e-12) or np.abs(design @ step).max() < 1e-9:
-                break
-            factor *= 0.5  # also where a point came to lie behind the horizon and `after` is NaN
-        else:
-            break
-        values = trial
-        if np.abs(design @ step).max() < 1e-11 * max(1.0, float(np.abs(image).max())):
-            break
-    return values, condition, cofactors
+    """Direct linear start, then least squares of the true residuals in pixels."""
+    problem = _Projective(uv, image, root, where)
+    values = solve(problem, _direct_linear(uv, image, root, where), RULES).state
+    factors = problem.linearise(values).singular_values
+    return values, factors.condition()[0], factors.cofactors()
 
 
 def _direct_linear(uv: FloatArray, image: FloatArray, root: FloatArray, where: str | None) -> FloatArray:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.orientation.edges.adjustment import Problem
+from geomosaic.orientation.edges.adjustment import EdgeProblem
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve import fit, image_to_height
 from geomosaic.types import BoolArray, FloatArray
 
 
-def own_fits(problem: Problem, models: list[SensorModel]) -> tuple[list[SensorModel], BoolArray]:
+def own_fits(problem: EdgeProblem, models: list[SensorModel]) -> tuple[list[SensorModel], BoolArray]:
     """Fit every photo to its own control points alone: the photos as they are with no edge matching.
 
     Returns
@@ -28,7 +28,7 @@ def own_fits(problem: Problem, models: list[SensorModel]) -> tuple[list[SensorMo
     return _fitted(problem, models, s.xyz, known, np.zeros(len(models), dtype=bool))
 
 
-def grown(problem: Problem, models: list[SensorModel], fitted: BoolArray) -> list[SensorModel]:
+def grown(problem: EdgeProblem, models: list[SensorModel], fitted: BoolArray) -> list[SensorModel]:
     """Fit the photos that are not fitted yet to what their neighbours say of the common points, round by round.
 
     A photo that is not reached keeps the values it came with: they are its start.
@@ -43,7 +43,7 @@ def grown(problem: Problem, models: list[SensorModel], fitted: BoolArray) -> lis
     return models
 
 
-def common_ground(problem: Problem, models: list[SensorModel], from_photos: BoolArray) -> FloatArray:
+def common_ground(problem: EdgeProblem, models: list[SensorModel], from_photos: BoolArray) -> FloatArray:
     """Stations (S, 3) in the map CRS: as given, or the mean of what chosen photos see; NaN where none does."""
     s = problem.stations
     places = ground_of(problem, models)
@@ -57,7 +57,7 @@ def common_ground(problem: Problem, models: list[SensorModel], from_photos: Bool
     return ground
 
 
-def ground_of(problem: Problem, models: list[SensorModel]) -> FloatArray:
+def ground_of(problem: EdgeProblem, models: list[SensorModel]) -> FloatArray:
     """Where each measurement (N, 3) lies on the map by its own photo, at the height of its station."""
     s = problem.stations
     places = np.full((len(s.photo), 3), np.nan)
@@ -69,7 +69,7 @@ def ground_of(problem: Problem, models: list[SensorModel]) -> FloatArray:
 
 
 def _fitted(
-    problem: Problem, models: list[SensorModel], ground: FloatArray, known: BoolArray, done: BoolArray
+    problem: EdgeProblem, models: list[SensorModel], ground: FloatArray, known: BoolArray, done: BoolArray
 ) -> tuple[list[SensorModel], BoolArray]:
     """Fit the photos that are not done and whose known measurements (N,) suffice."""
     s, out, fitted = problem.stations, list(models), done.copy()
@@ -127,12 +127,12 @@ class Misfit:
         return float(known.max()) if len(known) else float("nan")
 
 
-def misfit(problem: Problem, models: list[SensorModel], placed: BoolArray | None = None) -> Misfit:
+def misfit(problem: EdgeProblem, models: list[SensorModel], placed: BoolArray | None = None) -> Misfit:
     """Measure the misfit of photos at their shared points.
 
     Parameters
     ----------
-    problem : Problem
+    problem : EdgeProblem
     models : list of SensorModel
     placed : bool array (photos,), optional
         Photos that have a place; pairs with others are NaN.

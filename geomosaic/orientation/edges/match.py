@@ -13,7 +13,7 @@ from geomosaic.block.block import ControlPoint, OrientedImage
 from geomosaic.errors import InputError, SolveError
 from geomosaic.estimation.blunders import Doubt, Findings, findings, named
 from geomosaic.estimation.outlier_search import search
-from geomosaic.orientation.edges.adjustment import Problem, Solution, solve
+from geomosaic.orientation.edges.adjustment import EdgeProblem, EdgeSolution, adjust
 from geomosaic.orientation.edges.distributed_corrections import spread
 from geomosaic.orientation.edges.initial_values import Misfit, common_ground, grown, misfit, own_fits
 from geomosaic.orientation.edges.observations import CommonPoint, Stations, map_crs
@@ -23,7 +23,7 @@ from geomosaic.sensor.model import SensorModel
 from geomosaic.types import BoolArray, FloatArray
 
 
-def look(problem: Problem, solution: Solution) -> tuple[Findings, list[Doubt]]:
+def look(problem: EdgeProblem, solution: EdgeSolution) -> tuple[Findings, list[Doubt]]:
     """Look for wrong points in a solution; what is found as (point, photo), None for coordinates."""
     s = problem.stations
     images = [problem.photos[k] for k in s.photo]
@@ -195,7 +195,7 @@ def match_edges(
         sigma0=solution.sigma0,
         redundancy=solution.redundancy,
         covariance=solution.cofactors,
-        names=problem.names,
+        names=problem.unknowns.names,
         before=misfit(problem, alone, fitted),
         after=misfit(problem, solution.models),
         joined=misfit(problem, joined),
@@ -208,18 +208,18 @@ def match_edges(
 
 def _solved(
     photos: Sequence[OrientedImage], control: Sequence[ControlPoint], common: Sequence[CommonPoint], crs: CRS
-) -> tuple[Problem, list[SensorModel], BoolArray, Solution]:
+) -> tuple[EdgeProblem, list[SensorModel], BoolArray, EdgeSolution]:
     """Adjust; with the photos fitted to their own control alone, and which of them that determines."""
     given = [photo.model for photo in photos]
     names = tuple(photo.name for photo in photos)
-    problem = Problem.of(names, given, Stations.of(photos, control, common), crs)
+    problem = EdgeProblem.of(names, given, Stations.of(photos, control, common), crs)
     alone, fitted = own_fits(problem, given)
     start = grown(problem, alone, fitted)
     ground = common_ground(problem, start, np.ones(len(photos), dtype=bool))
-    return problem, alone, fitted, solve(problem, start, ground)
+    return problem, alone, fitted, adjust(problem, start, ground)
 
 
-def _grids(problem: Problem, solution: Solution, reach: float | None) -> list[CorrectionGrid | None]:
+def _grids(problem: EdgeProblem, solution: EdgeSolution, reach: float | None) -> list[CorrectionGrid | None]:
     """Spread each photo's residuals at shared stations."""
     s, grids = problem.stations, list[CorrectionGrid | None]()
     at_shared = s.shared[s.station]
@@ -242,7 +242,7 @@ def _grids(problem: Problem, solution: Solution, reach: float | None) -> list[Co
     return grids
 
 
-def _largest_gap(problem: Problem, index: int, mine: BoolArray) -> float:
+def _largest_gap(problem: EdgeProblem, index: int, mine: BoolArray) -> float:
     """Longest edge of the shortest trees through the points a photo shares with each other one; 0 if all are alone."""
     s, longest = problem.stations, 0.0
     for other in range(len(problem.photos)):

@@ -16,8 +16,8 @@ from geomosaic.estimation.outlier_search import search
 from geomosaic.orientation.planar.accumulated_errors import as_ties
 from geomosaic.orientation.planar.determinacy import check_plausible
 from geomosaic.orientation.planar.measurements import PlanarBlock, Tie
-from geomosaic.orientation.planar.observation_equations import GROUND, Problem, mean_positions, views_of
-from geomosaic.orientation.planar.simultaneous import solve
+from geomosaic.orientation.planar.observation_equations import GROUND, PlanarProblem, mean_positions, views_of
+from geomosaic.orientation.planar.simultaneous import adjust_unchecked
 from geomosaic.orientation.planar.solution import PlanarSolution, image_residuals
 from geomosaic.orientation.planar.tilt import STEADY, Trial, lacking_terms, simplest
 from geomosaic.orientation.planar.transformations import (
@@ -54,7 +54,7 @@ def shifts_of(
         Photos with unknowns for what the kind of the solution lacks: the last ones, in the order of the block.
     """
     views, kind, values = views_of(block), solution.kind, solution.values
-    problem = Problem(block, kind, views, solution.frame, fixed)
+    problem = PlanarProblem(block, kind, views, solution.frame, fixed)
     names = [None if i == GROUND else block.photos[i].name for i in views.photo]
     out = set(left)
     off = np.array([(views.ids[p], name) in out for p, name in zip(views.point, names, strict=True)])
@@ -109,7 +109,12 @@ def tilt_shifts(block: PlanarBlock, kind: str, tilted: frozenset[str], unknowns:
 
 
 def _with_tilt(
-    problem: Problem, tilted: frozenset[str], at: FloatArray, photo: IntArray, columns: IntArray, slopes: FloatArray
+    problem: PlanarProblem,
+    tilted: frozenset[str],
+    at: FloatArray,
+    photo: IntArray,
+    columns: IntArray,
+    slopes: FloatArray,
 ) -> tuple[IntArray, FloatArray, int]:
     """Columns and slopes of the views with those of what the kind lacks, and how many unknowns there are."""
     if not tilted:
@@ -168,7 +173,7 @@ def adjust_checked(
     """
     looked = look(block, kind)
     used, found = looked.settled(where, policy)
-    solution, start = looked.solved if looked.solved and not found.wrong else solve(used, kind, {}, None)
+    solution, start = looked.solved if looked.solved and not found.wrong else adjust_unchecked(used, kind, {}, None)
     check_plausible(solution, start, None)
     return solution, found
 
@@ -188,14 +193,14 @@ def look(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | N
     whole: tuple[PlanarSolution, PlanarSolution | None] | None = None
     for _ in range(ROUNDS):
         try:
-            solution, start = solve(without(block, left), kind, held, None)
+            solution, start = adjust_unchecked(without(block, left), kind, held, None)
             whole = whole or (None if left else (solution, start))
         except SolveError:
             if left:  # what remains no longer holds the photos: what was found stands
                 break
             if kind != "projective":
                 raise
-            solution, _ = solve(block, "affine", held, None)
+            solution, _ = adjust_unchecked(block, "affine", held, None)
         free = frozenset(photo.name for photo in block.photos if photo.name not in held)
         trial = simplest(_searches(block, solution, held, left), solution.kind, tilted, free)
         tilted = trial.tilted
@@ -203,7 +208,7 @@ def look(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | N
         left, out = [trial.doubts[k] for k in trial.found.taken], [trial.doubts[each.shift] for each in said.wrong]
         if set(left) == before:
             if solution.kind != kind:  # neither kind has a wrong point to blame: let the error say what it is
-                solve(block, kind, held, None)
+                adjust_unchecked(block, kind, held, None)
             break
     return Looked(said, without(block, out), block, whole)
 
@@ -263,7 +268,7 @@ def _searches(
 
     def search_with(tilted: frozenset[str]) -> Trial | None:
         shifts, labels, doubts = shifts_of(block, solution, fixed, left, tilted)
-        if tilted and not shifts.network.normals.condition()[0] < STEADY:
+        if tilted and not shifts.network.equations.condition()[0] < STEADY:
             return None
         index = {doubt: k for k, doubt in enumerate(doubts)}
         found = search(shifts, [index[doubt] for doubt in left if doubt in index])

@@ -147,7 +147,7 @@ def mean_positions(views: Views, position: FloatArray, sigma_ground: FloatArray)
     return sums / total[:, None]
 
 
-class Problem:
+class PlanarProblem:
     """A block in normalised coordinates, with what does not change from round to round."""
 
     def __init__(

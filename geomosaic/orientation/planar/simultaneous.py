@@ -10,14 +10,18 @@ linear adjustment too takes some rounds. At their end the sum of squared residua
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.estimation.normal_equations import Normals
+from geomosaic.errors import SolveError
+from geomosaic.estimation.equations import Equations
+from geomosaic.estimation.problem import Problem
+from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
 from geomosaic.orientation.planar.determinacy import check_determined, check_plausible, ill_conditioned
 from geomosaic.orientation.planar.measurements import PlanarBlock
 from geomosaic.orientation.planar.observation_equations import (
-    Problem,
+    PlanarProblem,
     frame_of,
     mean_positions,
     views_of,
@@ -27,9 +31,9 @@ from geomosaic.orientation.planar.solution import PlanarSolution, cofactor_block
 from geomosaic.orientation.planar.transformations import PlanarTransform
 from geomosaic.types import FloatArray
 
-ROUNDS = 40
-SETTLED = 1e-9
-"""Pixels: rounds end when no measured point moves by more, or none moves less than in the round before."""
+RULES = Stopping(rounds=40, step=1e-9, near=1e-6, gain=None, rise=0.1)
+"""Movements are those of measured points, pixels. Near the solution the sum of squares may rise by a hair from round to
+round: the places at which it is taken are not yet those of the step."""
 WORST_CONDITION = 1e7
 """Of the design. Beyond it half of the digits of a solution are noise."""
 
@@ -61,12 +65,12 @@ def adjust(
         ill-conditioned or divergent solution, as strong relief causes it.
     """
     held = {name: transform for name, transform in (fixed or {}).items() if name in block.index}
-    solution, start = solve(block, kind, held, where)
+    solution, start = adjust_unchecked(block, kind, held, where)
     check_plausible(solution, start, where)
     return solution
 
 
-def solve(
+def adjust_unchecked(
     block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform], where: str | None
 ) -> tuple[PlanarSolution, PlanarSolution | None]:
     """Adjust without a look at what comes out; and the affine adjustment that a projective one started from."""
@@ -84,67 +88,87 @@ def _solve(
     start: PlanarSolution | None,
     where: str | None,
 ) -> PlanarSolution:
-    views = views_of(block)
     check_determined(block, kind, fixed, where)
-    problem = Problem(block, kind, views, frame_of(block, fixed), fixed)
-    values, at = problem.start.copy(), views.xy
+    problem = PlanarProblem(block, kind, views_of(block), frame_of(block, fixed), fixed)
+    values = problem.start.copy()
     if start is not None:
         values[~problem.held, :6] = start.values[~problem.held]
-    sigma = problem.sigma_ground(values if start is not None else None, at)
-    moved = np.inf
-    for done in range(1, ROUNDS + 1):
-        weights = weights_of_pairs(views, sigma)
-        design, gap = problem.design(values, at, weights), problem.misclosure(values, at)
-        normals = Normals.of(design)
-        condition, worst = normals.condition()
-        if not condition < WORST_CONDITION:
-            raise ill_conditioned(block, kind, condition, problem.photo_of(worst), where)
-        step = normals.solve(-(design.T @ (gap * np.sqrt(weights)[:, None]).ravel()))
-        trial = (
-            _damped(problem, values, at, step, weights, gap) if kind == "projective" else problem.moved(values, step)
-        )
-        place = problem.positions(trial, at)
-        sigma = problem.sigma_ground(trial, at)
-        pixel = sigma[problem.in_photo] / views.sigma[problem.in_photo]
-        change = np.abs(place - problem.positions(values, at))[problem.in_photo] / pixel[:, None]
-        values, at = trial, problem.adjusted(trial, mean_positions(views, place, sigma))
-        if not (np.isfinite(at).all() and np.isfinite(change).all()):
-            raise ill_conditioned(block, kind, condition, problem.photo_of(worst), where)
-        before, moved = moved, float(change.max())
-        if done > 1 and (moved < SETTLED or (moved < 1e3 * SETTLED and moved >= before)):
-            break
-    else:
-        raise ill_conditioned(block, kind, condition, problem.photo_of(worst), where)
-    return _finish(problem, values, at, condition, done)
+    adjustment = _Adjustment(problem, where)
+    first = _State(values, problem.views.xy, problem.sigma_ground(None if start is None else values, problem.views.xy))
+    solution = solve(adjustment, first, RULES)
+    if solution.outcome is not Outcome.CONVERGED:
+        raise adjustment.ill_conditioned(solution.state)
+    return _finish(adjustment, solution)
 
 
-def _damped(
-    problem: Problem, values: FloatArray, at: FloatArray, step: FloatArray, weights: FloatArray, gap: FloatArray
-) -> FloatArray:
-    """Parameters after a step, or as much of it as does not bring the misclosures up.
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Parameters (K, P), places (N, 2) of linearisation in the photos, standard deviations (N,) on the ground."""
 
-    Near the solution their sum may rise by a hair: the places at which it is taken are not yet those of the step.
-    """
-    before, factor = float((weights[:, None] * gap**2).sum()), 1.0
-    while factor > 1e-3:
-        trial = problem.moved(values, factor * step)
-        after = float((weights[:, None] * problem.misclosure(trial, at) ** 2).sum())
-        if after <= 1.1 * before + 1e-18:
-            return trial
-        factor *= 0.5  # also where a point came to lie beyond the horizon and `after` is NaN
-    return problem.moved(values, step)
+    values: FloatArray
+    at: FloatArray
+    sigma: FloatArray
 
 
-def _finish(problem: Problem, values: FloatArray, at: FloatArray, condition: float, rounds: int) -> PlanarSolution:
+@dataclass(frozen=True, eq=False)
+class _Adjustment(Problem[_State]):
+    """The equations of pairs, whose places and weights are taken anew after each step."""
+
+    block: PlanarProblem
+    where: str | None
+
+    def linearise(self, state: _State) -> Equations:
+        equations = self.equations(state)
+        if not equations.condition()[0] < WORST_CONDITION:
+            raise self.ill_conditioned(state, equations)
+        return equations
+
+    def equations(self, state: _State) -> Equations:
+        weights = weights_of_pairs(self.block.views, state.sigma)
+        gap = self.block.misclosure(state.values, state.at)
+        design = self.block.design(state.values, state.at, weights)
+        return Equations(design, -(gap * np.sqrt(weights)[:, None]).ravel())
+
+    def squares(self, state: _State) -> float:
+        weights = weights_of_pairs(self.block.views, state.sigma)
+        return float((weights[:, None] * self.block.misclosure(state.values, state.at) ** 2).sum())
+
+    def moved(self, state: _State, step: FloatArray) -> _State:
+        return replace(state, values=self.block.moved(state.values, step))
+
+    def movement(self, state: _State, trial: _State, equations: Equations, step: FloatArray) -> float:
+        """Largest shift of a measured point on the ground, in pixels of its photo."""
+        inside, at = self.block.in_photo, state.at
+        pixel = self.block.sigma_ground(trial.values, at)[inside] / self.block.views.sigma[inside]
+        change = np.abs(self.block.positions(trial.values, at) - self.block.positions(state.values, at))[inside]
+        return float((change / pixel[:, None]).max())
+
+    def refreshed(self, state: _State) -> _State:
+        """Weights at the scale the photos have now, and places at the measurements less their residuals."""
+        sigma = self.block.sigma_ground(state.values, state.at)
+        points = mean_positions(self.block.views, self.block.positions(state.values, state.at), sigma)
+        at = self.block.adjusted(state.values, points)
+        if not np.isfinite(at).all():
+            raise self.ill_conditioned(state)
+        return _State(state.values, at, sigma)
+
+    def ill_conditioned(self, state: _State, equations: Equations | None = None) -> SolveError:
+        """Error that names the photo determined worst."""
+        condition, worst = (equations or self.equations(state)).condition()
+        return ill_conditioned(self.block.block, self.block.kind, condition, self.block.photo_of(worst), self.where)
+
+
+def _finish(adjustment: _Adjustment, solution: Solution[_State]) -> PlanarSolution:
     """Cofactors and residuals at the solution."""
+    problem, values, at = adjustment.block, solution.state.values, solution.state.at
     views = problem.views
     sigma = problem.sigma_ground(values, at)
-    weights = weights_of_pairs(views, sigma)
-    cofactors = cofactor_blocks(problem, Normals.of(problem.design(values, at, weights)))
+    final = _State(values, at, sigma)
+    equations, squares = adjustment.equations(final), adjustment.squares(final)
+    cofactors = cofactor_blocks(problem, equations.normals)
     points = mean_positions(views, problem.positions(values, at), sigma)
     residuals = image_residuals(problem, values, points)
     redundancy = views.redundancy_of_points - problem.unknowns
-    squares = float((weights[:, None] * problem.misclosure(values, at) ** 2).sum())
     return PlanarSolution(
         block=problem.block,
         kind=problem.kind,
@@ -158,6 +182,6 @@ def _finish(problem: Problem, values: FloatArray, at: FloatArray, condition: flo
         sigma0=float(np.sqrt(squares / redundancy)) if redundancy > 0 else float("nan"),
         redundancy=redundancy,
         equations=2 * len(views.pairs),
-        condition=condition,
-        rounds=rounds,
+        condition=equations.condition()[0],
+        rounds=solution.rounds,
     )

@@ -9,9 +9,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from geomosaic.estimation.normal_equations import Normals
+from geomosaic.estimation.equations import NormalEquations
 from geomosaic.orientation.planar.measurements import PlanarBlock
-from geomosaic.orientation.planar.observation_equations import GROUND, Problem, Views
+from geomosaic.orientation.planar.observation_equations import GROUND, PlanarProblem, Views
 from geomosaic.orientation.planar.transformations import (
     NAMES,
     Frame,
@@ -114,7 +114,7 @@ UNCONTROLLED = 1e-6
 """A residual whose variance is a smaller part of its measurement's tells nothing of it."""
 
 
-def cofactor_blocks(problem: Problem, normals: Normals) -> dict[tuple[int, int], FloatArray]:
+def cofactor_blocks(problem: PlanarProblem, normals: NormalEquations) -> dict[tuple[int, int], FloatArray]:
     """Cofactors (P, P) of the parameters of every two photos that show a common point."""
     photo, count = problem.views.photo, problem.count
     near: dict[int, set[int]] = {i: {i} for i in range(len(problem.block.photos))}
@@ -128,14 +128,14 @@ def cofactor_blocks(problem: Problem, normals: Normals) -> dict[tuple[int, int],
         return own
 
     free = [i for i in near if not problem.held[i]]
-    found = normals.cofactors(
+    found = normals.cofactor_blocks(
         (columns(i), {(j, i): columns(j) for j in sorted(near[i]) if not problem.held[j]}) for i in free
     )
     zero = np.zeros((count, count))
     return {(j, i): found.get((j, i), zero) for i in near for j in sorted(near[i])}
 
 
-def image_residuals(problem: Problem, values: FloatArray, points: FloatArray) -> FloatArray:
+def image_residuals(problem: PlanarProblem, values: FloatArray, points: FloatArray) -> FloatArray:
     """Measured minus computed (col, row) (N, 2) in pixels at the adjusted points (M, 2), normalised ground."""
     views = problem.views
     computed = np.full((len(views.photo), 2), np.nan)
@@ -148,7 +148,7 @@ def image_residuals(problem: Problem, values: FloatArray, points: FloatArray) ->
 
 
 def standardised(
-    problem: Problem,
+    problem: PlanarProblem,
     values: FloatArray,
     at: FloatArray,
     sigma: FloatArray,

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from geomosaic.errors import SolveError, counted
+from geomosaic.estimation.equations import Equations
+from geomosaic.estimation.problem import Problem, Unknowns
+from geomosaic.estimation.solver import Solution, solve
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve.derivatives import jacobian
 from geomosaic.types import BoolArray, FloatArray
 
 Model = TypeVar("Model", bound=SensorModel)
 
-ROUNDS = 100
-STEP_GOAL = 1e-10
 WORST_CONDITION = 1e9
 
 
@@ -92,45 +93,9 @@ def resect(
         The points do not determine the parameters (it names them), or there is no convergence.
     """
     problem = _Problem.of(model, xyz, colrow, sigmas_px, priors)
-    start = model.parameters.values.copy()
-    values, damping = start.copy(), 0.0
-    residuals = problem.residuals(model)
-    seen = _seen(residuals)
-    problem.need_enough(seen)
-    cost, iteration = problem.cost(residuals, seen, values), 0
-    while True:
-        iteration += 1
-        if iteration > ROUNDS:
-            raise SolveError(
-                f"the adjustment did not converge in {ROUNDS} rounds",
-                hint="check the start values, the points and their CRS",
-            )
-        here = model.with_values(values)
-        design = problem.design(here, seen)
-        problem.need_determined(design)
-        right = problem.right(residuals, seen, values)
-        step = _damped_step(design, right, damping)
-        trial = values.copy()
-        trial[problem.free] += step
-        moved = float(np.max(np.abs(step) / problem.steps, initial=0.0))
-        trial_residuals = problem.residuals(model.with_values(trial))
-        trial_cost = problem.cost(trial_residuals, seen, trial)
-        if trial_cost <= cost * (1.0 + 1e-12) or moved < STEP_GOAL:
-            gain = cost - trial_cost
-            values, residuals, damping = trial, trial_residuals, damping * 0.1 if damping > 1e-9 else 0.0
-            seen = _seen(residuals)
-            cost = problem.cost(residuals, seen, values)
-            if moved < STEP_GOAL or (gain <= 1e-15 * cost and moved < 1e-4):
-                break
-        else:
-            damping = max(10.0 * damping, 1e-4)
-            if damping > 1e12:
-                if moved < 1e-3:  # nothing better within reach: rounding, not failure
-                    break
-                raise SolveError(
-                    "the adjustment does not converge", hint="check the start values, the points and their CRS"
-                )
-    return problem.result(model.with_values(values), residuals, seen, values, iteration)
+    start = problem.at(model)
+    problem.need_enough(start.seen)
+    return problem.result(solve(problem, start).required("check the start values, the points and their CRS"))
 
 
 def fit(
@@ -144,40 +109,34 @@ def fit(
     return resect(model, xyz, colrow, sigmas_px, priors=np.where(sigmas == 0.0, 0.0, np.inf))
 
 
-def _damped_step(design: FloatArray, right: FloatArray, damping: float) -> FloatArray:
-    """Solve min |design·dx − right|² + damping·|scaled dx|²; columns are brought to length one first."""
-    scale = np.linalg.norm(design, axis=0)
-    scaled = design / scale
-    if damping > 0.0:
-        scaled = np.vstack([scaled, np.sqrt(damping) * np.eye(scaled.shape[1])])
-        right = np.concatenate([right, np.zeros(scaled.shape[1])])
-    solution: FloatArray = np.linalg.lstsq(scaled, right, rcond=None)[0] / scale
-    return solution
+@dataclass(frozen=True, eq=False)
+class _State(Generic[Model]):
+    """A model, its residuals (N, 2) in pixels, and which points (N,) take part."""
+
+    model: Model
+    residuals: FloatArray
+    seen: BoolArray
 
 
-@dataclass(frozen=True)
-class _Problem:
-    """Observations, weights and priors of one resection."""
+@dataclass(frozen=True, eq=False)
+class _Problem(Problem[_State[Model]]):
+    """Image positions of control points, and the parameters of one model."""
 
-    names: tuple[str, ...]
-    start: FloatArray
-    all_steps: FloatArray
+    unknowns: Unknowns
     xyz: FloatArray
     colrow: FloatArray
     weights: FloatArray  # 1 / sigma, (N, 2)
     known_sigmas: bool
-    sigmas: FloatArray  # (P,) a priori
-    free: BoolArray  # (P,) which are estimated
 
     @classmethod
     def of(
         cls,
-        model: SensorModel,
+        model: Model,
         xyz: FloatArray,
         colrow: FloatArray,
         sigmas_px: FloatArray | float | None,
         priors: FloatArray | None,
-    ) -> _Problem:
+    ) -> _Problem[Model]:
         points, image = np.asarray(xyz, dtype=np.float64), np.asarray(colrow, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or image.shape != (len(points), 2):
             raise ValueError(f"shapes {points.shape} and {image.shape} are not (N, 3) and (N, 2)")
@@ -189,55 +148,63 @@ class _Problem:
         sigmas = np.asarray(parameters.sigmas if priors is None else priors, dtype=np.float64)
         if sigmas.shape != (len(parameters),) or not (sigmas >= 0.0).all():
             raise SolveError("a-priori sigmas must be one number of 0 or more for each parameter")
-        return cls(
-            parameters.names,
-            parameters.values.copy(),
-            parameters.steps,
-            points,
-            image,
-            1.0 / spread,
-            sigmas_px is not None,
-            sigmas,
-            sigmas > 0.0,
-        )
+        unknowns = Unknowns(parameters.names, parameters.values.copy(), parameters.steps, sigmas)
+        return cls(unknowns, points, image, 1.0 / spread, sigmas_px is not None)
 
-    @property
-    def steps(self) -> FloatArray:
-        chosen: FloatArray = self.all_steps[self.free]
-        return chosen
+    def at(self, model: Model, seen: BoolArray | None = None) -> _State[Model]:
+        residuals = self.colrow - model.ground_to_image(self.xyz)
+        return _State(model, residuals, np.isfinite(residuals.sum(axis=1)) if seen is None else seen)
 
-    @property
-    def prior(self) -> BoolArray:
-        """Which of the estimated parameters have an a-priori value."""
-        known: BoolArray = np.isfinite(self.sigmas[self.free])
-        return known
+    def moved(self, state: _State[Model], step: FloatArray) -> _State[Model]:
+        values = self.unknowns.moved(state.model.parameters.values, step)
+        return self.at(state.model.with_values(values), state.seen)
 
-    def residuals(self, model: SensorModel) -> FloatArray:
-        return self.colrow - model.ground_to_image(self.xyz)
+    def refreshed(self, state: _State[Model]) -> _State[Model]:
+        """Points that came into sight take part from now on."""
+        return replace(state, seen=np.isfinite(state.residuals.sum(axis=1)))
 
-    def _pull(self, values: FloatArray) -> FloatArray:
-        """Weighted misfit of the a-priori values, (number of priors,)."""
-        misfit: FloatArray = ((self.start - values)[self.free] / self.sigmas[self.free])[self.prior]
-        return misfit
+    def movement(self, state: _State[Model], trial: _State[Model], equations: Equations, step: FloatArray) -> float:
+        return self.unknowns.movement(step)
 
-    def right(self, residuals: FloatArray, seen: BoolArray, values: FloatArray) -> FloatArray:
-        return np.concatenate([(residuals * self.weights)[seen].ravel(), self._pull(values)])
-
-    def cost(self, residuals: FloatArray, seen: BoolArray, values: FloatArray) -> float:
-        """Weighted sum of squares over the points seen; infinite when one of them is lost."""
-        vector = self.right(residuals, seen, values)
+    def squares(self, state: _State[Model]) -> float:
+        """Sum over the points seen and the a-priori values; infinite when one of the points is lost."""
+        image = (state.residuals * self.weights)[state.seen].ravel()
+        vector = np.concatenate([image, self.unknowns.a_priori(state.model.parameters.values).misclosure])
         total = float(vector @ vector)
         return total if np.isfinite(total) else float("inf")
 
-    def design(self, model: SensorModel, seen: BoolArray) -> FloatArray:
-        by_parameters = jacobian(model, self.xyz[seen])[0][:, :, self.free] * self.weights[seen][:, :, None]
-        image = by_parameters.reshape(-1, by_parameters.shape[2])
-        image[~np.isfinite(image).all(axis=1)] = 0.0  # a difference that left the visible part pulls at nothing
-        priors = np.eye(image.shape[1])[self.prior] / self.sigmas[self.free][self.prior][:, None]
-        return np.vstack([image, priors])
+    def equations(self, state: _State[Model]) -> Equations:
+        weights = self.weights[state.seen]
+        by_parameters = jacobian(state.model, self.xyz[state.seen])[0][:, :, self.unknowns.free] * weights[:, :, None]
+        design = by_parameters.reshape(-1, by_parameters.shape[2])
+        design[~np.isfinite(design).all(axis=1)] = 0.0  # a difference that left the visible part pulls at nothing
+        image = Equations(design, (state.residuals[state.seen] * weights).ravel())
+        return Equations.stacked(image, self.unknowns.a_priori(state.model.parameters.values))
+
+    def linearise(self, state: _State[Model]) -> Equations:
+        """Refuse a design whose columns depend on each other, and name the parameters concerned."""
+        equations = self.equations(state)
+        names = np.array(self.unknowns.names)[self.unknowns.free]
+        # Steps move the image by about a pixel, so the effect of a step says whether a parameter acts at all.
+        effect = np.linalg.norm(equations.design, axis=0) * self.unknowns.steps[self.unknowns.free]
+        dead = ~(effect > 1e-9 * np.max(effect))
+        if dead.any():
+            raise SolveError(
+                f"the points say nothing about {', '.join(names[dead])}",
+                hint="fix these parameters (sigma 0) or give points that depend on them",
+            )
+        condition, weakest = equations.condition()
+        if condition > WORST_CONDITION:
+            together = names[np.abs(weakest) > 0.1]
+            raise SolveError(
+                f"the points cannot tell {', '.join(together)} apart (condition {condition:.1e})",
+                hint="spread the points over the image and over height, add points, or fix parameters",
+            )
+        return equations
 
     def need_enough(self, seen: BoolArray) -> None:
-        unknowns, observations = int(np.count_nonzero(self.free)), 2 * int(seen.sum()) + int(self.prior.sum())
+        given = int(self.unknowns.observed.sum())
+        unknowns, observations = int(np.count_nonzero(self.unknowns.free)), 2 * int(seen.sum()) + given
         if unknowns == 0:
             raise SolveError("every parameter is held fixed: nothing to estimate")
         if not seen.any():
@@ -246,57 +213,25 @@ class _Problem:
                 hint="check the order of coordinates, the CRS of the points and the start values",
             )
         if observations < unknowns:
-            names = ", ".join(np.array(self.names)[self.free])
+            names = ", ".join(np.array(self.unknowns.names)[self.unknowns.free])
             points = counted(int(seen.sum()), "point")
             verb = "gives" if points == "1 point" else "give"
             raise SolveError(
                 f"{points} {verb} {observations} observations for {unknowns} unknowns ({names})",
-                hint=f"give at least {-(-(unknowns - int(self.prior.sum())) // 2)} points, or fix parameters",
+                hint=f"give at least {-(-(unknowns - given) // 2)} points, or fix parameters",
             )
 
-    def need_determined(self, design: FloatArray) -> None:
-        """Refuse a design whose columns depend on each other, and name the parameters concerned."""
-        names = np.array(self.names)[self.free]
-        length = np.linalg.norm(design, axis=0)
-        # Steps move the image by about a pixel, so the effect of a step says whether a parameter acts at all.
-        dead = ~(length * self.steps > 1e-9 * np.max(length * self.steps))
-        if dead.any():
-            raise SolveError(
-                f"the points say nothing about {', '.join(names[dead])}",
-                hint="fix these parameters (sigma 0) or give points that depend on them",
-            )
-        _, singular, right = np.linalg.svd(design / length, full_matrices=False)
-        if singular[-1] * WORST_CONDITION < singular[0]:
-            together = names[np.abs(right[-1]) > 0.1]
-            raise SolveError(
-                f"the points cannot tell {', '.join(together)} apart (condition {_ratio(singular):.1e})",
-                hint="spread the points over the image and over height, add points, or fix parameters",
-            )
-
-    def result(
-        self, model: Model, residuals: FloatArray, seen: BoolArray, values: FloatArray, iterations: int
-    ) -> Resection[Model]:
-        design = self.design(model, seen)
-        length = np.linalg.norm(design, axis=0)
-        _, singular, right = np.linalg.svd(design / length, full_matrices=False)
-        root = right.T / singular
-        cofactors = (root @ root.T) / np.outer(length, length)
-        redundancy = 2 * int(seen.sum()) + int(self.prior.sum()) - design.shape[1]
-        cost = self.cost(residuals, seen, values)
-        sigma0 = float(np.sqrt(cost / redundancy)) if redundancy > 0 else float("nan")
-        if not self.known_sigmas:
-            cofactors = cofactors * sigma0**2
-        covariance = np.zeros((len(self.names), len(self.names)))
-        covariance[np.ix_(self.free, self.free)] = cofactors
-        left = np.where(seen[:, None], residuals, np.nan)
+    def result(self, solution: Solution[_State[Model]]) -> Resection[Model]:
+        state, free = solution.state, self.unknowns.free
+        equations = self.equations(state)
+        redundancy = equations.redundancy
+        sigma0 = float(np.sqrt(solution.squares / redundancy)) if redundancy > 0 else float("nan")
+        covariance = np.zeros((len(free), len(free)))
+        covariance[np.ix_(free, free)] = equations.singular_values.cofactors() * (
+            1.0 if self.known_sigmas else sigma0**2
+        )
+        left = np.where(state.seen[:, None], state.residuals, np.nan)
         sigmas = np.sqrt(np.diag(covariance))
-        return Resection(model, sigmas, covariance, left, sigma0, redundancy, iterations, _ratio(singular))
-
-
-def _seen(residuals: FloatArray) -> BoolArray:
-    seen: BoolArray = np.isfinite(residuals.sum(axis=1))
-    return seen
-
-
-def _ratio(singular: FloatArray) -> float:
-    return float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
+        return Resection(
+            state.model, sigmas, covariance, left, sigma0, redundancy, solution.rounds, equations.condition()[0]
+        )  # fmt: skip

@@ -12,6 +12,9 @@ from functools import lru_cache
 import numpy as np
 
 from geomosaic.errors import SolveError
+from geomosaic.estimation.equations import Equations
+from geomosaic.estimation.problem import Problem
+from geomosaic.estimation.solver import Stopping, solve
 from geomosaic.surface.developed.fit_shapes import LEAST, Shape, basis
 from geomosaic.types import FloatArray
 
@@ -100,7 +103,8 @@ def _half_sphere() -> FloatArray:
     return np.stack([basis(axis) for axis in np.column_stack([out * np.cos(turn), out * np.sin(turn), z])])
 
 
-ROUNDS = 60
+RULES = Stopping(rounds=60, step=1e-14, near=0.0, longest=0.5)
+"""A longer step than half the points' spread, or half a radian, would leave the body that the start is near to."""
 SINGULAR = 1e-6
 """Least singular value, as a share of the largest, below which the points are said not to determine the body."""
 SMALLEST = 1e-8
@@ -191,8 +195,30 @@ def fit_body(kind: str, points: FloatArray, axis: FloatArray | None = None) -> F
     sound = [one for one in solved if one is not None and (one.sizes > SMALLEST).all()]
     if not sound:
         raise SolveError(f"the points show no {kind}", hint=f"measure more of them, all over it; is it a {kind}?")
-    shape = min(sound, key=lambda one: _squares(one, local))
+    # Starts often lead to one body, turned about its axis: the first of equals, so that rounding does not choose.
+    squares = [_squares(one, local) for one in sound]
+    shape = next(one for one, own in zip(sound, squares, strict=True) if own <= min(squares) * (1.0 + 1e-9) + 1e-24)
     return _judged(shape, local, held, middle, spread)
+
+
+@dataclass(frozen=True, eq=False)
+class _BodyProblem(Problem[Shape]):
+    """Orthogonal distances of points from a body; lengths are in the points' spread."""
+
+    points: FloatArray
+    axis_known: bool
+
+    def linearise(self, state: Shape) -> Equations:
+        away, by = state.distances(self.points, state.names(axis_known=self.axis_known))
+        if not (np.isfinite(away).all() and np.isfinite(by).all()):
+            raise SolveError(f"a distance from the {state.kind} is no number")
+        return Equations(by, -away)
+
+    def squares(self, state: Shape) -> float:
+        return _squares(state, self.points) if state.sound else float("inf")
+
+    def moved(self, state: Shape, step: FloatArray) -> Shape:
+        return state.moved(state.names(axis_known=self.axis_known), step)
 
 
 def _squares(shape: Shape, points: FloatArray) -> float:
@@ -200,26 +226,12 @@ def _squares(shape: Shape, points: FloatArray) -> float:
 
 
 def _adjusted(shape: Shape, points: FloatArray, held: bool) -> Shape | None:
-    """Gauss-Newton with steps halved until the squares fall; None where it leads to no body."""
-    names, squares = shape.names(axis_known=held), _squares(shape, points)
-    for _ in range(ROUNDS):
-        away, by = shape.distances(points, names)
-        if not (np.isfinite(away).all() and np.isfinite(by).all()):
-            return None
-        step = np.asarray(np.linalg.lstsq(by, -away, rcond=1e-12)[0], dtype=np.float64)
-        scale = min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-300))
-        for _ in range(12):
-            trial = shape.moved(names, scale * step)
-            better = _squares(trial, points) if trial.sound else np.inf
-            if better <= squares * (1.0 + 1e-12):
-                break
-            scale *= 0.5
-        else:
-            return shape
-        shape, squares = trial, better
-        if float(np.abs(scale * step).max()) < 1e-14:
-            break
-    return shape
+    """Body of least squares near a start; None where the way leads to no body."""
+    try:
+        # Where the iteration does not settle, the best so far is compared with what other starts give.
+        return solve(_BodyProblem(points, held), shape, RULES).state
+    except SolveError:
+        return None
 
 
 def _judged(shape: Shape, local: FloatArray, held: bool, middle: FloatArray, spread: float) -> FittedBody:

@@ -1,0 +1,239 @@
+"""Weighted observation equations and their least squares solution, dense or sparse.
+
+    v = w − A·dx,   |v|² least
+
+Rows are over their standard deviations (whitened), and columns are brought to length one before anything is solved:
+metres, degrees and pixels then count alike, and condition numbers say something about geometry. Dense equations are
+solved by singular values, sparse ones by a factorisation of their normal equations AᵀA.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from geomosaic.types import FloatArray, IntArray
+
+ITERATIONS = 60
+"""Of the power iteration; it ends sooner where the eigenvalue has six digits, and a condition needs no more."""
+RANK = 1e-13
+"""Share of the largest singular value below which a direction is not determined: some hundred roundings."""
+BESIDE = 1e-12
+"""Added to the diagonal of a singular normal matrix, so that inverse iteration finds the direction it loses."""
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Weighted observation equations v = w − A·dx.
+
+    Attributes
+    ----------
+    design : array or sparse array (R, U)
+        A: derivatives of the computed observations by the unknowns, each row over its standard deviation.
+    misclosure : array (R,)
+        w: measured minus computed, over the standard deviations.
+    """
+
+    design: Any
+    misclosure: FloatArray
+
+    @classmethod
+    def stacked(cls, *groups: Equations) -> Equations:
+        """Dense equations of several groups of observations of the same unknowns."""
+        return cls(np.vstack([one.design for one in groups]), np.concatenate([one.misclosure for one in groups]))
+
+    @property
+    def redundancy(self) -> int:
+        """Observations less unknowns."""
+        rows, unknowns = self.design.shape
+        return int(rows - unknowns)
+
+    @property
+    def is_sparse(self) -> bool:
+        """Whether the design is a sparse array."""
+        return not isinstance(self.design, np.ndarray)
+
+    @cached_property
+    def singular_values(self) -> SingularValues:
+        """Decomposition of a dense design, computed once."""
+        return SingularValues.of(self.design)
+
+    @cached_property
+    def normals(self) -> NormalEquations:
+        """Factorised normal equations of a sparse design, computed once."""
+        return NormalEquations.of(self.design)
+
+    def condition(self) -> tuple[float, FloatArray]:
+        """Condition number of the scaled design, and the direction (U,) that is determined worst."""
+        if not self.design.shape[1]:
+            return 1.0, np.zeros(0)
+        return self.normals.condition() if self.is_sparse else self.singular_values.condition()
+
+    def step(self, damping: float = 0.0) -> FloatArray:
+        """Changes (U,) of the unknowns that minimise |w − A·dx|² + damping · |L·dx|², L the lengths of the columns."""
+        if not self.design.shape[1]:
+            return np.zeros(0)
+        if self.is_sparse:
+            return self.normals.damped(damping).solve(self.design.T @ self.misclosure)
+        return self.singular_values.solve(self.misclosure, damping)
+
+    def residuals(self, step: FloatArray) -> FloatArray:
+        """Weighted residuals (R,) of linearised equations after a step (U,)."""
+        left: FloatArray = self.misclosure - self.design @ step
+        return left
+
+
+@dataclass(frozen=True, eq=False)
+class SingularValues:
+    """Singular value decomposition of a dense design, A / L = U·S·Vᵀ.
+
+    Attributes
+    ----------
+    length : array (U,)
+        L: lengths of the columns, 1 where a column is zero.
+    left : array (R, U)
+    singular : array (U,)
+    turned : array (U, U)
+        Vᵀ: directions in the scaled unknowns, the best determined first.
+    """
+
+    length: FloatArray
+    left: FloatArray
+    singular: FloatArray
+    turned: FloatArray
+
+    @classmethod
+    def of(cls, design: FloatArray) -> SingularValues:
+        """Decomposition of a weighted design (R, U)."""
+        length = np.linalg.norm(design, axis=0)
+        length = np.where(length > 0.0, length, 1.0)
+        left, singular, turned = np.linalg.svd(design / length, full_matrices=False)
+        return cls(length, left, singular, turned)
+
+    def solve(self, right: FloatArray, damping: float = 0.0) -> FloatArray:
+        """Unknowns (U,) or (U, K) of right-hand sides (R,) or (R, K) in the rows of the design."""
+        if damping == 0.0:
+            # What is lost to rounding is left out: of all solutions the shortest, where the design has a rank defect.
+            known = self.singular > RANK * self.singular[0]
+            root = self.turned.T / np.where(known, self.singular, np.inf)
+        else:
+            root = self.turned.T * (self.singular / (self.singular**2 + damping))
+        solution: FloatArray = ((root @ (self.left.T @ right)).T / self.length).T
+        return solution
+
+    def condition(self) -> tuple[float, FloatArray]:
+        """Condition number, and the direction (U,) in the scaled unknowns that is determined worst."""
+        if not self.singular[-1] > 0.0:
+            return float("inf"), self.turned[-1]
+        return float(self.singular[0] / self.singular[-1]), self.turned[-1]
+
+    def cofactors(self) -> FloatArray:
+        """Cofactor matrix (AᵀA)⁻¹ (U, U) of the unknowns."""
+        root = self.turned.T / self.singular
+        inverse: FloatArray = (root @ root.T) / np.outer(self.length, self.length)
+        return inverse
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Factorised normal equations of a sparse design.
+
+    Attributes
+    ----------
+    factors : SuperLU or None
+        None where the factorisation breaks down: a rank defect to the last digit.
+    matrix : sparse array (U, U)
+        AᵀA with scaled columns.
+    length : array (U,)
+        Lengths of the columns, 1 where a column is zero.
+    """
+
+    factors: Any
+    matrix: Any
+    length: FloatArray
+
+    @classmethod
+    def of(cls, design: Any) -> NormalEquations:
+        """Normal equations of a weighted sparse design (R, U)."""
+        from scipy.sparse import diags_array
+
+        length = np.sqrt(np.asarray(design.multiply(design).sum(axis=0)).ravel())
+        length = np.where(length > 0.0, length, 1.0)
+        scaled = design @ diags_array(1.0 / length)
+        matrix = (scaled.T @ scaled).tocsc()
+        return cls(_factorised(matrix), matrix, length)
+
+    def damped(self, damping: float) -> NormalEquations:
+        """Normal equations with a damping added to the diagonal of the scaled matrix."""
+        if damping == 0.0:
+            return self
+        from scipy.sparse import eye_array
+
+        matrix = (self.matrix + damping * eye_array(len(self.length))).tocsc()
+        return NormalEquations(_factorised(matrix), matrix, self.length)
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """Unknowns (U,) or (U, K) of right-hand sides Aᵀw in the unknowns, refined once."""
+        if self.factors is None:
+            return np.full(right.shape, np.nan)
+        length = self.length if right.ndim == 1 else self.length[:, None]
+        scaled = right / length
+        first = self.factors.solve(scaled)
+        # Normal equations square the condition number; one refinement gives the lost digits back.
+        refined: FloatArray = (first + self.factors.solve(scaled - self.matrix @ first)) / length
+        return refined
+
+    def condition(self) -> tuple[float, FloatArray]:
+        """Condition number of the scaled design, and the direction (U,) that is determined worst.
+
+        By power iteration on the normal matrix and on its inverse, from a fixed start: the same on every run.
+        """
+        size = self.matrix.shape[0]
+        start = np.random.default_rng(0).normal(size=size)
+        if self.factors is None:
+            from scipy.sparse import eye_array
+
+            return np.inf, _largest(_factorised((self.matrix + BESIDE * eye_array(size)).tocsc()).solve, start)[1]
+        most, _ = _largest(lambda v: self.matrix @ v, start)
+        inverse, direction = _largest(self.factors.solve, start)
+        return float(np.sqrt(most * inverse)), direction
+
+    def cofactor_blocks(self, blocks: Iterable[tuple[IntArray, dict[Any, IntArray]]]) -> dict[Any, FloatArray]:
+        """Blocks of the inverse: for each (columns, {key: rows}) the array (rows, columns) under its key."""
+        found: dict[Any, FloatArray] = {}
+        size = len(self.length)
+        for columns, wanted in blocks:
+            right = np.zeros((size, len(columns)))
+            right[columns, np.arange(len(columns))] = 1.0
+            solved = self.solve(right)
+            for key, rows in wanted.items():
+                found[key] = solved[rows]
+        return found
+
+
+def _factorised(matrix: Any) -> Any:
+    """SuperLU factors of a symmetric matrix, unpivoted to keep the fill-in low; None where it is singular."""
+    from scipy.sparse.linalg import splu
+
+    try:
+        return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError:
+        return None
+
+
+def _largest(apply: Any, start: FloatArray) -> tuple[float, FloatArray]:
+    """Largest eigenvalue of a positive definite operator, and its vector."""
+    vector, value = start / np.linalg.norm(start), 0.0
+    for _ in range(ITERATIONS):
+        turned = apply(vector)
+        before, value = value, float(np.linalg.norm(turned))
+        if not np.isfinite(value) or value == 0.0:
+            return np.inf, vector
+        vector = turned / value
+        if abs(value - before) < 1e-6 * value:
+            break
+    return value, vector

@@ -1,0 +1,151 @@
+"""Gauss-Newton method, damped after Levenberg and Marquardt where a step does not lower the sum of squares.
+
+Steps solve the damped normal equations (AᵀA + λ·L²)·dx = Aᵀw, L being the lengths of the columns of A (Marquardt 1963).
+λ starts at 0, so that a well-posed problem takes plain Gauss-Newton steps; a step that raises the sum of squares is
+tried again with more damping, and the ratio of the decrease to the predicted one says when damping may fall again.
+Nothing is random: the same problem gives the same digits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generic
+
+import numpy as np
+
+from geomosaic.errors import SolveError
+from geomosaic.estimation.problem import Problem, State
+
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-9, 1e12
+"""Columns have length one, so dampings are relative to the eigenvalues of AᵀA, which are near one."""
+FAITHFUL = 0.25
+"""Ratio of true to predicted decrease from which the linearisation is trusted with less damping."""
+NOTHING = 1e-20
+"""Sum of squares (in standard deviations) that is rounding: exact observations may leave more after a step."""
+
+
+class Outcome(Enum):
+    """End of an iteration; the values are messages."""
+
+    CONVERGED = "the adjustment converged"
+    STALLED = "the adjustment does not converge"
+    TOO_MANY = "the adjustment did not converge"
+
+
+@dataclass(frozen=True)
+class Stopping:
+    """Stopping rules of an iteration.
+
+    Attributes
+    ----------
+    rounds : int
+        Linearisations at most.
+    step : float
+        Movement (see `Problem.movement`) below which the solution is reached.
+    near : float
+        Movement below which it is reached as well where a step no longer gains.
+    gain : float, optional
+        Relative decrease of the sum of squares that counts as none. Without it, where weights change from round to
+        round and sums cannot be compared, a step that moves as much as the one before gains nothing.
+    rise : float
+        Relative rise of the sum of squares that a step may bring: rounding, or more where weights change with it.
+    longest : float
+        Movement that no step may exceed; it is damped until it does not.
+    stalled : float
+        Undamped movement below which a step that lowers nothing is rounding, and not a failure.
+    """
+
+    rounds: int = 100
+    step: float = 1e-10
+    near: float = 1e-4
+    gain: float | None = 1e-15
+    rise: float = 1e-12
+    longest: float = float("inf")
+    stalled: float = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Solution(Generic[State]):
+    """State at which an iteration ended.
+
+    Attributes
+    ----------
+    state : State
+    squares : float
+        Weighted sum of squares there.
+    rounds : int
+        Linearisations that were solved.
+    outcome : Outcome
+    """
+
+    state: State
+    squares: float
+    rounds: int
+    outcome: Outcome
+
+    def required(self, hint: str) -> Solution[State]:
+        """The solution itself.
+
+        Raises
+        ------
+        SolveError
+            The iteration did not converge.
+        """
+        if self.outcome is Outcome.CONVERGED:
+            return self
+        rounds = f" in {self.rounds} rounds" if self.outcome is Outcome.TOO_MANY else ""
+        raise SolveError(f"{self.outcome.value}{rounds}", hint=hint)
+
+
+def solve(problem: Problem[State], start: State, rules: Stopping | None = None) -> Solution[State]:
+    """Minimise a weighted sum of squares.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : State
+    rules : Stopping, optional
+
+    Returns
+    -------
+    Solution
+        Whether it converged is in its `outcome`.
+
+    Raises
+    ------
+    SolveError
+        From `Problem.linearise`: the observations do not determine the unknowns.
+    """
+    rules = rules or Stopping()
+    state, damping, before = start, 0.0, np.inf
+    squares = problem.squares(state)
+    for done in range(1, rules.rounds + 1):
+        equations = problem.linearise(state)
+        while True:
+            step = equations.step(damping)
+            trial = problem.moved(state, step)
+            movement, after = problem.movement(state, trial, equations, step), problem.squares(trial)
+            falls = after <= squares * (1.0 + rules.rise) + NOTHING or movement < rules.step
+            if falls and movement <= rules.longest:
+                break
+            damping = max(10.0 * damping, FIRST_DAMPING)
+            if damping > MOST_DAMPING:
+                step = equations.step()
+                undamped = problem.movement(state, problem.moved(state, step), equations, step)
+                return Solution(
+                    state, squares, done, Outcome.CONVERGED if undamped < rules.stalled else Outcome.STALLED
+                )
+        gain = squares - after
+        if damping > 0.0:
+            predicted = squares - float(np.sum(equations.residuals(step) ** 2))
+            # Below the least damping the step is Gauss-Newton's to all digits that matter.
+            if gain >= FAITHFUL * predicted:
+                damping = 0.1 * damping if damping > LEAST_DAMPING else 0.0
+        state = problem.refreshed(trial)
+        squares = problem.squares(state)
+        settled = gain <= rules.gain * squares if rules.gain is not None else movement >= before
+        before = movement
+        if movement < rules.step or (movement < rules.near and settled):
+            return Solution(state, squares, done, Outcome.CONVERGED)
+    return Solution(state, squares, rules.rounds, Outcome.TOO_MANY)
