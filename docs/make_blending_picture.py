@@ -13,10 +13,9 @@ from PIL import Image, ImageDraw
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.blending.options import Blending, Width
-from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.options.mosaic import BlendOptions, MosaicOptions, Width
+from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_mosaic
-from geomosaic.render.options import RenderOptions
 from geomosaic.testing.synthetic import AnalyticGround
 
 SIZE, SHIFT, PIXEL = (360, 520), 240, 1.0
@@ -49,10 +48,10 @@ def main() -> None:
     """Write docs/images/blending.jpg."""
     width = Width(64, "px")
     kinds = {
-        "none": Blending("none"),
-        "feather, 64 px, without limit": Blending("feather", width, limit=False),
-        "feather": Blending("feather", width),
-        "multiband": Blending("multiband", Width(32, "px")),
+        "none": BlendOptions("none"),
+        "feather, 64 px, without limit": BlendOptions("feather", width, limit=False),
+        "feather": BlendOptions("feather", width),
+        "multiband": BlendOptions("multiband", Width(32, "px")),
     }
     panels = []
     with tempfile.TemporaryDirectory() as name:

@@ -12,9 +12,9 @@ from PIL import Image, ImageDraw, ImageOps
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block, PlanarInputs
-from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_planar_mosaic
-from geomosaic.render.options import RenderOptions
 from geomosaic.testing.synthetic import AnalyticGround, render, synthetic_block
 
 CRS = "EPSG:32633"

@@ -18,9 +18,9 @@ from city_rig import CORNER, FOCAL, GROUND_CLASS, PIXEL, SIDE, WALL_CLASS, City,
 
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_mosaic
-from geomosaic.render.options import RenderOptions
 
 PART = np.s_[230:470, 250:490]
 BOUNDS = (CORNER[0], CORNER[1], CORNER[0] + SIDE, CORNER[1] + SIDE)

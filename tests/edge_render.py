@@ -14,8 +14,7 @@ from scipy.interpolate import RectBivariateSpline
 from geomosaic.block.block import OrientedBlock
 from geomosaic.inputs.area import Area, plan
 from geomosaic.mosaicking.mosaic import mosaic
-from geomosaic.mosaicking.options import MosaicOptions
-from geomosaic.render.options import RenderOptions
+from geomosaic.options.mosaic import MosaicOptions
 
 HALF_WIDTH = 2.5
 """Metres of a road, and pixels."""
@@ -67,8 +66,13 @@ def joined(
     middle = seam(0, 3)[:, 0].mean()
     bounds = (middle - reach, CORNER[1] - SIZE[1] + 60.0, middle + reach, CORNER[1] - 60.0)
     grid, outlines = plan(scenes, None, Area("EPSG:32633", 1.0, bounds))
-    options = MosaicOptions(
-        RenderOptions(resampling="cubic", driver="GTiff", overwrite=True), 0.0, balance=False, vectors=False, stac=False
+    options = MosaicOptions.of(
+        resampling="cubic",
+        driver="GTiff",
+        overwrite=True,
+        feather=0.0,
+        balance=False,
+        vectors=False,
     )
     made = mosaic(OrientedBlock(scenes, None), grid, outlines, output, options)
     with rasterio.open(made.path) as values, rasterio.open(made.labels) as labels:

@@ -11,10 +11,10 @@ from affine import Affine
 
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.mosaicking.result import MosaicResult
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_mosaic
-from geomosaic.render.options import RenderOptions
 
 LEFT, TOP = 500_000.37, 5_500_300.11
 
@@ -64,7 +64,7 @@ def run(
 ) -> MosaicResult:
     """Make a mosaic of georeferenced images."""
     render = RenderOptions(overwrite=True, threads=threads, tile=tile, resampling=resampling)
-    wanted = MosaicOptions(render, **{"balance": False, "stac": False, **options})
+    wanted = MosaicOptions.of(render=render, **{"balance": False, "stac": False, **options})
     return make_mosaic(Block(tuple(files), "planar", bands=bands), area or Area(), output, wanted)
 
 

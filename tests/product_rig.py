@@ -17,10 +17,10 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.geo.crs import horizontal, parse_crs, with_heights
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.mosaic import mosaic
-from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.mosaicking.result import MosaicResult
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.render import RenderOptions
 from geomosaic.render.extent import footprints, output_grid
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.ortho import OrthoResult, ortho
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build
@@ -83,7 +83,11 @@ class Job:
     def mosaic(self, path: Path, feather: float | None = None, balance: bool = True, **options: Any) -> MosaicResult:
         render_options = RenderOptions(overwrite=True, **options)
         return mosaic(
-            self.block, self.grid, self.outlines, path, MosaicOptions(render_options, feather, balance, stac=False)
+            self.block,
+            self.grid,
+            self.outlines,
+            path,
+            MosaicOptions.of(render=render_options, feather=feather, balance=balance, stac=False),
         )
 
 

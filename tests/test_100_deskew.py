@@ -18,8 +18,8 @@ from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
+from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_ortho
-from geomosaic.render.options import RenderOptions
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground

@@ -78,5 +78,5 @@ def test_what_cannot_be_meant_is_told(tmp_path: Path) -> None:
     assert "write pixels as 20px" in failing(*files, "-o", out, "--feather", "wide")
     assert "no image is called 'x.tif'" in failing(*files, "-o", out, "--base", "x.tif")
     assert "leave out --bidx" in failing(*files, "-o", out, "--bidx", "1", "--bands", "red")
-    assert "no sample type is named 'byte'" in failing(*files, "-o", out, "--dtype", "byte")
+    assert "'byte' is not known here" in failing(*files, "-o", out, "--dtype", "byte")
     assert "no band is called 'nir'" in failing(*files, "-o", out, "--bands", "nir")

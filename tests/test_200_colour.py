@@ -18,10 +18,9 @@ from rasterio.warp import reproject
 
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.mosaicking.result import MosaicResult
-from geomosaic.products.from_inputs import make_mosaic, reference_scene
-from geomosaic.render.options import RenderOptions
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.products.from_inputs import make_mosaic
 
 RealData = Callable[[str], Path]
 
@@ -72,13 +71,13 @@ def make(real_data: RealData, tmp_path_factory: pytest.TempPathFactory) -> Calla
     def made(*terms: str, anchor: str | None = None) -> Made:
         name = "-".join((*terms, anchor or "free"))
         if name not in known:
-            reference = None
+            reference, bands = None, None
             if anchor is not None:
                 file, bands = JUDGES[anchor]
-                reference = reference_scene(base / "reference" / file, bands)
-            options = MosaicOptions(
-                RenderOptions(), balance=terms != ("none",), colour=terms if terms != ("none",) else ("auto",),
-                reference=reference, labels=False, vectors=False, stac=False,
+                reference = base / "reference" / file
+            options = MosaicOptions.of(
+                balance=terms != ("none",), colour=terms if terms != ("none",) else ("auto",),
+                reference=reference, reference_bands=bands, labels=False, vectors=False,
             )  # fmt: skip
             inputs = Block(tuple(sorted((base / "source").glob("ngi_rgb_byte_?.tif"))), "planar")
             result = make_mosaic(inputs, Area(None, 10.0), folder / f"{name}.tif", options)

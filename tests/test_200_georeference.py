@@ -22,7 +22,7 @@ from geomosaic.georeferencing.request import ControlInput, FitRequest, Place
 from geomosaic.georeferencing.run import fit_crs, georeference
 from geomosaic.georeferencing.solution import Solution, solve
 from geomosaic.match.shift import shifts
-from geomosaic.render.options import RenderOptions
+from geomosaic.options.render import RenderOptions
 
 RealData = Callable[[str], Path]
 PLAIN = RenderOptions(threads=2, driver="GTiff", overwrite=True)

@@ -15,10 +15,10 @@ import pytest
 from geomosaic.accuracy.product_check import against_reference
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.mosaicking.result import MosaicResult
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_mosaic, make_ortho
-from geomosaic.render.options import RenderOptions
 
 RealData = Callable[[str], Path]
 
@@ -66,7 +66,7 @@ def references(real_data: RealData) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def made(real_data: RealData, tmp_path_factory: pytest.TempPathFactory) -> MosaicResult:
-    options = MosaicOptions(RenderOptions(resampling="cubic"))
+    options = MosaicOptions.of(resampling="cubic")
     output = tmp_path_factory.mktemp("ngi") / "mosaic.tif"
     return make_mosaic(inputs(real_data("orthority-ngi")), Area(None, RESOLUTION), output, options)
 

@@ -25,9 +25,9 @@ from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.match.shift import Shifts, shifts
 from geomosaic.mosaicking.mosaic import beside
-from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_mosaic
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.ortho import ortho
 
 RealData = Callable[[str], Path]
@@ -164,7 +164,9 @@ def test_what_is_read_wrongly_shows(real_data: RealData, tmp_path: Path) -> None
 
 def test_one_mosaic(real_data: RealData, tmp_path: Path) -> None:
     render, area = RenderOptions(resampling="cubic", tolerance=0.05), Area(None, 0.4)
-    made = make_mosaic(inputs(real_data("orthority-odm")), area, tmp_path / "mosaic.tif", MosaicOptions(render))
+    made = make_mosaic(
+        inputs(real_data("orthority-odm")), area, tmp_path / "mosaic.tif", MosaicOptions.of(render=render)
+    )
     assert made.lattice_error <= made.tolerance
     assert made.grid.crs.to_epsg() == 32651
     assert min(made.pixels) > 0.1 * made.valid_pixels

@@ -9,7 +9,6 @@ import pytest
 
 from geomosaic.errors import InputError
 from geomosaic.mosaicking.seams.cost_terms import (
-    SeamWeights,
     edge_proximity,
     features,
     image_difference,
@@ -18,6 +17,7 @@ from geomosaic.mosaicking.seams.cost_terms import (
 from geomosaic.mosaicking.seams.graph_cut import RegionGraph, energy, minimise, region_graph
 from geomosaic.mosaicking.seams.partition import without_spurs
 from geomosaic.mosaicking.seams.voronoi import nearest_images
+from geomosaic.options.mosaic import SeamWeights
 
 ROWS, COLS = 80, 120
 LENGTH = SeamWeights().length

@@ -19,12 +19,12 @@ from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.colour.balance import balance
 from geomosaic.mosaicking.mosaic import mosaic
-from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.render import RenderOptions
 from geomosaic.raster.source import Source
 from geomosaic.render import photos as photos_module
 from geomosaic.render.aligned import cell_means
 from geomosaic.render.extent import footprints, output_grid
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.photos import Photos
 from geomosaic.surface.model import HeightPatch, Surface
 
@@ -78,7 +78,11 @@ def test_open_files_do_not_grow_with_the_number_of_photos(
 
     render = RenderOptions(threads=threads, progress=watch)
     result = mosaic(
-        block, output_grid(MAP, outlines, 1.0), outlines, tmp_path / "out.tif", MosaicOptions(render, stac=False)
+        block,
+        output_grid(MAP, outlines, 1.0),
+        outlines,
+        tmp_path / "out.tif",
+        MosaicOptions.of(render=render, stac=False),
     )
     assert min(result.pixels) > 0  # all took part
     assert worst["balance"] <= 10 + threads + 4, worst  # and a few of the outputs

@@ -1,4 +1,4 @@
-"""Blending: no step where images agree, weights that sum to one, no ghosts, the bands of Burt and Adelson."""
+"""BlendOptions: no step where images agree, weights that sum to one, no ghosts, the bands of Burt and Adelson."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from scipy.ndimage import convolve1d
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaicking.blending.options import Blending, Width
+from geomosaic.mosaicking.blending.width import width_px
+from geomosaic.options.mosaic import BlendOptions, Width
 from geomosaic.resample import agreement, pyramid
 from geomosaic.resample.engine import numba_engine, numpy_engine
 from geomosaic.resample.warp import value_range
@@ -22,16 +23,16 @@ from geomosaic.resample.warp import value_range
 PLACES = [(0, 0), (180, 40), (60, 190)]
 SIZE = (330, 420)
 KINDS = [
-    Blending(),
-    Blending(ramp="smooth"),
-    Blending(limit=False),
-    Blending(ramp="smooth", limit=False),
-    Blending("overlap"),
-    Blending("overlap", limit=False),
-    Blending("overlap", Width(40, "px"), "smooth", limit=False),
-    Blending("multiband", limit=False),
-    Blending("multiband"),
-    Blending("none"),
+    BlendOptions(),
+    BlendOptions(ramp="smooth"),
+    BlendOptions(limit=False),
+    BlendOptions(ramp="smooth", limit=False),
+    BlendOptions("overlap"),
+    BlendOptions("overlap", limit=False),
+    BlendOptions("overlap", Width(40, "px"), "smooth", limit=False),
+    BlendOptions("multiband", limit=False),
+    BlendOptions("multiband"),
+    BlendOptions("none"),
 ]
 
 
@@ -51,7 +52,7 @@ def pieces(
 
 @pytest.mark.parametrize("blending", KINDS, ids=str)
 @pytest.mark.parametrize("dtype", ["uint8", "float32"])
-def test_equal_images_leave_no_trace(tmp_path: Path, blending: Blending, dtype: str) -> None:
+def test_equal_images_leave_no_trace(tmp_path: Path, blending: BlendOptions, dtype: str) -> None:
     ground = rig.scene(530, 610).astype(dtype)
     rig.run(pieces(tmp_path, ground), tmp_path / "out.tif", blending=blending)
     made, valid = rig.read(tmp_path / "out.tif")
@@ -61,7 +62,7 @@ def test_equal_images_leave_no_trace(tmp_path: Path, blending: Blending, dtype: 
 
 
 @pytest.mark.parametrize("blending", [kind for kind in KINDS if not kind.limits], ids=str)
-def test_weights_sum_to_one(tmp_path: Path, blending: Blending) -> None:
+def test_weights_sum_to_one(tmp_path: Path, blending: BlendOptions) -> None:
     """Mosaics of one image that is 1 and others that are 0 are the weights."""
     total: np.ndarray | float = 0.0
     for own in range(len(PLACES)):
@@ -84,12 +85,12 @@ def test_the_step_at_a_seam(tmp_path: Path) -> None:
     ]
     steps = {}
     for name, blending in {
-        "none": Blending("none"),
-        "feather": Blending("feather", Width(40, "px"), limit=False),
-        "limited": Blending("feather", Width(40, "px")),
-        "smooth": Blending("feather", Width(40, "px"), "smooth"),
-        "overlap": Blending("overlap"),
-        "multiband": Blending("multiband", Width(32, "px")),
+        "none": BlendOptions("none"),
+        "feather": BlendOptions("feather", Width(40, "px"), limit=False),
+        "limited": BlendOptions("feather", Width(40, "px")),
+        "smooth": BlendOptions("feather", Width(40, "px"), "smooth"),
+        "overlap": BlendOptions("overlap"),
+        "multiband": BlendOptions("multiband", Width(32, "px")),
     }.items():
         rig.run(files, tmp_path / "out.tif", blending=blending)
         values, _ = rig.read(tmp_path / "out.tif")
@@ -138,7 +139,7 @@ def test_bands_are_those_of_whole_images(tmp_path: Path) -> None:
         cut = cut * (1.0, 1.15)[i] + rng.normal(0, 4, cut.shape) + 12 * i * np.sin(np.arange(size[1]) / 90)[:, None]
         cuts.append(cut.astype(np.float32))
     files = [rig.write(tmp_path / f"{i}.tif", cuts[i], *place) for i, place in enumerate(places)]
-    rig.run(files, tmp_path / "out.tif", blending=Blending("multiband", Width(32, "px"), limit=False))
+    rig.run(files, tmp_path / "out.tif", blending=BlendOptions("multiband", Width(32, "px"), limit=False))
     made, _ = rig.read(tmp_path / "out.tif")
     labels = rig.read(tmp_path / "out-labels.tif")[0][..., 0]
     top, left, bottom, right = 128, 224, 992, 1472  # both images show it, and it starts at whole cells of all levels
@@ -191,8 +192,8 @@ def test_both_engines_take_apart_and_join_the_same(dtype: str) -> None:
         assert not made[0][label != 1].any()
 
 
-@pytest.mark.parametrize("blending", [Blending("multiband"), Blending("overlap"), Blending()], ids=str)
-def test_tiles_and_threads_do_not_matter(tmp_path: Path, blending: Blending) -> None:
+@pytest.mark.parametrize("blending", [BlendOptions("multiband"), BlendOptions("overlap"), BlendOptions()], ids=str)
+def test_tiles_and_threads_do_not_matter(tmp_path: Path, blending: BlendOptions) -> None:
     rng = np.random.default_rng(8)
     ground = rig.scene(700, 2500)
     files = []
@@ -226,7 +227,7 @@ def test_what_moved_leaves_no_ghost(tmp_path: Path) -> None:
     files, _, images = with_car(tmp_path)
     car = slice(142, 150), slice(440, 460)
 
-    def between(blending: Blending) -> float:
+    def between(blending: BlendOptions) -> float:
         rig.run(files, tmp_path / "out.tif", blending=blending)
         made = rig.read(tmp_path / "out.tif")[0].astype(float)
         # Of a pixel's way from the ground to the car, how far it is from the nearer end; the step of 10 is no ghost.
@@ -234,13 +235,13 @@ def test_what_moved_leaves_no_ghost(tmp_path: Path) -> None:
         share = (made[car] - images[1][car]) / apart
         return float(np.median(np.minimum(np.abs(share), np.abs(1 - share)), axis=2).max())
 
-    assert between(Blending("feather", Width(60, "px"), limit=False)) > 0.3
-    assert between(Blending("multiband", Width(32, "px"), limit=False)) > 0.2
+    assert between(BlendOptions("feather", Width(60, "px"), limit=False)) > 0.3
+    assert between(BlendOptions("multiband", Width(32, "px"), limit=False)) > 0.2
     for blending in (
-        Blending("feather", Width(60, "px")),
-        Blending("feather", Width(60, "px"), "smooth"),
-        Blending("multiband", Width(32, "px")),
-        Blending("overlap"),
+        BlendOptions("feather", Width(60, "px")),
+        BlendOptions("feather", Width(60, "px"), "smooth"),
+        BlendOptions("multiband", Width(32, "px")),
+        BlendOptions("overlap"),
     ):
         assert between(blending) < 0.12, blending
 
@@ -251,7 +252,7 @@ def test_limits_do_not_stop_the_blending_of_colour(tmp_path: Path, kind: str, mo
     files, _, _ = with_car(tmp_path)
     made = []
     for limit in (True, False):
-        rig.run(files, tmp_path / "out.tif", blending=Blending(kind, Width(32, "px"), limit=limit))
+        rig.run(files, tmp_path / "out.tif", blending=BlendOptions(kind, Width(32, "px"), limit=limit))
         made.append(rig.read(tmp_path / "out.tif")[0].astype(float))
     assert np.abs(made[0] - made[1])[:90].mean() <= most
     assert np.abs(made[0] - made[1])[130:160].max() > 10
@@ -269,7 +270,7 @@ def test_a_difference_of_exposure_is_no_other_ground(tmp_path: Path, dtype: str)
     files = [rig.write(tmp_path / f"{i}.tif", cut.astype(dtype), 300 * i) for i, cut in enumerate(cuts)]
     made = []
     for limit in (True, False):
-        rig.run(files, tmp_path / "out.tif", blending=Blending("feather", Width(60, "px"), limit=limit))
+        rig.run(files, tmp_path / "out.tif", blending=BlendOptions("feather", Width(60, "px"), limit=limit))
         made.append(rig.read(tmp_path / "out.tif")[0].astype(float))
     apart = np.abs(made[0] - made[1]) / scale[dtype]
     assert (apart > 1).mean() < 2e-4, f"{apart.max()}, {(apart > 1).mean()}"
@@ -309,7 +310,7 @@ def test_the_edge_of_what_is_known_is_a_seam_too(tmp_path: Path, kind: str) -> N
     one = np.full((400, 600, 1), 100, dtype=np.uint8)
     two = np.where(cols + 0.35 * rows > 170, 120, 0).astype(np.uint8)[..., None]
     files = [rig.write(tmp_path / "a.tif", one, nodata=0), rig.write(tmp_path / "b.tif", two, 100, 0, nodata=0)]
-    rig.run(files, tmp_path / "out.tif", blending=Blending(kind, Width(32, "px")), order="list")
+    rig.run(files, tmp_path / "out.tif", blending=BlendOptions(kind, Width(32, "px")), order="list")
     values, valid = rig.read(tmp_path / "out.tif")
     assert valid.all()
     inner = values[40:-40, :590, 0].astype(int)
@@ -321,7 +322,7 @@ def test_the_edge_of_what_is_known_is_a_seam_too(tmp_path: Path, kind: str) -> N
 @pytest.mark.parametrize(("dtype", "bands"), [("uint16", 1), ("int16", 5), ("float64", 2)])
 def test_any_sample_type_and_number_of_bands(tmp_path: Path, dtype: str, bands: int) -> None:
     ground = (rig.scene(530, 610, bands=bands) * 37 - (1000 if dtype == "int16" else 0)).astype(dtype)
-    for blending in (Blending("multiband"), Blending("overlap", ramp="smooth")):
+    for blending in (BlendOptions("multiband"), BlendOptions("overlap", ramp="smooth")):
         rig.run(pieces(tmp_path, ground), tmp_path / "out.tif", blending=blending)
         made, valid = rig.read(tmp_path / "out.tif")
         assert made.dtype == dtype
@@ -332,11 +333,11 @@ def test_widths_have_units() -> None:
     def grid(crs: str, size: float) -> Grid:
         return Grid.from_bounds(parse_crs(crs), (10.0, 40.0, 10.0 + 100 * size, 40.0 + 100 * size), size, snap=False)
 
-    assert Width.parse("20px").pixels(grid("EPSG:32633", 0.25)) == 20
-    assert Width.parse("5m").pixels(grid("EPSG:32633", 0.25)) == 20
-    assert Width.parse("5").pixels(grid("EPSG:2154", 0.5)) == 10
-    assert Width.parse("5 m").pixels(grid("EPSG:2263", 1.0)) == pytest.approx(5 / 0.3048, rel=1e-5)
-    metre = Width.parse("111.2m").pixels(grid("EPSG:4326", 0.001))  # of a pixel of 111.2 m by 85.2 m
+    assert width_px(Width.parse("20px"), grid("EPSG:32633", 0.25)) == 20
+    assert width_px(Width.parse("5m"), grid("EPSG:32633", 0.25)) == 20
+    assert width_px(Width.parse("5"), grid("EPSG:2154", 0.5)) == 10
+    assert width_px(Width.parse("5 m"), grid("EPSG:2263", 1.0)) == pytest.approx(5 / 0.3048, rel=1e-5)
+    metre = width_px(Width.parse("111.2m"), grid("EPSG:4326", 0.001))  # of a pixel of 111.2 m by 85.2 m
     assert metre == pytest.approx(1 / np.sqrt(np.cos(np.radians(40.05))), rel=1e-3)
     with pytest.raises(InputError, match="'wide' is not a width"):
         Width.parse("wide")
@@ -351,7 +352,10 @@ def test_seams_keep_to_what_orthos_show(tmp_path: Path) -> None:
         shown = (np.abs(u * 0.94 + v * 0.34) < 230) & (np.abs(v * 0.94 - u * 0.34) < 120)
         values = np.where(shown, value, 0).astype(np.uint8)[..., None]
         files.append(rig.write(tmp_path / f"{i}.tif", values, left, 25 * i, nodata=0))
-    for blending, most in ((Blending("multiband", Width(32, "px")), 2), (Blending("feather", Width(32, "px")), 3)):
+    for blending, most in (
+        (BlendOptions("multiband", Width(32, "px")), 2),
+        (BlendOptions("feather", Width(32, "px")), 3),
+    ):
         rig.run(files, tmp_path / "out.tif", blending=blending)
         values, valid = rig.read(tmp_path / "out.tif")
         inside = valid[:, 1:] & valid[:, :-1]

@@ -16,10 +16,9 @@ from geomosaic.errors import InputError
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.colour.stretch import read
-from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.mosaicking.result import MosaicResult
-from geomosaic.products.from_inputs import make_mosaic, reference_scene
-from geomosaic.render.options import RenderOptions
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.products.from_inputs import make_mosaic
 from geomosaic.resample.engine import numba_engine, numpy_engine
 
 SIZE = (240, 180)
@@ -72,9 +71,7 @@ def shots(tmp_path_factory: pytest.TempPathFactory) -> Callable[[float, str], tu
 
 
 def make(shots: tuple[Path, ...], output: Path, threads: int = 2, tile: int = 1024, **more) -> MosaicResult:
-    options = MosaicOptions(
-        RenderOptions(threads=threads, tile=tile), feather=8.0, stac=False, labels=False, vectors=False, **more
-    )
+    options = MosaicOptions.of(threads=threads, tile=tile, feather=8.0, labels=False, vectors=False, **more)
     return make_mosaic(Block(shots, "planar"), Area(None, 1.0), output, options)
 
 
@@ -191,7 +188,7 @@ def reference(path: Path) -> Path:
 
 def test_a_satellite_image_of_another_crs_and_unit_gives_the_level(shots, tmp_path):
     """Its units are scaled by one number; relative to it every photo's gain is known."""
-    like = reference_scene(reference(tmp_path / "satellite.tif"), None)
+    like = reference(tmp_path / "satellite.tif")
     made = make(shots(0.0), tmp_path / "m.tif", colour=("gain",), reference=like)
     assert "times" in made.balance.notes[0]
     true = 1 / np.array([camera(i)[0] for i in range(COLS * ROWS)])
@@ -256,9 +253,9 @@ def test_histograms_over_a_region_and_in_sequence(shots, tmp_path):
         made = make(images, tmp_path / f"{method}.tif", histogram=method, **more)
         assert off_truth(made.path) < 0.6 * before, method
     with pytest.raises(InputError, match="region"):
-        MosaicOptions(region=tmp_path / "region.gpkg")
+        MosaicOptions.of(region=tmp_path / "region.gpkg")
 
 
 def test_terms_that_are_none(tmp_path):
     with pytest.raises(InputError, match="vignetting"):
-        MosaicOptions(colour=("vignettting",))
+        MosaicOptions.of(colour=("vignettting",))

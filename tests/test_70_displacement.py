@@ -13,9 +13,8 @@ from city_rig import CORNER, FOCAL, SIZE, write_image
 from geomosaic.errors import InputError
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
-from geomosaic.render.options import RenderOptions
 
 CENTRES = np.array([[120.0, 160.0, 420.0], [220.0, 160.0, 420.0]])
 LEVEL, PIXEL = 5.0, 2.0
@@ -48,7 +47,7 @@ def block(tmp_path: Path) -> Block:
 
 
 def test_displacement_is_that_of_the_textbooks(block: Block, tmp_path: Path) -> None:
-    options = MosaicOptions(RenderOptions(), balance=False, displacement=LEVEL)
+    options = MosaicOptions.of(balance=False, displacement=LEVEL)
     make_mosaic(block, Area(None, PIXEL, BOUNDS), tmp_path / "m.tif", options)
     with (
         rasterio.open(tmp_path / "m-displacement.tif") as raster,
@@ -75,5 +74,5 @@ def test_displacement_is_that_of_the_textbooks(block: Block, tmp_path: Path) -> 
 
 
 def test_displacement_needs_labels() -> None:
-    with pytest.raises(InputError, match="labels are not to be written"):
-        MosaicOptions(labels=False, displacement=0.0)
+    with pytest.raises(InputError, match="without `labels`"):
+        MosaicOptions.of(labels=False, displacement=0.0)

@@ -13,7 +13,7 @@ import shapely
 
 from geomosaic.cli.results import mosaic_words
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.mosaicking.blending.options import Blending
+from geomosaic.options.mosaic import BlendOptions
 
 L, T = rig.LEFT, rig.TOP
 CROSSING = [(L, T), (L + 200, T - 100), (L + 200, T), (L, T - 100)]
@@ -94,7 +94,7 @@ def test_a_border_moved_on_one_side_only_is_told(files: list[Path], tmp_path: Pa
     a, b = shapely.box(L, T - 100, L + ends[0], T), shapely.box(L + ends[1], T - 100, L + 200, T)
     frame = geopandas.GeoDataFrame({"image": ["a.tif", "b.tif"]}, geometry=[a, b], crs="EPSG:32633")
     frame.to_file(tmp_path / "drawn.gpkg", layer="seams")
-    given = {"cutlines": tmp_path / "drawn.gpkg", "blending": Blending("none")}
+    given = {"cutlines": tmp_path / "drawn.gpkg", "blending": BlendOptions("none")}
     if way == "both":
         rig.run(files, tmp_path / "out.tif", **given)
         label = rig.read(tmp_path / "out-labels.tif")[0][..., 0]

@@ -22,8 +22,8 @@ from geomosaic.geo.units import metres_per_unit
 from geomosaic.georeferencing.examination import BadControlError
 from geomosaic.georeferencing.request import ControlInput, FitRequest, Place
 from geomosaic.georeferencing.run import Georeferenced, georeference
+from geomosaic.options.render import RenderOptions
 from geomosaic.raster.vector import read_layer
-from geomosaic.render.options import RenderOptions
 from geomosaic.sensor.state import from_dict
 
 CRS = "EPSG:32633"

@@ -12,8 +12,8 @@ from pyproj import CRS
 
 from geomosaic.block.block import OrientedImage
 from geomosaic.geo.grid import Grid
+from geomosaic.options.render import RenderOptions
 from geomosaic.render.extent import footprints
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.ortho import ortho
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build
@@ -56,7 +56,12 @@ def test_nine_by_nine_groundels(tmp_path: Path, nodata: float | None) -> None:
     scene = OrientedImage("scan", str(path), "planar", model)
     outline = footprints((scene,), None, MAP)[0]
     made = ortho(
-        scene, None, grid, outline, tmp_path / "map.tif", RenderOptions("nearest", driver="GTiff", nodata=nodata)
+        scene,
+        None,
+        grid,
+        outline,
+        tmp_path / "map.tif",
+        RenderOptions(resampling="nearest", driver="GTiff", nodata=nodata),
     )
     colrow = np.rint(by_the_book()[1]).astype(int)
     inside = ((colrow >= 0) & (colrow <= 7)).all(axis=2)

@@ -16,8 +16,8 @@ from rasterio.features import rasterize
 
 from geomosaic.cli.main import cli
 from geomosaic.errors import InputError
-from geomosaic.mosaicking.blending.options import Blending
 from geomosaic.mosaicking.water.proposal import propose_water
+from geomosaic.options.mosaic import BlendOptions
 
 SIZE = 400
 LEVEL = 112.0
@@ -102,7 +102,7 @@ def test_what_is_proposed_goes_into_a_mosaic(tmp_path: Path) -> None:
     assert json.loads(told.output)["areas_m2"]
     _, found = proposed(out)
     mosaic = tmp_path / "out.tif"
-    rig.run([image], mosaic, water=out, water_fill="tone", blending=Blending("none"))
+    rig.run([image], mosaic, water=out, water_fill="tone", blending=BlendOptions("none"))
     before, after = rig.read(image)[0], rig.read(mosaic)[0]
     assert before[found].max() > 200
     assert after[found].max() < 130

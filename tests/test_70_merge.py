@@ -174,12 +174,11 @@ def test_many_files_are_not_open_at_once(tmp_path: Path) -> None:
         most = max(most, len(os.listdir("/proc/self/fd")))  # noqa: PTH208
 
     from geomosaic.inputs.declarations import Block
-    from geomosaic.mosaicking.options import MosaicOptions
+    from geomosaic.options.mosaic import MosaicOptions
     from geomosaic.products.from_inputs import make_mosaic
-    from geomosaic.render.options import RenderOptions
 
     before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208
-    options = MosaicOptions(RenderOptions(threads=1, progress=count), balance=False, stac=False, rule="first")
+    options = MosaicOptions.of(threads=1, progress=count, balance=False, stac=False, rule="first")
     make_mosaic(Block(tuple(files), "planar"), Area(), tmp_path / "out.tif", options)
     assert np.array_equal(rig.read(tmp_path / "out.tif")[0], values)
     assert most - before < 90

@@ -12,11 +12,8 @@ import pytest
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.blending.options import Blending
-from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.options.mosaic import BlendOptions, MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
-from geomosaic.render.options import RenderOptions
-from geomosaic.render.sample_types import Depth
 
 
 def two(folder: Path, one: np.ndarray, other: np.ndarray, **more: object) -> list[Path]:
@@ -29,21 +26,21 @@ def test_depths_are_kept_or_stretched_but_never_clipped(tmp_path: Path) -> None:
     out = tmp_path / "out.tif"
     with pytest.raises(InputError, match="holds uint16 samples") as caught:
         rig.run(files, out, rule="first")
-    assert "--dtype uint16" in str(caught.value)
+    assert "dtype=uint16" in str(caught.value)
     with pytest.raises(InputError, match="uint8 cannot hold them all"):
-        rig.run(files, out, rule="first", depth=Depth("uint8"))
-    rig.run(files, out, rule="first", depth=Depth("uint16", "range"))
+        rig.run(files, out, rule="first", dtype="uint8")
+    rig.run(files, out, rule="first", dtype="uint16", convert="range")
     made, _ = rig.read(out)
     assert np.array_equal(made[:, :100], values.astype(np.uint16) * 257)
     assert np.array_equal(made[:, 100:], values[:, 40:90].astype(np.uint16) * 257)
-    rig.run(files, out, rule="first", depth=Depth("uint8", "range"))
+    rig.run(files, out, rule="first", dtype="uint8", convert="range")
     assert np.array_equal(rig.read(out)[0][:, 60:], np.concatenate([values[:, 60:], values[:, 40:90]], axis=1))
-    rig.run(files, out, rule="first", depth=Depth("float32"))
+    rig.run(files, out, rule="first", dtype="float32")
     made, _ = rig.read(out)
     assert made.dtype == np.float32
     assert np.array_equal(made[:, :100], values)
-    for blending in (Blending(), Blending("multiband", limit=False)):
-        rig.run(files, out, depth=Depth("uint16", "range"), blending=blending)
+    for blending in (BlendOptions(), BlendOptions("multiband", limit=False)):
+        rig.run(files, out, dtype="uint16", convert="range", blending=blending)
         assert rig.read(out)[1].all()
 
 
@@ -56,7 +53,7 @@ def test_bands_by_name(tmp_path: Path) -> None:
         tmp_path / "b.tif", extra, 60, descriptions=("nir", "blue", "green", "red"), photometric="MINISBLACK"
     )
     out = tmp_path / "out.tif"
-    options = MosaicOptions(RenderOptions(overwrite=True), balance=False, stac=False, rule="mean")
+    options = MosaicOptions.of(overwrite=True, balance=False, stac=False, rule="mean")
 
     def run(*names: str) -> np.ndarray:
         make_mosaic(Block((one, other), "planar", band_names=names), Area(), out, options)
@@ -98,7 +95,7 @@ def test_empty_images(tmp_path: Path) -> None:
     values = np.random.default_rng(1).integers(1, 255, (80, 100, 3)).astype(np.uint8)
     full = rig.write(tmp_path / "full.tif", values, nodata=0)
     empty = rig.write(tmp_path / "empty.tif", np.zeros_like(values), 30, 0, nodata=0)
-    for options in ({"rule": "first"}, {"rule": "median"}, {"blending": Blending("multiband")}, {"balance": True}):
+    for options in ({"rule": "first"}, {"rule": "median"}, {"blending": BlendOptions("multiband")}, {"balance": True}):
         told = nullcontext() if "rule" in options else pytest.warns(GeomosaicWarning, match=r"empty.*every pixel")
         with told:
             result = rig.run([empty, full], tmp_path / "out.tif", **options)

@@ -19,11 +19,11 @@ from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_mosaic, make_ortho
 from geomosaic.raster.vector import read_layer
 from geomosaic.render.occlusion import Visibility
-from geomosaic.render.options import RenderOptions
 from geomosaic.sensor import registry
 from geomosaic.sensor.map_to_image import Ground, MapToImage
 from geomosaic.sensor.model import SensorModel
@@ -86,7 +86,7 @@ def test_a_mosaic_shows_nothing_hidden_and_says_what_no_image_sees(
     shown = {}
     for true_ortho in (False, True):
         out = tmp_path / f"mosaic-{true_ortho}.tif"
-        options = MosaicOptions(RenderOptions(resampling="nearest", true_ortho=true_ortho), balance=False, feather=4.0)
+        options = MosaicOptions.of(resampling="nearest", true_ortho=true_ortho, balance=False, feather=4.0)
         result = make_mosaic(inputs(folder, *range(6)), Area(None, PIXEL, BOUNDS), out, options)
         with rasterio.open(out) as mosaic, rasterio.open(out.with_name(out.stem + "-labels.tif")) as labels:
             values, valid, label = mosaic.read(1), mosaic.dataset_mask() > 0, labels.read(1)
@@ -149,7 +149,7 @@ def test_nodes_between_the_pixels_serve_as_well(city: tuple[City, Path], truth: 
     made_of, folder = city
     kind, seen = truth
     made_of.write_dsm(tmp_path / "between.tif", shift=PIXEL / 2)
-    options = MosaicOptions(RenderOptions(resampling="nearest", true_ortho=True), balance=False, feather=0.0)
+    options = MosaicOptions.of(resampling="nearest", true_ortho=True, balance=False, feather=0.0)
     moved = replace(inputs(folder, *range(6)), dem=tmp_path / "between.tif")
     make_mosaic(moved, Area(None, PIXEL, BOUNDS), tmp_path / "m.tif", options)
     with rasterio.open(tmp_path / "m.tif") as mosaic, rasterio.open(tmp_path / "m-labels.tif") as labels:
@@ -182,7 +182,7 @@ def test_seams_go_round_all_roofs_of_the_city(city: tuple[City, Path], tmp_path:
     roofs = [shapely.box(*np.tile(CORNER, 2) + box[:4] + (PIXEL, PIXEL, -PIXEL, -PIXEL)) for box in made_of.boxes]
     cut = {}
     for way in ("nearest", "alike"):
-        options = MosaicOptions(RenderOptions(), seams=way)
+        options = MosaicOptions.of(seams=way)
         make_mosaic(inputs(folder, *range(6)), Area(None, PIXEL, BOUNDS), tmp_path / f"{way}.tif", options)
         lines = read_layer(tmp_path / f"{way}.gpkg", "seamlines").geometry
         cut[way] = sum(any(line.intersects(roof) for line in lines) for roof in roofs)

@@ -11,7 +11,7 @@ import shapely
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.mosaicking.blending.options import Blending
+from geomosaic.options.mosaic import BlendOptions
 from geomosaic.raster.vector import Layer, write_layers
 
 
@@ -32,9 +32,9 @@ def test_a_lake_is_shown_by_the_image_without_glint(tmp_path: Path) -> None:
     files = [rig.write(tmp_path / f"{i}.tif", v.astype(np.uint8), 100 * i) for i, v in enumerate((first, second))]
     shape = shapely.box(rig.LEFT + 150, rig.TOP - 140, rig.LEFT + 250, rig.TOP - 60)
     out = tmp_path / "out.tif"
-    rig.run(files, out, blending=Blending("none"))
+    rig.run(files, out, blending=BlendOptions("none"))
     assert rig.read(out)[0][100, 170, 0] == 230
-    rig.run(files, out, blending=Blending("none"), water=lake(tmp_path, shape))
+    rig.run(files, out, blending=BlendOptions("none"), water=lake(tmp_path, shape))
     values, labels = rig.read(out)[0], rig.read(tmp_path / "out-labels.tif")[0][..., 0]
     assert (values[water] == 40).all()
     assert (labels[water] == 2).all()
@@ -57,9 +57,9 @@ def test_a_tone_fits_the_shores_and_knows_no_glint(tmp_path: Path) -> None:
     files = [rig.write(tmp_path / f"{i}.tif", v.astype(np.uint8), 100 * i) for i, v in enumerate(parts)]
     file = lake(tmp_path, shapely.box(rig.LEFT + 150, rig.TOP - 140, rig.LEFT + 250, rig.TOP - 60))
     out = tmp_path / "out.tif"
-    rig.run(files, out, blending=Blending("none"))
+    rig.run(files, out, blending=BlendOptions("none"))
     plain = rig.read(out)[0]
-    rig.run(files, out, blending=Blending("none"), water=file, water_fill="tone")
+    rig.run(files, out, blending=BlendOptions("none"), water=file, water_fill="tone")
     values = rig.read(out)[0].astype(float)
     assert np.abs(values - clean)[water].max() < 4
     np.testing.assert_array_equal(values[~water], plain[~water])

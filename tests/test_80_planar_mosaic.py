@@ -19,9 +19,8 @@ from geomosaic.inputs.area import Area
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block, PlanarInputs
 from geomosaic.inputs.missing_inputs import needs
-from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.from_inputs import make_planar_mosaic
-from geomosaic.render.options import RenderOptions
 from geomosaic.testing.synthetic import coordinates, render
 
 CRS = "EPSG:32633"
@@ -75,7 +74,7 @@ def made(
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Distances in pixels (rows, cols) between where pixels of the mosaic lie and what they show; and the facts."""
     wanted = PlanarInputs(kind, ties=folder / "ties.csv", **more)
-    options = MosaicOptions(RenderOptions(overwrite=True), feather, balance=False)
+    options = MosaicOptions.of(overwrite=True, feather=feather, balance=False)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GeomosaicWarning)  # what tilt leaves in a conformal fit
         result, facts, path = make_planar_mosaic(inputs(folder, wanted, control), wanted, Area(), output, options)

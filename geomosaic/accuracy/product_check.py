@@ -14,8 +14,8 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
 from geomosaic.match.shift import Shifts, shifts
+from geomosaic.options.render import Progress
 from geomosaic.raster.source import Source
-from geomosaic.render.options import Progress
 from geomosaic.resample import reference
 from geomosaic.types import AnyArray, BoolArray, FloatArray
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 import signal
 import sys
 import traceback
@@ -35,7 +36,28 @@ def stopped(by: BaseException, as_json: bool, *, resumes: bool = False) -> int:
     return 128 + number
 
 
-def failed(error: Exception, *, as_json: bool, debug: bool) -> int:
+def with_flags(text: str | None, command: str) -> str | None:
+    """A text with parameters of the running command as its flags: `name` becomes --name, `name=value` --name value."""
+    from geomosaic.cli.main import COMMANDS, cli
+
+    if text is None or "`" not in text or command not in COMMANDS:
+        return text
+    loaded = cli.get_command(click.Context(cli), command)
+    options = {} if loaded is None else {one.name: one for one in loaded.params if isinstance(one, click.Option)}
+
+    def flag(found: re.Match[str]) -> str:
+        option = options.get(found["name"])
+        if option is None:
+            return found[0]
+        long = next((opt for opt in option.opts if opt.startswith("--")), option.opts[0])
+        if option.is_flag:
+            return option.secondary_opts[0] if found["value"] == "False" and option.secondary_opts else long
+        return f"{long} {found['value']}" if found["value"] else long
+
+    return re.sub(r"`(?P<name>[a-z_]+)(=(?P<value>[^`]*))?`", flag, text)
+
+
+def failed(error: Exception, *, as_json: bool, debug: bool, command: str = "") -> int:
     """Tell an error and return the exit code.
 
     Parameters
@@ -45,6 +67,8 @@ def failed(error: Exception, *, as_json: bool, debug: bool) -> int:
         Put one JSON object on standard output instead of words on standard error.
     debug : bool
         Show the traceback.
+    command : str
+        Name of the command that ran; its parameters are named by their flags.
     """
     if isinstance(error, click.ClickException):
         if as_json:
@@ -59,7 +83,8 @@ def failed(error: Exception, *, as_json: bool, debug: bool) -> int:
         what, hint = OF_THE_SYSTEM[error.errno]
         error = OutputError(what, where=str(error.filename or ""), hint=hint)
     if isinstance(error, GeomosaicError):
-        _tell({"what": error.what, "where": error.where, "hint": error.hint}, as_json, error)
+        parts = {"what": error.what, "where": error.where, "hint": error.hint}
+        _tell({name: with_flags(text, command) for name, text in parts.items()}, as_json, error)
         return error.exit_code
     if isinstance(error, MemoryError):
         _tell({"what": "out of memory", "hint": "lower --mem-limit or --threads"}, as_json)

@@ -119,4 +119,4 @@ def run(words: list[str]) -> int:
     except Exception as error:
         from geomosaic.cli.failure import failed
 
-        return failed(error, as_json=as_json, debug=debug)
+        return failed(error, as_json=as_json, debug=debug, command=next(iter(words), ""))

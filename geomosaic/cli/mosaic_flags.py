@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import click
@@ -16,7 +15,7 @@ def _width(ctx: click.Context, param: click.Parameter, value: str | None) -> Any
     if value is None:
         return None
     from geomosaic.errors import InputError
-    from geomosaic.mosaicking.blending.options import Width
+    from geomosaic.options.mosaic import Width
 
     try:
         return Width.parse(value)
@@ -108,32 +107,6 @@ merge_flags = stack(
 )
 
 
-def merging(flags: Mapping[str, Any]) -> dict[str, Any]:
-    """What these options say, as fields of `MosaicOptions`."""
-    from geomosaic.mosaicking.blending.options import Blending
-    from geomosaic.render.sample_types import Depth
-
-    if "rule" not in flags:  # a command whose images are not georeferenced ones
-        return {"blending": Blending(flags["blend"], flags["feather"], flags["ramp"], flags["limit"])}
-    depth = Depth(flags["dtype"], flags["convert"])
-    blending = Blending(flags["blend"], flags["feather"], flags["ramp"], flags["limit"])
-    return {
-        "rule": flags["rule"],
-        "order": flags["order"],
-        "base": flags["base"],
-        "blending": blending,
-        "depth": depth,
-        "water": flags["water"],
-        "water_fill": flags["water_fill"],
-    }
-
-
-def balanced(flags: Mapping[str, Any]) -> bool:
-    """Whether colours are balanced: as asked; unless asked, where there are seams."""
-    asked: bool | None = flags["balance"]
-    return flags.get("rule") is None if asked is None else asked
-
-
 mosaic_flags = stack(
     blend_flags,
     click.option(
@@ -157,9 +130,7 @@ mosaic_flags = stack(
         help="What counts how much for --seams alike, such as heights=5.",
     ),
     click.option("--cutlines", type=FILE, help="Areas with an image each, drawn by hand, that win over --seams."),
-    click.option(
-        "--seam-quality/--no-seam-quality", default=False, show_default=True, help="Judge seams piece by piece."
-    ),
+    click.option("--seam-quality/--no-seam-quality", default=None, help="Judge seams piece by piece."),
     click.option("--views/--no-views", default=False, help="Write the raster of view angles and resolutions."),
     click.option(
         "--displacement",
@@ -193,6 +164,7 @@ mosaic_flags = stack(
     click.option("--reference", type=FILE, help="Georeferenced raster that all are matched to, instead of a master."),
     click.option(
         "--reference-bidx",
+        "reference_bands",
         multiple=True,
         callback=band_numbers,
         metavar="NUMBERS",
@@ -207,6 +179,7 @@ mosaic_flags = stack(
     click.option("--labels/--no-labels", default=True, show_default=True, help="Write the raster of source images."),
     click.option(
         "--records/--no-records",
+        "vectors",
         default=True,
         show_default=True,
         help="Write footprints, seams and gains (GeoPackage), and the STAC item with the checksum.",

@@ -13,9 +13,8 @@ from geomosaic.cli.talk import Progress
 if TYPE_CHECKING:
     from geomosaic.inputs.area import Area
     from geomosaic.inputs.declarations import Block, PlanarInputs
-    from geomosaic.mosaicking.options import MosaicOptions
-    from geomosaic.mosaicking.seams.cost_terms import SeamWeights
-    from geomosaic.render.options import RenderOptions
+    from geomosaic.options.mosaic import MosaicOptions
+    from geomosaic.options.render import RenderOptions
 
 
 def block_inputs(
@@ -111,7 +110,7 @@ def area(flags: Mapping[str, Any]) -> Area:
 
 def render_options(flags: Mapping[str, Any], progress: Progress | None) -> RenderOptions:
     """Make the options of a raster product."""
-    from geomosaic.render.options import RenderOptions
+    from geomosaic.options.render import RenderOptions
 
     machine = {"threads": flags["threads"], "memory_limit": flags["mem_limit"]}
     return RenderOptions(
@@ -127,50 +126,16 @@ def render_options(flags: Mapping[str, Any], progress: Progress | None) -> Rende
     )
 
 
-def seam_weights(given: Mapping[str, str]) -> SeamWeights:
-    """Make the weights of seams, where some are given."""
-    from geomosaic.errors import InputError, did_you_mean
-    from geomosaic.mosaicking.seams.cost_terms import SeamWeights
-
-    known = SeamWeights.__dataclass_fields__
-    for name, text in given.items():
-        if name not in known:
-            hint = did_you_mean(name, list(known)) or f"one of {', '.join(known)}"
-            raise InputError(f"no seam weight is named '{name}'", hint=hint)
-        if not isinstance(value(text), int | float):
-            raise InputError(f"the seam weight '{name}' is '{text}'", hint="give a number")
-    return SeamWeights(**{name: float(value(text)) for name, text in given.items()})
-
-
 def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> MosaicOptions:
     """Make the options of a mosaic."""
-    from geomosaic.cli.mosaic_flags import balanced, merging
-    from geomosaic.mosaicking.options import MosaicOptions, terms_of
-    from geomosaic.products.from_inputs import reference_scene
+    from geomosaic.options.declaration import compose, declared
+    from geomosaic.options.mosaic import MosaicOptions, SeamWeights
+    from geomosaic.options.render import RenderOptions
 
-    reference = flags["reference"]
-    return MosaicOptions(
-        render_options(flags, progress),
-        None,
-        balanced(flags),
-        flags["labels"],
-        flags["records"],
-        flags["records"],
-        histogram=flags["histogram"],
-        master=flags["master"],
-        reference=None if reference is None else reference_scene(reference, flags["reference_bidx"] or flags["bands"]),
-        seams=flags["seams"],
-        seam_weights=seam_weights(flags["seam_weights"]),
-        follow=flags["follow"],
-        avoid=flags["avoid"],
-        cutlines=flags["cutlines"],
-        seam_quality=flags["seam_quality"],
-        views=flags["views"],
-        displacement=flags["displacement"],
-        exclude=flags["exclude"],
-        colour=terms_of(flags["colour"]),
-        mask=flags["mask"],
-        region=flags["region"],
-        stretch=flags["stretch"],
-        **merging(flags),
-    )
+    weights = {name: value(text) for name, text in flags["seam_weights"].items()}
+    names = {one.name for one in declared(MosaicOptions) if one.owner is not RenderOptions} & flags.keys()
+    given = {name: flags[name] for name in names if flags[name] is not None}
+    given["seam_weights"] = compose(SeamWeights, weights)
+    if not given.get("reference"):
+        given.pop("reference", None)
+    return MosaicOptions.of(**{**given, "render": render_options(flags, progress)})

@@ -18,7 +18,7 @@ from geomosaic.inputs.area import Area
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS
-from geomosaic.products.from_inputs import refuse_existing
+from geomosaic.products.from_inputs import reference_of, refuse_existing
 from geomosaic.render.extent import check_size, output_grid
 from geomosaic.sensor.developed import DevelopedModel
 from geomosaic.sensor.registry import plugin
@@ -28,8 +28,8 @@ from geomosaic.surface.reference_surfaces import Plane
 
 if TYPE_CHECKING:
     from geomosaic.geo.grid import Grid
-    from geomosaic.mosaicking.options import MosaicOptions
     from geomosaic.mosaicking.result import MosaicResult
+    from geomosaic.options.mosaic import MosaicOptions
     from geomosaic.render.ortho import OrthoResult
 
 
@@ -102,14 +102,21 @@ def make_developed(
         return DevelopedResult(facts, notes, ortho=one)
     from geomosaic.mosaicking.mosaic import mosaic
 
-    several = mosaic(OrientedBlock(scenes, flat), grid, list(outlines), output, options)
+    several = mosaic(
+        OrientedBlock(scenes, flat),
+        grid,
+        list(outlines),
+        output,
+        options,
+        reference=reference_of(options, inputs.bands),
+    )
     return DevelopedResult(facts, notes, mosaic=several)
 
 
 def _outputs(output: Path, several: bool, options: MosaicOptions) -> list[Path]:
     from geomosaic.mosaicking.mosaic import beside
 
-    named = (("-labels", ".tif", options.labels), ("", ".gpkg", options.vectors))
+    named = (("-labels", ".tif", options.records.labels), ("", ".gpkg", options.records.vectors))
     return [output, *(beside(output, mark, suffix) for mark, suffix, wanted in named if wanted and several)]
 
 

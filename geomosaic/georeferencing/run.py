@@ -20,10 +20,10 @@ from geomosaic.georeferencing.examination import BadControlError, fold_advice, s
 from geomosaic.georeferencing.model_trial import SENSOR
 from geomosaic.georeferencing.request import ControlInput, FitRequest, Place, find_control
 from geomosaic.georeferencing.solution import Solution, first_look, solve
+from geomosaic.options.render import RenderOptions
 from geomosaic.raster.info import inspect
 from geomosaic.raster.output_files import check_output
 from geomosaic.render.extent import check_size, note_far_crs, output_grid, utm_zone
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.ortho import OrthoResult, ortho
 
 

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from geomosaic.block.block import OrientedBlock
+from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaicking.blending.rules import LABELLED, Ruler, check_rule, output_info
+from geomosaic.mosaicking.blending.rules import LABELLED, Ruler, output_info
 from geomosaic.mosaicking.colour.corrections import corrections
 from geomosaic.mosaicking.mosaic import _balanced, _render, beside
-from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.mosaicking.records.files import gains, write_item, write_vectors
 from geomosaic.mosaicking.records.provenance import source_facts
 from geomosaic.mosaicking.result import Clock, MosaicResult
 from geomosaic.mosaicking.seams.image_order import image_order
+from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output_files import check_geotiff, check_output
 from geomosaic.render.dem_gaps import height_notes
@@ -27,9 +27,16 @@ from geomosaic.sensor.map_to_image import Ground
 
 
 def merge(
-    block: OrientedBlock, grid: Grid, outlines: list[Footprint], output: Path, options: MosaicOptions
+    block: OrientedBlock,
+    grid: Grid,
+    outlines: list[Footprint],
+    output: Path,
+    options: MosaicOptions,
+    *,
+    reference: OrientedImage | None = None,
+    about: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> MosaicResult:
-    """Lay images together by `options.rule`.
+    """Lay images together by `options.merge.rule`.
 
     Parameters
     ----------
@@ -41,6 +48,9 @@ def merge(
     output : Path
     options : MosaicOptions
         Its seams and blending play no part.
+    reference : OrientedImage, optional
+    about : mapping of str to mapping, optional
+        As in `mosaic`.
 
     Returns
     -------
@@ -49,24 +59,23 @@ def merge(
     """
     from shapely import Polygon
 
-    rule, render = options.rule or "", options.render
-    check_rule(rule)
-    order = image_order(block.scenes, outlines, options.order, None)
-    if options.base is not None:  # lowest: the last of what is laid first to last, the first of what is laid over it
-        with_base = image_order(block.scenes, outlines, options.order, options.base)
+    rule, render = options.merge.rule or "", options.render
+    order = image_order(block.scenes, outlines, options.merge.order, None)
+    if options.merge.base is not None:  # lowest: the last of what is laid first to last, else the first
+        with_base = image_order(block.scenes, outlines, options.merge.order, options.merge.base)
         order = with_base if rule != "last" else [with_base[-1], *with_base[:-1]]
-    labels = beside(output, "-labels", ".tif") if options.labels and rule in LABELLED else None
-    item = beside(output, "", ".stac.json") if options.stac and not grid.crs.is_engineering else None
-    vectors = beside(output, "", ".gpkg") if options.vectors else None
+    labels = beside(output, "-labels", ".tif") if options.records.labels and rule in LABELLED else None
+    item = beside(output, "", ".stac.json") if options.writes_item and not grid.crs.is_engineering else None
+    vectors = beside(output, "", ".gpkg") if options.records.vectors else None
     check_geotiff(output, overwrite=render.overwrite)
     for path in (labels, vectors, item):
         if path is not None:
             check_output(path, overwrite=render.overwrite)
     seconds: dict[str, float] = {}
-    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.depth, render.resampling)
+    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.samples, render.resampling)
     try:
         with Clock(seconds, "balance"):
-            solved = _balanced(photos, options)
+            solved = _balanced(photos, options, reference)
         ground = Ground.under(grid, block.surface)
         engine = engine_for(samples(grid, outlines), render.resampling)
         info = output_info(photos.info, rule)
@@ -76,23 +85,35 @@ def merge(
         with Clock(seconds, "mosaic"):
             pixels, _, record = _render(ruler, output, labels, options, None)
         photos.again()
-        about = source_facts(photos, options.about) if vectors is not None or item is not None else {}
+        facts = source_facts(photos, about or {}) if vectors is not None or item is not None else {}
     finally:
         photos.close()
     with Clock(seconds, "records"):
         if vectors is not None:  # footprints alone: there are no seams
             nobody = [Polygon() for _ in outlines]
             write_vectors(
-                vectors, grid, outlines, nobody, solved, pixels, [], sources=about, overwrite=render.overwrite
+                vectors, grid, outlines, nobody, solved, pixels, [], sources=facts, overwrite=render.overwrite
             )
         if item is not None:
             images, shapes = [Path(scene.path) for scene in block.scenes], [outline.polygon for outline in outlines]
-            sources: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels, **about}
+            sources: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels, **facts}
             write_item(
                 item, output, labels, vectors, grid, shapes, images, {output: sha256(output)}, sources,
                 overwrite=render.overwrite,
             )  # fmt: skip
     return MosaicResult(
-        output, labels, vectors, item, grid, sum(pixels), pixels, solved, 0.0, record.error, render.tolerance,
-        record.scale, seconds, notes=height_notes(ground, outlines),
-    )  # fmt: skip
+        path=output,
+        labels=labels,
+        vectors=vectors,
+        item=item,
+        grid=grid,
+        valid_pixels=sum(pixels),
+        pixels=pixels,
+        balance=solved,
+        feather=0.0,
+        lattice_error=record.error,
+        tolerance=render.tolerance,
+        scale=record.scale,
+        seconds=seconds,
+        notes=height_notes(ground, outlines),
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -11,24 +11,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomosaic.block.block import OrientedBlock
+from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.blending.block import Blender, Seams
 from geomosaic.mosaicking.blending.choice import blender_for
+from geomosaic.mosaicking.blending.width import transition_px
 from geomosaic.mosaicking.colour.corrections import Correction, corrections
 from geomosaic.mosaicking.colour.solve import colours
-from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.mosaicking.records.files import gains, write_item, write_vectors
 from geomosaic.mosaicking.records.provenance import source_facts, write_views
 from geomosaic.mosaicking.reruns.earlier_results import Earlier
-from geomosaic.mosaicking.reruns.reuse import KeptUnit, Reuse, reuse_of
+from geomosaic.mosaicking.reruns.reuse import KeptUnit, Memory, Reuse, reuse_of
 from geomosaic.mosaicking.result import Clock, MosaicResult
 from geomosaic.mosaicking.retouch import numbers_of, retouched, steady
 from geomosaic.mosaicking.seams.seam_polygons import seam_polygons, valid_outlines
 from geomosaic.mosaicking.seams.seamlines import sample_size, seam_segments, worst_places
 from geomosaic.mosaicking.unit import MosaicUnit, label_type
+from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output_files import check_geotiff, check_output
@@ -58,7 +59,15 @@ def beside(output: Path, what: str, suffix: str) -> Path:
 
 
 def mosaic(
-    block: OrientedBlock, grid: Grid, outlines: list[Footprint], output: Path, options: MosaicOptions | None = None
+    block: OrientedBlock,
+    grid: Grid,
+    outlines: list[Footprint],
+    output: Path,
+    options: MosaicOptions | None = None,
+    *,
+    reference: OrientedImage | None = None,
+    about: Mapping[str, Mapping[str, Any]] | None = None,
+    memory: Memory | None = None,
 ) -> MosaicResult:
     """Balance, seam, rectify and blend all images of a block in one pass.
 
@@ -72,54 +81,60 @@ def mosaic(
     output : Path
         The mosaic; companions are named after it.
     options : MosaicOptions
+    reference : OrientedImage, optional
+        Georeferenced raster that colours are matched to.
+    about : mapping of str to mapping, optional
+        Further facts of the images by name, for GeoPackage and STAC: checksums, residuals.
+    memory : Memory, optional
+        Where what was computed is remembered, so that a later run takes what has not changed.
 
     Returns
     -------
     MosaicResult
     """
     options = options or MosaicOptions()
-    if options.rule is not None:
+    if options.merge.rule is not None:
         from geomosaic.mosaicking.merge import merge
 
-        return merge(block, grid, outlines, output, options)
+        return merge(block, grid, outlines, output, options, reference=reference, about=about)
     render = options.render
     from shapely import Polygon
 
-    labels = beside(output, "-labels", ".tif") if options.labels else None
-    views = beside(output, "-views", ".tif") if options.views else None
-    relief = beside(output, "-displacement", ".tif") if options.displacement is not None else None
-    vectors = beside(output, "", ".gpkg") if options.vectors else None
+    labels = beside(output, "-labels", ".tif") if options.records.labels else None
+    views = beside(output, "-views", ".tif") if options.records.views else None
+    relief = beside(output, "-displacement", ".tif") if options.records.displacement is not None else None
+    vectors = beside(output, "", ".gpkg") if options.records.vectors else None
     # A map of its own lies nowhere on the Earth, which a STAC item would have to say.
-    item = beside(output, "", ".stac.json") if options.stac and not grid.crs.is_engineering else None
+    item = beside(output, "", ".stac.json") if options.writes_item and not grid.crs.is_engineering else None
     check_geotiff(output, overwrite=render.overwrite)
     for path in (labels, views, relief, vectors, item):
         if path is not None:  # before an hour's work, not behind it
             check_output(path, overwrite=render.overwrite)
-    width = options.blending.pixels(grid, options.feather)
+    width = transition_px(options.blending, grid)
     seconds: dict[str, float] = {}
-    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.depth, render.resampling)
+    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.samples, render.resampling)
     beside_it = ThreadPoolExecutor(1)
-    earlier = Earlier(photos, options)
+    earlier = Earlier(photos, options, memory)
     reuse: Reuse | None = None
-    about: dict[str, list[Any]] = {}
+    facts: dict[str, list[Any]] = {}
     try:
         # What costs time to import gets it where a processor would idle.
         units, work = tiles(grid, render.tile), 2 * samples(grid, outlines)
-        again = options.memory is not None and options.memory.file.is_file() and not started()
+        again = memory is not None and memory.file.is_file() and not started()
         # What an earlier run has left to do is not known yet, and may not be worth the start of the compiled kernels.
         compiled = beside_it.submit(engine_for, 0 if again else work, render.resampling, render.threads)
         with Clock(seconds, "balance"):
-            solved = earlier.balance(lambda: steady(_balanced(photos, options)))
+            solved = earlier.balance(lambda: steady(_balanced(photos, options, reference)))
         names, own = [outline.name for outline in outlines], corrections(solved)
-        applied, dtype, stretch = retouched(own, names, options.retouch), photos.info.dtype, None
-        if options.stretch is not None:
+        applied, dtype, stretch = retouched(own, names, options.colours.retouch), photos.info.dtype, None
+        if options.samples.stretch is not None:
             from geomosaic.mosaicking.colour.stretch import DTYPE, stretch_of, stretched
 
             with Clock(seconds, "stretch"):  # of what was not touched up: one photo's change is not that of all
-                text, dtype = options.stretch, DTYPE
+                text, dtype = options.samples.stretch, DTYPE
                 stretch = earlier.stretch(lambda: stretch_of(photos, render, own, text))
                 own, applied = stretched(stretch, own), stretched(stretch, applied)
-        out = numbers_of(options.exclude, names, "left out")
+        out = numbers_of(options.seamlines.exclude, names, "left out")
         photos.leave_out(out)
         with Clock(seconds, "seams"):
             shown = valid_outlines(photos, render)
@@ -135,28 +150,28 @@ def mosaic(
         water = _pools(photos, shapes, applied, options)
         files = {"mosaic": output, "labels": labels, "views": views}
         at_hand = {name: path for name, path in files.items() if path is not None}
-        reuse = reuse_of(options, blender, at_hand, _said_of_water(water))
+        reuse = reuse_of(options, memory, blender, at_hand, _said_of_water(water))
         if again:
             left = len(units) if reuse is None else reuse.left(units)
             blender = blender.by(engine_for(work * left // len(units), render.resampling, render.threads))
         with Clock(seconds, "mosaic"):
             pixels, hidden, record = _render(blender, output, labels, options, reuse, water)
-        digest = sha256 if options.memory is None else options.memory.digest
+        digest = sha256 if memory is None else memory.digest
         checksum = None if item is None else beside_it.submit(digest, output)
         photos.again()
         if vectors is not None or item is not None:
-            about = source_facts(photos, options.about)
+            facts = source_facts(photos, about or {})
         if views is not None and labels is not None:
             with Clock(seconds, "views"):
                 write_views(views, labels, photos, render, reuse)
-        if relief is not None and labels is not None and options.displacement is not None:
+        if relief is not None and labels is not None and options.records.displacement is not None:
             from geomosaic.mosaicking.records.relief_displacement import write_displacement
 
             with Clock(seconds, "displacement"):
-                write_displacement(relief, labels, photos, options.displacement, render)
+                write_displacement(relief, labels, photos, options.records.displacement, render)
         pixel = grid.resolution[0]
         parts, quality, places = seam_segments(shares, pixel, SEGMENT * pixel), [], []
-        if options.seam_quality:
+        if options.records.seam_quality:
             with Clock(seconds, "seam quality"):
                 # In whole steps, so that a longer seam does not cut all others elsewhere.
                 most = sample_size(sum(pixels))
@@ -170,12 +185,12 @@ def mosaic(
     with Clock(seconds, "records"):
         if vectors is not None:
             write_vectors(
-                vectors, grid, outlines, shares, solved, pixels, parts, quality, about, overwrite=render.overwrite
+                vectors, grid, outlines, shares, solved, pixels, parts, quality, facts, overwrite=render.overwrite
             )
         if item is not None and checksum is not None:
             images = [Path(scene.path) for scene in block.scenes]
             sums = {output: checksum.result()}
-            sources: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels, **about}
+            sources: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels, **facts}
             write_item(
                 item, output, labels, vectors, grid, shapes, images, sums, sources, views, overwrite=render.overwrite
             )
@@ -183,29 +198,47 @@ def mosaic(
             reuse.save()
     feather = width * grid.resolution[0] if np.isfinite(width) else 0.0
     return MosaicResult(
-        output, labels, vectors, item, grid, sum(pixels), pixels, solved, feather, record.error, render.tolerance,
-        record.scale, seconds, 0 if reuse is None else len(reuse.taken), len(units), stretch, parts,
-        quality, places, hidden if render.true_ortho else None,
-        tuple(earlier.recall.recalled), height_notes(ground, outlines),
-    )  # fmt: skip
+        path=output,
+        labels=labels,
+        vectors=vectors,
+        item=item,
+        grid=grid,
+        valid_pixels=sum(pixels),
+        pixels=pixels,
+        balance=solved,
+        feather=feather,
+        lattice_error=record.error,
+        tolerance=render.tolerance,
+        scale=record.scale,
+        seconds=seconds,
+        reused=0 if reuse is None else len(reuse.taken),
+        units=len(units),
+        stretch=stretch,
+        parts=parts,
+        quality=quality,
+        places=places,
+        hidden_pixels=hidden if render.true_ortho else None,
+        recalled=tuple(earlier.recall.recalled),
+        notes=height_notes(ground, outlines),
+    )
 
 
-def _balanced(photos: Photos, options: MosaicOptions) -> Balance:
+def _balanced(photos: Photos, options: MosaicOptions, reference: OrientedImage | None) -> Balance:
     """What is done to the values of each image."""
-    if options.histogram is not None:
+    if options.colours.histogram is not None:
         from geomosaic.mosaicking.colour.histogram import match_histograms
 
-        return match_histograms(photos, options)
-    return colours(photos, options) if options.balance else solve(len(photos), photos.info.bands, [])
+        return match_histograms(photos, options, reference)
+    return colours(photos, options, reference) if options.balanced else solve(len(photos), photos.info.bands, [])
 
 
 def _pools(photos: Photos, shapes: list[Any], applied: Sequence[Correction], options: MosaicOptions) -> Sequence[Pool]:
     """Water that is filled with a tone."""
-    if options.water is None or options.water_fill != "tone":
+    if options.seamlines.water is None or options.seamlines.water_fill != "tone":
         return ()
     from geomosaic.mosaicking.water.filling import pools, read_water
 
-    return pools(photos, read_water(options.water, photos.grid), shapes, applied)
+    return pools(photos, read_water(options.seamlines.water, photos.grid), shapes, applied)
 
 
 def _said_of_water(water: Sequence[Pool]) -> str:

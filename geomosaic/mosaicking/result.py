@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from geomosaic.mosaicking.colour.stretch import Stretch
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MosaicResult:
     """What was made.
 

@@ -3,30 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.mosaicking.colour.corrections import Correction, then
+from geomosaic.options.mosaic import Retouch
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.radiometry.histogram_matching import Curve
 from geomosaic.types import FloatArray
-
-
-@dataclass(frozen=True)
-class Retouch:
-    """Change of one image's corrected values: value · gain + offset, the same for all bands."""
-
-    gain: float = 1.0
-    offset: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.gain) and self.gain > 0 and np.isfinite(self.offset)):
-            raise InputError(
-                f"a photo is to be touched up by gain {self.gain} and offset {self.offset}",
-                hint="give a positive gain, and an offset in grey values",
-            )
 
 
 def numbers_of(wanted: Sequence[str], names: Sequence[str], what: str) -> set[int]:

@@ -1,1 +1,1 @@
-"""Options: each declared once, with its type, unit, default and limits."""
+"""Options, each declared once: the command line, project files, the library and the docs take them from here."""

@@ -20,7 +20,7 @@ from geomosaic.inputs.control_points import read_control
 from geomosaic.inputs.planar.tables import examine
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.orientation.edges import CommonPoint, EdgeMatch, match_edges
-from geomosaic.products.from_inputs import refuse_existing
+from geomosaic.products.from_inputs import reference_of, refuse_existing
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build
@@ -28,8 +28,8 @@ from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import PathLike
 
 if TYPE_CHECKING:
-    from geomosaic.mosaicking.options import MosaicOptions
     from geomosaic.mosaicking.result import MosaicResult
+    from geomosaic.options.mosaic import MosaicOptions
 
 
 COLUMNS = ("id", "image", "col", "row")
@@ -126,7 +126,14 @@ def make_edge_mosaic(
     refuse_existing(output, options.render.overwrite)
     matched = match_photos(inputs)
     grid, outlines = plan(matched.photos, None, area)
-    return matched, mosaic(OrientedBlock(matched.photos, None), grid, outlines, output, options)
+    return matched, mosaic(
+        OrientedBlock(matched.photos, None),
+        grid,
+        outlines,
+        output,
+        options,
+        reference=reference_of(options, inputs.bands),
+    )
 
 
 def _started(

@@ -15,9 +15,9 @@ from geomosaic.inputs.declarations import Block, PlanarInputs
 from geomosaic.raster.output_files import check_output
 
 if TYPE_CHECKING:
-    from geomosaic.mosaicking.options import MosaicOptions
     from geomosaic.mosaicking.result import MosaicResult
-    from geomosaic.render.options import RenderOptions
+    from geomosaic.options.mosaic import MosaicOptions
+    from geomosaic.options.render import RenderOptions
     from geomosaic.render.ortho import OrthoResult
 
 
@@ -51,8 +51,11 @@ def make_ortho(inputs: Block, area: Area, output: Path, options: RenderOptions) 
     return ortho(block.scenes[0], block.surface, grid, outlines[0], output, options)
 
 
-def reference_scene(path: Path, bands: Sequence[int] | None) -> OrientedImage:
-    """Open a georeferenced raster as a scene, to match histograms to."""
+def reference_of(options: MosaicOptions, bands: Sequence[int] | None) -> OrientedImage | None:
+    """Georeferenced raster that colours are matched to, as a scene; its bands are those of the images unless given."""
+    path, bands = options.colours.reference, options.colours.reference_bands or bands
+    if path is None:
+        return None
     return build_block(Block((path,), "planar", bands=None if bands is None else tuple(bands))).scenes[0]
 
 
@@ -84,14 +87,19 @@ def make_mosaic(inputs: Block, area: Area, output: Path, options: MosaicOptions)
     check_same_bands(block.scenes)
     grid, outlines = plan_mosaic(block.scenes, block.surface, area)
     note_scattered(grid, outlines)
-    return mosaic(block, grid, outlines, output, options)
+    return mosaic(block, grid, outlines, output, options, reference=reference_of(options, inputs.bands))
 
 
 def _files(output: Path, options: MosaicOptions) -> list[Path]:
     """The mosaic and what is written beside it."""
     from geomosaic.mosaicking.mosaic import beside
 
-    named = (("-labels", ".tif", options.labels), ("", ".gpkg", options.vectors), ("", ".stac.json", options.stac))
+    records = options.records
+    named = (
+        ("-labels", ".tif", records.labels),
+        ("", ".gpkg", records.vectors),
+        ("", ".stac.json", options.writes_item),
+    )
     return [output, *(beside(output, mark, suffix) for mark, suffix, wanted in named if wanted)]
 
 
@@ -130,6 +138,6 @@ def make_planar_mosaic(
     block, placed = build_planar(inputs, wanted)
     facts = {**placed, **control_facts(check_control(block))}
     grid, outlines = plan(block.scenes, block.surface, area)
-    result = mosaic(block, grid, outlines, output, options)
+    result = mosaic(block, grid, outlines, output, options, reference=reference_of(options, inputs.bands))
     write_atomic(facts_path, json.dumps(facts, indent=1) + "\n")
     return result, facts, facts_path

@@ -15,6 +15,9 @@ from geomosaic.inputs.camera import read_toml
 from geomosaic.inputs.declarations import Block, PlanarInputs, wrong_policy
 from geomosaic.inputs.printed_orientation import Printed
 from geomosaic.inputs.tables import read_text
+from geomosaic.options.declaration import compose, declared
+from geomosaic.options.mosaic import MosaicOptions, Retouch, SeamWeights
+from geomosaic.options.render import RenderOptions
 from geomosaic.project.schema import ProjectFile
 from geomosaic.types import PathLike
 
@@ -65,6 +68,27 @@ class Project:
     def files(self, paths: Sequence[str]) -> tuple[Path, ...]:
         """Resolve paths of the project file."""
         return tuple(self.folder / path for path in paths)
+
+    def mosaic_options(self, render: RenderOptions) -> MosaicOptions:
+        """Options of the mosaic, from the section [mosaic]; `render` says how it is written."""
+        values: dict[str, Any] = {}
+        known = {one.name: one for one in declared(MosaicOptions) if one.option.section == "mosaic"}
+        written = self.settings.mosaic.model_dump(exclude_none=True)
+        for name, one in known.items():
+            value = written.get(one.key)
+            if value is None or one.owner is RenderOptions:
+                continue
+            if one.kind is Path:
+                value = self.file(value)
+            elif one.kind == tuple[Path, ...]:
+                value = self.files(value)
+            values[name] = value
+        values["seam_weights"] = compose(SeamWeights, written["seam_weights"])
+        values["retouch"] = {
+            image: Retouch(**own) for image, own in self.settings.mosaic.model_dump()["retouch"].items()
+        }
+        values.setdefault("seam_quality", None if values.get("rule") else True)
+        return MosaicOptions.of(render=render, **values)
 
     @property
     def inputs(self) -> Block:

@@ -19,7 +19,7 @@ def _plain_path(text: str) -> str:
 def _width(text: str) -> str:
     """Refuse what is no width with a unit."""
     from geomosaic.errors import InputError
-    from geomosaic.mosaicking.blending.options import Width
+    from geomosaic.options.mosaic import Width
 
     try:
         Width.parse(text)
@@ -142,7 +142,7 @@ class OutputSection(Section):
     resolution: Positive | None = None
     bounds: tuple[Finite, Finite, Finite, Finite] | None = None
     resampling: Literal["nearest", "bilinear", "cubic", "lanczos", "average"] = "bilinear"
-    tolerance: Positive = 0.02
+    tolerance: Pixels = 0.02
     driver: Literal["COG", "GTiff"] = "COG"
     creation: dict[str, str | int] = Field(default_factory=dict)
     nodata: float | None = None
@@ -202,23 +202,12 @@ class MosaicSection(Section):
     follow: list[FilePath] = Field(default_factory=list)
     avoid: list[FilePath] = Field(default_factory=list)
     cutlines: FilePath | None = None
-    seam_quality: bool = True
+    seam_quality: bool | None = None
     views: bool = False
     displacement: Finite | None = None
     exclude: list[str] = Field(default_factory=list)
     retouch: dict[str, RetouchSection] = Field(default_factory=dict)
     true_ortho: bool = False
-
-    @model_validator(mode="after")
-    def _matched(self) -> MosaicSection:
-        if self.histogram is None and not self.balanced and (self.master or self.reference):
-            raise ValueError("a master or reference is of use with balance or histogram only")
-        return self
-
-    @property
-    def balanced(self) -> bool:
-        """Whether colours are balanced: as asked; unless asked, where there are seams."""
-        return self.rule is None if self.balance is None else self.balance
 
 
 class QualitySection(Section):

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.options.render import SAMPLE_TYPES
 from geomosaic.raster.cog.codec import BLOCK
-from geomosaic.raster.info import DTYPES
 
 METHODS = ("NONE", "DEFLATE", "ZSTD", "LZW", "PACKBITS", "LZMA", "JPEG", "WEBP", "LERC", "LERC_DEFLATE", "LERC_ZSTD")
 """Compressions of the GTiff driver in rasterio's wheels; the rest of GDAL's (JXL, CCITT...) it lacks or cannot use."""
@@ -223,8 +223,10 @@ def check_type(dtype: str, where: str) -> np.dtype[Any]:
     InputError
         It cannot be written.
     """
-    if dtype not in DTYPES:
-        raise InputError(f"samples of type {dtype} cannot be written", where=where, hint=f"one of {', '.join(DTYPES)}")
+    if dtype not in SAMPLE_TYPES:
+        raise InputError(
+            f"samples of type {dtype} cannot be written", where=where, hint=f"one of {', '.join(SAMPLE_TYPES)}"
+        )
     return np.dtype(dtype)
 
 

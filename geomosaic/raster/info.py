@@ -17,11 +17,11 @@ from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geomosaic.errors import InputError, RasterReadError
+from geomosaic.options.render import SAMPLE_TYPES
 from geomosaic.raster.environment import READ_DRIVERS, environment
 from geomosaic.raster.local_files import check_files, named_files
 from geomosaic.types import PathLike
 
-DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
 # A block larger than this costs more to decode again for a neighbour window than a whole copy costs.
 _LARGE_BLOCK = 32 << 20
 # Formats and files behind a VRT that are decoded from the top, whatever window is asked for.
@@ -171,9 +171,9 @@ def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> Sou
     if bands is not None:
         numbers = [band - 1 for band in check_bands(bands, dataset.count, path)]
     types = {dataset.dtypes[i] for i in numbers}
-    if not types <= set(DTYPES):
+    if not types <= set(SAMPLE_TYPES):
         raise RasterReadError(
-            f"samples of type {', '.join(sorted(types - set(DTYPES)))} are not supported",
+            f"samples of type {', '.join(sorted(types - set(SAMPLE_TYPES)))} are not supported",
             where=path,
             hint="convert to uint8, uint16, int16 or float32 (for complex radar data: the amplitude)",
         )

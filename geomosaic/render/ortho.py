@@ -13,21 +13,21 @@ from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
 from geomosaic.raster.sink import RasterSink
 from geomosaic.render.dem_gaps import height_notes
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.photo import Photo, pull
 from geomosaic.render.sample_types import refuse_palette
 from geomosaic.render.workers import in_order
 from geomosaic.resample.engine import engine_for
 from geomosaic.resample.warp import MOST_SAMPLES, Colour
-from geomosaic.sensor.lattice import BLOCK_HEIGHT, blocks, finite_median
+from geomosaic.sensor.lattice import blocks, finite_median
 from geomosaic.sensor.map_to_image import Ground
 from geomosaic.surface.model import Surface
 from geomosaic.types import AnyArray, ByteArray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class OrthoResult:
     """What was made.
 
@@ -200,9 +200,16 @@ def ortho(
     notes = (*getattr(scene.model, "notes", ()), *height_notes(below, [outline]))
     seconds = time.perf_counter() - started
     return OrthoResult(
-        output, grid, seen, record.error, options.tolerance, record.scale, seconds, notes,
-        hidden if options.true_ortho else None,
-    )  # fmt: skip
+        path=output,
+        grid=grid,
+        valid_pixels=seen,
+        lattice_error=record.error,
+        tolerance=options.tolerance,
+        scale=record.scale,
+        seconds=seconds,
+        notes=notes,
+        hidden_pixels=hidden if options.true_ortho else None,
+    )
 
 
 def samples(grid: Grid, outlines: list[Footprint]) -> int:

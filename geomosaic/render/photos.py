@@ -13,10 +13,11 @@ from geomosaic.block.block import OrientedBlock
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.options.mosaic import SampleOptions
+from geomosaic.options.render import BLOCK_HEIGHT
 from geomosaic.raster.source import SourceInfo, inspect
 from geomosaic.render.photo import Photo
-from geomosaic.render.sample_types import Depth, refuse_palette
-from geomosaic.sensor.lattice import BLOCK_HEIGHT
+from geomosaic.render.sample_types import refuse_palette, sample_scales
 
 MOST_HANDLES = 64
 """Open files beyond which images that nobody reads are closed; opening one again takes about 2 ms."""
@@ -34,7 +35,7 @@ class Photos:
         One per scene.
     memory : int
         Bytes that images which cannot be read by windows may hold, all together.
-    depth : Depth, optional
+    samples : SampleOptions, optional
         Sample type of the output; that of the images unless given.
     resampling : str
         How they will be read.
@@ -46,7 +47,7 @@ class Photos:
         grid: Grid,
         outlines: Sequence[Footprint],
         memory: int,
-        depth: Depth | None = None,
+        samples: SampleOptions | None = None,
         resampling: str = "nearest",
     ) -> None:
         self.block, self.grid, self.outlines = block, grid, outlines
@@ -54,7 +55,7 @@ class Photos:
         infos = [inspect(scene.path, scene.bands) for scene in block.scenes]
         for info in infos:
             refuse_palette(info, resampling)
-        dtype, self._scales = (depth or Depth()).scales(infos)
+        dtype, self._scales = sample_scales(samples or SampleOptions(), infos)
         self.info = replace(_common(infos, block), dtype=dtype)
         self._most_whole = _most_at_once(self.windows)
         self._each = memory // self._most_whole

@@ -11,13 +11,13 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
+from geomosaic.options.render import RESAMPLING
 from geomosaic.resample.engine import Engine
 from geomosaic.resample.fast_paths import fill_rgb
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
 from geomosaic.surface.model import HeightPatch
 from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 
-RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average")
 RADIUS = {"nearest": 1, "bilinear": 1, "cubic": 2, "lanczos": 3, "average": 1}
 
 CELL = FIRST_STEP

@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH
 from geomosaic.sensor.lattice_error import ENDS, Cells, at_heights
 from geomosaic.sensor.map_to_image import BlockGround, MapToImage
 from geomosaic.types import BoolArray, FloatArray
 
-BLOCK_WIDTH, BLOCK_HEIGHT = 1024, 512
 FIRST_STEP, CLOSE_STEP = 64, 4
 SMALLEST = 16
 ROUNDING = 1e-3

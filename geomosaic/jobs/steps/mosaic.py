@@ -6,7 +6,6 @@ import math
 import shutil
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,10 +20,9 @@ from geomosaic.jobs.manifest import heard, read_json, tell, write_json
 from geomosaic.jobs.step import Context, Machine
 from geomosaic.jobs.step_keys import digest_of, versions
 from geomosaic.jobs.steps.orient import area_of, render_options, restore_block
-from geomosaic.mosaicking.blending.options import Blending, Width
 from geomosaic.mosaicking.colour.facts import colour_facts, picture
 from geomosaic.mosaicking.reruns.reuse import Memory
-from geomosaic.products.from_inputs import reference_scene
+from geomosaic.products.from_inputs import reference_of
 from geomosaic.project.draft.write import relative
 from geomosaic.project.load import Project
 from geomosaic.surface.model import Surface
@@ -41,9 +39,6 @@ _NO_COLOUR = (
 def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
     """Write the mosaic and what goes with it."""
     from geomosaic.mosaicking.mosaic import mosaic as make
-    from geomosaic.mosaicking.options import MosaicOptions, terms_of
-    from geomosaic.mosaicking.retouch import Retouch
-    from geomosaic.mosaicking.seams.cost_terms import SeamWeights
     from geomosaic.raster.preview import png_bytes
     from geomosaic.report.figures import data_uri
     from geomosaic.report.report import place_pictures, seam_facts
@@ -54,41 +49,17 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     with heard() as notes:
         block, memory = restore_block(project), _memory(project, context)
         grid, outlines = plan_mosaic(block.scenes, block.surface, area_of(project), _remembered(memory))
-        reference = project.file(wanted.reference)
-        options = MosaicOptions(
-            replace(render_options(project, machine, context.progress), true_ortho=wanted.true_ortho),
-            wanted.feather if isinstance(wanted.feather, float) else None,
-            wanted.balanced,
-            wanted.labels,
-            histogram=wanted.histogram,
-            master=wanted.master,
-            reference=None
-            if reference is None
-            else reference_scene(reference, wanted.reference_bands or project.settings.project.bands),
-            seams=wanted.seams,
-            seam_weights=SeamWeights(**wanted.seam_weights.model_dump(exclude_none=True)),
-            follow=project.files(wanted.follow),
-            avoid=project.files(wanted.avoid),
-            cutlines=project.file(wanted.cutlines),
-            seam_quality=wanted.seam_quality and wanted.rule is None,
-            views=wanted.views,
-            displacement=wanted.displacement,
+        options = project.mosaic_options(render_options(project, machine, context.progress))
+        result = make(
+            block,
+            grid,
+            outlines,
+            layout.mosaic,
+            options,
+            reference=reference_of(options, project.settings.project.bands),
             about=_about(project, context),
-            exclude=tuple(wanted.exclude),
-            retouch={name: Retouch(own.gain, own.offset) for name, own in wanted.retouch.items()},
             memory=memory,
-            colour=terms_of(wanted.colour),
-            mask=project.file(wanted.mask),
-            region=project.file(wanted.region),
-            stretch=wanted.stretch,
-            order=wanted.order,
-            base=wanted.base,
-            rule=wanted.rule,
-            water=project.file(wanted.water),
-            water_fill=wanted.water_fill,
-            blending=Blending(wanted.blend, _width(wanted.feather), wanted.ramp, wanted.limit),
         )
-        result = make(block, grid, outlines, layout.mosaic, options)
         for note in result.notes:
             tell(note)
     judged = seam_facts(result.parts, result.quality, [outline.name for outline in outlines])
@@ -109,7 +80,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         "seams": wanted.seams,
         "feather": result.feather,
         "rule": wanted.rule,
-        "balanced": wanted.balanced or wanted.histogram is not None,
+        "balanced": options.balanced or wanted.histogram is not None,
         "histogram": wanted.histogram,
         "overlaps": result.balance.overlaps,
         "before": result.balance.before,
@@ -157,10 +128,6 @@ def _about(project: Project, context: Context) -> dict[str, dict[str, Any]]:
                 rms = math.sqrt(sum(p["col"] ** 2 + p["row"] ** 2 for p in own) / len(own))
                 about[image.name][f"rms_{role}_px"] = rms
     return about
-
-
-def _width(feather: float | str | None) -> Width | None:
-    return Width.parse(feather) if isinstance(feather, str) else None
 
 
 def _memory(project: Project, context: Context) -> Memory:

@@ -23,8 +23,8 @@ from geomosaic.inputs.usable_area import with_usable
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.manifest import heard, read_json, write_json
 from geomosaic.jobs.step import Context, Machine, Progress
+from geomosaic.options.render import RenderOptions
 from geomosaic.project.load import Project
-from geomosaic.render.options import RenderOptions
 from geomosaic.sensor.state import from_dict, to_dict
 
 
@@ -136,6 +136,6 @@ def render_options(project: Project, machine: Machine, progress: Progress) -> Re
         creation={name: str(value) for name, value in output.creation.items()},
         overwrite=True,
         progress=progress,
-        true_ortho=False,  # of the mosaic only, which sets it
+        true_ortho=project.settings.mosaic.true_ortho,
         **machine.options,
     )

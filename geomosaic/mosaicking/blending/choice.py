@@ -7,11 +7,11 @@ from dataclasses import replace
 
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.blending.block import Blender, Seams
-from geomosaic.mosaicking.blending.options import Blending
+from geomosaic.options.mosaic import BlendOptions
+from geomosaic.options.render import RenderOptions
 from geomosaic.radiometry.histogram_matching import Curve
 from geomosaic.radiometry.local_gains import Shade
 from geomosaic.render.occlusion import Visibility
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.photos import Photos
 from geomosaic.render.workers import Room
 from geomosaic.resample.engine import Engine
@@ -20,7 +20,7 @@ from geomosaic.sensor.map_to_image import Ground
 
 
 def blender_for(
-    blending: Blending,
+    blending: BlendOptions,
     photos: Photos,
     grid: Grid,
     ground: Ground,

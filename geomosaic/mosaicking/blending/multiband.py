@@ -11,9 +11,9 @@ import numpy as np
 
 from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender, Lattices
-from geomosaic.mosaicking.blending.options import Blending
 from geomosaic.mosaicking.blending.weights import between
 from geomosaic.mosaicking.unit import MosaicUnit
+from geomosaic.options.mosaic import BlendOptions
 from geomosaic.raster.validity import burn
 from geomosaic.render.occlusion import Shades
 from geomosaic.render.workers import Room
@@ -36,7 +36,7 @@ class BandBlender(Blender):
 
     Attributes
     ----------
-    blending : Blending
+    blending : BlendOptions
     width : float
         Of the transition in output pixels.
     steps : Steps
@@ -46,7 +46,7 @@ class BandBlender(Blender):
         For what the images show of a block: where photos are small or overlap much, many show something of it.
     """
 
-    blending: Blending
+    blending: BlendOptions
     width: float
     steps: Steps
     noise: float | None
@@ -60,12 +60,12 @@ class BandBlender(Blender):
     @property
     def cell(self) -> int:
         """Pixels of the cells that are blended or not, each whole."""
-        return max(CELL, 1 << self.levels if self.blending.kind == "multiband" else CELL)
+        return max(CELL, 1 << self.levels if self.blending.blend == "multiband" else CELL)
 
     @property
     def margin(self) -> int:
         """Pixels beyond a seam that its blending changes, and beyond those that they depend on; in whole cells."""
-        if self.blending.kind == "multiband":
+        if self.blending.blend == "multiband":
             pixels = spread(self.levels)
         else:
             pixels = CELL
@@ -93,7 +93,7 @@ class BandBlender(Blender):
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Render one block into its place in a unit."""
         label, around = self._label(window)
-        if self.blending.kind == "overlap" and len(self.photos.near(around)) == 1:
+        if self.blending.blend == "overlap" and len(self.photos.near(around)) == 1:
             label = None
         zone = None if label is None else self._zone(window, label, around)
         ground = None if zone is None else self.below.block(self._with_margin(zone))
@@ -121,7 +121,7 @@ class BandBlender(Blender):
         Those that only fill gaps are not known yet.
         """
         sample, whole = np.dtype(self.dtype).itemsize, wide.width * wide.height
-        if self.blending.kind == "overlap":
+        if self.blending.blend == "overlap":
             images = len(self.photos.near(wide))
             apart = images * whole
         else:
@@ -131,7 +131,7 @@ class BandBlender(Blender):
 
     def _parts(self, label: IntArray, images: int) -> list[Part | None]:
         """Where differences of each image are needed."""
-        if self.blending.kind == "overlap":
+        if self.blending.blend == "overlap":
             return [Part.whole(label.shape)] * images
         return parts_of(label, images, spread(self.levels), self.levels)
 
@@ -150,14 +150,14 @@ class BandBlender(Blender):
         frame = shapely.box(*grid.bounds)
         shapes = self.seams.regions
         close = [i for i, shape in enumerate(shapes) if not shape.is_empty and shape.intersects(frame)]
-        if not close or (len(close) == 1 and self.blending.kind != "overlap" and shapes[close[0]].covers(frame)):
+        if not close or (len(close) == 1 and self.blending.blend != "overlap" and shapes[close[0]].covers(frame)):
             return None, around
         return burn([(shapes[i], i) for i in close], grid).astype(np.int64), around
 
     def _zone(self, window: Window, label: IntArray, around: Window) -> Window | None:
         """The part of a block, in whole cells, that seams are near."""
         size = self.cell
-        if self.blending.kind == "overlap":
+        if self.blending.blend == "overlap":
             return Window(window.col, window.row, around.width - 2 * self.margin, around.height - 2 * self.margin)
         rows, cols = label.shape[0] // size, label.shape[1] // size
         cells = label.reshape(rows, size, cols, size)
@@ -244,7 +244,7 @@ class BandBlender(Blender):
         chosen = set(np.flatnonzero(np.bincount(label.ravel() + 1)[1:]).tolist())
         images, views, gap = [], [], np.ones(shape, dtype=bool)
         for i in sorted(near, key=lambda i: i not in chosen):
-            wanted = i in chosen or self.blending.kind == "overlap"
+            wanted = i in chosen or self.blending.blend == "overlap"
             if not wanted and not gap.any():
                 break
             values, seen = np.zeros((*shape, info.bands), dtype=self.dtype), np.zeros(shape, dtype=np.uint8)
@@ -269,7 +269,7 @@ class BandBlender(Blender):
         self, wide: Window, images: Sequence[int], views: Sequence[View], local: IntArray
     ) -> list[Float32Array] | None:
         """Weights that sum to one, by image; None for multiband, which has them by level."""
-        if self.blending.kind == "multiband":
+        if self.blending.blend == "multiband":
             return None
         raw = [self._from_edge(wide, i) * view.valid for i, view in zip(images, views, strict=True)]
         best = np.argmax(raw, axis=0)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.blending.block import Lattices, cells_of
 from geomosaic.mosaicking.unit import MosaicUnit
@@ -22,7 +21,6 @@ from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.types import AnyArray, BoolArray, ByteArray
 
-RULES = ("first", "last", "min", "max", "mean", "median", "sum", "count")
 LABELLED = ("first", "last")
 """Rules under which every pixel has one source."""
 MOST_BYTES = 32 << 20
@@ -215,14 +213,3 @@ def _stored(exact: AnyArray, values: AnyArray) -> AnyArray:
     """As the output holds it: whole numbers rounded, halves up."""
     low, high, whole = value_range(str(values.dtype))
     return (np.clip(np.floor(exact + 0.5), low, high) if whole else exact).astype(values.dtype)
-
-
-def check_rule(rule: str) -> None:
-    """Refuse what is no rule.
-
-    Raises
-    ------
-    InputError
-    """
-    if rule not in RULES:
-        raise InputError(f"no rule is named '{rule}'", hint=f"one of {', '.join(RULES)}")

@@ -9,16 +9,15 @@ from typing import Any
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH, RenderOptions
 from geomosaic.radiometry.gain_offset import Balance, solve
 from geomosaic.radiometry.overlap_samples import Overlap, Overlaps, Thumbnail
 from geomosaic.render.aligned import cell_means, picked
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.photo import Photo, pull
 from geomosaic.render.photos import Photos
 from geomosaic.render.workers import in_order
 from geomosaic.resample.engine import engine_for
 from geomosaic.resample.warp import Colour, value_range
-from geomosaic.sensor.lattice import BLOCK_HEIGHT, BLOCK_WIDTH
 from geomosaic.sensor.map_to_image import Ground
 from geomosaic.surface.model import Surface
 from geomosaic.types import ByteArray, FloatArray

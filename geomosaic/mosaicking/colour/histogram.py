@@ -12,12 +12,12 @@ from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail, within, without
 from geomosaic.mosaicking.colour.solve import named
-from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.render import RenderOptions
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.radiometry.histogram_matching import Curve, common, match_overlaps, match_sequence, match_whole
 from geomosaic.radiometry.overlap_samples import Thumbnail
 from geomosaic.render.areas import read_areas
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.photo import Photo
 from geomosaic.render.photos import Photos
 from geomosaic.render.workers import in_order
@@ -26,7 +26,7 @@ CELLS = 192
 """Cells across a footprint at which values are taken, one pixel each: ranks are then known to about a hundredth."""
 
 
-def match_histograms(photos: Photos, options: MosaicOptions) -> Balance:
+def match_histograms(photos: Photos, options: MosaicOptions, reference: OrientedImage | None = None) -> Balance:
     """Match the images of a mosaic to one of them, or to a georeferenced raster.
 
     Parameters
@@ -34,17 +34,19 @@ def match_histograms(photos: Photos, options: MosaicOptions) -> Balance:
     photos : Photos
     options : MosaicOptions
         Their `histogram` is 'overlap', 'whole' or 'sequence'; `master` the name of an image (unless given, the one that
-        shares most, or the first of a sequence), `reference` a georeferenced raster of the same bands and sample type
-        instead; only what lies in the areas `region` and not in the areas `mask` is looked at.
+        shares most, or the first of a sequence); only what lies in the areas `region` and not in the areas `mask` is
+        looked at.
+    reference : OrientedImage, optional
+        Georeferenced raster of the same bands and sample type to match to instead.
 
     Returns
     -------
     Balance
         With curves; its gains and offsets are what the curves do on the whole.
     """
-    method, master, reference, render = options.histogram, options.master, options.reference, options.render
-    region = None if options.region is None else read_areas(options.region, photos.grid, must_meet=True)
-    hidden = () if options.mask is None else read_areas(options.mask, photos.grid)
+    method, master, render = options.colours.histogram, options.colours.master, options.render
+    region = None if options.colours.region is None else read_areas(options.colours.region, photos.grid, must_meet=True)
+    hidden = () if options.colours.mask is None else read_areas(options.colours.mask, photos.grid)
     grid = comparison_grid(photos, CELLS)
     chosen = named(photos, master)
     pieces: list[Thumbnail] = []

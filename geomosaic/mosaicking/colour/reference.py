@@ -12,8 +12,8 @@ from geomosaic.block.footprint import footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.balance import thumbnail, without
+from geomosaic.options.render import RenderOptions
 from geomosaic.radiometry.overlap_samples import Overlap, Thumbnail, compare
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.photo import Photo
 from geomosaic.render.photos import Photos
 from geomosaic.resample.warp import value_range

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geomosaic.block.block import OrientedImage
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.balance import comparison_grid, meet
@@ -18,7 +19,7 @@ from geomosaic.resample.warp import value_range
 from geomosaic.types import FloatArray
 
 if TYPE_CHECKING:
-    from geomosaic.mosaicking.options import MosaicOptions
+    from geomosaic.options.mosaic import MosaicOptions
     from geomosaic.radiometry.fields import Fields
     from geomosaic.radiometry.overlap_samples import Views
 
@@ -29,7 +30,7 @@ MOST_SPLINES = 16_000
 """Samples for a hotspot, which has many parameters."""
 
 
-def colours(photos: Photos, options: MosaicOptions) -> Balance:
+def colours(photos: Photos, options: MosaicOptions, reference: OrientedImage | None = None) -> Balance:
     """Solve the colour of all photos: gain and offset, and more where it is asked for or warranted.
 
     Without reference or master the mean level of the photos is kept. With a master, everything is brought to its
@@ -37,23 +38,23 @@ def colours(photos: Photos, options: MosaicOptions) -> Balance:
     """
     grid = comparison_grid(photos)
     hidden: list[Any] = []
-    if options.mask is not None:
+    if options.colours.mask is not None:
         from geomosaic.render.areas import read_areas
 
-        hidden = read_areas(options.mask, photos.grid)
+        hidden = read_areas(options.colours.mask, photos.grid)
     (pairs, level), count = meet(photos, options.render, grid, hidden), len(photos)
     notes: list[str] = []
-    anchor = named(photos, options.master)
-    if options.reference is not None:
+    anchor = named(photos, options.colours.master)
+    if reference is not None:
         from geomosaic.mosaicking.colour.reference import meet_reference
 
-        more, note = meet_reference(photos, options.render, grid, options.reference, hidden)
+        more, note = meet_reference(photos, options.render, grid, reference, hidden)
         pairs, anchor, count = [*pairs, *more], count, count + 1
         notes.append(note)
     notes += _alone(photos, pairs)
     start = solve(count, photos.info.bands, pairs)
     anchored = _anchored(start, anchor, pairs)
-    if options.colour == ("gain",) or not start.overlaps:
+    if options.colours.colour == ("gain",) or not start.overlaps:
         return _without(anchored, len(photos), pairs, notes)
     level = np.concatenate([level, np.full((count - len(photos), level.shape[1]), np.nan)])
     return _with_fields(photos, options, grid, pairs, level, start, anchored, anchor, notes)
@@ -83,8 +84,8 @@ def named(photos: Photos, master: str | None) -> int | None:
         hint = did_you_mean(master, names)
         raise InputError(
             f"no image is named '{master}'",
-            where="--master",
-            hint=f"{hint} name one of the images; a raster besides them is a reference (--reference)".strip(),
+            where="`master`",
+            hint=f"{hint} name one of the images; a raster besides them is a reference (`reference`)".strip(),
         )
     return names.index(master)
 
@@ -111,7 +112,7 @@ def _with_fields(
         len(camera), int(kinds.max()) + 1, camera, frozenset(), _reach(photos, pairs), level, middle=_middle(pairs)
     )
     linear = () if anchor is None else (anchor,)
-    asked = None if options.colour == ("auto",) else frozenset(options.colour) - {"gain"}
+    asked = None if options.colours.colour == ("auto",) else frozenset(options.colours.colour) - {"gain"}
     few = gather(pairs, find, MOST_TRIED) if asked is None else None
     trials: list[Any] = []
     if asked is None:

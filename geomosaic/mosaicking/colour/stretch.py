@@ -16,7 +16,7 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction, corrected, then
-from geomosaic.render.options import RenderOptions
+from geomosaic.options.render import RenderOptions
 from geomosaic.render.photos import Photos
 from geomosaic.render.workers import in_order
 from geomosaic.types import FloatArray

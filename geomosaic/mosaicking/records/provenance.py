@@ -13,11 +13,11 @@ import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
+from geomosaic.options.render import RenderOptions
 from geomosaic.raster.checksum import sha256
 from geomosaic.raster.photo_metadata import acquired
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.photo import Photo
 from geomosaic.render.photos import Photos
 from geomosaic.render.workers import in_order

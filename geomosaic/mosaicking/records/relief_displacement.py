@@ -13,9 +13,9 @@ import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.records.provenance import NODES, UNIT, between
+from geomosaic.options.render import RenderOptions
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.photo import Photo
 from geomosaic.render.photos import Photos
 from geomosaic.render.workers import in_order

@@ -19,14 +19,14 @@ import numpy as np
 import geomosaic
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import Correction
-from geomosaic.mosaicking.reruns.reuse import colour_bytes
+from geomosaic.mosaicking.reruns.reuse import Memory, colour_bytes
 from geomosaic.mosaicking.seams.seamlines import SeamQuality, Segment, measure_seams
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.render.photos import Photos
 
 if TYPE_CHECKING:
     from geomosaic.mosaicking.colour.stretch import Stretch
-    from geomosaic.mosaicking.options import MosaicOptions
+    from geomosaic.options.mosaic import MosaicOptions
 
 
 CLASSES = {
@@ -166,11 +166,12 @@ class Earlier:
     ----------
     photos : Photos
     options : MosaicOptions
-        Without a memory nothing is recalled.
+    memory : Memory, optional
+        Without it nothing is recalled.
     """
 
-    def __init__(self, photos: Photos, options: MosaicOptions) -> None:
-        memory, grid = options.memory, photos.grid
+    def __init__(self, photos: Photos, options: MosaicOptions, memory: Memory | None = None) -> None:
+        grid = photos.grid
         self._options, self._memory = options, memory
         self.recall = Recall(None if memory is None else memory.found)
         place = (grid.crs.to_wkt(), tuple(grid.transform), grid.shape)
@@ -181,7 +182,7 @@ class Earlier:
     def balance(self, find: Callable[[], Balance]) -> Balance:
         """The balance: of all photos, left out or not, before any is touched up."""
         memory, wanted = self._memory, self._options
-        said = (wanted.balance, wanted.histogram, wanted.master, wanted.colour)
+        said = (wanted.balanced, wanted.colours.histogram, wanted.colours.master, wanted.colours.colour)
         key = "" if memory is None else digest_of(self._base, memory.colour, *said)
         found = self.recall.get("balance", key, find)
         self._base = digest_of(self._base, key)
@@ -189,7 +190,7 @@ class Earlier:
 
     def stretch(self, find: Callable[[], Stretch]) -> Stretch:
         """The stretch of the balanced photos."""
-        return self.recall.get("stretch", digest_of(self._base, self._options.stretch), find)
+        return self.recall.get("stretch", digest_of(self._base, self._options.samples.stretch), find)
 
     def shares(self, shapes: Sequence[Any], colours: Sequence[Correction], find: Callable[[], list[Any]]) -> list[Any]:
         """Shares as the program lays them among images that show `shapes`."""

@@ -23,14 +23,14 @@ from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import Correction
 from geomosaic.mosaicking.unit import MosaicUnit
+from geomosaic.options.render import RenderOptions
 from geomosaic.radiometry.histogram_matching import Curve
 from geomosaic.radiometry.local_gains import Shade
 from geomosaic.raster.checksum import sha256
-from geomosaic.render.options import RenderOptions
 from geomosaic.types import IntArray
 
 if TYPE_CHECKING:
-    from geomosaic.mosaicking.options import MosaicOptions
+    from geomosaic.options.mosaic import MosaicOptions
 
 
 VERSION = 5
@@ -204,12 +204,14 @@ class Reuse:
             remove(unfinished)
 
 
-def reuse_of(options: MosaicOptions, blender: Blender, files: dict[str, Path], said: str = "") -> Reuse | None:
+def reuse_of(
+    options: MosaicOptions, memory: Memory | None, blender: Blender, files: dict[str, Path], said: str = ""
+) -> Reuse | None:
     """Units of the earlier run, where there is a memory and files hold what was computed."""
     compression = options.render.creation.get("COMPRESS", "DEFLATE").upper()
-    if options.memory is None or compression not in LOSSLESS:
+    if memory is None or compression not in LOSSLESS:
         return None
-    return Reuse(options.memory, blender, files, options.render, said)
+    return Reuse(memory, blender, files, options.render, said)
 
 
 def colour_bytes(colour: Correction) -> bytes:

@@ -16,16 +16,16 @@ from geomosaic.mosaicking.colour.corrections import Correction, corrected
 from geomosaic.mosaicking.records.provenance import between
 from geomosaic.mosaicking.seams.cost_terms import (
     Features,
-    SeamWeights,
     edge_proximity,
     features,
     image_difference,
     raised_objects,
 )
+from geomosaic.options.mosaic import SeamWeights
+from geomosaic.options.render import RenderOptions
 from geomosaic.raster.validity import burn
 from geomosaic.raster.vector import layer_names
 from geomosaic.render.areas import AREAS, LINES, note_elsewhere, read_shapes
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.photo import Photo
 from geomosaic.render.photos import Photos
 from geomosaic.render.workers import in_order

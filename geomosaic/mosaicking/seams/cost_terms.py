@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.errors import InputError
+from geomosaic.options.mosaic import SeamWeights
 from geomosaic.types import AnyArray, BoolArray, Float32Array
 
 TEXTURE_WINDOW = 5
@@ -21,57 +21,6 @@ OPENING_WINDOWS = (15.0, 30.0, 60.0)
 _MAX_GROUND_SLOPE = 0.5
 OBJECT_MARGIN = 1
 """Cells around an object that belong to it: relief displacement moves its outline differently in each image."""
-
-
-@dataclass(frozen=True)
-class SeamWeights:
-    """Weights of the seam cost terms, relative to one cell of seam at no other cost (`length`).
-
-    Attributes
-    ----------
-    length : float
-        Cost of every cell: keeps seams short where nothing else matters.
-    colour : float
-        Difference of the two images' values, in units of their contrast.
-    gradient : float
-        Difference of their gradients: edges that do not meet.
-    texture : float
-        Difference of their local standard deviations: sharp against blurred, trees against lawn.
-    angle : float
-        View angle of the image that shows the cell, in units of 45 degrees; per cell of area.
-    edge : float
-        Proximity of the edge of the image that shows the cell; per cell of area.
-    heights : float
-        Raised objects: roofs, trees, walls.
-    avoid : float
-        Cells inside areas to avoid.
-    follow : float
-        Part of the cost that remains along lines to follow, 0 to 1.
-    reach : float
-        Width of the zone in which a seam may run, as a part of the distance of two image centres, 0 to 1.
-    """
-
-    length: float = 0.03
-    colour: float = 1.0
-    gradient: float = 0.5
-    texture: float = 0.25
-    angle: float = 0.004
-    edge: float = 0.02
-    heights: float = 3.0
-    avoid: float = 100.0
-    follow: float = 0.15
-    reach: float = 0.6
-
-    def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
-            if not (np.isfinite(value) and value >= 0):
-                raise InputError(f"the seam weight '{one.name}' is {value}", hint="give a number, 0 or more")
-        if not self.length > 0:
-            raise InputError("the seam weight 'length' is 0: seams would run anywhere", hint="give a small number")
-        for name in ("follow", "reach"):
-            if getattr(self, name) > 1:
-                raise InputError(f"'{name}' of the seams is a part of a whole", hint="give a number from 0 to 1")
 
 
 @dataclass(frozen=True)

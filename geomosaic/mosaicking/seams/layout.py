@@ -10,7 +10,6 @@ import numpy as np
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.corrections import Correction
 from geomosaic.mosaicking.seams.cost_raster import SeamLayers, seam_cost
-from geomosaic.mosaicking.seams.cost_terms import SeamWeights
 from geomosaic.mosaicking.seams.graph_cut import minimise, region_graph
 from geomosaic.mosaicking.seams.partition import (
     MIN_ISLAND,
@@ -28,8 +27,9 @@ from geomosaic.mosaicking.seams.voronoi import (
     polygonal,
     voronoi_regions,
 )
+from geomosaic.options.mosaic import SeamWeights
+from geomosaic.options.render import RenderOptions
 from geomosaic.raster.validity import burn, traced
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.photos import Photos
 from geomosaic.types import IntArray
 

@@ -12,14 +12,14 @@ from geomosaic.errors import GeomosaicWarning
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction
-from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.mosaicking.reruns.earlier_results import Earlier
 from geomosaic.mosaicking.seams.image_order import image_index, image_order, visible_regions, with_base_image
 from geomosaic.mosaicking.seams.partition import canonical
 from geomosaic.mosaicking.seams.voronoi import voronoi_regions
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.render import RenderOptions
 from geomosaic.raster.source import inspect
 from geomosaic.raster.validity import traced
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.photos import Photos
 from geomosaic.render.workers import in_order
 from geomosaic.types import ByteArray
@@ -58,16 +58,16 @@ def _shares(
     def computed() -> list[Any]:
         return earlier.shares(shapes, colours, lambda: _with_water_polygons(photos, shapes, colours, options))
 
-    if options.cutlines is None:
+    if options.seamlines.cutlines is None:
         return computed()
     from geomosaic.mosaicking.seams.cutlines import cover_everything, read_cutlines, warn_of_gaps, with_cutlines
 
     names = [outline.name for outline in photos.outlines]
-    drawn = read_cutlines(options.cutlines, names, shapes, photos.grid.crs)
+    drawn = read_cutlines(options.seamlines.cutlines, names, shapes, photos.grid.crs)
     if cover_everything(drawn, shapes):  # an edited layer of all shares: computing others would be for nothing
         return with_cutlines(voronoi_regions(shapes, photos.centres), drawn)
     if len(drawn) == sum(not shape.is_empty for shape in shapes):
-        warn_of_gaps(options.cutlines, drawn, shapes)
+        warn_of_gaps(options.seamlines.cutlines, drawn, shapes)
     return with_cutlines(computed(), drawn)
 
 
@@ -75,32 +75,34 @@ def _with_water_polygons(
     photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions
 ) -> list[Any]:
     shares = _automatic(photos, shapes, colours, options)
-    if options.water is None:
+    if options.seamlines.water is None:
         return shares
     from geomosaic.mosaicking.seams.cutlines import with_cutlines
     from geomosaic.mosaicking.water.filling import calmest, read_water
 
-    return with_cutlines(shares, calmest(photos, read_water(options.water, photos.grid), shapes, colours))
+    return with_cutlines(shares, calmest(photos, read_water(options.seamlines.water, photos.grid), shapes, colours))
 
 
 def _automatic(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
-    """Computed seam polygons, by the method of `options.seams`."""
-    if options.seams == "alike":
+    """Computed seam polygons, by the method of `options.seamlines.seams`."""
+    if options.seamlines.seams == "alike":
         from geomosaic.mosaicking.seams.cost_raster import read_seam_layers
         from geomosaic.mosaicking.seams.layout import least_cost_regions
 
-        layers = read_seam_layers(options.follow, options.avoid, photos.grid)
-        return least_cost_regions(photos, shapes, colours, options.render, options.seam_weights, layers)
-    if options.seams == "halve":
+        layers = read_seam_layers(options.seamlines.follow, options.seamlines.avoid, photos.grid)
+        return least_cost_regions(photos, shapes, colours, options.render, options.seamlines.seam_weights, layers)
+    if options.seamlines.seams == "halve":
         from geomosaic.mosaicking.seams.layout import halved_regions
 
         return halved_regions(photos, shapes)
-    if options.seams == "order":
-        return visible_regions(shapes, image_order(photos.block.scenes, photos.outlines, options.order, options.base))
+    if options.seamlines.seams == "order":
+        return visible_regions(
+            shapes, image_order(photos.block.scenes, photos.outlines, options.merge.order, options.merge.base)
+        )
     centres = photos.centres
-    if options.base is None:
+    if options.merge.base is None:
         return voronoi_regions(shapes, centres)
-    base = image_index(options.base, photos.block.scenes)
+    base = image_index(options.merge.base, photos.block.scenes)
     return with_base_image(
         voronoi_regions(shapes[:base] + shapes[base + 1 :], centres[:base] + centres[base + 1 :]), shapes, base
     )

@@ -13,8 +13,8 @@ from geomosaic.geo.grid import Window
 from geomosaic.match.shift import shifts
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import corrected
+from geomosaic.options.render import RenderOptions
 from geomosaic.raster.source import Source
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.photo import pull
 from geomosaic.render.workers import in_order
 from geomosaic.resample.warp import Colour

@@ -1,0 +1,42 @@
+"""Width of the transition across seams, in pixels of the output."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from geomosaic.geo.grid import Grid
+from geomosaic.options.mosaic import BlendOptions, Width
+
+PIXELS = 32.0
+"""Width unless one is given."""
+_EARTH = 6371008.8
+
+
+def width_px(width: Width, grid: Grid) -> float:
+    """Width in pixels of a grid; in degrees a metre is that at the middle of the grid."""
+    if width.unit == "px":
+        return width.value
+    x, y = grid.resolution
+    size = x if x == y else math.sqrt(x * y)
+    return width.value * (_units_per_metre(grid) if width.unit == "m" else 1.0) / size
+
+
+def transition_px(options: BlendOptions, grid: Grid) -> float:
+    """Width of the transition in pixels of the output; infinite for all that images share, 0 for hard seams."""
+    if options.blend == "none":
+        return 0.0
+    if options.feather is None:
+        return math.inf if options.blend == "overlap" else PIXELS
+    return width_px(options.feather, grid)
+
+
+def _units_per_metre(grid: Grid) -> float:
+    crs = grid.crs
+    if crs.is_geographic:
+        bottom, top = grid.bounds[1::2]
+        degrees = math.degrees(1.0 / _EARTH)
+        return degrees / math.sqrt(max(0.01, float(np.cos(np.radians((bottom + top) / 2)))))
+    factor = crs.axis_info[0].unit_conversion_factor if crs.axis_info else 1.0
+    return 1.0 / (factor or 1.0)

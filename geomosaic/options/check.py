@@ -1,0 +1,159 @@
+"""Checks of options: type, limits and choices of each value, and options that would do nothing together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.options.declaration import INFINITE, Declared, Option, declared, flat_values
+
+NAMES: dict[Any, str] = {str: "text", float: "a number", int: "a whole number", bool: "true or false", Path: "a path"}
+
+
+def check_values(value: Any) -> None:
+    """Bring each option of a frozen options value to its type, and check it.
+
+    Raises
+    ------
+    InputError
+        `where` is the name of the option in backticks.
+    """
+    for one in declared(type(value)):
+        if one.owner is type(value) or one.name in value.__dict__:
+            found = getattr(value, one.name)
+            settled = checked(found, one.kind, one.option, f"`{one.name}`", optional=one.optional)
+            if settled is not found:
+                object.__setattr__(value, one.name, settled)
+
+
+def checked(value: Any, kind: Any, option: Option, where: str, *, optional: bool = False) -> Any:
+    """Value of an option in its type and within its limits.
+
+    Parameters
+    ----------
+    value : object
+    kind : type
+        What it is to become: a text a path, a whole number a float, a list a tuple.
+    option : Option
+    where : str
+        Named by errors.
+    optional : bool
+        Whether None is a value.
+
+    Raises
+    ------
+    InputError
+    """
+    if value is None and optional:
+        return None
+    origin = get_origin(kind)
+    if option.parse is not None and not (isinstance(kind, type) and isinstance(value, kind) and kind is not str):
+        try:
+            return option.parse(value)
+        except InputError as error:
+            raise InputError(error.what, where=where, hint=error.hint) from None
+    if origin is tuple:
+        return _sequence(value, get_args(kind), option, where)
+    if isinstance(origin or kind, type) and issubclass(origin or kind, Mapping):
+        if not isinstance(value, Mapping):
+            raise InputError(f"'{value}' is no table of names and values", where=where, hint="give names with values")
+        return value
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if kind is Path and isinstance(value, str):
+        value = Path(value)
+    if hasattr(value, "item") and kind in (int, float, bool):  # a NumPy scalar
+        value = kind(value.item())
+    if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
+        name = NAMES.get(kind, f"a {kind.__name__}")
+        raise InputError(f"'{value}' is not {name}", where=where, hint=f"give {name}")
+    check_limits(value, option, where)
+    return value
+
+
+def _sequence(value: Any, kinds: tuple[Any, ...], option: Option, where: str) -> tuple[Any, ...]:
+    if not isinstance(value, list | tuple):
+        raise InputError(f"'{value}' is not a list", where=where, hint="give values in brackets: [...]")
+    if kinds[-1] is Ellipsis:
+        kinds = (kinds[0],) * len(value)
+    if len(value) != len(kinds):
+        raise InputError(f"{len(value)} values where {len(kinds)} belong", where=where, hint=f"give {len(kinds)}")
+    return tuple(checked(part, kind, option, where) for part, kind in zip(value, kinds, strict=True))
+
+
+def check_limits(value: Any, option: Option, where: str) -> None:
+    """Check a value against choices and limits.
+
+    Raises
+    ------
+    InputError
+    """
+    if option.choices and value not in option.choices:
+        known = ", ".join(option.choices)
+        hint = did_you_mean(str(value), option.choices)
+        raise InputError(f"'{value}' is not known here", where=where, hint=f"{hint} one of {known}".strip())
+    if isinstance(value, float | int) and not isinstance(value, bool):
+        if not math.isfinite(value):
+            raise InputError(f"{value} is no finite number", where=where, hint="give a number")
+        if not value > option.above:
+            raise InputError(f"{value:g} is too small", where=where, hint=f"give a number above {option.above:g}")
+        if not option.least <= value <= option.most:
+            low = max(option.least, option.above)
+            limits = f"from {low:g} to {option.most:g}" if option.most < INFINITE else f"of {low:g} or more"
+            raise InputError(f"{value:g} is out of range", where=where, hint=f"give a number {limits}")
+
+
+def check_idle(value: Any, effective: Mapping[str, Any] | None = None) -> None:
+    """Refuse an option that would do nothing beside the others.
+
+    Parameters
+    ----------
+    value : options value
+    effective : mapping, optional
+        What counts in conditions in place of a value that was left open, by name.
+
+    Raises
+    ------
+    InputError
+        Names both options in backticks.
+    """
+    values = list(flat_values(value))
+    state = {one.name: found for one, found in values} | dict(effective or {})
+    for one, found in values:
+        if not is_given(one, found):
+            continue
+        own = f"`{one.name}`"
+        for condition in one.option.idle_with:
+            if _holds(condition, state):
+                other = _shown(condition, state)
+                raise InputError(f"{own} would do nothing with {other}", hint=f"leave out {own} or {other}")
+        if one.option.needs and not any(_holds(condition, state) for condition in one.option.needs):
+            wanted = " or ".join(f"`{condition}`" for condition in one.option.needs)
+            raise InputError(f"{own} would do nothing without {wanted}", hint=f"give {wanted}, or leave out {own}")
+
+
+def is_given(one: Declared, value: Any) -> bool:
+    """Whether an option is set to something else than its default."""
+    return one.default is MISSING or bool(value != one.default)
+
+
+def _holds(condition: str, state: Mapping[str, Any]) -> bool:
+    """Whether an option is in effect ('name'), or has a value ('name=value')."""
+    name, equals, wanted = condition.partition("=")
+    if name not in state:
+        return False
+    found = state[name]
+    if equals:
+        return str(found) == wanted
+    return found is not None and found is not False and found not in ((), {}, "")
+
+
+def _shown(condition: str, state: Mapping[str, Any]) -> str:
+    """A condition with the value that the option has."""
+    name, equals, _ = condition.partition("=")
+    found = state[name]
+    return f"`{condition}`" if equals or not isinstance(found, str | int | float) else f"`{name}={found}`"

@@ -1,0 +1,209 @@
+"""Declaration of an option: a dataclass field with its limits, help, group, stage and rules.
+
+An options class is a frozen dataclass whose fields are made by `option`. From the declaration come the flag of the
+command line, the key of the project file, the keyword of the library, the table in the docs, the checks and the keys of
+reruns. A composed class has options classes as fields; the names of all its options are different, so that values can
+be given flat (`compose`).
+"""
+
+from __future__ import annotations
+
+import sys
+import types
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin
+
+from geomosaic.errors import InputError, did_you_mean
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T", bound="DataclassInstance")
+
+INFINITE = float("inf")
+GROUPS = ("input", "geometry", "colour", "seams", "blending", "output", "running")
+"""Headings of help and docs, in their order."""
+STAGES = ("geometry", "colour", "seams", "edits", "blending", "records", "running")
+"""What a change of an option makes stale: 'edits' show in seams and colours themselves, 'running' changes nothing."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """Declaration of one option.
+
+    Attributes
+    ----------
+    help : str
+        One sentence.
+    choices : tuple of str
+        Admissible words.
+    above, least, most : float
+        Limits of a number: more than `above`, from `least` to `most`.
+    metavar : str
+        Unit or kind of the value, as help shows it.
+    default : str
+        The default in words, where help is to show it and the value does not tell.
+    parse : callable, optional
+        Reads the value from a text; raises `InputError`.
+    group : str
+        One of `GROUPS`.
+    stage : str
+        One of `STAGES`.
+    flag : str, optional
+        Flags of the command line where they differ from the name; None where there is none.
+    section : str, optional
+        Section of the project file; None where there is none.
+    key : str
+        Key in it, where it differs from the name.
+    needs : tuple of str
+        Conditions of which one must hold for the option to do anything: 'name' (in effect) or 'name=value'.
+    idle_with : tuple of str
+        Conditions under which it does nothing.
+    """
+
+    help: str = ""
+    choices: tuple[str, ...] = ()
+    above: float = -INFINITE
+    least: float = -INFINITE
+    most: float = INFINITE
+    metavar: str = ""
+    default: str = ""
+    parse: Callable[[Any], Any] | None = None
+    group: str = "output"
+    stage: str = "running"
+    flag: str | None = ""
+    section: str | None = None
+    key: str = ""
+    needs: tuple[str, ...] = ()
+    idle_with: tuple[str, ...] = ()
+
+
+def option(default: Any = MISSING, help: str = "", *, default_factory: Any = MISSING, **declared: Any) -> Any:
+    """Field of an options class; `declared` are attributes of `Option`."""
+    shown = declared.pop("shown", "")
+    metadata = {"option": Option(help, default=shown, **declared)}
+    if default_factory is not MISSING:
+        return field(default_factory=default_factory, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class Declared:
+    """An option with its name, type and default.
+
+    Attributes
+    ----------
+    name : str
+    owner : type
+        The options class.
+    kind : type
+        Type of the value, without None.
+    optional : bool
+        Whether None is a value.
+    default : object
+        `dataclasses.MISSING` where a value must be given.
+    option : Option
+    """
+
+    name: str
+    owner: type
+    kind: Any
+    optional: bool
+    default: Any
+    option: Option
+
+    @property
+    def flag(self) -> str:
+        """Long flag of the command line, such as --true-ortho; empty where there is none."""
+        if self.option.flag is None:
+            return ""
+        written = [part for part in self.option.flag.replace("/", " ").split() if part.startswith("--")]
+        return written[0] if written else f"--{self.name.replace('_', '-')}"
+
+    @property
+    def key(self) -> str:
+        """Key of the project file."""
+        return self.option.key or self.name
+
+
+def declared(kind: type) -> tuple[Declared, ...]:
+    """Options of a class in their order; those of the classes that it is composed of in place of these."""
+    return _declared(kind)
+
+
+@lru_cache
+def _declared(kind: Any) -> tuple[Declared, ...]:
+    found: list[Declared] = []
+    for item in fields(kind):
+        own, optional = field_kind(kind, item)
+        if "option" in item.metadata:
+            default = item.default if item.default_factory is MISSING else item.default_factory()
+            found.append(Declared(item.name, kind, own, optional, default, item.metadata["option"]))
+        elif is_part(own):
+            found += declared(own)
+    return tuple(found)
+
+
+def is_part(kind: Any) -> bool:
+    """Whether a type is an options class, not a value such as a width."""
+    return isinstance(kind, type) and is_dataclass(kind) and any("option" in item.metadata for item in fields(kind))
+
+
+def field_kind(kind: type, item: Field[Any]) -> tuple[Any, bool]:
+    """Type of a field without None, and whether None may stand for it."""
+    found = item.type
+    if isinstance(found, str):
+        found = eval(found, vars(sys.modules[kind.__module__]).copy())  # an annotation in our own source
+    if get_origin(found) in (Union, types.UnionType):
+        own = [part for part in get_args(found) if part is not type(None)]
+        return own[0], len(own) < len(get_args(found))
+    return found, False
+
+
+def flat_values(value: Any) -> Iterator[tuple[Declared, Any]]:
+    """Each option of an options value with what it is set to."""
+    own = {one.name: one for one in declared(type(value))}
+    for item in fields(value):
+        inner = getattr(value, item.name)
+        if is_part(type(inner)) and item.name not in own:
+            yield from flat_values(inner)
+        elif item.name in own:
+            yield own[item.name], inner
+
+
+def compose(kind: type[T], values: Mapping[str, Any]) -> T:
+    """Options value of a composed class from flat values by name.
+
+    Parameters
+    ----------
+    kind : type
+    values : mapping
+        By name of the option, or of a part, which is an options value then.
+
+    Raises
+    ------
+    InputError
+        No option has such a name, or a value is wrong; the option is named in backticks.
+    """
+    left = dict(values)
+    made = _compose(kind, left)
+    if left:
+        name = next(iter(left))
+        hint = did_you_mean(name, [one.name for one in declared(kind)])
+        raise InputError(f"no option is named `{name}`", where=kind.__name__, hint=hint or "see its documentation")
+    return made
+
+
+def _compose(kind: type[T], left: dict[str, Any]) -> T:
+    """Take from `left` what belongs to `kind`."""
+    given = {}
+    for item in fields(kind):
+        own, _ = field_kind(kind, item)
+        part = is_part(own) and "option" not in item.metadata
+        if item.name in left and (not part or isinstance(left[item.name], own)):
+            given[item.name] = left.pop(item.name)
+        elif part and {inner.name for inner in fields(own)} & left.keys():
+            given[item.name] = _compose(own, left)
+    return kind(**given)

@@ -1,0 +1,470 @@
+"""Options of mosaics: colour, seams, blending, rules, samples and records."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.options.check import check_idle, check_values
+from geomosaic.options.declaration import compose, option
+from geomosaic.options.render import SAMPLE_TYPES, RenderOptions
+
+TERMS = ("gain", "vignetting", "trend", "hotspot", "haze", "gamma", "dodging")
+"""What the balance can solve; gain and offset are always."""
+RULES = ("first", "last", "min", "max", "mean", "median", "sum", "count")
+
+
+def parse_terms(text: Any) -> tuple[str, ...]:
+    """Terms of the balance from words with commas between, in lower case.
+
+    Raises
+    ------
+    InputError
+    """
+    words = text.split(",") if isinstance(text, str) else text
+    terms = tuple(str(word).strip().lower() for word in words if str(word).strip())
+    wrong = sorted(set(terms) - set(TERMS)) if terms != ("auto",) else []
+    if wrong or not terms:
+        hint = did_you_mean(wrong[0], TERMS) if wrong else ""
+        raise InputError(
+            f"colour has no term '{', '.join(wrong)}'", hint=f"{hint} auto, or some of {', '.join(TERMS)}".strip()
+        )
+    return terms
+
+
+@dataclass(frozen=True)
+class Retouch:
+    """Change of one image's colour after the balance: value · gain + offset, the same for all bands."""
+
+    gain: float = option(1.0, "Factor of all values.", above=0.0)
+    offset: float = option(0.0, "Added to all values, grey values.")
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColourOptions:
+    """Options of colour: the balance over overlaps, histogram matching, and touch-ups.
+
+    Attributes
+    ----------
+    balance : bool, optional
+        Solve a gain and an offset per image and band over the overlaps; unless given, done where there are seams.
+    colour : tuple of str
+        What the balance solves: ('auto',) for what is warranted, or some of `TERMS`.
+    mask : Path, optional
+        Vector file of areas that say nothing of colours: clouds, water.
+    histogram : str, optional
+        Match histograms instead: 'overlap' in sequence over what images share, 'whole' over all that each shows,
+        'sequence' each image to the one before it.
+    region : Path, optional
+        Vector file of areas that histograms are matched over.
+    master : str, optional
+        Name of the image that the others are matched to; unless given, the one that shares most.
+    reference : Path, optional
+        Georeferenced raster that all images are matched to, instead of a master.
+    reference_bands : tuple of int, optional
+        Bands of the reference that go with those of the images, from 1.
+    retouch : mapping of str to Retouch
+        Changes of single images' colours after the balance.
+    """
+
+    balance: bool | None = option(
+        None, "Balance colours over the overlaps.", shown="balance, but not with --rule",
+        group="colour", stage="colour", section="mosaic",
+    )  # fmt: skip
+    colour: tuple[str, ...] = option(
+        ("auto",),
+        "What the balance solves: gain (and offset), and vignetting, trend, hotspot, haze, gamma, dodging, with commas "
+        "between; or auto for what is warranted.",
+        metavar="TERMS", shown="auto", parse=parse_terms, group="colour", stage="colour", section="mosaic",
+        needs=("balance",), idle_with=("histogram",),
+    )  # fmt: skip
+    mask: Path | None = option(
+        None, "Areas that say nothing of colours, as polygons: clouds, water.",
+        group="colour", stage="colour", section="mosaic", needs=("balance", "histogram"),
+    )  # fmt: skip
+    histogram: str | None = option(
+        None,
+        "Match histograms instead: over what images share, nearest first; over all that each shows; or each image to "
+        "the one before it.",
+        choices=("overlap", "whole", "sequence"), group="colour", stage="colour", section="mosaic",
+    )  # fmt: skip
+    region: Path | None = option(
+        None, "Areas that histograms are matched over, as polygons.",
+        group="colour", stage="colour", section="mosaic", needs=("histogram",),
+    )  # fmt: skip
+    master: str | None = option(
+        None, "Image that the others are matched to.", metavar="NAME", shown="shares most",
+        group="colour", stage="colour", section="mosaic", needs=("balance", "histogram"),
+    )  # fmt: skip
+    reference: Path | None = option(
+        None, "Georeferenced raster that all are matched to, instead of a master.",
+        group="colour", stage="colour", section="mosaic", needs=("balance", "histogram"),
+    )  # fmt: skip
+    reference_bands: tuple[int, ...] | None = option(
+        None, "Bands of the reference that go with those of the images.", least=1, metavar="NUMBERS",
+        flag="--reference-bidx", group="colour", stage="colour", section="mosaic", needs=("reference",),
+    )  # fmt: skip
+    retouch: Mapping[str, Retouch] = option(
+        default_factory=dict, help="Changes of single images' colours after the balance: gain and offset by image.",
+        flag=None, group="colour", stage="edits", section="mosaic", idle_with=("rule",),
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True)
+class SeamWeights:
+    """Weights of the seam cost terms, relative to one cell of seam at no other cost (`length`).
+
+    Attributes
+    ----------
+    length : float
+        Cost of every cell: keeps seams short where nothing else matters.
+    colour : float
+        Difference of the two images' values, in units of their contrast.
+    gradient : float
+        Difference of their gradients: edges that do not meet.
+    texture : float
+        Difference of their local standard deviations: sharp against blurred, trees against lawn.
+    angle : float
+        View angle of the image that shows the cell, in units of 45 degrees; per cell of area.
+    edge : float
+        Proximity of the edge of the image that shows the cell; per cell of area.
+    heights : float
+        Raised objects: roofs, trees, walls.
+    avoid : float
+        Cells inside areas to avoid.
+    follow : float
+        Part of the cost that remains along lines to follow, 0 to 1.
+    reach : float
+        Width of the zone in which a seam may run, as a part of the distance of two image centres, 0 to 1.
+    """
+
+    length: float = option(0.03, "Cost of every cell: keeps seams short.", above=0.0)
+    colour: float = option(1.0, "Difference of both images' values.", least=0.0)
+    gradient: float = option(0.5, "Difference of their gradients: edges that do not meet.", least=0.0)
+    texture: float = option(0.25, "Difference of their local standard deviations.", least=0.0)
+    angle: float = option(0.004, "View angle of the image that shows the cell.", least=0.0)
+    edge: float = option(0.02, "Proximity of the edge of that image.", least=0.0)
+    heights: float = option(3.0, "Raised objects: roofs, trees, walls.", least=0.0)
+    avoid: float = option(100.0, "Cells inside areas to avoid.", least=0.0)
+    follow: float = option(0.15, "Part of the cost that remains along lines to follow.", least=0.0, most=1.0)
+    reach: float = option(
+        0.6, "Width of the zone of a seam, as a part of the distance of two centres.", least=0.0, most=1.0
+    )
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeamOptions:
+    """Options of seamlines.
+
+    Attributes
+    ----------
+    seams : str
+        'nearest' halfway between the places that images see best; 'halve' where the edges of two are equally far;
+        'alike' where seams cost least; 'order' where the first of `order` that shows the ground ends.
+    follow, avoid : tuple of Path
+        Vector files of roads and rivers that seams of 'alike' follow, and of areas that they keep out of.
+    seam_weights : SeamWeights
+        Weights of the costs of 'alike'.
+    cutlines : Path, optional
+        Vector file of areas drawn by hand, each with its image; they win.
+    exclude : tuple of str
+        Names of images that show nothing; they still take part in the balance, so that the others keep their colours.
+    water : Path, optional
+        Vector file of water, each piece of which the least glinting image shows.
+    water_fill : str
+        'calmest' for that image, or 'tone' for a continuous tone that fits the shores.
+    """
+
+    seams: str = option(
+        "nearest",
+        "Seams halfway between what images see best, halving overlaps, where neighbours look most alike, or by "
+        "--order.",
+        choices=("nearest", "halve", "alike", "order"), group="seams", stage="seams", section="mosaic",
+        idle_with=("rule",),
+    )  # fmt: skip
+    follow: tuple[Path, ...] = option(
+        (), "Roads and rivers that --seams alike runs along.",
+        group="seams", stage="seams", section="mosaic", needs=("seams=alike",),
+    )  # fmt: skip
+    avoid: tuple[Path, ...] = option(
+        (), "Areas, such as buildings, that --seams alike keeps out of.",
+        group="seams", stage="seams", section="mosaic", needs=("seams=alike",),
+    )  # fmt: skip
+    seam_weights: SeamWeights = option(
+        default_factory=SeamWeights, help="Weight of a cost of --seams alike, such as heights=5.",
+        metavar="NAME=VALUE", flag="--seam-weight", group="seams", stage="seams", section="mosaic",
+        needs=("seams=alike",),
+    )  # fmt: skip
+    cutlines: Path | None = option(
+        None, "Areas with an image each, drawn by hand, that win over --seams.",
+        group="seams", stage="edits", section="mosaic", idle_with=("rule",),
+    )  # fmt: skip
+    exclude: tuple[str, ...] = option(
+        (), "Image that is to show nothing.", metavar="NAME",
+        group="seams", stage="edits", section="mosaic", idle_with=("rule",),
+    )  # fmt: skip
+    water: Path | None = option(
+        None, "Areas of water: each is shown by the image with the least glint.",
+        group="seams", stage="seams", section="mosaic", idle_with=("rule",),
+    )  # fmt: skip
+    water_fill: str = option(
+        "calmest", "Show water by that image, or fill it with a continuous tone that fits its shores.",
+        choices=("calmest", "tone"), group="seams", stage="seams", section="mosaic", needs=("water",),
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True)
+class Width:
+    """A width on the ground.
+
+    Attributes
+    ----------
+    value : float
+    unit : str
+        'px' output pixels, 'm' metres, or 'map' units of the output CRS.
+    """
+
+    value: float
+    unit: str = "map"
+
+    @classmethod
+    def parse(cls, text: str | float) -> Width:
+        """Width of '20px', '5m', or a number of map units.
+
+        Raises
+        ------
+        InputError
+        """
+        found = re.fullmatch(r"\s*(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)\s*(px|m)?\s*", str(text))
+        if not found:
+            raise InputError(f"'{text}' is not a width", hint="write pixels as 20px, metres as 5m, or map units as 5")
+        return cls(float(found[1]), found[2] or "map")
+
+
+@dataclass(frozen=True)
+class BlendOptions:
+    """Options of blending across seams.
+
+    Attributes
+    ----------
+    blend : str
+        'feather' across the seam, 'overlap' over all that images share, 'multiband' each band of frequency as wide as
+        its wavelength, or 'none'.
+    feather : Width, optional
+        Width of the transition, 32 output pixels unless given. For 'overlap' the distance from an image's edge beyond
+        which it counts fully, without end unless given. For 'multiband' the width of the coarsest band, rounded to a
+        power of two. A text such as '5m' or a number of map units will do.
+    ramp : str
+        'linear', or 'smooth' with no kink at its ends.
+    limit : bool, optional
+        Do not blend what the images show differently. Done unless said otherwise.
+    """
+
+    blend: str = option(
+        "feather",
+        "Blend across the seam, over all that images share, each band of frequency by itself, or not at all.",
+        choices=("feather", "overlap", "multiband", "none"), group="blending", stage="blending", section="mosaic",
+        idle_with=("rule",),
+    )  # fmt: skip
+    feather: Width | None = option(
+        None, "Width of the blending: 20px, 5m, or a number of map units.", metavar="WIDTH", shown="32px",
+        parse=Width.parse, group="blending", stage="blending", section="mosaic", idle_with=("rule", "blend=none"),
+    )  # fmt: skip
+    ramp: str = option(
+        "linear", "Shape of the transition.", choices=("linear", "smooth"),
+        group="blending", stage="blending", section="mosaic", idle_with=("rule", "blend=none"),
+    )  # fmt: skip
+    limit: bool | None = option(
+        None, "Do not blend what images show differently, such as cars.", shown="limit",
+        group="blending", stage="blending", section="mosaic", idle_with=("rule", "blend=none"),
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+    @property
+    def limits(self) -> bool:
+        """Whether what images show differently is not blended."""
+        return self.blend != "none" and self.limit is not False
+
+    @property
+    def plain(self) -> bool:
+        """Whether weights across the seam are all that is wanted."""
+        return self.blend in ("none", "feather")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RuleOptions:
+    """Options of a mosaic by rule instead of seams, and of the order of images.
+
+    Attributes
+    ----------
+    rule : str, optional
+        One of `RULES`; seams unless given.
+    order : str
+        Whose pixels come first: 'list' as given, 'name', 'resolution' the finest, 'date' the newest.
+    base : str, optional
+        Name of the image that is laid lowest, under all others.
+    """
+
+    rule: str | None = option(
+        None,
+        "Lay images together by rule, as rio merge does, instead of seams; nothing is balanced unless asked for.",
+        choices=RULES, flag="--rule --method", group="seams", stage="blending", section="mosaic",
+    )  # fmt: skip
+    order: str = option(
+        "list", "Whose pixels come first: as given, by name, the finest, the newest.",
+        choices=("list", "name", "resolution", "date"), group="seams", stage="seams", section="mosaic",
+        needs=("rule", "seams=order"),
+    )  # fmt: skip
+    base: str | None = option(
+        None, "Image that is laid lowest, under all others.", metavar="NAME",
+        group="seams", stage="seams", section="mosaic", idle_with=("seams=alike", "seams=halve"),
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleOptions:
+    """Options of the samples of the output.
+
+    Attributes
+    ----------
+    dtype : str, optional
+        NumPy name of the sample type; that of the images, which must all have the same, unless given.
+    convert : str
+        'keep' the numbers, which the type must be able to hold; 'range' brings the whole range of an unsigned type to
+        that of the other: 255 of 8 bits becomes 65535 of 16 bits.
+    stretch : str, optional
+        Stretch of the finished mosaic to eight bits: between percentiles ('2,98') or values ('v100,v3000').
+    """
+
+    dtype: str | None = option(
+        None, "Sample type of the output, such as uint16.", choices=SAMPLE_TYPES, metavar="TYPE",
+        shown="the images' own", stage="geometry",
+    )  # fmt: skip
+    convert: str = option(
+        "keep", "Keep the numbers, or bring the whole range of each type to that of --dtype.",
+        choices=("keep", "range"), stage="geometry", needs=("dtype",),
+    )  # fmt: skip
+    stretch: str | None = option(
+        None, "Stretch the mosaic to 8 bits between these percentiles (2,98), or values (v100,v3000).",
+        metavar="LOW,HIGH", group="colour", stage="edits", section="mosaic", idle_with=("rule",),
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordOptions:
+    """Options of what is written beside a mosaic.
+
+    Attributes
+    ----------
+    labels : bool
+        Write the raster that names the source image of each pixel.
+    vectors : bool
+        Write footprints, seamlines and gains (GeoPackage), and the STAC item.
+    stac : bool
+        Write the STAC item among them.
+    views : bool
+        Write view angle and ground sampling distance of each pixel.
+    displacement : float, optional
+        Height of level ground, metres: write the relief displacement of each pixel against it.
+    seam_quality : bool, optional
+        Judge the seams piece by piece; in projects that is done unless said otherwise.
+    """
+
+    labels: bool = option(True, "Write the raster of source images.", stage="records", section="mosaic")
+    vectors: bool = option(
+        True, "Write footprints, seams and gains (GeoPackage), and the STAC item with the checksum.",
+        flag="--records", stage="records",
+    )  # fmt: skip
+    stac: bool = option(True, flag=None, stage="records", needs=("vectors",))
+    views: bool = option(
+        False, "Write the raster of view angles and resolutions.",
+        stage="records", section="mosaic", needs=("labels",), idle_with=("rule",),
+    )  # fmt: skip
+    displacement: float | None = option(
+        None, "Write the raster of relief displacements against level ground of this height, metres.",
+        metavar="HEIGHT", stage="records", section="mosaic", needs=("labels",), idle_with=("rule",),
+    )  # fmt: skip
+    seam_quality: bool | None = option(
+        None, "Judge seams piece by piece.", shown="in projects", group="seams", stage="records", section="mosaic",
+        idle_with=("rule",),
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MosaicOptions:
+    """Options of a mosaic, composed of those of its stages.
+
+    Attributes
+    ----------
+    render : RenderOptions
+    colours : ColourOptions
+    seamlines : SeamOptions
+    blending : BlendOptions
+    merge : RuleOptions
+    samples : SampleOptions
+    records : RecordOptions
+
+    Raises
+    ------
+    InputError
+        A value is wrong, or an option would do nothing beside the others.
+    """
+
+    render: RenderOptions = field(default_factory=RenderOptions)
+    colours: ColourOptions = field(default_factory=ColourOptions)
+    seamlines: SeamOptions = field(default_factory=SeamOptions)
+    blending: BlendOptions = field(default_factory=BlendOptions)
+    merge: RuleOptions = field(default_factory=RuleOptions)
+    samples: SampleOptions = field(default_factory=SampleOptions)
+    records: RecordOptions = field(default_factory=RecordOptions)
+
+    def __post_init__(self) -> None:
+        check_idle(self, {"balance": self.balanced})
+
+    @classmethod
+    def of(cls, **values: Any) -> MosaicOptions:
+        """Options from flat values by name, such as `blend="multiband", feather="5m"`; parts may be given whole.
+
+        Raises
+        ------
+        InputError
+        """
+        return compose(cls, values)
+
+    @property
+    def balanced(self) -> bool:
+        """Whether colours are balanced: as asked; unless asked, where there are seams."""
+        asked = self.colours.balance
+        return self.merge.rule is None if asked is None else asked
+
+    @property
+    def writes_item(self) -> bool:
+        """Whether a STAC item is asked for."""
+        return self.records.vectors and self.records.stac

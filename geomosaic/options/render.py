@@ -1,0 +1,94 @@
+"""Options of everything that is rendered: resampling, accuracy of the geometry, the file, threads and memory."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from geomosaic.errors import InputError
+from geomosaic.options.check import check_values
+from geomosaic.options.declaration import option
+
+Progress = Callable[[int, int, str], None]
+
+RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average")
+BLOCK_WIDTH, BLOCK_HEIGHT = 1024, 512
+"""Pixels of the blocks that outputs are computed in."""
+SAMPLE_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
+GIGABYTE = 1 << 30
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderOptions:
+    """Options of a rendered raster.
+
+    Attributes
+    ----------
+    resampling : str
+        'nearest', 'bilinear', 'cubic', 'lanczos' or 'average'. All but 'nearest' average over the pixel's footprint
+        where the output is coarser than the image.
+    tolerance : float
+        Largest admissible geometric error of the lattice, in image pixels, or output pixels where those are larger;
+        at 0 the lattice has a node at every pixel.
+    true_ortho : bool
+        Whether images show only what the surface does not hide from them.
+    nodata : float, optional
+        Value of unseen pixels; a mask of its own is written unless given.
+    driver : str
+        'COG' or 'GTiff'.
+    creation : mapping
+        GDAL creation options.
+    overwrite : bool
+        Whether outputs that exist are replaced.
+    threads : int
+        Worker threads; the result does not depend on it.
+    memory_limit : int
+        Bytes the run may hold.
+    tile : int
+        Width of a work unit in pixels, a multiple of the block width; the result does not depend on it.
+    progress : callable, optional
+        Called with (done, total, stage).
+    """
+
+    resampling: str = option(
+        "bilinear", "Resampling method.", choices=RESAMPLING, group="geometry", stage="geometry", section="output"
+    )
+    tolerance: float = option(
+        0.02,
+        "Largest geometric error of the lattice, in image pixels; at 0 it has a node at every pixel.",
+        least=0.0, metavar="PIXELS", group="geometry", stage="geometry", section="output",
+    )  # fmt: skip
+    true_ortho: bool = option(
+        False, "Leave out what the surface model hides from an image; other images fill it.",
+        group="geometry", stage="geometry", section="mosaic", idle_with=("rule",),
+    )  # fmt: skip
+    nodata: float | None = option(None, "Value of unseen pixels.", shown="a mask", stage="geometry", section="output")
+    driver: str = option(
+        "COG", "File format.", choices=("COG", "GTiff"), flag="-f --driver", stage="geometry", section="output"
+    )
+    creation: Mapping[str, str] = option(
+        default_factory=dict, help="Creation option of the format, as GDAL names it.",
+        metavar="NAME=VALUE", flag="--co", stage="geometry", section="output",
+    )  # fmt: skip
+    overwrite: bool = option(False, "Replace the output if it exists.")
+    threads: int = option(
+        default_factory=lambda: os.cpu_count() or 1, help="Worker threads.", least=1, shown="all processors",
+        group="running",
+    )  # fmt: skip
+    memory_limit: int = option(
+        2 * GIGABYTE, "Memory the run may hold, such as 512M or 2G.", least=1, metavar="SIZE", shown="2G",
+        group="running", flag="--mem-limit",
+    )  # fmt: skip
+    tile: int = option(2 * BLOCK_WIDTH, least=BLOCK_WIDTH, group="running", flag=None)
+    progress: Progress | None = None
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        if self.tile % BLOCK_WIDTH:
+            raise InputError(f"{self.tile} is not a multiple of {BLOCK_WIDTH}", where="`tile`")
+
+    def report(self, done: int, total: int, stage: str) -> None:
+        """Call the progress callback, if there is one."""
+        if self.progress is not None:
+            self.progress(done, total, stage)
