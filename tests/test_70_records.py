@@ -170,7 +170,7 @@ def test_vectors(tmp_path: Path) -> None:
 CHILD = """
 import sys, time
 from pathlib import Path
-from geomosaic.raster.output_files import partial
+from geomosaic.whole_files import partial
 name = partial(Path(sys.argv[1]), ".gpkg")
 name.write_bytes(b"half")
 Path(f"{name}-journal").write_bytes(b"half")
