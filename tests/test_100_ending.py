@@ -43,15 +43,15 @@ def test_the_exit_code_is_told_whether_anyone_reads_or_not():
 
 def test_work_whose_log_is_closed_goes_on():
     script = """
-from geomosaic.cli.ending import end, patient_streams
+from geomosaic.cli.process import leave, tolerate_closed_pipes
 from geomosaic.cli.talk import answer, say
 def run():
     for number in range(3):
         say(f"note {number}")
     answer({"done": True}, "done", True)
     return 3
-patient_streams()
-end(run)
+tolerate_closed_pipes()
+leave(run())
 """
     assert piped(script, close="stderr", command=[sys.executable, "-c"]) == (3, '{"done": true}\n')
 
@@ -81,20 +81,18 @@ def test_what_must_happen_at_the_end_happens(tmp_path):
     """Threads are joined, exit functions run, streams are flushed; only then the process goes."""
     script = f"""
 import atexit, sys, tempfile, threading, time
-from geomosaic.cli.ending import end
-class Tail:
-    def __del__(self): print("torn down")
+from geomosaic.cli.process import leave
 def work():
     time.sleep(0.3)
     print("thread")
 def run():
-    global keep, tail
-    keep, tail = tempfile.TemporaryDirectory(dir={str(tmp_path)!r}), Tail()
+    global keep
+    keep = tempfile.TemporaryDirectory(dir={str(tmp_path)!r})
     atexit.register(lambda: print("exit function"))
     threading.Thread(target=work).start()
     sys.stdout.write("run\\n")
     return 3
-end(run)
+leave(run())
 """
     done = ended(script)
     assert (done.returncode, done.stderr) == (3, "")
@@ -102,12 +100,12 @@ end(run)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_who_was_there_before_ends_as_usual():
+def test_an_exit_function_registered_before_runs_too():
     script = """
 import atexit
 atexit.register(lambda: print("coverage"))
-from geomosaic.cli.ending import end
-end(lambda: 4)
+from geomosaic.cli.process import leave
+leave(4)
 """
     done = ended(script)
     assert (done.returncode, done.stdout) == (4, "coverage\n")
@@ -149,7 +147,7 @@ def wait_for(what: Callable[[], bool]) -> None:
 def test_a_stop_that_python_lost_is_seen_at_the_next_report():
     script = """
 import os, signal
-from geomosaic.cli.ending import Stopped, stop_on_signals
+from geomosaic.cli.process import Stopped, stop_on_signals
 from geomosaic.cli.talk import progress
 class Lost:
     def __del__(self):

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import gc
+import logging
+import os
+import signal
+import sys
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +29,20 @@ from geomosaic.testing.synthetic import CAMERA, AnalyticGround, SyntheticPhoto, 
 @pytest.fixture(scope="module")
 def strip(tmp_path_factory: pytest.TempPathFactory) -> Strip:
     return make_strip(tmp_path_factory.mktemp("strip"))
+
+
+def test_a_library_call_leaves_its_process_as_it_was(strip: Strip, tmp_path: Path) -> None:
+    def state() -> list[object]:
+        handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+        streams = [sys.stdin, sys.stdout, sys.stderr, *logging.getLogger("rasterio").handlers]
+        filters = [list(warnings.filters), warnings.showwarning]
+        return [*handlers, *streams, *filters, dict(os.environ), gc.get_threshold(), gc.isenabled(), Path.cwd()]
+
+    warnings.simplefilter("error", rasterio.errors.NotGeoreferencedWarning)  # nor does it need the caller's filters
+    before, made = state(), job(strip.dem, strip.files[:2], strip.photos[:2], 4 * GSD)
+    made.ortho(tmp_path / "ortho.tif", threads=2)
+    made.mosaic(tmp_path / "mosaic.tif", threads=2)
+    assert state() == before
 
 
 # --- One photo against the ground it was taken of -----------------------------------------------------------------

@@ -16,10 +16,11 @@ from pathlib import Path
 
 import pytest
 
+from geomosaic.cli.process import on_sigterm
 from geomosaic.errors import InputError, Interrupted, OutputError, OutputExistsError
 from geomosaic.jobs.engine import run, status
 from geomosaic.jobs.manifest import Manifest
-from geomosaic.jobs.run_control import project_lock
+from geomosaic.jobs.run_control import Stop, project_lock
 from geomosaic.jobs.step import Job, Step
 from geomosaic.whole_files import write_atomic
 
@@ -173,15 +174,15 @@ def test_two_runs_at_once_and_a_stale_lock(job):
 
 
 def test_sigterm_stops_between_reports_and_the_rest_comes_later(job):
-    before = signal.getsignal(signal.SIGTERM)
+    before, stop = signal.getsignal(signal.SIGTERM), Stop()
 
     def progress(done: int, total: int, stage: str) -> None:
         if stage == "b.txt":
             os.kill(os.getpid(), signal.SIGTERM)
 
     assert threading.current_thread() is threading.main_thread()
-    with pytest.raises(Interrupted) as caught:
-        run(job, progress=progress)
+    with pytest.raises(Interrupted) as caught, on_sigterm(stop.ask):
+        run(job, progress=progress, stop=stop)
     assert caught.value.exit_code == 4
     assert signal.getsignal(signal.SIGTERM) is before
     assert not (job.root / "out" / "b.txt").exists()

@@ -11,7 +11,7 @@ import traceback
 
 import click
 
-from geomosaic.cli.ending import Stopped
+from geomosaic.cli.process import Stopped
 from geomosaic.errors import GeomosaicError, Interrupted, OutputError, QualityError
 
 OF_THE_SYSTEM = {

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gc
-import os
 import sys
 from importlib import import_module
 from typing import Any, NoReturn
@@ -11,11 +9,7 @@ from typing import Any, NoReturn
 import click
 
 import geomosaic
-from geomosaic.cli.ending import end, patient_streams, stop_on_signals
-
-# Read when NumPy is first loaded. Our matrices are small, and threads of our own keep the processor busy; more of them
-# would also make the last bits of a solution depend on the machine.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from geomosaic.cli.process import leave, set_up
 
 COMMANDS: dict[str, str] = {
     "demo": "Run the sample block from photos to mosaic, with its accuracy.",
@@ -97,11 +91,8 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     """
     if arguments is not None:
         sys.exit(run(arguments))
-    # Starting makes many objects and no garbage: the default of 700 has it looked for a hundred times in vain.
-    gc.set_threshold(100_000)
-    patient_streams()
-    stop_on_signals()
-    end(lambda: run(sys.argv[1:]))
+    set_up()
+    leave(run(sys.argv[1:]))
 
 
 def run(words: list[str]) -> int:

@@ -6,7 +6,6 @@ import os
 
 import click
 
-from geomosaic.cli.pages import keep_pages
 from geomosaic.cli.talk import say
 from geomosaic.cli.values import size
 
@@ -55,12 +54,7 @@ def memory_limit(ctx: click.Context, param: click.Parameter, value: str | None) 
 
 
 def note_memory(limit: int | None, threads: int | None) -> None:
-    """Say so where a limit is below what the command may need; it works all the same, with as little as it can.
-
-    Where none is asked for, time is what counts, and memory is kept from one block to the next.
-    """
-    if limit is None:
-        keep_pages()
+    """Say so where a limit is below what the command may need; it works all the same, with as little as it can."""
     command = click.get_current_context().info_name or ""
     many = threads or os.cpu_count() or 1
     need = LEAST[command] + PER_THREAD * many

@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.ending import check_stopped
+from geomosaic.cli.process import check_stopped
 from geomosaic.errors import GeomosaicWarning, OutputError
 
 Progress = Callable[[int, int, str], None]

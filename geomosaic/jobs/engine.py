@@ -12,7 +12,7 @@ from typing import Any
 
 from geomosaic.errors import InputError, OutputError, OutputExistsError
 from geomosaic.jobs.manifest import Manifest, Record
-from geomosaic.jobs.run_control import Stop, on_sigterm, project_lock
+from geomosaic.jobs.run_control import Stop, project_lock
 from geomosaic.jobs.step import Context, Job, Progress, State, Step
 from geomosaic.jobs.step_keys import ingredients
 from geomosaic.raster.checksum import Hashes
@@ -45,6 +45,7 @@ def run(
     force: bool = False,
     progress: Progress | None = None,
     executor: Executor | None = None,
+    stop: Stop | None = None,
 ) -> list[State]:
     """Run the stale steps.
 
@@ -59,6 +60,8 @@ def run(
         Called with (done, total, stage); reaches the steps where they run in this process.
     executor : concurrent.futures.Executor, optional
         Where steps run; in this thread unless given.
+    stop : Stop, optional
+        A flag by which another thread or a signal handler asks the run to stop.
 
     Returns
     -------
@@ -72,11 +75,11 @@ def run(
     OutputExistsError
         An output exists that no run of this job has made.
     Interrupted
-        SIGTERM; what is done stays done.
+        `stop` was asked for; what is done stays done.
     """
     wanted = _wanted(job.steps, only)
-    stop = Stop()
-    with project_lock(job.state / LOCK), on_sigterm(stop):
+    stop = stop or Stop()
+    with project_lock(job.state / LOCK):
         manifest = Manifest.load(job.state / MANIFEST)
         hashes = Hashes(manifest.hashes)
         _refuse_foreign(job, wanted, manifest)

@@ -12,6 +12,7 @@ from geomosaic.errors import QualityError
 from geomosaic.jobs import engine
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.manifest import read_json
+from geomosaic.jobs.run_control import Stop
 from geomosaic.jobs.step import Job, Machine, Progress, State, Step
 from geomosaic.jobs.step_keys import plugin_versions, sensor_files, with_companions
 from geomosaic.jobs.steps.mosaic import mosaic, orthos
@@ -150,10 +151,11 @@ def run_project(
     machine: Machine | None = None,
     progress: Progress | None = None,
     executor: Executor | None = None,
+    stop: Stop | None = None,
 ) -> Outcome:
     """Run what is stale in a project, then judge its quality; see `engine.run`."""
     job = job_of(project, machine)
-    states = engine.run(job, only=only, force=force, progress=progress, executor=executor)
+    states = engine.run(job, only=only, force=force, progress=progress, executor=executor, stop=stop)
     judged = any(state.name in ("check", "report") for state in states)
     return Outcome(project, states, failure(project) if judged else None)
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 
 from geomosaic.errors import InputError, Interrupted, OutputError
 from geomosaic.jobs.step import Progress
@@ -99,20 +97,3 @@ class Stop:
             self.check()
 
         return report
-
-
-@contextmanager
-def on_sigterm(stop: Stop) -> Iterator[None]:
-    """Turn SIGTERM into a request to stop; outside the main thread signals are left alone."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def handler(number: int, frame: FrameType | None) -> None:
-        stop.ask()
-
-    before = signal.signal(signal.SIGTERM, handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import warnings
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import rasterio
@@ -44,10 +44,6 @@ _SETTINGS: dict[str, Any] = {
     "GDAL_HTTP_PROXY": "none://none",
 }
 
-# Raw photos have no geo-reference. Said once for the process: filters cannot be changed for one thread alone.
-warnings.filterwarnings("ignore", category=NotGeoreferencedWarning)
-logging.getLogger("rasterio").addHandler(logging.NullHandler())  # GDAL's messages come back as exceptions
-
 
 def environment(**settings: Any) -> AbstractContextManager[object]:
     """Return a context manager in which GDAL works with geomosaic's settings.
@@ -65,6 +61,21 @@ def environment(**settings: Any) -> AbstractContextManager[object]:
     context manager
     """
     return rasterio.Env(**{**_SETTINGS, **settings}) if settings else _Held()
+
+
+_opening = threading.RLock()
+
+
+@contextmanager
+def opening() -> Iterator[None]:
+    """Opening of rasters that may have no georeference, as raw photos, without rasterio's warning of it.
+
+    One thread at a time: warning filters belong to the process, and threads that change them at once would not bring
+    back the caller's.
+    """
+    with _opening, warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        yield
 
 
 def enter_for_good() -> None:

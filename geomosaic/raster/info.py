@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +13,11 @@ from affine import Affine
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 from rasterio.enums import ColorInterp, MaskFlags
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import RasterioError
 
 from geomosaic.errors import InputError, RasterReadError
 from geomosaic.options.render import SAMPLE_TYPES
-from geomosaic.raster.environment import READ_DRIVERS, environment
+from geomosaic.raster.environment import READ_DRIVERS, environment, opening
 from geomosaic.raster.local_files import check_files, named_files
 from geomosaic.types import PathLike
 
@@ -122,8 +121,7 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
         raise RasterReadError("this is a folder, not a raster", where=str(path), hint="name the file in it")
     named_files(file)
     reason: Exception | None = None
-    with environment(GTIFF_DIRECT_IO="YES" if direct else "NO"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    with environment(GTIFF_DIRECT_IO="YES" if direct else "NO"), opening():
         for driver in READ_DRIVERS:
             try:
                 dataset = rasterio.open(str(path), driver=driver)

@@ -13,7 +13,7 @@ import rasterio
 from rasterio.errors import RasterioError
 
 from geomosaic.errors import RasterReadError
-from geomosaic.raster.environment import READ_DRIVERS, environment
+from geomosaic.raster.environment import READ_DRIVERS, environment, opening
 
 # GDAL's virtual file systems, addresses, datasets written out as XML, and the prefixes of its drivers ("WMS:http").
 _ELSEWHERE = re.compile(r"^\s*<|^[\\/]vsi|://|^\w\w+:")
@@ -131,7 +131,7 @@ def _readable(path: Path) -> None:
     with environment():
         for driver in READ_DRIVERS:
             with suppress(RasterioError, OSError):
-                with rasterio.open(str(path), driver=driver) as dataset:
+                with opening(), rasterio.open(str(path), driver=driver) as dataset:
                     check_files(dataset, str(path))
                 return
     raise RasterReadError(

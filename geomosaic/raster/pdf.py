@@ -9,7 +9,6 @@ import numpy as np
 import rasterio
 import rasterio.crs
 import rasterio.shutil
-from rasterio._err import CPLE_BaseError
 from rasterio.errors import RasterioError
 from rasterio.io import MemoryFile
 
@@ -57,7 +56,7 @@ def write_raster_pdf(
         warnings.simplefilter("ignore", PendingDeprecationWarning)
         bands = np.moveaxis(pixels, 2, 0)
         crs = rasterio.crs.CRS.from_wkt(grid.crs.to_wkt())
-        with under_construction(path, failures=(RasterioError, CPLE_BaseError)) as unfinished, MemoryFile() as memory:
+        with under_construction(path, failures=(RasterioError,)) as unfinished, MemoryFile() as memory:
             with memory.open(
                 driver="GTiff", width=grid.width, height=grid.height, count=len(bands), dtype="uint8", crs=crs,
                 transform=grid.transform, photometric="RGB",
@@ -66,8 +65,11 @@ def write_raster_pdf(
                 # As options they would become capitals.
                 made.update_tags(TITLE=title, CREATOR="geomosaic", PRODUCER="GDAL")
             with memory.open() as source:
-                rasterio.shutil.copy(
-                    source, unfinished, driver="PDF", DPI=dpi, COMPRESS="DEFLATE", PREDICTOR=2,
-                    GEO_ENCODING="ISO32000",
-                )  # fmt: skip
+                try:
+                    rasterio.shutil.copy(
+                        source, unfinished, driver="PDF", DPI=dpi, COMPRESS="DEFLATE", PREDICTOR=2,
+                        GEO_ENCODING="ISO32000",
+                    )  # fmt: skip
+                except Exception as error:  # rasterio's copy raises GDAL's errors in a class that is private
+                    raise OSError(str(error)) from error
     return path

@@ -11,7 +11,7 @@ import rasterio
 from rasterio.errors import RasterioError
 
 from geomosaic.errors import OutputError
-from geomosaic.raster.environment import environment
+from geomosaic.raster.environment import environment, opening
 from geomosaic.raster.info import open_raster
 from geomosaic.types import PathLike
 
@@ -35,6 +35,7 @@ def read_rpc_tags(path: PathLike) -> dict[str, str]:
     with (
         suppress(RasterioError, OSError),
         environment(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR"),
+        opening(),
         rasterio.open(str(path), driver=driver) as dataset,
     ):
         return _tags(dataset) or told
@@ -62,7 +63,7 @@ def write_rpc_tags(path: PathLike, tags: Mapping[str, str]) -> None:
         The file is no TIFF that can be changed.
     """
     try:
-        with environment(), rasterio.open(str(Path(path)), "r+", driver="GTiff") as dataset:
+        with environment(), opening(), rasterio.open(str(Path(path)), "r+", driver="GTiff") as dataset:
             dataset.update_tags(ns="RPC", **tags)
     except (RasterioError, OSError) as error:
         raise OutputError(

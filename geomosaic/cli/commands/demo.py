@@ -8,6 +8,7 @@ import click
 
 from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, machine_options
+from geomosaic.cli.process import on_sigterm
 from geomosaic.cli.results import accuracy_words, verdict
 from geomosaic.cli.talk import answer, notes, progress, say
 
@@ -22,6 +23,7 @@ def command(folder: Path, threads: int | None, mem_limit: int | None, as_json: b
     report, as `geomosaic run` does it.
     """
     from geomosaic.jobs.project import run_project
+    from geomosaic.jobs.run_control import Stop
     from geomosaic.jobs.step import Machine
     from geomosaic.project.load import load_project
     from geomosaic.project.sample import copy_sample
@@ -29,8 +31,9 @@ def command(folder: Path, threads: int | None, mem_limit: int | None, as_json: b
     project = load_project(copy_sample(folder))
     say(f"sample block: {len(project.images)} photos in {folder}")
     note_memory(mem_limit, threads)
-    with notes(), progress(as_json) as report:
-        done = run_project(project, machine=Machine(threads, mem_limit), progress=report)
+    stop = Stop()
+    with notes(), progress(as_json) as report, on_sigterm(stop.ask):
+        done = run_project(project, machine=Machine(threads, mem_limit), progress=report, stop=stop)
     facts = done.facts
     seconds = sum(state.seconds or 0.0 for state in done.states if not state.fresh)
     lines = [

@@ -11,9 +11,9 @@ from typing import NoReturn
 
 import click
 
-from geomosaic.cli.ending import check_stopped
 from geomosaic.cli.memory import note_memory
 from geomosaic.cli.options import FILE, machine_options
+from geomosaic.cli.process import check_stopped, on_sigterm
 from geomosaic.cli.results import outcome_words, verdict
 from geomosaic.cli.talk import answer, notes, progress, say
 from geomosaic.errors import GeomosaicError, Interrupted
@@ -43,6 +43,7 @@ def command(
     every run answers with a line of its own.
     """
     from geomosaic.jobs.project import run_project
+    from geomosaic.jobs.run_control import Stop
     from geomosaic.jobs.step import Machine
     from geomosaic.project.load import load_project
 
@@ -51,8 +52,9 @@ def command(
 
     def once(force: bool) -> int:
         loaded = load_project(project)
-        with notes(), progress(as_json) as report:
-            done = run_project(loaded, only=steps, force=force, machine=machine, progress=report)
+        stop = Stop()
+        with notes(), progress(as_json) as report, on_sigterm(stop.ask):
+            done = run_project(loaded, only=steps, force=force, machine=machine, progress=report, stop=stop)
         answer({"steps": [asdict(state) for state in done.states], **done.facts}, outcome_words(done), as_json)
         return verdict(done.failure, as_json)
 

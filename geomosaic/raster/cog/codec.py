@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import rasterio.crs
+from affine import Affine
 from rasterio.errors import RasterioError
 from rasterio.io import MemoryFile
 
@@ -17,13 +19,17 @@ from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.raster.cog import tiff
 from geomosaic.raster.cog.tiff import Directory, Field
-from geomosaic.raster.environment import environment
+from geomosaic.raster.environment import environment, opening
 from geomosaic.types import AnyArray, ByteArray
 
 BLOCK = 512
 Meaning = tuple[float, float, str | None]
 """Of the samples of a band: value = sample · scale + offset, and the unit of the value."""
 PLAIN: Meaning = (1.0, 0.0, None)
+_ANYWHERE = Affine(1.0, 0.0, 1.0, 0.0, -1.0, 1.0)
+_PLACED = {33550: Field(12, 3, struct.pack("<3d", 1, 1, 0)), 33922: Field(12, 6, struct.pack("<6d", 0, 0, 0, 1, 1, 0))}
+"""Place of a file of one tile, of which only the pixels count: rasterio warns of a file without one."""
+
 PIXEL_TAGS = {
     tiff.BITS, tiff.COMPRESSION, tiff.PHOTOMETRIC, tiff.SAMPLES, tiff.PLANAR, tiff.TILE_WIDTH, tiff.TILE_LENGTH,
     tiff.PREDICTOR, tiff.EXTRA_SAMPLES, tiff.SAMPLE_FORMAT,
@@ -72,7 +78,7 @@ def _encode_constant(pixel: bytes, profile: tuple[tuple[str, Any], ...]) -> byte
 
 def _one_tile_file(values: AnyArray, profile: Mapping[str, Any]) -> bytes:
     with environment(), MemoryFile() as memory:
-        with memory.open(**profile) as dataset:
+        with memory.open(**profile, transform=_ANYWHERE) as dataset:
             dataset.write(np.moveaxis(values, -1, 0))
         data = bytes(memory.getbuffer())
     directory = tiff.read_directories(BytesIO(data))[0]
@@ -90,6 +96,7 @@ def decode_tile(directory: Directory, data: bytes) -> AnyArray:
     """
     one = {tag: field for tag, field in directory.items() if tag in PIXEL_TAGS}
     one |= {tiff.WIDTH: Field.of(4, BLOCK), tiff.LENGTH: Field.of(4, BLOCK)}
+    one |= _PLACED
     one |= {tiff.TILE_OFFSETS: Field.of(4, 8), tiff.TILE_COUNTS: Field.of(4, len(data))}
     at = 8 + len(data) + len(data) % 2
     whole = tiff.header(at, big=False) + data + bytes(len(data) % 2) + tiff.lay_out([one], at, big=False)
@@ -120,7 +127,7 @@ def describe_raster(
         GDAL refuses the creation options.
     """
     try:
-        with environment(), MemoryFile() as memory:
+        with environment(), opening(), MemoryFile() as memory:
             crs = rasterio.crs.CRS.from_wkt(grid.crs.to_wkt())
             with memory.open(**profile, crs=crs, transform=grid.transform, nodata=nodata) as dataset:
                 for band, text in enumerate(descriptions, start=1):
