@@ -3,6 +3,7 @@
 GeomosaicError                what, where, hint; exit code 1
 ├── InputError                the user's files or values
 │   ├── HeightDatumError      heights whose vertical datum is missing, unknown or has no grid
+│   ├── SensorInputError      an input of a sensor is missing, unknown or out of range
 │   ├── RasterReadError       an image or DEM is missing, truncated or damaged
 │   └── OutputExistsError     the output is there and --overwrite was not given
 ├── OutputError               writing failed: disk full, no permission
@@ -49,6 +50,22 @@ class InputError(GeomosaicError):
 
 class HeightDatumError(InputError):
     """Heights have no vertical datum, an unknown one, or one whose grid is missing."""
+
+
+class SensorInputError(InputError):
+    """An input of a sensor is missing, unknown, out of range, or contradicts another.
+
+    Parameters
+    ----------
+    what, where, hint : str
+        As for `GeomosaicError`.
+    name : str
+        Name of the input, for what must not read it out of the text.
+    """
+
+    def __init__(self, what: str, *, name: str, where: str | None = None, hint: str | None = None) -> None:
+        super().__init__(what, where=where, hint=hint)
+        self.name = name
 
 
 class RasterReadError(InputError):

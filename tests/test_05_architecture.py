@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import subprocess
 import sys
@@ -81,3 +82,41 @@ def test_help_is_fast() -> None:
         assert done.returncode == 0
         assert "Usage" in done.stdout
     assert best < HELP_SECONDS, f"--help takes {best:.2f} s at best"
+
+
+def named_sensors(tree: ast.Module, names: set[str]) -> list[int]:
+    """Lines of string constants that are the name of a sensor.
+
+    Texts that people read may name one (`geomosaic sensors NAME` in a help or a docstring): they are longer than the
+    name. A key of a dictionary, of an index or of `.get(...)` is a word of a file format or of the command line, like
+    `[planar]` of a project, whatever it is spelt like.
+    """
+    keys: set[int] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Dict):
+            keys |= {id(key) for key in node.keys}
+        elif isinstance(node, ast.Subscript):
+            keys.add(id(node.slice))
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "get":
+            keys |= {id(argument) for argument in node.args[:1]}
+    return [
+        node.lineno
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and node.value in names and id(node) not in keys
+    ]
+
+
+def test_the_core_knows_no_sensor_by_name() -> None:
+    """Sensors are found by their capabilities; see `geomosaic.sensor.plugin.Capabilities`."""
+    from geomosaic.sensor.registry import installed
+
+    names = {entry.name for entry in installed() if entry.distribution == "geomosaic"}
+    assert len(names) >= 5
+    found = {
+        f"{path.relative_to(ROOT)}:{line}"
+        for path in (ROOT / "geomosaic").rglob("*.py")
+        for line in named_sensors(ast.parse(path.read_text(encoding="utf-8")), names)
+    }
+    assert not found
+    assert named_sensors(ast.parse("if sensor == 'planar': pass"), names) == [1]
+    assert named_sensors(ast.parse("x = {'planar': y['planar']}; 'see `geomosaic sensors planar`'"), names) == []

@@ -71,12 +71,12 @@ def test_a_broken_sensor_is_listed_and_told_by_name_only(tell, monkeypatch):
 
     broken = EntryPoint("broken", "no_such_module:plugin", registry.GROUP)
     monkeypatch.setattr(registry, "entry_points", lambda **_: [broken])
-    registry.plugin.cache_clear()
+    registry.refresh()
     assert tell("sensors")[:2] == (0, "broken  unknown \n")
     code, _, err = tell("sensors", "broken")
     assert code == 1
     assert "no_such_module" in err
-    registry.plugin.cache_clear()
+    registry.refresh()
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from solve_rig import Camera, CameraWithRays, camera, control, scanner
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, SensorInputError
 from geomosaic.sensor.model import Parameters
-from geomosaic.sensor.plugin import SensorInput, SensorRequest
+from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorInput, SensorRequest
 from geomosaic.testing import SensorModelTests, check_plugin, failures
 from geomosaic.types import FloatArray
 
@@ -260,16 +260,17 @@ def test_sound_models_have_no_failures() -> None:
     assert failures(camera(), GROUND) == {}
 
 
-class Door:
+class SoundPlugin:
     name = "good"
     summary = "a camera"
     inputs = (SensorInput("height", "flying height", "m"),)
+    capabilities = Capabilities()
     model = Camera
 
     def build(self, request: SensorRequest) -> Camera:
         unknown = set(request.options) - {"height"}
         if unknown:
-            raise InputError(f"no input {unknown}", where=request.image)
+            raise SensorInputError(f"no input {unknown}", name=unknown.pop(), where=request.image)
         if "height" not in request.options:
             raise InputError("'height' is missing", where=request.image)
         return camera()
@@ -278,27 +279,27 @@ class Door:
 EXAMPLE = SensorRequest("an image", camera().size, {"height": 900.0}, camera().crs)
 
 
-class Taciturn(Door):
+class Taciturn(SoundPlugin):
     def build(self, request: SensorRequest) -> Camera:
         if set(request.options) != {"height"}:
             raise InputError("no")
         return camera()
 
 
-class Nameless(Door):
+class Nameless(SoundPlugin):
     def build(self, request: SensorRequest) -> Camera:
         if set(request.options) != {"height"}:
             raise InputError("no", where=request.image)
         return camera()
 
 
-class Crashing(Door):
+class Crashing(SoundPlugin):
     def build(self, request: SensorRequest) -> Camera:
         request.options["height"]
         return camera()
 
 
-class Careless(Door):
+class Careless(SoundPlugin):
     """Says what is missing, and takes what it does not know."""
 
     def build(self, request: SensorRequest) -> Camera:
@@ -307,24 +308,44 @@ class Careless(Door):
         return camera()
 
 
-class Picky(Door):
+class Vague(SoundPlugin):
+    """Names the unknown input in its text only."""
+
+    def build(self, request: SensorRequest) -> Camera:
+        try:
+            return super().build(request)
+        except SensorInputError as error:
+            raise InputError(error.what, where=error.where) from None
+
+
+def declaring(**changes: Any) -> SoundPlugin:
+    """Plugin with other capabilities."""
+    return type("Declaring", (SoundPlugin,), {"capabilities": Capabilities(**changes)})()
+
+
+def listing(name: str) -> SoundPlugin:
+    """Plugin with one input more."""
+    return type("Listing", (SoundPlugin,), {"inputs": (*SoundPlugin.inputs, SensorInput(name, "x"))})()
+
+
+class Picky(SoundPlugin):
     def build(self, request: SensorRequest) -> Camera:
         raise InputError("no", where=request.image)
 
 
-class Stranger(Door):
+class Stranger(SoundPlugin):
     def build(self, request: SensorRequest) -> Any:
         return object()
 
 
-class Cropping(Door):
+class Cropping(SoundPlugin):
     def build(self, request: SensorRequest) -> Camera:
         super().build(request)
         return Camera(camera().values, size=(10, 10))
 
 
 @pytest.mark.parametrize(
-    ("door", "says"),
+    ("plugin", "says"),
     [
         (Taciturn(), "does not name the image"),
         (Nameless(), "does not name the input"),
@@ -332,24 +353,30 @@ class Cropping(Door):
         (Picky(), "refuses the example"),
         (Stranger(), "gives a object"),
         (Cropping(), "has the size"),
-        (type("Sparing", (Door,), {"inputs": (SensorInput("width", "x"),)})(), "does not list"),
+        (type("Sparing", (SoundPlugin,), {"inputs": (SensorInput("width", "x"),)})(), "does not list"),
         (Careless(), "without a word"),
         (object(), "no 'name'"),
-        (type("Two", (Door,), {"name": "two words"})(), "not one word"),
-        (type("Long", (Door,), {"summary": "one\ntwo"})(), "not one line"),
-        (type("Dict", (Door,), {"inputs": {"height": 1}})(), "not a tuple"),
-        (type("Twice", (Door,), {"inputs": Door.inputs * 2})(), "same name"),
-        (type("Mute", (Door,), {"inputs": (SensorInput("height", " "),)})(), "no text"),
-        (type("Empty", (Door,), {"model": object})(), "has no 'ground_to_image'"),
+        (type("Two", (SoundPlugin,), {"name": "two words"})(), "not one word"),
+        (type("Long", (SoundPlugin,), {"summary": "one\ntwo"})(), "not one line"),
+        (type("Dict", (SoundPlugin,), {"inputs": {"height": 1}})(), "not a tuple"),
+        (type("Twice", (SoundPlugin,), {"inputs": SoundPlugin.inputs * 2})(), "same name"),
+        (type("Mute", (SoundPlugin,), {"inputs": (SensorInput("height", " "),)})(), "no text"),
+        (declaring(planar=True), "need the inputs points, transform"),
+        (declaring(control=ControlUse.ADJUSTMENT), "need the inputs points, refine"),
+        (declaring(exterior=("attitude",)), "capabilities.exterior has attitude"),
+        (type("Loose", (SoundPlugin,), {"capabilities": {}})(), "is not a geomosaic.sensor.plugin.Capabilities"),
+        (listing("ground_height"), "no capability tells the program that there is an input ground_height"),
+        (Vague(), "no SensorInputError"),
+        (type("Empty", (SoundPlugin,), {"model": object})(), "has no 'ground_to_image'"),
     ],
 )
-def test_broken_doors_fail(door: Any, says: str) -> None:
+def test_a_broken_plugin_fails_in_words(plugin: Any, says: str) -> None:
     with pytest.raises(AssertionError, match=says):
-        check_plugin(door, EXAMPLE)
+        check_plugin(plugin, EXAMPLE)
 
 
-def test_sound_door_passes() -> None:
-    check_plugin(Door(), EXAMPLE)
+def test_a_sound_plugin_passes() -> None:
+    check_plugin(SoundPlugin(), EXAMPLE)
 
 
 def test_parameters_are_frozen() -> None:

@@ -22,12 +22,14 @@ ROOT = Path(__file__).resolve().parent.parent
 Install = Callable[..., None]
 
 GOOD = """
+from geomosaic.sensor.plugin import Capabilities
 from solve_rig import Camera, camera
 
 class Plugin:
     name = "kite"
     summary = "a camera on a kite"
     inputs = ()
+    capabilities = Capabilities()
     model = Camera
 
     def build(self, request):
@@ -51,12 +53,12 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
         for name, text in modules.items():
             (folder / f"{name}.py").write_text(textwrap.dedent(text))
         monkeypatch.syspath_prepend(str(folder))
-        registry.plugin.cache_clear()
+        registry.refresh()
 
     before = set(sys.modules)
-    registry.plugin.cache_clear()
+    registry.refresh()
     yield make
-    registry.plugin.cache_clear()
+    registry.refresh()
     for name in set(sys.modules) - before:
         if name.startswith("acme_"):
             del sys.modules[name]
@@ -108,7 +110,7 @@ def test_other_breaks_are_named_too(install: Install, text: str, says: str) -> N
 
 def test_half_a_plugin_is_refused(install: Install) -> None:
     install("acme-half", {"half": "acme_half:plugin"}, acme_half="class plugin:\n    name = 'half'")
-    with pytest.raises(SensorError, match="has no summary, inputs, model, build"):
+    with pytest.raises(SensorError, match="has no summary, inputs, capabilities, model, build"):
         registry.plugin("half")
 
 

@@ -266,7 +266,7 @@ def test_a_sensor_without_angles_takes_the_positions_of_the_table(
     monkeypatch.syspath_prepend(str(Path(__file__).parent / "sample_plugin"))
     entry = EntryPoint("vertical", "geomosaic_sample_vertical:plugin", registry.GROUP)
     monkeypatch.setattr(registry, "entry_points", lambda **_: [entry])
-    registry.plugin.cache_clear()
+    registry.refresh()
     try:
         given = inputs(sample, sensor="vertical", camera=None, options={"focal_length_px": 1500.0})
         model = build_block(given).scenes[0].model
@@ -275,7 +275,7 @@ def test_a_sensor_without_angles_takes_the_positions_of_the_table(
             build_block(replace(given, options={"focal_length_px": 1500.0, "focal": 1}))
         assert caught.value.where == "strip1_02.jpg"
     finally:
-        registry.plugin.cache_clear()
+        registry.refresh()
 
 
 def test_a_table_that_a_sensor_cannot_use_is_no_secret(sample: Path) -> None:

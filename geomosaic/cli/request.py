@@ -26,12 +26,15 @@ def block_inputs(
     """Make the description of a block."""
     from geomosaic.errors import InputError
     from geomosaic.inputs.declarations import Block
+    from geomosaic.sensor.registry import photo_sensor, plane_sensor
 
     if flags["sensor"] is None and (flags["exterior"] or flags["camera"] or flags["fiducials"]):
-        raise InputError("--exterior, --camera or --fiducials is given without a sensor", hint="add --sensor frame")
+        raise InputError(
+            "--exterior, --camera or --fiducials is given without a sensor", hint=f"add --sensor {photo_sensor()}"
+        )
     return Block(
         images=images,
-        sensor=flags["sensor"] or "planar",
+        sensor=flags["sensor"] or plane_sensor(),
         options={name: value(text) for name, text in flags["sensor_options"].items()},
         camera=flags["camera"],
         corrections=flags["corrections"],
@@ -60,11 +63,13 @@ def planar_inputs(flags: Mapping[str, Any]) -> PlanarInputs | None:
     """How photos are placed together by plane transformations; None where nothing asks for it."""
     from geomosaic.errors import InputError
     from geomosaic.inputs.declarations import PlanarInputs, wrong_policy
+    from geomosaic.sensor.registry import plane_sensor
 
     own = [name for name in ("model", "ties", "gcps", "scale", "azimuth", "rectify") if flags[name] is not None]
     own += [name for name in ("robust", "insist") if flags[name]]
+    rigorous = flags["sensor"] not in (None, plane_sensor())
     if flags["kind"] is None:
-        if own and flags["sensor"] not in (None, "planar"):
+        if own and rigorous:
             what = f"--{own[0]} places photos without a rigorous model, and --sensor {flags['sensor']} names one"
             hint = "leave one of them out"
             if own == ["gcps"]:
@@ -80,7 +85,7 @@ def planar_inputs(flags: Mapping[str, Any]) -> PlanarInputs | None:
                 hint="add --kind uncontrolled, semicontrolled, controlled or grown",
             )
         return None
-    if flags["sensor"] not in (None, "planar"):
+    if rigorous:
         raise InputError(
             f"--kind {flags['kind']} places photos without a rigorous model, and --sensor {flags['sensor']} names one",
             hint="leave one of them out",

@@ -21,7 +21,7 @@ from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS
 from geomosaic.products.from_inputs import reference_of, refuse_existing
 from geomosaic.render.extent import check_size, output_grid
 from geomosaic.sensor.developed import DevelopedModel
-from geomosaic.sensor.registry import plugin
+from geomosaic.sensor.registry import capabilities
 from geomosaic.surface.developed.base import Axes
 from geomosaic.surface.developed.placement import Developed
 from geomosaic.surface.reference_surfaces import Plane
@@ -31,10 +31,6 @@ if TYPE_CHECKING:
     from geomosaic.mosaicking.result import MosaicResult
     from geomosaic.options.mosaic import MosaicOptions
     from geomosaic.render.ortho import OrthoResult
-
-
-UPWARDS = "upwards"
-"""Input of a sensor that must be told that a photo may look above the horizon."""
 
 
 @dataclass(frozen=True)
@@ -124,8 +120,8 @@ def _in_frame(inputs: Block, found: SurfaceFile) -> Block:
     """The inputs with their positions in the surface's CRS, where they name none."""
     if inputs.dem is not None or inputs.height is not None:
         raise InputError("a DEM or a height has no part in a developed surface", hint="leave out --dem and --height")
-    if UPWARDS not in inputs.options and any(entry.name == UPWARDS for entry in plugin(inputs.sensor).inputs):
-        inputs = replace(inputs, options={**inputs.options, UPWARDS: True})
+    if "upwards" not in inputs.options and capabilities(inputs.sensor).upwards:
+        inputs = replace(inputs, options={**inputs.options, "upwards": True})
     if inputs.crs is not None or (inputs.angles in RECONSTRUCTIONS and is_free(found.crs)):
         return inputs
     return replace(inputs, crs=found.crs.to_wkt())

@@ -20,6 +20,7 @@ from geomosaic.orientation.single.fit import ControlFit, fit_control
 from geomosaic.orientation.single.model_selection import Choice, choose_model, planar_builds
 from geomosaic.orientation.single.problem import Build, registry_build
 from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.registry import plane_sensor
 from geomosaic.types import FloatArray
 
 FOUR = 4
@@ -95,7 +96,6 @@ def _turns(places: FloatArray) -> FloatArray:
     return signs
 
 
-SENSOR = "planar"
 COMPARED = 300
 """Points up to which a model that was asked for is compared with the others."""
 ROUNDS = 4
@@ -208,14 +208,14 @@ def builder(model: str, image: str, size: tuple[int, int], points: ControlPoints
     """Return the function that fits a model, by its name, to chosen points."""
     kind, order = kind_order(model)
     request = SensorRequest(image, size, {"kind": kind, "order": order}, points.crs)
-    return registry_build(SENSOR, request, points.xy, points.colrow)
+    return registry_build(plane_sensor(), request, points.xy, points.colrow)
 
 
 def _choose(image: str, size: tuple[int, int], points: ControlPoints, *, needed: bool) -> Choice | None:
     """Compare all models; where the choice is not needed, as far as that takes no long time."""
     if not needed and len(points) > COMPARED:
         return None
-    builds = planar_builds(SensorRequest(image, size, {}, points.crs), points.xy, points.colrow, SENSOR)
+    builds = planar_builds(SensorRequest(image, size, {}, points.crs), points.xy, points.colrow)
     try:
         return unbent(choose_model(builds, points.names, points.xy, points.colrow, points.sigma), points)
     except GeomosaicError:

@@ -20,13 +20,13 @@ from geomosaic.georeferencing.facts import (
     statistics_facts,
 )
 from geomosaic.georeferencing.independent_check import Opinion
-from geomosaic.georeferencing.model_trial import SENSOR
 from geomosaic.georeferencing.request import FitRequest, kind_order
 from geomosaic.georeferencing.solution import Solution
 from geomosaic.orientation.single.blunders import BlunderSearch
 from geomosaic.orientation.single.model_selection import Choice
 from geomosaic.orientation.single.point_deletion import Deletion
 from geomosaic.render.ortho import OrthoResult
+from geomosaic.sensor.registry import plane_sensor
 from geomosaic.sensor.state import to_dict
 from geomosaic.types import FloatArray
 
@@ -68,7 +68,7 @@ def report_facts(
             "metres_per_unit": plain(metres),
             "mirrored": bool(fit.mirrored),
             "parameters": parameter_facts(fit),
-            "state": to_dict(SENSOR, fit.model),
+            "state": to_dict(plane_sensor(), fit.model),
         },
         "accuracy": accuracy_facts(fit, metres),
         "check": None if solution.check is None else _check(solution),

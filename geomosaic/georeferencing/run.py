@@ -17,7 +17,6 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.units import short_unit
 from geomosaic.georeferencing.examination import BadControlError, fold_advice, stop_on_errors
-from geomosaic.georeferencing.model_trial import SENSOR
 from geomosaic.georeferencing.request import ControlInput, FitRequest, Place, find_control
 from geomosaic.georeferencing.solution import Solution, first_look, solve
 from geomosaic.options.render import RenderOptions
@@ -25,6 +24,7 @@ from geomosaic.raster.info import inspect
 from geomosaic.raster.output_files import check_output
 from geomosaic.render.extent import check_size, note_far_crs, output_grid, utm_zone
 from geomosaic.render.ortho import OrthoResult, ortho
+from geomosaic.sensor.registry import plane_sensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ def georeference(
     if reading.format == "world" and request.model == "auto":
         request = replace(request, model="affine")
     solution = solve(reading, image.name, info.size, crs, request, given.near, short_unit(crs))
-    scene = OrientedImage(image.stem, str(image), SENSOR, solution.fit.model, bands=bands)
+    scene = OrientedImage(image.stem, str(image), plane_sensor(), solution.fit.model, bands=bands)
     out_crs = target if target is not None else crs if not crs.is_geographic else _zone_of(reading.control)
     where = reading.control.origins[0].path
     outline = _outline(scene, out_crs, solution.model, where)

@@ -139,7 +139,7 @@ def _own_grid(scene: OrientedImage, output: CRS) -> Grid | None:
     """Grid of an image that lies as its file says, in the output's CRS and north up."""
     info = inspect(scene.path)
     t = info.transform
-    if scene.sensor != "planar" or t is None or info.crs is None or t.b or t.d or t.a <= 0 or t.e >= 0:
+    if len(scene.model.crs.axis_info) != 2 or t is None or info.crs is None or t.b or t.d or t.a <= 0 or t.e >= 0:
         return None
     crs = horizontal(info.crs)
     grid = Grid(crs, t, info.width, info.height)

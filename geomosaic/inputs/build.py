@@ -1,8 +1,7 @@
-"""From plain declarations to a block: images, models, surface and control points."""
+"""Block of plain declarations: images with their models, surface and control points."""
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,7 +12,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
-from geomosaic.errors import HeightDatumError, InputError, SolveError
+from geomosaic.errors import HeightDatumError, InputError, SensorInputError, SolveError
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.camera import read_camera
@@ -28,23 +27,23 @@ from geomosaic.inputs.usable_area import with_usable
 from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.model import HasRays
 from geomosaic.sensor.plausibility import SkyError
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.plugin import ControlUse, SensorRequest
 from geomosaic.sensor.registry import build as build_model
-from geomosaic.sensor.registry import plugin
+from geomosaic.sensor.registry import capabilities, plugin
 from geomosaic.surface.model import Surface
 
 if TYPE_CHECKING:
     from geomosaic.sensor.model import SensorModel
 
 
-POINTS = "points"
-"""Input of a sensor that can be placed by control points alone."""
-GROUND = "ground_height"
-"""Input of a sensor that is told how high the ground lies, where the user does not say it."""
-
-
 def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:
-    """Make the block; without its surface where no ground is looked for.
+    """OrientedBlock of the images, with its control points.
+
+    Parameters
+    ----------
+    inputs : Block
+    ground : bool
+        False leaves out the surface, and with it all checks that need one.
 
     Raises
     ------
@@ -149,19 +148,18 @@ def _model(
         options["orientation"] = {"system": inputs.angles, "reconstruction": str(inputs.exterior.resolve())}
     if row is not None:
         options.update(_of_table(inputs, row))
-    if inputs.sensor == "planar":
-        crs = _planar(options, photo, crs, control)
-    elif _refines(inputs):
+    power = capabilities(inputs.sensor)
+    if power.planar:
+        crs = _complete_planar(options, photo, crs, control, power.placements)
+    elif "points" not in options and _uses_control(power.control, options, row):
         points = _points(photo, control)
         options.update({"points": points} if points else {})
-    elif row is None and "orientation" not in options:
-        options.update(_from_control(inputs, photo, control, options))
     try:
         request = SensorRequest(photo.name, photo.info.size, options, crs, str(inputs.base), str(photo.path))
         return _on_ground(inputs.sensor, request, surface, row.position if row else None)
     except InputError as error:
         if error.where == photo.name and inputs.exterior is not None:
-            if row is not None and not _of_options(error, inputs):
+            if row is not None and not _concerns_all_images(error, inputs):
                 error.where = f"{photo.name} ({inputs.exterior}, line {row.line})"
             elif isinstance(error, HeightDatumError):
                 error.hint = f"declare it with {OF_POSITIONS}: {DATUMS}"
@@ -169,32 +167,35 @@ def _model(
 
 
 def _of_table(inputs: Block, row: ExteriorRow) -> dict[str, Any]:
-    """What the table says of an image, as inputs of the sensor: those it has, or all where it would refuse them all."""
-    declared_too = {"frame": inputs.angle_frame, "matrix": inputs.matrix}
-    extra = {name: word for name, word in declared_too.items() if word is not None}
+    """Row of the orientation table as inputs of the sensor.
+
+    Where the sensor takes none of them it gets all: it refuses them by name, so that no table is silently unused.
+    """
+    declared = {"frame": inputs.angle_frame, "matrix": inputs.matrix}
+    extra = {name: word for name, word in declared.items() if word is not None}
     system = inputs.angles
     if system == "printed":  # the reader has made matrices of it
         system, extra["matrix"] = "matrix", "ground_to_image"
-    said = {
+    columns = {
         "position": list(row.position),
         "orientation": {"system": system, **row.angles, **extra},
         "angle_unit": inputs.angle_unit or "deg",
     }
-    known = {entry.name for entry in plugin(inputs.sensor).inputs}
-    return {name: value for name, value in said.items() if name in known} or said
+    taken = capabilities(inputs.sensor).exterior
+    return {name: value for name, value in columns.items() if name in taken} or columns
 
 
 def _on_ground(
     sensor: str, request: SensorRequest, surface: Surface | None, camera: Sequence[float] | None
 ) -> SensorModel:
-    """Make the model; a sensor that asks for the height of the ground is told that below the camera."""
+    """Model of an image, with the height of the ground below the camera where the sensor takes it."""
     crs, options = request.crs, request.options
-    asks = any(entry.name == GROUND for entry in plugin(sensor).inputs) and GROUND not in options
-    if surface is None or crs is None or not asks:
+    wanted = capabilities(sensor).ground_height and "ground_height" not in options
+    if surface is None or crs is None or not wanted:
         return build_model(sensor, request)
     model = None
     if camera is None:
-        # Where the camera is, only the model knows.
+        # No table says where the camera is, only a model does: it is made once without the height, to find the place.
         model = build_model(sensor, request)
         if not isinstance(model, HasRays):
             return model
@@ -205,25 +206,29 @@ def _on_ground(
         return model or build_model(sensor, request)
     with warnings.catch_warnings():
         if model is not None:
-            warnings.simplefilter("ignore")  # said already
-        return build_model(sensor, replace(request, options={**options, GROUND: height}))
+            warnings.simplefilter("ignore")  # the first model has given them already
+        return build_model(sensor, replace(request, options={**options, "ground_height": height}))
 
 
-def _of_options(error: InputError, inputs: Block) -> bool:
+def _concerns_all_images(error: InputError, inputs: Block) -> bool:
     """Whether an error is about an input that is the same for all images, not about the image's row of the table."""
     shared = {*inputs.options, *(entry.name for entry in plugin(inputs.sensor).inputs)} - {"position", "orientation"}
-    names = "|".join(map(re.escape, shared))
-    return bool(shared) and bool(re.search(rf"'({names})'|^({names})\b|\b({names}) = ", error.what))
+    return isinstance(error, SensorInputError) and error.name in shared
 
 
-def _planar(options: dict[str, Any], photo: Photo, crs: CRS | None, control: Sequence[ControlPoint]) -> CRS | None:
-    """Complete the inputs of a planar model: from control points in the image, else from its own georeference."""
-    if {"transform", "geotransform", "points", "coefficients"} & set(options):
+def _complete_planar(
+    options: dict[str, Any],
+    photo: Photo,
+    crs: CRS | None,
+    control: Sequence[ControlPoint],
+    placements: Sequence[str],
+) -> CRS | None:
+    """CRS of a planar model, whose `options` are completed from control points, else from the image's georeference."""
+    if not options.keys().isdisjoint(placements):
         return crs or photo.info.crs
     points = _points(photo, control)
     if points:
-        keys = ("x", "y", "col", "row", "sigma")
-        options["points"] = [{key: point[key] for key in keys} for point in points]
+        options["points"] = points
         return crs
     own = photo.info.transform
     if own is None:
@@ -238,13 +243,11 @@ def _planar(options: dict[str, Any], photo: Photo, crs: CRS | None, control: Seq
     return photo.info.crs or crs
 
 
-def _refines(inputs: Block) -> bool:
-    """Whether the sensor refines itself, told so or of its own accord, and was given no points of its own."""
-    known = {entry.name: entry for entry in plugin(inputs.sensor).inputs}
-    if not {"refine", "points"} <= set(known) or "points" in inputs.options:
-        return False
-    chosen: object = inputs.options.get("refine", known["refine"].default or "none")
-    return chosen != "none"
+def _uses_control(use: ControlUse, options: Mapping[str, Any], row: ExteriorRow | None) -> bool:
+    """Whether the sensor is to be given the control points of an image that has these options."""
+    if use is ControlUse.ADJUSTMENT:
+        return bool(options.get("refine") != "none")
+    return use is ControlUse.RESECTION and row is None and "orientation" not in options
 
 
 def _points(photo: Photo, control: Sequence[ControlPoint]) -> list[dict[str, Any]]:
@@ -257,17 +260,6 @@ def _points(photo: Photo, control: Sequence[ControlPoint]) -> list[dict[str, Any
         for point in control
         if point.image == photo.name and point.role == "control"
     ]  # fmt: skip
-
-
-def _from_control(
-    inputs: Block, photo: Photo, control: Sequence[ControlPoint], options: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Control points in place of an orientation, for a sensor that can be placed by them."""
-    known = {entry.name for entry in plugin(inputs.sensor).inputs}
-    if POINTS not in known or "refine" in known or POINTS in options:
-        return {}
-    points = [{key: value for key, value in point.items() if key != "id"} for point in _points(photo, control)]
-    return {POINTS: points} if points else {}
 
 
 def _control(inputs: Block, photos: Sequence[Photo], crs: CRS | None) -> tuple[ControlPoint, ...]:

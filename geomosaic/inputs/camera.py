@@ -80,7 +80,7 @@ def read_camera(camera: PathLike | Camera) -> dict[str, Any]:
         return dict(camera)
     if Path(camera).suffix.lower() != ".toml":
         raise InputError(
-            "a camera is described in a .toml file", where=str(camera), hint="see `geomosaic sensors frame`"
+            "a camera is described in a .toml file", where=str(camera), hint="see `geomosaic sensors NAME`"
         )
     values = read_toml(camera, "camera file")
     nested = values.get("camera")

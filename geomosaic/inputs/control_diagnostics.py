@@ -21,7 +21,8 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.orientation_check.plausibility import BETTER, FAR, PLAUSIBLE, distance
 from geomosaic.inputs.planar.tables import image_control
-from geomosaic.sensor.registry import plugin
+from geomosaic.sensor.plugin import ControlUse
+from geomosaic.sensor.registry import capabilities
 from geomosaic.surface.vertical_datum import undulation
 
 CERTAIN = ("degrees-in-metres", "metres-in-degrees", "latitude-longitude-swapped", "swapped-axes")
@@ -196,7 +197,7 @@ def astray(inputs: Block, block: OrientedBlock) -> list[Astray]:
     block : OrientedBlock
         Made of them; its images adjusted to the control as far as their sensor does that.
     """
-    if block.crs is None or inputs.planar is not None or inputs.sensor == "planar":
+    if block.crs is None or inputs.planar is not None or capabilities(inputs.sensor).planar:
         return []
     found = []
     for role in ("control", "check"):
@@ -237,7 +238,7 @@ def _unrefined(inputs: Block) -> Sequence[OrientedImage] | None:
     """The images without what the control made of them; None where their sensor cannot be had so."""
     from geomosaic.inputs.build import build_block
 
-    if not any(entry.name == "refine" for entry in plugin(inputs.sensor).inputs):
+    if capabilities(inputs.sensor).control is not ControlUse.ADJUSTMENT:
         return None
     plain = replace(inputs, control=None, options={**inputs.options, "refine": "none"})
     try:
@@ -250,13 +251,14 @@ def _unrefined(inputs: Block) -> Sequence[OrientedImage] | None:
 
 def _how_to_adjust(inputs: Block, role: str) -> str:
     """Hint where nothing usual explains it."""
-    known = {entry.name for entry in plugin(inputs.sensor).inputs}
-    resected = "points" in known and inputs.exterior is None and "orientation" not in inputs.options
+    use = capabilities(inputs.sensor).control
+    resected = use is ControlUse.RESECTION and inputs.exterior is None and "orientation" not in inputs.options
     only = ""
-    if role == "control" and "refine" in known and inputs.options.get("refine") == "none":
+    if role == "control" and use is ControlUse.ADJUSTMENT and inputs.options.get("refine") == "none":
         only = "they only judge, as refine is 'none': "
-    elif role == "control" and "refine" not in known and not resected:
-        more = ", but photos without an [exterior] file are placed by three of them" if "points" in known else ""
+    elif role == "control" and use is not ControlUse.ADJUSTMENT and not resected:
+        placed = use is ControlUse.RESECTION
+        more = ", but photos without an [exterior] file are placed by three of them" if placed else ""
         only = f"they only judge, as sensor '{inputs.sensor}' is not adjusted to them{more}: "
     return (
         f"{only}check their CRS, the order of x and y, the vertical datum of z, and how col and row are counted; an "

@@ -12,6 +12,7 @@ from geomosaic.errors import InputError
 from geomosaic.inputs.camera import Camera
 from geomosaic.inputs.exterior_orientation import PIX4D, Exterior, ExteriorTable, exterior_values
 from geomosaic.inputs.tables import corrections_file
+from geomosaic.sensor.registry import plane_sensor
 from geomosaic.surface.dem import Dem
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ class Block:
     """
 
     images: tuple[Path, ...]
-    sensor: str = "planar"
+    sensor: str = field(default_factory=plane_sensor)
     options: Mapping[str, Any] = field(default_factory=dict)
     base: Path = Path()
     camera: Path | Camera | None = None

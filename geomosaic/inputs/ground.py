@@ -17,6 +17,7 @@ from geomosaic.inputs.exterior_orientation import SELF_PLACED
 from geomosaic.inputs.frames import declared, undeclared
 from geomosaic.inputs.photos import Photo
 from geomosaic.raster.info import inspect
+from geomosaic.sensor.registry import capabilities
 from geomosaic.surface.dem import Dem
 from geomosaic.surface.model import Surface
 from geomosaic.types import FloatArray
@@ -48,7 +49,7 @@ def build_surface(
     if inputs.height is not None:
         from geomosaic.surface.reference_surfaces import Plane
 
-        if crs is None and (inputs.sensor not in ("planar", "frame") or inputs.angles in SELF_PLACED):
+        if crs is None and (capabilities(inputs.sensor).carries_placement or inputs.angles in SELF_PLACED):
             # What carries its own place needs no CRS of positions: any will do to say where a height counts from.
             crs = CRS.from_epsg(4326)
         if crs is None:

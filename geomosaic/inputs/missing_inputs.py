@@ -16,14 +16,16 @@ from geomosaic.inputs.exterior_orientation import (
 )
 from geomosaic.inputs.frames import named
 from geomosaic.raster.info import inspect
-from geomosaic.sensor.registry import plugin
+from geomosaic.sensor.plugin import Capabilities
+from geomosaic.sensor.registry import capabilities
 
 HEIGHTS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or the path of a geoid grid"
 
 
 def needs(inputs: Block) -> list[str]:
-    """Say what a block still lacks, each with the key that takes it."""
+    """Missing inputs of a block, each with the key of a project file that takes it."""
     found: list[str] = []
+    power = known_capabilities(inputs.sensor)
     if inputs.planar is not None:
         if inputs.planar.kind != "uncontrolled":
             if inputs.control is None:
@@ -33,7 +35,7 @@ def needs(inputs: Block) -> list[str]:
         if inputs.planar.ties is None and inputs.planar.kind != "controlled":
             found.append("tie points: [planar] ties, a table with id, image, col, row")
         return found
-    if inputs.sensor == "planar":
+    if power.planar:
         for path in inputs.images:
             if inspect(path).transform is None and inputs.control is None and not inputs.options:
                 found.append(
@@ -44,7 +46,7 @@ def needs(inputs: Block) -> list[str]:
     undeclared = undeclared_reconstruction(inputs.exterior, inputs.angles)
     reconstruction = undeclared or inputs.angles in RECONSTRUCTIONS
     # What says itself what it counts from: OpenSfM's reconstructions, and scenes that carry their own model.
-    framed = undeclared or inputs.angles in SELF_PLACED or not _takes_positions(inputs)
+    framed = undeclared or inputs.angles in SELF_PLACED or not _takes_positions(inputs, power)
     if undeclared:
         found.append(f"the angle system of the reconstruction: [exterior] angles: {RECONSTRUCTION_SYSTEM}")
     if inputs.angles == "colmap" and "world" not in inputs.options:
@@ -58,9 +60,9 @@ def needs(inputs: Block) -> list[str]:
     of_text = inputs.angles == "metashape" and exterior is not None and exterior.suffix.lower() != ".xml"
     if of_text:
         framed, reconstruction = False, False
-    if inputs.sensor == "frame" and inputs.camera is None and not reconstruction:
-        found.append("the camera: [sensor] camera, a TOML file (see `geomosaic sensors frame`)")
-    if inputs.sensor == "frame" and inputs.exterior is None and inputs.control is None:
+    if power.needs_camera and inputs.camera is None and not reconstruction:
+        found.append(f"the camera: [sensor] camera, a TOML file (see `geomosaic sensors {inputs.sensor}`)")
+    if power.needs_exterior and inputs.exterior is None and inputs.control is None:
         found.append(
             "positions and angles of the photos: [exterior] file, a table with image, x, y, z, omega, phi, kappa"
         )
@@ -72,7 +74,7 @@ def needs(inputs: Block) -> list[str]:
         found.append(f"the vertical datum of the positions: [exterior] heights: {HEIGHTS}{of_heights}")
     if inputs.dem is None and inputs.height is None:
         found.append("the ground: [dem] file, or [dem] height in metres")
-    own = framed and (inputs.sensor != "frame" or (inputs.exterior is not None and inputs.angles in SELF_PLACED))
+    own = framed and (power.carries_placement or (inputs.exterior is not None and inputs.angles in SELF_PLACED))
     if own and inputs.height is not None and not (inputs.dem_heights or inputs.heights or inputs.crs):
         found.append(f"what the height of the ground counts from: [dem] heights: {HEIGHTS}")
     if inputs.dem_heights is None and undeclared_heights(file_of(inputs.dem)):
@@ -86,12 +88,14 @@ def undeclared_heights(dem: Path | None) -> bool:
     return dem is not None and (crs is None or not has_heights(crs))
 
 
-def _takes_positions(inputs: Block) -> bool:
+def _takes_positions(inputs: Block, power: Capabilities) -> bool:
     """Whether the CRS of positions or of control points is of any use."""
-    if inputs.exterior is not None or inputs.control is not None:
-        return True
+    return inputs.exterior is not None or inputs.control is not None or "position" in power.exterior
+
+
+def known_capabilities(sensor: str) -> Capabilities:
+    """Capabilities of a sensor; of one that is not installed here, those that a project can be drafted with."""
     try:
-        known = {entry.name for entry in plugin(inputs.sensor).inputs}
+        return capabilities(sensor)
     except SensorError:
-        return True
-    return "position" in known
+        return Capabilities(exterior=("position",))

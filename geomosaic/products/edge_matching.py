@@ -23,7 +23,7 @@ from geomosaic.orientation.edges import CommonPoint, EdgeMatch, match_edges
 from geomosaic.products.from_inputs import reference_of, refuse_existing
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.sensor.registry import build
+from geomosaic.sensor.registry import build, plane_sensor
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import PathLike
 
@@ -140,6 +140,7 @@ def _started(
     inputs: EdgeInputs, crs: CRS, control: Sequence[ControlPoint], common: Sequence[CommonPoint]
 ) -> list[OrientedImage]:
     """Start models: by the photo's own control, else by what photos that have one show of the common points."""
+    sensor = plane_sensor()
     scenes: dict[str, OrientedImage] = {}
     waiting = {path.name: path for path in inputs.images}
     reason: SolveError | None = None
@@ -158,11 +159,11 @@ def _started(
             try:
                 if not points:
                     raise SolveError("the photo has no control and shares no point with one that has", where=name)
-                model = build("planar", SensorRequest(name, size, {"points": points, "kind": inputs.kind}, crs))
+                model = build(sensor, SensorRequest(name, size, {"points": points, "kind": inputs.kind}, crs))
             except SolveError as error:
                 reason = error
                 continue
-            made[name] = OrientedImage(name, str(path), "planar", model, bands=inputs.bands)
+            made[name] = OrientedImage(name, str(path), sensor, model, bands=inputs.bands)
         if not made:
             raise reason or SolveError("no photo can be placed")
         scenes.update(made)

@@ -13,6 +13,7 @@ from geomosaic.inputs.area import Area, plan
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block, PlanarInputs
 from geomosaic.raster.output_files import check_output
+from geomosaic.sensor.registry import plane_sensor
 
 if TYPE_CHECKING:
     from geomosaic.mosaicking.result import MosaicResult
@@ -56,7 +57,7 @@ def reference_of(options: MosaicOptions, bands: Sequence[int] | None) -> Oriente
     path, bands = options.colours.reference, options.colours.reference_bands or bands
     if path is None:
         return None
-    return build_block(Block((path,), "planar", bands=None if bands is None else tuple(bands))).scenes[0]
+    return build_block(Block((path,), plane_sensor(), bands=None if bands is None else tuple(bands))).scenes[0]
 
 
 def make_mosaic(inputs: Block, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:

@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block.block import OrientedBlock, OrientedImage
-from geomosaic.errors import InputError, OutputExistsError, SensorError, SolveError, did_you_mean
+from geomosaic.errors import InputError, OutputExistsError, SolveError, did_you_mean
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.correction_grids import write_corrections
@@ -21,11 +21,9 @@ from geomosaic.rpc.correction_grid import GridFit, fit_pair
 from geomosaic.rpc.refine import ImageRpc, Wanted, refined
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.rational import HasRational
-from geomosaic.sensor.registry import plugin
+from geomosaic.sensor.registry import plugin, rational_sensor
 from geomosaic.sensor.solve import image_to_ground
 
-SENSOR = "rpc"
-"""Sensor that is asked for rational polynomials."""
 WGS84 = CRS.from_epsg(4979)
 _AROUND = 0.1  # of the relief that is seen, below and above it
 _LEAST = 50.0  # metres; an RPC of a thinner box says little of heights
@@ -87,7 +85,7 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
             f"refinement '{inputs.refine}' is not known",
             hint=f"{did_you_mean(inputs.refine, tool.kinds)} choose one of {', '.join(tool.kinds)}".strip(),
         )
-    own = inputs.block.sensor == SENSOR
+    own = _is_rational(inputs.block.sensor)
     if inputs.refine is not None and not own:
         raise InputError(
             f"--refine corrects an RPC, and these images are of sensor '{inputs.block.sensor}'",
@@ -123,17 +121,21 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
 
 
 def _tool() -> HasRational:
-    found = plugin(SENSOR)
-    if not isinstance(found, HasRational):
-        raise SensorError(f"the sensor '{SENSOR}' that is installed fits no RPCs", hint="reinstall geomosaic")
+    found = plugin(rational_sensor())
+    assert isinstance(found, HasRational)
     return found
+
+
+def _is_rational(sensor: str) -> bool:
+    """Whether the models of a sensor are RPCs already."""
+    return isinstance(plugin(sensor), HasRational)
 
 
 def _rational(
     tool: HasRational, scene: OrientedImage, block: OrientedBlock, inputs: RpcInputs
 ) -> tuple[SensorModel, ImageRpc]:
     """The RPC of an image: its own, or one fitted to its model."""
-    if inputs.block.sensor == SENSOR and inputs.block.corrections is None:
+    if _is_rational(inputs.block.sensor) and inputs.block.corrections is None:
         return scene.model, ImageRpc(scene.name, "as it came", {})
     heights = inputs.heights or _heights(scene, block)
     try:

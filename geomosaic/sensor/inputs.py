@@ -1,4 +1,4 @@
-"""Reading the inputs of sensors from the tables users write, with errors that name image, key and a hint."""
+"""Inputs of sensors, read from the tables that users write; errors know the image, the input and a hint."""
 
 from __future__ import annotations
 
@@ -6,8 +6,23 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from geomosaic.errors import InputError, did_you_mean
+from geomosaic.errors import SensorInputError, did_you_mean
 from geomosaic.sensor.plugin import SensorInput
+
+
+def input_error(what: str, key: str, where: str, hint: str | None = None) -> SensorInputError:
+    """Error about an input, or about a value inside one.
+
+    Parameters
+    ----------
+    what : str
+    key : str
+        Path of the value: 'sigmas', 'position[2]' or 'sigmas, east'. The input is its first word.
+    where : str
+        Image.
+    hint : str, optional
+    """
+    return SensorInputError(what, name=key.partition(",")[0].partition("[")[0], where=where, hint=hint)
 
 
 def known_keys(table: Mapping[str, Any], allowed: Iterable[str], where: str) -> None:
@@ -15,25 +30,25 @@ def known_keys(table: Mapping[str, Any], allowed: Iterable[str], where: str) -> 
 
     Raises
     ------
-    InputError
+    SensorInputError
         Names the key, the nearest one that exists, and all of them.
     """
     names = list(allowed)
     for key in table:
         if key not in names:
-            raise InputError(f"unknown key '{key}'", where=where, hint=meant(key, "known keys are:", names))
+            raise input_error(f"unknown key '{key}'", str(key), where, meant(key, "known keys are:", names))
 
 
 def known_inputs(options: Mapping[str, Any], inputs: Iterable[SensorInput], sensor: str, where: str) -> None:
-    """Refuse inputs that a sensor has not; as `known_keys`."""
+    """Refuse options that are no inputs of a sensor; as `known_keys`."""
     names = [entry.name for entry in inputs]
     for key in options:
         if key not in names:
-            raise InputError(f"sensor '{sensor}' has no input '{key}'", where=where, hint=meant(key, "it has", names))
+            raise input_error(f"sensor '{sensor}' has no input '{key}'", str(key), where, meant(key, "it has", names))
 
 
 def meant(word: Any, words: str, known: Iterable[str]) -> str:
-    """What was probably meant, and all there is, as a hint."""
+    """Hint with the nearest known word, and all of them."""
     names = list(known)
     return f"{did_you_mean(str(word), names)} {words} {', '.join(names)}".strip()
 
@@ -41,54 +56,64 @@ def meant(word: Any, words: str, known: Iterable[str]) -> str:
 def need(table: Mapping[str, Any], key: str, where: str, text: str) -> Any:
     """Value of a key that must be there; `text` says what it is."""
     if key not in table or table[key] is None:
-        raise InputError(f"'{key}' is missing", where=where, hint=f"give {key}: {text}")
+        raise input_error(f"'{key}' is missing", key, where, f"give {key}: {text}")
     return table[key]
 
 
 def table_of(value: Any, key: str, where: str) -> Mapping[str, Any]:
-    """Value that must be a table."""
+    """Table, for a value that must be one."""
     if not isinstance(value, Mapping):
-        raise InputError(f"'{key}' is {value!r}, not a table", where=where)
+        raise input_error(f"'{key}' is {value!r}, not a table", key, where)
     return value
 
 
 def number(value: Any, key: str, where: str) -> float:
-    """Finite number from a number or its text.
+    """Finite number of a number or of its text.
+
+    Parameters
+    ----------
+    value : object
+        What the user gave.
+    key : str
+        Its path, as for `input_error`.
+    where : str
+        Image.
 
     Raises
     ------
-    InputError
+    SensorInputError
         Not a number, NaN or infinite.
     """
     try:
+        # True is a number to Python, and to nobody who writes a project file.
         result = math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError):
         result = math.nan
     if not math.isfinite(result):
-        raise InputError(f"{key} = {value!r} is not a finite number", where=where)
+        raise input_error(f"{key} = {value!r} is not a finite number", key, where)
     return result
 
 
 def positive(value: Any, key: str, where: str) -> float:
-    """Finite number above zero."""
+    """Finite number above zero; as `number`."""
     result = number(value, key, where)
     if result <= 0.0:
-        raise InputError(f"{key} = {result:g} is not greater than 0", where=where)
+        raise input_error(f"{key} = {result:g} is not greater than 0", key, where)
     return result
 
 
 def numbers(value: Any, count: int, key: str, where: str) -> tuple[float, ...]:
-    """List of `count` finite numbers."""
+    """List of `count` finite numbers; as `number`."""
     if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
-        raise InputError(f"{key} = {value!r} is not a list of {count} finite numbers", where=where)
+        raise input_error(f"{key} = {value!r} is not a list of {count} finite numbers", key, where)
     items = list(value)
     if len(items) != count:
-        raise InputError(f"{key} has {len(items)} values, not {count} finite numbers", where=where)
+        raise input_error(f"{key} has {len(items)} values, not {count} finite numbers", key, where)
     return tuple(number(item, f"{key}[{i}]", where) for i, item in enumerate(items))
 
 
 def pair(value: Any, key: str, where: str) -> tuple[float, float]:
-    """Two positive numbers, or one that stands for both."""
+    """Two positive numbers, or one that stands for both; as `number`."""
     if isinstance(value, Iterable) and not isinstance(value, str):
         first, second = numbers(value, 2, key, where)
     else:
@@ -97,31 +122,31 @@ def pair(value: Any, key: str, where: str) -> tuple[float, float]:
 
 
 def choice(value: Any, allowed: Iterable[str], key: str, where: str) -> str:
-    """One of some words.
+    """Word out of a list of words.
 
     Raises
     ------
-    InputError
+    SensorInputError
         Another word; names the nearest.
     """
     names = list(allowed)
     if value not in names:
-        raise InputError(f"{key} = {value!r} is not known", where=where, hint=meant(value, "choose from:", names))
+        raise input_error(f"{key} = {value!r} is not known", key, where, meant(value, "choose from:", names))
     return str(value)
 
 
 def flag(table: Mapping[str, Any], key: str, where: str) -> bool:
-    """True or false; false where not given."""
+    """Value of a key that is true or false; false where not given."""
     value = table.get(key)
     if value is not None and not isinstance(value, bool):
-        raise InputError(f"{key} = {value!r} is neither true nor false", where=where)
+        raise input_error(f"{key} = {value!r} is neither true nor false", key, where)
     return bool(value)
 
 
 def point_rows(
     points: Any, keys: Sequence[str], where: str, more: Sequence[str] = ("id", "sigma")
 ) -> tuple[list[str], list[tuple[float, ...]]]:
-    """Names of control points, and their numbers under `keys` with sigma behind, 1 unless given.
+    """Names of control points, and rows of their values under `keys` and of sigma (1 unless given).
 
     Parameters
     ----------
@@ -133,18 +158,19 @@ def point_rows(
         What each may have besides.
     """
     if not isinstance(points, Sequence) or isinstance(points, str):
-        raise InputError("input 'points' is not a list of points", where=where)
+        raise input_error("input 'points' is not a list of points", "points", where)
     names, rows = list[str](), list[tuple[float, ...]]()
     for index, point in enumerate(points, 1):
         if not isinstance(point, Mapping):
-            raise InputError(f"control point {index} is not a table of {', '.join(keys)}", where=where)
+            raise input_error(f"control point {index} is not a table of {', '.join(keys)}", "points", where)
         missing = [key for key in keys if key not in point]
         if missing:
             hints = (did_you_mean(str(key), missing) for key in point if key not in (*keys, *more))
-            raise InputError(
+            raise input_error(
                 f"control point {index} has no {', '.join(missing)}",
-                where=where,
-                hint=f"{' '.join(filter(None, hints))} give each point {', '.join(keys)}".strip(),
+                "points",
+                where,
+                f"{' '.join(filter(None, hints))} give each point {', '.join(keys)}".strip(),
             )
         names.append(str(point.get("id", index)))
         own = f"points, {'' if 'id' in point else 'number '}{names[-1]}"

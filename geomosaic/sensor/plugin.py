@@ -1,9 +1,10 @@
-"""What a sensor plugin offers at its door."""
+"""Contract of a sensor plugin: its inputs, its capabilities and the request it makes a model of."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import Enum
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -14,7 +15,18 @@ from geomosaic.sensor.model import SensorModel
 
 @dataclass(frozen=True, eq=False)
 class SensorInput:
-    """One input of a plugin, for `geomosaic sensors NAME` and for error messages."""
+    """Input of a plugin, for `geomosaic sensors NAME` and for error messages.
+
+    Attributes
+    ----------
+    name : str
+        Key under [sensor] of a project, and of `SensorRequest.options`.
+    text : str
+        What it is, in a few words.
+    unit : str
+    default : str, optional
+        Value where none is given, in words.
+    """
 
     name: str
     text: str
@@ -22,9 +34,94 @@ class SensorInput:
     default: str | None = None
 
 
+class ControlUse(Enum):
+    """Use that a sensor makes of the control points of an image."""
+
+    CHECK = "check"
+    """None: they only judge the model."""
+    RESECTION = "resection"
+    """They take the place of an orientation, as the input `points`, where no orientation is given."""
+    ADJUSTMENT = "adjustment"
+    """They correct the model, as the input `points`, unless the input `refine` is 'none'."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capabilities:
+    """Capabilities of a sensor: what the program may hand to it, and what the user has to be asked for.
+
+    A capability names inputs of the plugin by names that are the same for all sensors (in backticks below). The program
+    fills them in from the tables and files of a project; the plugin lists them among its inputs.
+
+    Attributes
+    ----------
+    planar : bool
+        Heights play no part: the CRS of the models is a horizontal one, and no DEM or vertical datum is asked for. The
+        image is placed by `points`, its control points, or else by `transform`, the geotransform that it carries.
+    placements : tuple of str
+        Inputs of a planar sensor of which each places the image by itself: where the user gives one, nothing is filled
+        in.
+    plane_transformations : bool
+        The input `kind` chooses among the plane transformations conformal, affine, projective, polynomial (of `order`
+        1 to 5) and tps, fitted to `points` or given by `coefficients`. The first such sensor fits the transformations
+        of georeferencing and of planar blocks, and takes georeferenced images for which no sensor is named.
+    exterior : tuple of str
+        Of `position`, `orientation` and `angle_unit`: what it takes of a row of the exterior orientation table.
+    needs_exterior : bool
+        There is no model without an exterior orientation, by such a table or by control points.
+    needs_camera : bool
+        There is no model without `camera`, the description of the camera. The first sensor that needs both a camera and
+        an exterior orientation is proposed for photos with a position in their EXIF.
+    control : ControlUse
+        Use of control points.
+    ground_height : bool
+        `ground_height`, the mean height of the ground in the vertical datum of the positions, is filled in from the DEM
+        below the camera unless the user gives it.
+    upwards : bool
+        `upwards` = true allows views level or above the horizon.
+    relative : bool
+        `relative` = true makes a model without a place, in relative metres, from nominal numbers alone.
+    embedded : bool
+        An image, or files beside it, can carry the whole model: the sensor is tried on images for which none is named.
+    """
+
+    planar: bool = False
+    placements: tuple[str, ...] = ()
+    plane_transformations: bool = False
+    exterior: tuple[str, ...] = ()
+    needs_exterior: bool = False
+    needs_camera: bool = False
+    control: ControlUse = ControlUse.CHECK
+    ground_height: bool = False
+    upwards: bool = False
+    relative: bool = False
+    embedded: bool = False
+
+    @property
+    def carries_placement(self) -> bool:
+        """Whether models are placed by what comes with the image, so that no CRS of positions has to be named."""
+        return not self.planar and not self.needs_exterior
+
+    @property
+    def standard_inputs(self) -> frozenset[str]:
+        """Inputs that the plugin must list for these capabilities."""
+        named = {
+            "camera": self.needs_camera,
+            "points": self.control is not ControlUse.CHECK or self.planar,
+            "refine": self.control is ControlUse.ADJUSTMENT,
+            "transform": self.planar,
+            "kind": self.plane_transformations,
+            "order": self.plane_transformations,
+            "coefficients": self.plane_transformations,
+            "ground_height": self.ground_height,
+            "upwards": self.upwards,
+            "relative": self.relative,
+        }
+        return frozenset(name for name, wanted in named.items() if wanted) | {*self.exterior, *self.placements}
+
+
 @dataclass(frozen=True, eq=False)
 class SensorExample:
-    """A whole example for `geomosaic sensors NAME`: it runs as it is shown, with any image of that size.
+    """Example of a sensor for `geomosaic sensors NAME`: it runs as it is shown, with any image of that size.
 
     Attributes
     ----------
@@ -43,7 +140,7 @@ class SensorExample:
 
 @dataclass(frozen=True, eq=False)
 class SensorRequest:
-    """What is known about one image when its model is asked for.
+    """Everything that is known about one image when its model is asked for.
 
     Attributes
     ----------
@@ -70,20 +167,33 @@ class SensorRequest:
 
 
 class SensorPlugin(Protocol):
-    """A sensor, as found through the entry point group 'geomosaic.sensors'."""
+    """Sensor plugin, as found through the entry point group 'geomosaic.sensors'.
+
+    Attributes
+    ----------
+    name : str
+        One word, the same as that of the entry point.
+    summary : str
+        One line.
+    inputs : tuple of SensorInput
+    capabilities : Capabilities
+    model : type
+        Class of the models, with `from_dict`.
+    """
 
     name: str
     summary: str
     inputs: tuple[SensorInput, ...]
+    capabilities: Capabilities
     model: type[SensorModel]
 
     def build(self, request: SensorRequest) -> SensorModel:
-        """Make the model of one image.
+        """Model of one image.
 
         Raises
         ------
-        InputError
-            An input is missing, unknown or out of range; it names the image and the input.
+        SensorInputError
+            An input is missing, unknown or out of range; the error knows the image and the input.
         """
 
 
@@ -96,7 +206,7 @@ class HasExample(Protocol):
 
 @runtime_checkable
 class HasFiles(Protocol):
-    """Optional power of a plugin: which files beside an image its model comes from, so that their change is noticed."""
+    """Optional power of a plugin: the files beside an image that its model comes from, so that changes are noticed."""
 
     def files(self, path: Path) -> tuple[Path, ...]:
         """Files that belong to the image by their names, as far as they are there."""

@@ -1,20 +1,26 @@
-"""Finding sensor plugins: listed without loading, loaded when asked for."""
+"""Registry of sensor plugins: listed without loading, loaded when asked for, found by name or by capability."""
 
 from __future__ import annotations
 
 import difflib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from importlib.metadata import EntryPoint, entry_points
+from functools import cache, lru_cache
+from importlib.metadata import Distribution, EntryPoint, entry_points
 
 import numpy as np
 
 from geomosaic.errors import SensorError
 from geomosaic.geo.crs import has_heights
 from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.plugin import SensorPlugin, SensorRequest
+from geomosaic.sensor.plugin import Capabilities, SensorPlugin, SensorRequest
+from geomosaic.sensor.rational import HasRational
 
 GROUP = "geomosaic.sensors"
+OWN = "geomosaic"
+"""Distribution whose sensors come before those of others where one is found by capability."""
+MEMBERS = ("name", "summary", "inputs", "capabilities", "model", "build")
+"""Members that every plugin has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,27 +33,45 @@ class SensorEntry:
     target: str
 
 
+@cache
+def _points() -> tuple[EntryPoint, ...]:
+    """Entry points of all installed sensors; kept, as looking through what is installed takes some 10 ms."""
+    return tuple(entry_points(group=GROUP))
+
+
+@cache
+def _owner(distribution: Distribution) -> tuple[str, str]:
+    """Name and version of a distribution; kept, as its metadata are parsed each time they are asked for."""
+    metadata = distribution.metadata
+    return metadata["Name"], metadata["Version"]
+
+
 def _entry(point: EntryPoint) -> SensorEntry:
-    """Read the distribution's metadata: parsing it takes longer than finding the sensor."""
-    dist = point.dist
-    return SensorEntry(point.name, dist.name if dist else "unknown", dist.version if dist else "", point.value)
+    name, version = _owner(point.dist) if point.dist else ("unknown", "")
+    return SensorEntry(point.name, name, version, point.value)
 
 
 def installed() -> list[SensorEntry]:
-    """List the installed sensors, in the order of their names; none is imported."""
-    return sorted(map(_entry, entry_points(group=GROUP)), key=lambda entry: (entry.name, entry.distribution))
+    """Installed sensors in the order of their names; none is imported."""
+    return sorted(map(_entry, _points()), key=lambda entry: (entry.name, entry.distribution))
+
+
+def refresh() -> None:
+    """Forget what is installed and loaded, for a program that installs plugins while it runs."""
+    for known in (_points, plugin, plane_sensor, rational_sensor, photo_sensor, relative_sensor):
+        known.cache_clear()
 
 
 @lru_cache(maxsize=64)
 def plugin(name: str) -> SensorPlugin:
-    """Load one plugin.
+    """Plugin of a name, loaded.
 
     Raises
     ------
     SensorError
         No such sensor, two of that name, or the plugin fails to import (with its cause).
     """
-    found = list(entry_points(group=GROUP, name=name))
+    found = [point for point in _points() if point.name == name]
     if not found:
         names = [entry.name for entry in installed()]
         close = difflib.get_close_matches(name, names, 1)
@@ -66,14 +90,84 @@ def plugin(name: str) -> SensorPlugin:
             f"{type(error).__name__}: {error}",
             hint="reinstall or uninstall that distribution",
         ) from error
-    missing = [part for part in ("name", "summary", "inputs", "model", "build") if not hasattr(loaded, part)]
+    missing = [part for part in MEMBERS if not hasattr(loaded, part)]
     if missing:
         raise SensorError(f"sensor '{name}' of {_entry(found[0]).distribution} has no {', '.join(missing)}")
     return loaded
 
 
+def capabilities(name: str) -> Capabilities:
+    """Capabilities of the sensor `name`.
+
+    Raises
+    ------
+    SensorError
+        As `plugin`.
+    """
+    return plugin(name).capabilities
+
+
+def _names_by_origin() -> Iterator[str]:
+    """Names of the installed sensors: geomosaic's own first, so that no other plugin takes over a default."""
+    entries = installed()
+    yield from dict.fromkeys(
+        entry.name for entry in sorted(entries, key=lambda entry: (entry.distribution != OWN, entry.name))
+    )
+
+
+def _first(power: Callable[[SensorPlugin], bool], what: str) -> str:
+    """Name of the first sensor with a capability; a broken plugin is an error only where no other has it."""
+    broken: SensorError | None = None
+    for name in _names_by_origin():
+        try:
+            if power(plugin(name)):
+                return name
+        except SensorError as error:
+            broken = broken or error
+    raise broken or SensorError(f"no installed sensor {what}", hint="reinstall geomosaic")
+
+
+@cache
+def plane_sensor() -> str:
+    """Name of the sensor of plane transformations, which also takes georeferenced images."""
+    return _first(lambda tool: tool.capabilities.plane_transformations, "fits plane transformations")
+
+
+@cache
+def rational_sensor() -> str:
+    """Name of the sensor of rational polynomials (RPC)."""
+    return _first(lambda tool: isinstance(tool, HasRational), "fits RPCs")
+
+
+@cache
+def photo_sensor() -> str:
+    """Name of the sensor of photos, which are placed by a camera file and an exterior orientation."""
+    return _first(
+        lambda tool: tool.capabilities.needs_camera and tool.capabilities.needs_exterior, "takes photos with a camera"
+    )
+
+
+@cache
+def relative_sensor() -> str:
+    """Name of the sensor that makes models without a place, in relative metres."""
+    return _first(lambda tool: tool.capabilities.relative, "makes models in relative metres")
+
+
+def embedded_sensors() -> list[str]:
+    """Names of the sensors whose models images may carry: rigorous ones before rational polynomials made of them."""
+    found = []
+    for name in _names_by_origin():
+        try:
+            tool = plugin(name)
+        except SensorError:
+            continue
+        if tool.capabilities.embedded:
+            found.append(name)
+    return sorted(found, key=lambda name: isinstance(plugin(name), HasRational))
+
+
 def build(name: str, request: SensorRequest) -> SensorModel:
-    """Make the model of one image with the sensor `name`.
+    """Model of one image by the sensor `name`.
 
     Raises
     ------
@@ -91,11 +185,13 @@ def build(name: str, request: SensorRequest) -> SensorModel:
 
 
 def _depends_on_heights(model: SensorModel) -> bool:
-    """Whether a place moves in the image when its height changes; half-way to the edge, as below a camera none does."""
+    """Whether a point moves in the image when its height changes."""
     x, y, z = model.seed
     step = 1e-6 * max(abs(x), 1.0)
     image = model.ground_to_image(np.array([[x, y, z], [x + step, y, z]]))
     moved = float(np.abs(image[1] - image[0]).max())
+    # Half-way to the edge of the image: a point straight below a camera does not move with its height.
     aside = step * 0.25 * min(model.size) / moved if moved > 0.0 else 0.0
     image = model.ground_to_image(np.array([[x + aside, y, z], [x + aside, y, z + 10.0]]))
-    return bool(np.abs(image[1] - image[0]).max() > 1e-6)  # NaN is neither
+    # NaN, where the model cannot see the points, compares as False: nothing is known, nothing is refused.
+    return bool(np.abs(image[1] - image[0]).max() > 1e-6)

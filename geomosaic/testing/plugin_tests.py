@@ -1,4 +1,4 @@
-"""Conformance tests of a sensor plugin's entry point."""
+"""Conformance tests of a sensor plugin: its members, its capabilities, and its errors about inputs."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicError
+from geomosaic.errors import GeomosaicError, SensorInputError
 from geomosaic.geo.crs import geographic, has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.plugin import SensorInput, SensorPlugin, SensorRequest
+from geomosaic.sensor.plugin import Capabilities, SensorInput, SensorPlugin, SensorRequest
+from geomosaic.sensor.registry import MEMBERS
 from geomosaic.surface.reference_surfaces import Plane
 from geomosaic.types import BoolArray, FloatArray
 
@@ -44,10 +45,13 @@ def adjustable(sigmas: FloatArray) -> BoolArray:
 
 
 UNKNOWN = "no_such_input"
+STANDARD_INPUTS = {"ground_height", "points", "position", "refine", "relative", "transform", "upwards"}
+"""Inputs that the program fills in by a capability: under another meaning these names would mislead it."""
+EXTERIOR = ("position", "orientation", "angle_unit")
 
 
 def check_plugin(plugin: SensorPlugin | Any, request: SensorRequest) -> None:
-    """Check a plugin's door: name, summary, inputs, model, and what it says of missing and unknown inputs.
+    """Check a plugin: name, summary, inputs, capabilities, model, and its errors about missing and unknown inputs.
 
     Parameters
     ----------
@@ -60,7 +64,7 @@ def check_plugin(plugin: SensorPlugin | Any, request: SensorRequest) -> None:
     AssertionError
         In words, what is broken.
     """
-    for part in ("name", "summary", "inputs", "model", "build"):
+    for part in MEMBERS:
         require(hasattr(plugin, part), f"the plugin has no '{part}'")
     require(
         isinstance(plugin.name, str) and plugin.name.replace("_", "").replace("-", "").isalnum(),
@@ -77,14 +81,26 @@ def check_plugin(plugin: SensorPlugin | Any, request: SensorRequest) -> None:
     names = [entry.name for entry in plugin.inputs]
     require(len(set(names)) == len(names), "two inputs have the same name")
     require(all(entry.text.strip() for entry in plugin.inputs), "an input has no text that says what it is")
+    _check_capabilities(plugin.capabilities, set(names))
     for member in ("ground_to_image", "with_values", "to_dict", "from_dict", "crs", "size", "parameters", "seed"):
         fields = getattr(plugin.model, "__dataclass_fields__", {})
         require(hasattr(plugin.model, member) or member in fields, f"the class `model` has no '{member}'")
     _check_build(plugin, request, names)
 
 
+def _check_capabilities(power: Capabilities, names: set[str]) -> None:
+    """Capabilities and inputs agree: what is declared is listed, and what the program would fill in is declared."""
+    require(isinstance(power, Capabilities), "capabilities is not a geomosaic.sensor.plugin.Capabilities")
+    odd = sorted(set(power.exterior) - set(EXTERIOR))
+    require(not odd, f"capabilities.exterior has {', '.join(odd)}; it may have {', '.join(EXTERIOR)}")
+    missing = sorted(power.standard_inputs - names)
+    require(not missing, f"capabilities need the inputs {', '.join(missing)}, which the plugin does not list")
+    undeclared = sorted((STANDARD_INPUTS & names) - power.standard_inputs)
+    require(not undeclared, f"no capability tells the program that there is an input {', '.join(undeclared)}")
+
+
 def _check_build(plugin: SensorPlugin, request: SensorRequest, names: list[str]) -> None:
-    """The example is built; each input it lacks and one it should not have are told as the contract says."""
+    """The example is built; each input it lacks and one it should not have are refused as the contract says."""
     unlisted = sorted(set(request.options) - set(names))
     require(not unlisted, f"the example has {', '.join(unlisted)}, which the plugin does not list among its inputs")
     try:
@@ -93,22 +109,28 @@ def _check_build(plugin: SensorPlugin, request: SensorRequest, names: list[str])
         raise AssertionError(f"build refuses the example: {error!r}") from error
     require(isinstance(model, plugin.model), f"build gives a {type(model).__name__}, not a {plugin.model.__name__}")
     require(tuple(model.size) == tuple(request.size), f"the model has the size {model.size}, not {request.size}")
+    flat = len(model.crs.axis_info) == 2
+    require(flat == plugin.capabilities.planar, "capabilities.planar does not say whether models are in a 2-D CRS")
     for name in request.options:
         rest = {key: value for key, value in request.options.items() if key != name}
         _refusal(plugin, replace(request, options=rest), f"a missing '{name}'")
-    told = _refusal(plugin, replace(request, options={**request.options, UNKNOWN: 1}), "an unknown input")
-    if told is None:
+    refused = _refusal(plugin, replace(request, options={**request.options, UNKNOWN: 1}), "an unknown input")
+    if refused is None:
         raise AssertionError("build accepts an unknown input without a word")
-    require(UNKNOWN in told, "the error about an unknown input does not name the input")
+    require(UNKNOWN in str(refused), "the error about an unknown input does not name the input")
+    require(
+        isinstance(refused, SensorInputError) and refused.name == UNKNOWN,
+        f"the error about an unknown input is no SensorInputError with the name '{UNKNOWN}'",
+    )
 
 
-def _refusal(plugin: SensorPlugin, request: SensorRequest, what: str) -> str | None:
-    """What `build` says when it refuses a request; None where it does not."""
+def _refusal(plugin: SensorPlugin, request: SensorRequest, what: str) -> GeomosaicError | None:
+    """Error with which `build` refuses a request; None where it does not."""
     try:
         plugin.build(request)
     except GeomosaicError as error:
         require(request.image in str(error), f"the error about {what} does not name the image")
-        return str(error)
+        return error
     except Exception as error:
         raise AssertionError(f"{what} makes build raise {error!r}, not an InputError") from error
     return None

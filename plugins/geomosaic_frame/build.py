@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, SensorInputError
 from geomosaic.geo.crs import has_heights, with_heights
 from geomosaic.geo.local_frames import is_free
 from geomosaic.sensor.inputs import choice, flag, known_keys, need, number, numbers
@@ -17,8 +17,8 @@ from geomosaic.types import FloatArray
 from geomosaic_frame.camera_capabilities import Inside
 from geomosaic_frame.cameras import camera_of, tables
 from geomosaic_frame.corrections import bending_of, untold
+from geomosaic_frame.entry_point import OPTIONS
 from geomosaic_frame.initial_model import looks_anywhere, model_at
-from geomosaic_frame.inputs import OPTIONS
 from geomosaic_frame.model import FrameModel
 from geomosaic_frame.orientation import FULL_CIRCLE, Attitude, read_attitude
 from geomosaic_frame.placement import (
@@ -134,12 +134,16 @@ def _unscaled(
     crs: CRS, position: FloatArray, ground: float | None, treatment: str, where: str
 ) -> tuple[FloatArray, str]:
     if treatment == "planar":
-        raise InputError(
-            "scale_correction undoes what the planar treatment needs", where=where, hint="use treatment = 'rigorous'"
+        raise SensorInputError(
+            "scale_correction undoes what the planar treatment needs",
+            name="scale_correction",
+            where=where,
+            hint="use treatment = 'rigorous'",
         )
     if ground is None:
-        raise InputError(
+        raise SensorInputError(
             "scale_correction needs to know the height of the ground",
+            name="scale_correction",
             where=where,
             hint="give ground_height, the mean height of the ground under the photo in the vertical datum of the "
             "positions",

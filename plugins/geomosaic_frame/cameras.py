@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from geomosaic.errors import InputError
+from geomosaic.errors import SensorInputError
 from geomosaic.sensor.inputs import choice, known_keys, need, numbers, table_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic_frame.camera import Camera
@@ -36,8 +36,11 @@ def tables(request: SensorRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]
     if isinstance(table, str):
         table = _toml(Path(request.base) / table, f"{where}, camera")
     if table is None:
-        raise InputError(
-            "'camera' is missing", where=where, hint="give the camera's table or the name of a camera.toml file"
+        raise SensorInputError(
+            "'camera' is missing",
+            name="camera",
+            where=where,
+            hint="give the camera's table or the name of a camera.toml file",
         )
     for option, key, words in (("matrix", "matrix", DIRECTIONS), ("angle_frame", "frame", FRAMES)):
         if options.get(option) is not None and row:
@@ -53,8 +56,9 @@ def _place_world(row: dict[str, Any], options: Mapping[str, Any], where: str) ->
     if options.get("world") is not None:
         row["world"] = choice(options["world"], WORLDS, "world", where)
     elif system == "colmap":
-        raise InputError(
+        raise SensorInputError(
             "COLMAP's files do not say what their world is",
+            name="world",
             where=where,
             hint="say it under [sensor]: world = 'map' (the CRS that is named), 'geocentric', or 'local' with "
             "reference = [longitude, latitude, altitude]",
@@ -71,7 +75,7 @@ def _toml(path: Path, where: str) -> Mapping[str, Any]:
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise InputError(f"the camera file {path} cannot be read: {error}", where=where) from error
+        raise SensorInputError(f"the camera file {path} cannot be read: {error}", name="camera", where=where) from error
     inner = values.get("camera")
     return inner if isinstance(inner, dict) and len(values) == 1 else values
 
@@ -85,8 +89,9 @@ def camera_of(table: Mapping[str, Any], request: SensorRequest) -> tuple[Inside,
         return film_of(table, request, where)
     for key in FILM_OPTIONS:
         if request.options.get(key) is not None:
-            raise InputError(
+            raise SensorInputError(
                 f"'{key}' is about film, but the camera has no fiducials",
+                name="fiducials",
                 where=request.image,
                 hint="give the camera's calibration certificate, with the table [fiducials] in mm",
             )

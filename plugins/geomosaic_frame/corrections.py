@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, SensorInputError
 from geomosaic.geo.crs import geographic, horizontal
 from geomosaic.geo.local_frames import is_free, map_place
 from geomosaic.geo.transform import Transform
@@ -48,20 +48,23 @@ def bending_of(
     if not refraction and not curvature:
         return Bending(), []
     if is_free(crs) or flag(options, "upwards", where):
-        raise InputError(
+        raise SensorInputError(
             "refraction and curvature are about photos from above, not about things in front of the camera",
+            name="refraction",
             where=where,
             hint="leave them out",
         )
     if curvature and treatment != "planar":
-        raise InputError(
+        raise SensorInputError(
             "curvature corrects the planar treatment; the rigorous one has the Earth's curvature in its coordinates",
+            name="curvature",
             where=where,
             hint="leave it out, or set treatment = 'planar'",
         )
     if ground is None:
-        raise InputError(
+        raise SensorInputError(
             f"{'refraction' if refraction else 'curvature'} depends on the height of the ground, which is not known",
+            name="ground_height",
             where=where,
             hint="give ground_height, the mean height of the ground under the photo in the vertical datum of the "
             "positions",

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SolveError
+from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SensorInputError, SolveError
 from geomosaic.geo.crs import geocentric
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import flag, known_keys, need, number, numbers, positive, table_of
@@ -36,7 +36,7 @@ NEAR = 0.1
 def read_points(given: Any, where: str) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Ground (N, 3), image (N, 2) and sigmas (N,) of a list of tables."""
     if isinstance(given, str) or not isinstance(given, Sequence):
-        raise InputError(f"points = {given!r} is not a list of tables", where=where)
+        raise SensorInputError(f"points = {given!r} is not a list of tables", name="points", where=where)
     rows = []
     for i, item in enumerate(given):
         table, here = table_of(item, f"points[{i}]", where), f"{where}, points[{i}]"
@@ -44,8 +44,11 @@ def read_points(given: Any, where: str) -> tuple[FloatArray, FloatArray, FloatAr
         row = [number(need(table, key, here, "ground in the CRS, image in pixels"), key, here) for key in COLUMNS]
         rows.append([*row, positive(table.get("sigma", 1.0), "sigma", here)])
     if len(rows) < 3:
-        raise InputError(
-            f"{len(rows)} control points do not place a photo", where=where, hint="give three; a fourth is a check"
+        raise SensorInputError(
+            f"{len(rows)} control points do not place a photo",
+            name="points",
+            where=where,
+            hint="give three; a fourth is a check",
         )
     values = np.array(rows)
     return values[:, :3], values[:, 3:5], values[:, 5]
@@ -84,10 +87,15 @@ def resect_photo(
         Points are missing or no numbers, or they do not place the photo; says why.
     """
     if options.get("orientation") is not None:
-        raise InputError("both 'points' and 'orientation' are given", where=where, hint="give one of them")
+        raise SensorInputError(
+            "both 'points' and 'orientation' are given", name="points", where=where, hint="give one of them"
+        )
     if flag(options, "scale_correction", where):
-        raise InputError(
-            "scale_correction is about given positions, not about points", where=where, hint="leave it out"
+        raise SensorInputError(
+            "scale_correction is about given positions, not about points",
+            name="scale_correction",
+            where=where,
+            hint="leave it out",
         )
     known, image, sigmas = read_points(options["points"], where)
     near = options.get("position")

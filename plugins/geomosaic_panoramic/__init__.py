@@ -1,7 +1,7 @@
-"""Sensor 'panoramic': airborne across-track scanners and panoramic cameras."""
+"""Airborne and spaceborne across-track scanners and panoramic cameras."""
 
 from __future__ import annotations
 
-from geomosaic_panoramic.build import PanoramicPlugin
+from geomosaic_panoramic.entry_point import PanoramicPlugin
 
 plugin = PanoramicPlugin()

@@ -1,4 +1,4 @@
-"""Panoramic plugin: numbers of a flight to a model, with an example."""
+"""Models of panoramic images and scanned strips from numbers of the flight."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, SensorInputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.local_frames import LocalFrame, map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import known_inputs
 from geomosaic.sensor.model import Parameters
-from geomosaic.sensor.plugin import SensorExample, SensorInput, SensorRequest
+from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.vertical_datum import need_heights
-from geomosaic_panoramic.control import INPUTS as CONTROL
 from geomosaic_panoramic.control import adjusted
+from geomosaic_panoramic.entry_point import CONTROL, INPUTS
 from geomosaic_panoramic.flight import (
     PER_STEP,
     cells,
@@ -37,28 +37,6 @@ from geomosaic_panoramic.geometry import KINDS, Scan, Sweeps
 from geomosaic_panoramic.model import NAMES, PanoramicModel, RelativeStrip
 from geomosaic_panoramic.trajectory import Poses
 
-EXAMPLE = SensorExample(
-    (1000, 1200),
-    """\
-[sensor]
-name = "panoramic"
-kind = "scanner"
-position = [500000.0, 5500000.0, 3300.0]
-heading = 30.0
-advance = 6.0
-field_of_view = 90.0
-ground_height = 300.0
-
-[exterior]
-crs = "EPSG:32633"
-heights = "egm96"
-
-[dem]
-height = 300.0
-""",
-)
-
-
 STRAIGHT = ("heading", "course", "rates", "advance", "v_over_h", "climb")
 """Inputs of a straight flight, which a table or an orbit replaces."""
 PLACED = ("position", "heading", "north", "course", "track", "start_time", "ground_height")
@@ -70,71 +48,35 @@ OF_KIND = {
 """Inputs that mean something for some kinds only."""
 
 
-class PanoramicPlugin:
-    """Sensor 'panoramic'."""
+def build_model(request: SensorRequest) -> PanoramicModel | RelativeStrip:
+    """Model of one image or strip.
 
-    name = "panoramic"
-    summary = "airborne across-track scanners and panoramic cameras, with attitude and motion during the scan"
-    inputs = (
-        SensorInput("kind", "scanner (a line is one moment), sweeps (several lines at once) or panoramic (one sweep)"),
-        SensorInput("position", "x, y, z at the middle of the image, in the CRS of the positions"),
-        SensorInput("heading", "direction of the nose, clockwise from north", "deg"),
-        SensorInput("north", "grid or true: the north that heading and course count from", default="grid"),
-        SensorInput("course", "direction of motion, clockwise from north", "deg", "heading"),
-        SensorInput("pitch", "nose up; with a track or an orbit of the scanner against the body", "deg", "0"),
-        SensorInput("roll", "right wing down; as pitch", "deg", "0"),
-        SensorInput("rates", "heading, pitch, roll: change per line, or per sweep", "deg", "0, 0, 0"),
-        SensorInput("advance", "way over ground per line (scanner) or per sweep", "m"),
-        SensorInput("v_over_h", "angular speed instead of advance: V/H per line or sweep; needs ground_height", "rad"),
-        SensorInput("climb", "change of height per line or sweep", "m", "0"),
-        SensorInput("track", "CSV file of a curved flight: time (s), x, y, z, heading, pitch, roll"),
-        SensorInput("orbit", "table of a satellite's orbit: inclination (deg), pass = ascending or descending"),
-        SensorInput("start_time", "time at the upper edge of the image, in the clock of the track", "s"),
-        SensorInput("period", "time of one line or sweep, with a track or an orbit", "s"),
-        SensorInput("field_of_view", "angle of the whole sweep, all columns", "deg"),
-        SensorInput("lines_per_sweep", "sweeps: lines that are swept at once", default="16"),
-        SensorInput("directions", "sweeps: one, or both where every other sweep runs backwards", default="one"),
-        SensorInput("active", "sweeps: share of the period in which the ground is seen", default="1"),
-        SensorInput("line_angle", "sweeps: angle of one line along the flight", "deg", "field_of_view / columns"),
-        SensorInput("focal_length", "panoramic: focal length", "mm"),
-        SensorInput("pixel_size", "panoramic: pixel of the scanned film", "mm"),
-        SensorInput("image_motion", "compensation: shift of rows at 90° of scan (panoramic), per sweep", "px", "0"),
-        SensorInput("columns", "right or left: side of the flight that columns run to", default="right"),
-        SensorInput("ground_height", "mean height of the ground, in the vertical datum of the positions", "m", "0"),
-        SensorInput("relative", "true: no place, only nominal numbers; the map is one of its own", default="false"),
-        SensorInput("height_above_ground", "with relative: in place of a position", "m"),
-        SensorInput("drift", "with relative: angle of the nose to the right of the course", "deg", "0"),
-        SensorInput("latitude", "with relative and an orbit: of the middle of the image, geodetic", "deg"),
-        *CONTROL,
-    )
-    model = PanoramicModel
-    example = EXAMPLE
-
-    def build(self, request: SensorRequest) -> PanoramicModel | RelativeStrip:
-        """Make the model of one image.
-
-        Raises
-        ------
-        InputError
-            An input is missing, unknown or out of range.
-        HeightDatumError
-            The position has no vertical datum.
-        SolveError
-            The scanner sees none of the control points.
-        """
-        where = request.image
-        known_inputs(request.options, self.inputs, self.name, where)
-        relative = request.options.get("relative", False)
-        if not isinstance(relative, bool):
-            raise InputError(f"input 'relative' is {relative!r}", where=where, hint="give true or false")
-        if not relative:
-            extra = [name for name in ("height_above_ground", "latitude", "drift") if name in request.options]
-            if extra:
-                raise InputError(f"input '{extra[0]}' is given without relative", where=where, hint="leave it out")
-            return _placed(request)
-        options = _without_place(request)
-        model = _placed(replace(request, options=options, crs=CRS.from_epsg(4979)))
-        return RelativeStrip(model, options["position"][2], "orbit" in options)
+    Raises
+    ------
+    InputError
+        An input is missing, unknown or out of range.
+    HeightDatumError
+        The position has no vertical datum.
+    SolveError
+        The scanner sees none of the control points.
+    """
+    where = request.image
+    known_inputs(request.options, INPUTS, "panoramic", where)
+    relative = request.options.get("relative", False)
+    if not isinstance(relative, bool):
+        raise SensorInputError(
+            f"input 'relative' is {relative!r}", name="relative", where=where, hint="give true or false"
+        )
+    if not relative:
+        extra = [name for name in ("height_above_ground", "latitude", "drift") if name in request.options]
+        if extra:
+            raise SensorInputError(
+                f"input '{extra[0]}' is given without relative", name="relative", where=where, hint="leave it out"
+            )
+        return _placed(request)
+    options = _without_place(request)
+    model = _placed(replace(request, options=options, crs=CRS.from_epsg(4979)))
+    return RelativeStrip(model, options["position"][2], "orbit" in options)
 
 
 def _without_place(request: SensorRequest) -> dict[str, Any]:
@@ -146,12 +88,17 @@ def _without_place(request: SensorRequest) -> dict[str, Any]:
     above = number(options, "height_above_ground", where)
     latitude = number(options, "latitude", where, None if "orbit" in options else 0.0)
     if above <= 0.0 or not -90.0 < latitude < 90.0:
-        raise InputError(
-            f"height_above_ground is {above:g}, latitude {latitude:g}", where=where, hint="give metres and degrees"
+        raise SensorInputError(
+            f"height_above_ground is {above:g}, latitude {latitude:g}",
+            name="height_above_ground",
+            where=where,
+            hint="give metres and degrees",
         )
     drift = number(options, "drift", where, 0.0)
     if "orbit" in options and "drift" in options:
-        raise InputError("input 'drift' is given together with 'orbit'", where=where, hint="leave one out")
+        raise SensorInputError(
+            "input 'drift' is given together with 'orbit'", name="drift", where=where, hint="leave one out"
+        )
     for name in ("relative", "height_above_ground", "latitude", "drift"):
         options.pop(name, None)
     options |= {"position": [0.0, latitude, above], "ground_height": 0.0}
@@ -164,7 +111,9 @@ def _placed(request: SensorRequest) -> PanoramicModel:
     kind = word(options, "kind", KINDS, where)
     for name, kinds in OF_KIND.items():
         if name in options and kind not in kinds:
-            raise InputError(f"{name} has no meaning for a {kind.removesuffix('s')}", where=where, hint="leave it out")
+            raise SensorInputError(
+                f"{name} has no meaning for a {kind.removesuffix('s')}", name="kind", where=where, hint="leave it out"
+            )
     if request.crs is None:
         raise InputError("sensor 'panoramic' needs the CRS of the position", where=where, hint="give --exterior-crs")
     need_heights(request.crs, "the position", where, lambda crs: _placed(replace(request, crs=crs)))
@@ -213,8 +162,9 @@ def _scan(kind: str, request: SensorRequest) -> Scan:
     both = word(options, "directions", ("one", "both"), where, "one") == "both"
     active = number(options, "active", where, 1.0)
     if lines < 1 or lines != round(lines) or not 0.0 < active <= 1.0:
-        raise InputError(
+        raise SensorInputError(
             f"lines_per_sweep is {lines:g}, active {active:g}",
+            name="lines_per_sweep",
             where=where,
             hint="give a whole number of lines, and a share above 0, up to 1",
         )
@@ -228,7 +178,9 @@ def _table(request: SensorRequest, periods: float) -> tuple[np.ndarray | None, n
     if not curved:
         for name in ("start_time", "period"):
             if name in options:
-                raise InputError(f"input '{name}' needs a track or an orbit", where=where, hint="leave it out")
+                raise SensorInputError(
+                    f"input '{name}' needs a track or an orbit", name="track", where=where, hint="leave it out"
+                )
         return None, np.zeros(0)
     taken = [name for name in (*curved[1:], *STRAIGHT) if name in options]
     taken += [name for name in ("position",) if curved[0] == "track" and name in options]
@@ -239,10 +191,12 @@ def _table(request: SensorRequest, periods: float) -> tuple[np.ndarray | None, n
     if curved[0] == "orbit":
         return None, np.zeros(0)
     if not isinstance(options["track"], str):
-        raise InputError(f"track = {options['track']!r} is not a file name", where=where)
+        raise SensorInputError(f"track = {options['track']!r} is not a file name", name="track", where=where)
     start, period = number(options, "start_time", where), number(options, "period", where)
     if period <= 0.0:
-        raise InputError(f"period is {period:g} s", where=where, hint="give the seconds of one line or sweep")
+        raise SensorInputError(
+            f"period is {period:g} s", name="period", where=where, hint="give the seconds of one line or sweep"
+        )
     file = Path(request.base) / options["track"]
     table = read_table(file, where)
     tau = (table[:, 0] - start) / period - periods / 2
@@ -254,7 +208,12 @@ def _field(options: Mapping[str, Any], kind: str, where: str) -> float:
     field = number(options, "field_of_view", where)
     limit = 180.0 if kind == "panoramic" else 170.0
     if not 0.0 < field < limit:
-        raise InputError(f"field_of_view is {field:g}", where=where, hint=f"give degrees between 0 and {limit:g}")
+        raise SensorInputError(
+            f"field_of_view is {field:g}",
+            name="field_of_view",
+            where=where,
+            hint=f"give degrees between 0 and {limit:g}",
+        )
     return field
 
 
@@ -266,11 +225,18 @@ def _inner(options: Mapping[str, Any], kind: str, beta: float, where: str) -> li
     if kind == "sweeps":
         angle = number(options, "line_angle", where, beta)
         if angle <= 0.0:
-            raise InputError(f"line_angle is {angle:g}", where=where, hint="give degrees above 0")
+            raise SensorInputError(
+                f"line_angle is {angle:g}", name="line_angle", where=where, hint="give degrees above 0"
+            )
         return [1.0 / math.radians(angle), motion]
     focal, pixel = number(options, "focal_length", where), number(options, "pixel_size", where)
     if focal <= 0.0 or pixel <= 0.0:
-        raise InputError("focal_length and pixel_size must be greater than 0", where=where, hint="give both in mm")
+        raise SensorInputError(
+            "focal_length and pixel_size must be greater than 0",
+            name="focal_length",
+            where=where,
+            hint="give both in mm",
+        )
     return [focal / pixel, motion]
 
 

@@ -14,32 +14,15 @@ from dataclasses import replace
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError, SolveError
+from geomosaic.errors import SensorInputError, SolveError
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import known_keys, number, point_rows
-from geomosaic.sensor.plugin import SensorInput, SensorRequest
+from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
 from geomosaic_panoramic.flight import word
 from geomosaic_panoramic.model import PanoramicModel
 
-INPUTS = (
-    SensorInput(
-        "points",
-        "control points, each with x, y, z, col, row and optionally id and sigma (pixels, default 1), in the declared "
-        "CRS; in a project those of [control]",
-    ),
-    SensorInput(
-        "refine", "points: the flight is corrected by control points; none: it stays as it is", default="points"
-    ),
-    SensorInput(
-        "sigmas",
-        "a-priori standard deviations of what control points may correct: position, speed (per line or sweep), angles, "
-        "rates, or single parameters; 0 is fixed",
-        "m, m, deg, deg",
-        "5 % of the height above ground, 5 % of the advance, 2.9 deg; with a track 1 m, 0, 0.5 deg; rates 0",
-    ),
-)
 POINT = ("x", "y", "z", "col", "row")
 GROUPS = {
     "position": ("east", "north", "up"),
@@ -94,7 +77,9 @@ def _sigmas(model: PanoramicModel, request: SensorRequest, above: float) -> Floa
     """A-priori sigmas: those of what is known of the flight, then of groups, then of single parameters."""
     where, table = request.image, request.options.get("sigmas", {})
     if not isinstance(table, Mapping):
-        raise InputError(f"sigmas = {table!r} is not a table", where=where, hint=f"give {', '.join(GROUPS)}")
+        raise SensorInputError(
+            f"sigmas = {table!r} is not a table", name="sigmas", where=where, hint=f"give {', '.join(GROUPS)}"
+        )
     names = model.parameters.names
     known_keys(table, (*GROUPS, *names), f"{where}, sigmas")
     units = {"position": above, "speed": model.track.pace, "angles": 1.0, "rates": 1.0}
@@ -106,7 +91,9 @@ def _sigmas(model: PanoramicModel, request: SensorRequest, above: float) -> Floa
     values.update({name: number(table[name], f"sigmas, {name}", where) for name in names if name in table})
     negative = [name for name, value in values.items() if value < 0.0]
     if negative:
-        raise InputError(f"the sigma of {negative[0]} is negative", where=where, hint="0 holds it fixed")
+        raise SensorInputError(
+            f"the sigma of {negative[0]} is negative", name="sigmas", where=where, hint="0 holds it fixed"
+        )
     return np.array(list(values.values()))
 
 

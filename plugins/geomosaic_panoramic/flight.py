@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError, SensorInputError, did_you_mean
 from geomosaic.geo.crs import geographic, horizontal
 from geomosaic.geo.local_frames import LocalFrame, enu_axes, map_place
 from geomosaic.geo.transform import Transform
@@ -123,15 +123,21 @@ def declared_orbit(options: Mapping[str, Any], frame: LocalFrame, half: float, w
     """Poses of the orbit that the inputs `orbit` and `period` declare."""
     orbit = options["orbit"]
     if not isinstance(orbit, Mapping):
-        raise InputError(f"input 'orbit' is no table: {orbit!r}", where=where, hint="give inclination and pass")
+        raise SensorInputError(
+            f"input 'orbit' is no table: {orbit!r}", name="orbit", where=where, hint="give inclination and pass"
+        )
     for key in orbit:
         if key not in ORBIT:
-            raise InputError(f"an orbit has no '{key}'", where=where, hint=did_you_mean(str(key), ORBIT) or "see docs")
+            raise SensorInputError(
+                f"an orbit has no '{key}'", name="orbit", where=where, hint=did_you_mean(str(key), ORBIT) or "see docs"
+            )
     inclination = math.radians(number(orbit, "inclination", where))
     ascending = word(orbit, "pass", ("ascending", "descending"), where) == "ascending"
     period = number(options, "period", where)
     if period <= 0.0:
-        raise InputError(f"period is {period:g} s", where=where, hint="give the seconds of one line or sweep")
+        raise SensorInputError(
+            f"period is {period:g} s", name="period", where=where, hint="give the seconds of one line or sweep"
+        )
     try:
         return orbit_poses(frame, inclination, ascending, period, half)
     except InputError as error:
@@ -161,18 +167,30 @@ def straight(options: Mapping[str, Any], kind: str, above: float, turn: float, w
 
 def _advance(options: Mapping[str, Any], kind: str, above: float, where: str) -> float:
     if "advance" in options and "v_over_h" in options:
-        raise InputError("advance and v_over_h are given together", where=where, hint="give one of them")
+        raise SensorInputError(
+            "advance and v_over_h are given together", name="advance", where=where, hint="give one of them"
+        )
     if "v_over_h" in options:
         if "ground_height" not in options:
-            raise InputError("v_over_h needs the height above ground", where=where, hint="give ground_height")
+            raise SensorInputError(
+                "v_over_h needs the height above ground", name="v_over_h", where=where, hint="give ground_height"
+            )
         advance = number(options, "v_over_h", where) * above
     else:
         if "advance" not in options and kind != "panoramic":
-            raise InputError("nothing says how fast the scanner advances", where=where, hint="give advance or v_over_h")
+            raise SensorInputError(
+                "nothing says how fast the scanner advances",
+                name="advance",
+                where=where,
+                hint="give advance or v_over_h",
+            )
         advance = number(options, "advance", where, 0.0)
     if kind != "panoramic" and advance <= 0.0:
-        raise InputError(
-            f"the scanner advances by {advance:g} m per {PER_STEP[kind]}", where=where, hint="give a positive advance"
+        raise SensorInputError(
+            f"the scanner advances by {advance:g} m per {PER_STEP[kind]}",
+            name="advance",
+            where=where,
+            hint="give a positive advance",
         )
     return advance
 

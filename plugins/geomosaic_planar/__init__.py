@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
-from geomosaic_planar.build import PlanarPlugin
-from geomosaic_planar.fit import PlanarFit, fit_planar
-from geomosaic_planar.model import PlanarModel
+from importlib import import_module
+from typing import Any
+
+from geomosaic_planar.entry_point import PlanarPlugin
 
 plugin = PlanarPlugin()
 
-__all__ = ["PlanarFit", "PlanarModel", "PlanarPlugin", "fit_planar", "plugin"]
+# Loaded when first used: the program looks at the plugin of every sensor to find one by its capabilities.
+_HOMES = {"PlanarFit": "fit", "PlanarModel": "model", "fit_planar": "fit"}
+
+__all__ = ["PlanarFit", "PlanarModel", "fit_planar", "plugin"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(import_module(f"geomosaic_planar.{_HOMES[name]}"), name)
+    raise AttributeError(f"module 'geomosaic_planar' has no attribute '{name}'")

@@ -1,4 +1,4 @@
-"""Planar plugin: a transform, control points or coefficients to a model, with an example."""
+"""Planar models of a geotransform, of control points or of coefficients."""
 
 from __future__ import annotations
 
@@ -12,92 +12,51 @@ from pyproj import CRS
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.sensor.inputs import choice, known_inputs, meant, numbers, point_rows, positive
-from geomosaic.sensor.plugin import SensorExample, SensorInput, SensorRequest
+from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
+from geomosaic_planar.entry_point import INPUTS
 from geomosaic_planar.fit import fit_planar
 from geomosaic_planar.model import PlanarModel
 from geomosaic_planar.terms import AXES, KINDS, MAX_ORDER, parameter_names
-
-EXAMPLE = SensorExample(
-    (1200, 800),
-    """\
-[sensor]
-name = "planar"
-kind = "projective"
-points = [
-  { x = 500000.0, y = 5500080.0, col = 0.0, row = 0.0 },
-  { x = 500118.0, y = 5500082.0, col = 1200.0, row = 0.0 },
-  { x = 500121.0, y = 5500001.0, col = 1200.0, row = 800.0 },
-  { x = 500001.0, y = 5499999.0, col = 0.0, row = 800.0 },
-]
-
-[exterior]
-crs = "EPSG:32633"
-""",
-)
-
 
 POINT = ("x", "y", "col", "row")
 SOURCES = ("transform", "geotransform", "points", "coefficients")
 
 
-class PlanarPlugin:
-    """Sensor 'planar'."""
+def build_model(request: SensorRequest) -> PlanarModel:
+    """Planar model of one image.
 
-    name = "planar"
-    summary = "plane transformations of flat ground: conformal, affine, projective, polynomial of order 1 to 5, spline"
-    inputs = (
-        SensorInput("transform", "a, b, c, d, e, f: pixel corner to map, x = a col + b row + c, y = d col + e row + f"),
-        SensorInput("geotransform", "the same in GDAL's order: c, a, b, f, d, e"),
-        SensorInput("points", "control points, each with x, y, col, row and optionally sigma (pixels)"),
-        SensorInput("coefficients", "coefficients ground to image, by name or in the order of `parameters`", "px"),
-        SensorInput("kind", f"{', '.join(KINDS)}; for points and coefficients", default="affine"),
-        SensorInput("order", f"degree of a polynomial, 1 to {MAX_ORDER}", default="1"),
-        SensorInput(
-            "axes",
-            "left (rows downwards) or right (rows upwards, mirrored image) for kind conformal",
-            default="recognised from points, left for coefficients",
-        ),
-        SensorInput("centre", "map x, y that the coefficients count from", "map units", "0, 0"),
-        SensorInput("scale", "map units that the coefficients count as 1", "map units", "1"),
-    )
-    model = PlanarModel
-    example = EXAMPLE
-
-    def build(self, request: SensorRequest) -> PlanarModel:
-        """Make the model of one image.
-
-        Raises
-        ------
-        InputError
-            An input is missing, unknown or out of range.
-        SolveError
-            The control points do not determine the transformation.
-        """
-        where = request.image
-        options = request.options
-        known_inputs(options, self.inputs, self.name, where)
-        given = [source for source in SOURCES if source in options]
-        if len(given) != 1:
-            what = f"{' and '.join(given)} are given together" if given else "there is nothing to place the image with"
-            raise InputError(what, where=where, hint=f"give one of {', '.join(SOURCES)}")
-        if request.crs is None or request.crs.is_geocentric:
-            raise InputError("sensor 'planar' needs a horizontal CRS", where=where, hint="name one, e.g. EPSG:32633")
-        crs = horizontal(request.crs)
-        if given[0] in ("transform", "geotransform"):
-            return _georeferenced(request, crs, given[0])
-        kind, order = _kind(options, where)
-        axes = _axes(options, kind, where)
-        if given[0] == "points":
-            xy, colrow, weights = _points(options["points"], where)
-            fitted = fit_planar(kind, xy, colrow, weights, order=order, axes=axes, where=where)
-            return PlanarModel.of_fit(fitted, crs, request.size, where)
-        if kind == "tps":
-            raise InputError("a thin plate spline has no coefficients to give", where=where, hint="give 'points'")
-        values = _coefficients(options["coefficients"], kind, order, where)
-        centre = np.array(numbers(options.get("centre", (0.0, 0.0)), 2, "centre", where))
-        scale = positive(options.get("scale", 1.0), "scale", where)
-        return PlanarModel.of(kind, order, crs, request.size, centre, scale, values, where=where, axes=axes or "left")
+    Raises
+    ------
+    InputError
+        An input is missing, unknown or out of range.
+    SolveError
+        The control points do not determine the transformation.
+    """
+    where = request.image
+    options = request.options
+    known_inputs(options, INPUTS, "planar", where)
+    given = [source for source in SOURCES if source in options]
+    if len(given) != 1:
+        what = f"{' and '.join(given)} are given together" if given else "there is nothing to place the image with"
+        raise InputError(what, where=where, hint=f"give one of {', '.join(SOURCES)}")
+    if request.crs is None or request.crs.is_geocentric:
+        raise InputError("sensor 'planar' needs a horizontal CRS", where=where, hint="name one, e.g. EPSG:32633")
+    crs = horizontal(request.crs)
+    if given[0] in ("transform", "geotransform"):
+        return _georeferenced(request, crs, given[0])
+    kind, order = _kind(options, where)
+    axes = _axes(options, kind, where)
+    if given[0] == "points":
+        xy, colrow, weights = _points(options["points"], where)
+        fitted = fit_planar(kind, xy, colrow, weights, order=order, axes=axes, where=where)
+        return PlanarModel.of_fit(fitted, crs, request.size, where)
+    if kind == "tps":
+        raise InputError("a thin plate spline has no coefficients to give", where=where, hint="give 'points'")
+    values = _coefficients(options["coefficients"], kind, order, where)
+    centre = np.array(numbers(options.get("centre", (0.0, 0.0)), 2, "centre", where))
+    scale = positive(options.get("scale", 1.0), "scale", where)
+    return PlanarModel.of(kind, order, crs, request.size, centre, scale, values, where=where, axes=axes or "left")
 
 
 def _georeferenced(request: SensorRequest, crs: CRS, option: str) -> PlanarModel:

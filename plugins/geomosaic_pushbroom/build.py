@@ -18,7 +18,7 @@ from geomosaic.sensor.solve import resect
 from geomosaic.sensor.vertical_datum import need_heights
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.assemble import ECEF, assemble
-from geomosaic_pushbroom.inputs import OPTIONS
+from geomosaic_pushbroom.entry_point import OPTIONS
 from geomosaic_pushbroom.metadata import find_beside, read_metadata
 from geomosaic_pushbroom.model import PushbroomModel
 from geomosaic_pushbroom.platform import Flight

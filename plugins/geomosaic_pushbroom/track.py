@@ -15,7 +15,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.inputs import INPUTS
+from geomosaic_pushbroom.entry_point import INPUTS
 from geomosaic_pushbroom.look_angles import Look
 from geomosaic_pushbroom.paths import TrackPath
 from geomosaic_pushbroom.platform import Flight

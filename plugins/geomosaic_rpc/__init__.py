@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
-from geomosaic_rpc.build import RpcPlugin
-from geomosaic_rpc.coefficients import Rpc
-from geomosaic_rpc.find import read_rpc
-from geomosaic_rpc.fit import RpcFit, fit_rpc
-from geomosaic_rpc.model import RpcModel
-from geomosaic_rpc.refine import Refinement, refine
-from geomosaic_rpc.tie_correction import Relation, Sights, relate
-from geomosaic_rpc.write import write_tags, write_text
+from importlib import import_module
+from typing import Any
+
+from geomosaic_rpc.entry_point import RpcPlugin
 
 plugin = RpcPlugin()
 
-__all__ = [
-    "Refinement",
-    "Relation",
-    "Rpc",
-    "RpcFit",
-    "RpcModel",
-    "RpcPlugin",
-    "Sights",
-    "fit_rpc",
-    "plugin",
-    "read_rpc",
-    "refine",
-    "relate",
-    "write_tags",
-    "write_text",
-]
+# Loaded when first used: the program looks at the plugin of every sensor to find one by its capabilities.
+_HOMES = {
+    "Refinement": "refinement",
+    "Relation": "tie_correction",
+    "Rpc": "coefficients",
+    "RpcFit": "fit",
+    "RpcModel": "model",
+    "Sights": "tie_correction",
+    "fit_rpc": "fit",
+    "read_rpc": "find",
+    "refine": "refinement",
+    "relate": "tie_correction",
+    "write_tags": "write",
+    "write_text": "write",
+}
+
+__all__ = ["plugin", *_HOMES]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(import_module(f"geomosaic_rpc.{_HOMES[name]}"), name)
+    raise AttributeError(f"module 'geomosaic_rpc' has no attribute '{name}'")

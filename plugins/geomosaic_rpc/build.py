@@ -1,4 +1,4 @@
-"""RPC plugin: from an image and its inputs to a model, with an example."""
+"""RPC models of an image: the coefficients found for it, refined by control points."""
 
 from __future__ import annotations
 
@@ -11,123 +11,40 @@ import numpy as np
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import choice, known_inputs, number, numbers, point_rows
-from geomosaic.sensor.plugin import SensorExample, SensorInput, SensorRequest
+from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.vertical_datum import need_heights
 from geomosaic.types import FloatArray
-from geomosaic_rpc.capability import RationalPower
 from geomosaic_rpc.coefficients import Rpc
-from geomosaic_rpc.find import OWN, Found, files_beside, find_rpc, own_rpc, read_rpc
+from geomosaic_rpc.entry_point import INPUTS
+from geomosaic_rpc.find import OWN, Found, find_rpc, own_rpc, read_rpc
 from geomosaic_rpc.model import KINDS, WGS84, RpcModel
-from geomosaic_rpc.refine import refine
-
-_ZEROS = ", ".join(["0.0"] * 16)
-_ONE = ", ".join(["1.0", *["0.0"] * 19])
-
-EXAMPLE = SensorExample(
-    (4000, 3000),
-    """\
-[sensor]
-name = "rpc"
-rpc = "scene.RPB"
-
-[dem]
-height = 420.0
-heights = "ellipsoidal"
-""",
-    {
-        "scene.RPB": f"""\
-satId = "XX01";
-bandId = "P";
-SpecId = "RPC00B";
-BEGIN_GROUP = IMAGE
-  errBias = 10.0;
-  errRand = 0.5;
-  lineOffset = 1499.5;
-  sampOffset = 1999.5;
-  latOffset = 45.6;
-  longOffset = 12.3;
-  heightOffset = 420.0;
-  lineScale = 1500.0;
-  sampScale = 2000.0;
-  latScale = 0.0125;
-  longScale = 0.021;
-  heightScale = 500.0;
-  lineNumCoef = (0.0, 0.14, -0.99, 0.05, {_ZEROS});
-  lineDenCoef = ({_ONE});
-  sampNumCoef = (0.0, 1.0, 0.12, 0.03, {_ZEROS});
-  sampDenCoef = ({_ONE});
-END_GROUP = IMAGE
-END;
-"""
-    },
-)
-
+from geomosaic_rpc.refinement import refine
 
 POINT = ("x", "y", "z", "col", "row")
 
 
-class RpcPlugin(RationalPower):
-    """Sensor 'rpc'."""
+def build_model(request: SensorRequest) -> RpcModel:
+    """RPC model of one image.
 
-    name = "rpc"
-    summary = "satellite scenes with rational polynomial coefficients (RPC00B), refined by shift, drift or affine"
-    inputs = (
-        SensorInput(
-            "rpc",
-            "file of the RPC: _RPC.TXT, RPB, DIMAP 2 or 3 XML, DigitalGlobe XML, OSSIM keyword list; or 'image', what "
-            "the image itself carries (TIFF tags, NITF)",
-            default="found in the image or beside it",
-        ),
-        SensorInput(
-            "first_pixel",
-            "what the RPC calls the centre of the upper-left pixel",
-            "px",
-            "that of the format: 1 for Pleiades and SPOT 6 and 7 XML, 0 for all others",
-        ),
-        SensorInput(
-            "offset",
-            "[col, row] of the image's corner in the scene the RPC was made for, for a part of it",
-            "px",
-            "0, 0",
-        ),
-        SensorInput(
-            "refine",
-            "what is corrected in the image: none, shift, drift (shift and drift along the rows) or affine",
-            default="shift",
-        ),
-        SensorInput(
-            "points", "control points for it, each with x, y, z, col, row and optionally id and sigma (pixels)", "CRS"
-        ),
-    )
-    model = RpcModel
-    example = EXAMPLE
-
-    def files(self, path: Path) -> tuple[Path, ...]:
-        """Files beside an image that its RPC may come from."""
-        return files_beside(path)
-
-    def build(self, request: SensorRequest) -> RpcModel:
-        """Make the model of one image.
-
-        Raises
-        ------
-        InputError
-            There is no RPC, there are several, or an input is unknown or out of range.
-        SolveError
-            The control points do not determine the refinement.
-        """
-        where, options = request.image, request.options
-        known_inputs(options, self.inputs, self.name, where)
-        kind = choice(options.get("refine", "shift"), KINDS, "refine", where)
-        found = _chosen(request)
-        first = number(options["first_pixel"], "first_pixel", where) if "first_pixel" in options else None
-        rpc = found.fields.rpc(f"{where} ({found.source})", first)
-        corner = numbers(options.get("offset", (0.0, 0.0)), 2, "offset", where)
-        if "offset" not in options:
-            _warn_of_a_part(rpc, request.size, where)
-        notes = (f"RPC of {found.source}, format {found.fields.format}",)
-        model = RpcModel.of(rpc.moved(-corner[0], -corner[1]), request.size, kind, where=where, notes=notes)
-        return _refined(model, request, kind) if options.get("points") else model
+    Raises
+    ------
+    InputError
+        There is no RPC, there are several, or an input is unknown or out of range.
+    SolveError
+        The control points do not determine the refinement.
+    """
+    where, options = request.image, request.options
+    known_inputs(options, INPUTS, "rpc", where)
+    kind = choice(options.get("refine", "shift"), KINDS, "refine", where)
+    found = _chosen(request)
+    first = number(options["first_pixel"], "first_pixel", where) if "first_pixel" in options else None
+    rpc = found.fields.rpc(f"{where} ({found.source})", first)
+    corner = numbers(options.get("offset", (0.0, 0.0)), 2, "offset", where)
+    if "offset" not in options:
+        _warn_of_a_part(rpc, request.size, where)
+    notes = (f"RPC of {found.source}, format {found.fields.format}",)
+    model = RpcModel.of(rpc.moved(-corner[0], -corner[1]), request.size, kind, where=where, notes=notes)
+    return _refined(model, request, kind) if options.get("points") else model
 
 
 def _chosen(request: SensorRequest) -> Found:

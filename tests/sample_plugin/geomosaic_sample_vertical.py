@@ -9,8 +9,9 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
+from geomosaic.sensor.inputs import known_inputs, need, numbers, point_rows, positive
 from geomosaic.sensor.model import Parameters
-from geomosaic.sensor.plugin import SensorExample, SensorInput, SensorRequest
+from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
 from geomosaic.sensor.solve import resect
 
 EXAMPLE = """\
@@ -39,17 +40,17 @@ class VerticalModel:
 
     @property
     def parameters(self) -> Parameters:
-        """The projection centre."""
+        """Projection centre."""
         step = self.centre[2] / self.focal
         return Parameters(("x", "y", "z"), ("m",) * 3, np.array(self.centre), np.full(3, np.inf), np.full(3, step))
 
     @property
     def seed(self) -> tuple[float, float, float]:
-        """Below the camera, at height 0."""
+        """Point below the camera, at height 0."""
         return self.centre[0], self.centre[1], 0.0
 
     def ground_to_image(self, xyz: np.ndarray) -> np.ndarray:
-        """Ground (N, 3) to (col, row) (N, 2)."""
+        """Image (col, row) (N, 2) of ground (N, 3)."""
         depth = self.centre[2] - xyz[:, 2]
         scale = np.where(depth > 0, self.focal / np.where(depth > 0, depth, 1.0), np.nan)
         return np.column_stack(
@@ -60,11 +61,11 @@ class VerticalModel:
         )
 
     def with_values(self, values: np.ndarray) -> VerticalModel:
-        """Move the projection centre."""
+        """Model at another projection centre (3,)."""
         return replace(self, centre=tuple(float(v) for v in values))
 
     def to_dict(self) -> dict[str, Any]:
-        """State."""
+        """State as JSON values."""
         return {"crs": self.crs.to_wkt(), "size": list(self.size), "centre": list(self.centre), "focal": self.focal}
 
     @classmethod
@@ -74,7 +75,7 @@ class VerticalModel:
 
 
 class VerticalPlugin:
-    """The door."""
+    """Plugin of the sensor 'vertical'."""
 
     name = "vertical"
     summary = "a camera that looks straight down, north at the top"
@@ -84,26 +85,24 @@ class VerticalPlugin:
         SensorInput("points", "control points {x, y, z, col, row, sigma}; in a project those of [control]"),
         SensorInput("refine", "points: the position is adjusted to them; none: left as it is", default="points"),
     )
+    capabilities = Capabilities(exterior=("position",), control=ControlUse.ADJUSTMENT)
     model = VerticalModel
     example = SensorExample((1000, 800), EXAMPLE)
 
     def build(self, request: SensorRequest) -> VerticalModel:
-        """Make the model of one image."""
-        names = [entry.name for entry in self.inputs]
-        unknown = [key for key in request.options if key not in names]
-        if unknown:
-            raise InputError(f"no input '{unknown[0]}'", where=request.image, hint=f"the inputs are {', '.join(names)}")
-        missing = [key for key in ("position", "focal_length_px") if key not in request.options]
-        if missing or request.crs is None:
-            raise InputError(f"{', '.join(missing) or 'the CRS of the position'} is missing", where=request.image)
-        x, y, z = (float(value) for value in request.options["position"])
-        model = VerticalModel(request.crs, request.size, (x, y, z), float(request.options["focal_length_px"]))
-        points = request.options.get("points", ()) if request.options.get("refine", "points") == "points" else ()
-        if not points:
+        """Model of one image."""
+        where, options = request.image, request.options
+        known_inputs(options, self.inputs, self.name, where)
+        x, y, z = numbers(need(options, "position", where, "the projection centre"), 3, "position", where)
+        focal = positive(need(options, "focal_length_px", where, "in pixels"), "focal_length_px", where)
+        if request.crs is None:
+            raise InputError("the CRS of the position is missing", where=where, hint="name it, such as EPSG:32633")
+        model = VerticalModel(request.crs, request.size, (x, y, z), focal)
+        if options.get("refine", "points") == "none" or not options.get("points"):
             return model
-        ground = np.array([[p["x"], p["y"], p["z"]] for p in points], dtype=float)
-        image = np.array([[p["col"], p["row"]] for p in points], dtype=float)
-        return resect(model, ground, image, np.array([p.get("sigma", 1.0) for p in points])).model
+        _, rows = point_rows(options["points"], ("x", "y", "z", "col", "row"), where)
+        table = np.array(rows)
+        return resect(model, table[:, :3], table[:, 3:5], table[:, 5]).model
 
 
 plugin = VerticalPlugin()

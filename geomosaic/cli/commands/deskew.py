@@ -27,7 +27,7 @@ from geomosaic.cli.values import pairs
         metavar="NAME=VALUE",
         help="Nominal numbers of the scanner; see `geomosaic sensors panoramic`.",
     ),
-    click.option("--sensor", default="panoramic", show_default=True, help="Sensor that knows `relative`."),
+    click.option("--sensor", help="Sensor that makes models in relative metres; the installed one unless given."),
     output_options,
     machine_options,
 )
@@ -45,6 +45,7 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
     from geomosaic.errors import InputError
     from geomosaic.inputs.declarations import Block
     from geomosaic.products.from_inputs import make_ortho
+    from geomosaic.sensor.registry import relative_sensor
 
     if flags["dst_crs"] is not None:
         raise InputError(
@@ -52,7 +53,7 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
             hint="leave it out, or use `geomosaic ortho` with a position",
         )
     options = {name: value(text) for name, text in flags["sensor_options"].items()} | {"relative": True}
-    inputs = Block((image,), flags["sensor"], options=options, bands=flags["bands"])
+    inputs = Block((image,), flags["sensor"] or relative_sensor(), options=options, bands=flags["bands"])
     note_memory(flags["mem_limit"], flags["threads"])
     with notes(), progress(as_json) as report:
         result = make_ortho(inputs, area(flags), output, render_options(flags, report))

@@ -61,6 +61,7 @@ def command(
     from geomosaic.inputs.rasters import check_placed
     from geomosaic.products.from_inputs import make_ortho
     from geomosaic.raster.info import inspect
+    from geomosaic.sensor.registry import plane_sensor
 
     note_memory(flags["mem_limit"], flags["threads"])
     with notes(), progress(as_json) as report:
@@ -80,7 +81,7 @@ def command(
         if src_crs is not None and info.transform is not None:
             t = info.transform
             options["transform"] = [t.a, t.b, t.c, t.d, t.e, t.f]
-        inputs = Block((source,), "planar", options=options, crs=src_crs)
+        inputs = Block((source,), plane_sensor(), options=options, crs=src_crs)
         area = Area(flags["dst_crs"], flags["res"], flags["bounds"], snap, like)
         result = make_ortho(inputs, area, output, render_options(flags, report))
     words = _operation(own, result.grid.crs)

@@ -59,10 +59,11 @@ def command(images: tuple[Path, ...], as_json: bool, **flags: Any) -> None:
         --heights ellipsoidal --tags --overwrite
       geomosaic rpc left.tif right.tif --refine shift --ties ties.csv --text --folder refined
     """
-    from geomosaic.rpc.write import SENSOR, RpcInputs, make_rpcs
+    from geomosaic.rpc.write import RpcInputs, make_rpcs
+    from geomosaic.sensor.registry import rational_sensor
 
     if flags["sensor"] is None and not (flags["exterior"] or flags["camera"]):
-        flags["sensor"] = SENSOR
+        flags["sensor"] = rational_sensor()
     if flags["folder"] is not None and not (flags["text"] or flags["grid"]):
         raise click.UsageError("--folder is for the text files and grids: add --text or --grid")
     if flags["grid"] and not (flags["text"] or flags["tags"]):

@@ -24,7 +24,7 @@ from geomosaic.inputs.planar.facts import (
 from geomosaic.inputs.planar.tables import examine, read_block
 from geomosaic.inputs.usable_area import with_usable
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.sensor.registry import build
+from geomosaic.sensor.registry import build, plane_sensor
 
 if TYPE_CHECKING:
     from geomosaic.estimation.blunders import Findings
@@ -211,8 +211,8 @@ def _map(inputs: Block, wanted: PlanarInputs) -> CRS:
 
 def _scene(inputs: Block, photo: Photo, transform: PlanarTransform, crs: CRS) -> OrientedImage:
     request = SensorRequest(photo.name, photo.info.size, transform.options(), crs, str(inputs.base))
-    model = build("planar", request)
-    scene = OrientedImage(photo.name, str(photo.path), "planar", model, inputs.nodata, inputs.bands)
+    sensor = plane_sensor()
+    scene = OrientedImage(photo.name, str(photo.path), sensor, build(sensor, request), inputs.nodata, inputs.bands)
     return with_usable(inputs, [scene])[0]
 
 

@@ -13,6 +13,7 @@ from geomosaic.errors import GeomosaicError, SolveError
 from geomosaic.orientation.single.fit import ControlFit, fit_problem, total_rms
 from geomosaic.orientation.single.problem import Build, Problem, registry_build
 from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.registry import plane_sensor
 from geomosaic.types import AnyArray, BoolArray, FloatArray
 
 EXACT = 50
@@ -115,13 +116,11 @@ class Choice:
     said: str
 
 
-def planar_builds(
-    request: SensorRequest, ground: AnyArray, colrow: AnyArray, sensor: str = "planar"
-) -> dict[str, Build]:
+def planar_builds(request: SensorRequest, ground: AnyArray, colrow: AnyArray) -> dict[str, Build]:
     """Functions for every kind of `PLANAR`; see `problem.registry_build`."""
     return {
         name: registry_build(
-            sensor,
+            plane_sensor(),
             SensorRequest(request.image, request.size, {**request.options, **options}, request.crs, request.base),
             ground,
             colrow,

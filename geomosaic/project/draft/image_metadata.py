@@ -14,14 +14,11 @@ from geomosaic.inputs.declarations import Block, PlanarInputs
 from geomosaic.project.draft.exif import PhotoFacts, photo_facts
 from geomosaic.raster.info import control_point_count, inspect
 from geomosaic.raster.photo_metadata import read_photo_tags
-from geomosaic.raster.rpc_tags import read_rpc_tags
-from geomosaic.sensor.plugin import HasFiles, SensorRequest
-from geomosaic.sensor.registry import build, installed, plugin
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.registry import build, embedded_sensors, photo_sensor, plane_sensor
 from geomosaic.whole_files import write_atomic
 
 RASTERS = (".tif", ".tiff", ".jp2", ".ntf", ".img", ".jpg")
-SCENES = ("pushbroom", "rpc")
-"""Sensors whose model may lie in or beside an image: the rigorous one first."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +86,7 @@ def carried_by(inputs: Block, project: Path) -> Carried:
         if len(own) > 1:
             lines.append(f"  and one for {' and '.join(own[1:])}: say --sensor to take that")
         if placed:
-            lines.append("  they are georeferenced too: say --sensor planar to take them as they lie")
+            lines.append(f"  they are georeferenced too: say --sensor {plane_sensor()} to take them as they lie")
         return Carried(replace(inputs, sensor=own[0]), lines=lines)
     if placed or inputs.control is not None:
         return Carried(inputs)
@@ -125,13 +122,10 @@ def write_tables(carried: Carried, *, overwrite: bool = False) -> None:
 
 def _own_models(inputs: Block) -> list[str]:
     """Sensors for which every image carries its model, tried out."""
-    names = {entry.name for entry in installed()}
-    return [name for name in SCENES if name in names and all(_carries(name, path) for path in inputs.images)]
+    return [name for name in embedded_sensors() if all(_carries(name, path) for path in inputs.images)]
 
 
 def _carries(name: str, path: Path) -> bool:
-    if name == "rpc" and not read_rpc_tags(path) and not _beside(name, path):
-        return False
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -139,12 +133,6 @@ def _carries(name: str, path: Path) -> bool:
     except GeomosaicError:
         return False
     return True
-
-
-def _beside(name: str, path: Path) -> tuple[Path, ...]:
-    """Files of a sensor's model beside an image."""
-    sensor = plugin(name)
-    return sensor.files(path) if isinstance(sensor, HasFiles) else ()
 
 
 def _one_camera(images: Sequence[Path], facts: Sequence[PhotoFacts], sizes: Sequence[tuple[int, int]]) -> None:
@@ -177,7 +165,7 @@ def _share(focal: int | None) -> str:
 def _photos(inputs: Block, facts: Sequence[PhotoFacts], size: tuple[int, int], project: Path) -> Carried:
     """Tables of the positions and attitudes of photos, and a camera of their focal length."""
     lines, needed, tables = [], [], {}
-    change: dict[str, object] = {"sensor": "frame"}
+    change: dict[str, object] = {"sensor": photo_sensor()}
     if facts[0].camera:
         lines.append(_camera_line(facts[0]))
     with_place = sum(fact.position is not None for fact in facts)

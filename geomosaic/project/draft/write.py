@@ -20,7 +20,7 @@ from geomosaic.inputs.exterior_orientation import (
     systems_of,
     undeclared_reconstruction,
 )
-from geomosaic.inputs.missing_inputs import HEIGHTS, needs, undeclared_heights
+from geomosaic.inputs.missing_inputs import HEIGHTS, known_capabilities, needs, undeclared_heights
 from geomosaic.inputs.orientation_check.summary import understood
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.whole_files import write_atomic
@@ -104,6 +104,7 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
     folder = path.absolute().parent
     undeclared = undeclared_reconstruction(inputs.exterior, inputs.angles)
     reconstruction = undeclared or inputs.angles in RECONSTRUCTIONS
+    power = known_capabilities(inputs.sensor)
 
     def near(given: object) -> str:
         file = file_of(given)
@@ -125,7 +126,7 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
     ]
     if inputs.camera is not None:
         lines.append(f"camera = {near(inputs.camera)}")
-    elif inputs.sensor == "frame" and not reconstruction:
+    elif power.needs_camera and not reconstruction:
         lines.append('# camera = "camera.toml"    # NEEDED')
     if inputs.corrections is not None:
         lines.append(f"corrections = {near(Path(inputs.corrections))}")
@@ -135,10 +136,10 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
     lines += ["", "[exterior]"]
     if inputs.exterior is not None:
         lines.append(f"file = {near(inputs.exterior)}")
-    elif inputs.sensor != "planar":
+    elif not power.planar:
         lines.append('# file = "exterior.csv"    # NEEDED: image, x, y, z, omega, phi, kappa')
     frames = "x and y here and of the control points"
-    needed = "NEEDED with odm: " if undeclared else "" if inputs.sensor == "planar" else "NEEDED: "
+    needed = "NEEDED with odm: " if undeclared else "" if power.planar else "NEEDED: "
     lines.append(
         f"crs = {_string(inputs.crs)}    # of {frames}"
         if inputs.crs
@@ -214,7 +215,7 @@ def _ground(inputs: Block, near: Any, folder: Path) -> list[str]:
         lines = ["[dem]", f"file = {near(inputs.dem)}"]
     elif inputs.height is not None:
         lines = ["[dem]", f"height = {inputs.height!r}    # metres, one for all the ground"]
-    elif inputs.sensor == "planar":
+    elif known_capabilities(inputs.sensor).planar:
         return ["# [dem]"]
     else:
         return ["# [dem]    # NEEDED", '# file = "dem.tif"    # or: height = 120.0']

@@ -1,8 +1,15 @@
-"""Inputs of the line scanner, with an example: the text of `geomosaic sensors pushbroom`."""
+"""Entry point of the sensor 'pushbroom': its inputs, its capabilities and an example."""
 
 from __future__ import annotations
 
-from geomosaic.sensor.plugin import SensorExample, SensorInput
+from typing import TYPE_CHECKING
+
+from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from geomosaic_pushbroom.model import PushbroomModel
 
 INPUTS = (
     SensorInput(
@@ -103,3 +110,35 @@ time,x,y,z,roll,pitch,heading
 """
     },
 )
+
+
+class PushbroomPlugin:
+    """Plugin of the sensor 'pushbroom'; its modules are loaded when a model is asked for."""
+
+    name = "pushbroom"
+    summary = (
+        "line scanner: SPOT 1 to 7 and Pléiades by metadata, strips by a GNSS track, scenes by control points alone"
+    )
+    inputs = INPUTS
+    capabilities = Capabilities(control=ControlUse.ADJUSTMENT, ground_height=True, embedded=True)
+    example = EXAMPLE
+
+    @property
+    def model(self) -> type[PushbroomModel]:
+        """Class of the models."""
+        from geomosaic_pushbroom.model import PushbroomModel
+
+        return PushbroomModel
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """Metadata beside a scene."""
+        from geomosaic_pushbroom.metadata import find_beside
+
+        found = find_beside(str(path))
+        return () if found is None else (found,)
+
+    def build(self, request: SensorRequest) -> PushbroomModel:
+        """Make the model of one scene or strip; see `geomosaic_pushbroom.build`."""
+        from geomosaic_pushbroom.build import build_pushbroom
+
+        return build_pushbroom(request)

@@ -1,8 +1,13 @@
-"""Inputs of the frame camera, with an example: the text of `geomosaic sensors frame`."""
+"""Entry point of the sensor 'frame': its inputs, its capabilities and an example."""
 
 from __future__ import annotations
 
-from geomosaic.sensor.plugin import SensorExample, SensorInput
+from typing import TYPE_CHECKING
+
+from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
+
+if TYPE_CHECKING:
+    from geomosaic_frame.model import FrameModel
 
 INPUTS = (
     SensorInput(
@@ -127,3 +132,33 @@ distortion = { model = "brown", k1 = -0.05 }
 """
     },
 )
+
+
+class FramePlugin:
+    """Plugin of the sensor 'frame'; its modules are loaded when a model is asked for."""
+
+    name = "frame"
+    summary = "frame camera: collinearity with lens distortion, every usual angle system, map or geocentric positions"
+    inputs = INPUTS
+    capabilities = Capabilities(
+        exterior=("position", "orientation", "angle_unit"),
+        needs_exterior=True,
+        needs_camera=True,
+        control=ControlUse.RESECTION,
+        ground_height=True,
+        upwards=True,
+    )
+    example = EXAMPLE
+
+    @property
+    def model(self) -> type[FrameModel]:
+        """Class of the models."""
+        from geomosaic_frame.model import FrameModel
+
+        return FrameModel
+
+    def build(self, request: SensorRequest) -> FrameModel:
+        """Make the model of one photo; see `geomosaic_frame.build`."""
+        from geomosaic_frame.build import build_frame
+
+        return build_frame(request)
