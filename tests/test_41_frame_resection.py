@@ -89,8 +89,9 @@ def recovered(seeds: range) -> None:
         assert degrees < 1e-6, f"case {seed}: {degrees}°"
 
 
-def test_forty_random_photos_come_back() -> None:
-    recovered(range(40))
+def test_twenty_random_photos_come_back() -> None:
+    """Each number of points with each treatment and with flat ground and relief."""
+    recovered(range(20))
 
 
 @pytest.mark.slow

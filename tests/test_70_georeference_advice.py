@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -155,6 +156,13 @@ CASES: dict[str, tuple[str, ControlPoints, str, dict[str, float]]] = {
 """What it is called, the finding looked for, points, model and what else is asked."""
 
 
+@cache
+def findings(name: str) -> list[Advice]:
+    """Findings of a case."""
+    _, points, model, more = CASES[name]
+    return found(points, model, more)
+
+
 def found(points: ControlPoints, model: str, more: dict[str, float]) -> list[Advice]:
     """Findings of a fit and its picture."""
     request = FitRequest(model, insist=True, **more)
@@ -165,9 +173,9 @@ def found(points: ControlPoints, model: str, more: dict[str, float]) -> list[Adv
 
 def row(name: str) -> str:
     """Line of the table of the docs."""
-    wanted, points, model, more = CASES[name]
+    wanted = CASES[name][0]
     try:
-        advice = found(points, model, more)
+        advice = findings(name)
     except GeomosaicError as error:
         cells = ("refused", error.what, error.hint or "")
     else:
@@ -196,8 +204,7 @@ def test_the_blunders_named_are_those_made():
         ("one of 5", [3]),
         ("a small one", [8]),
     ):
-        _, points, model, more = CASES[name]
-        named = next(a.points for a in found(points, model, more) if a.code == "blunder")
+        named = next(a.points for a in findings(name) if a.code == "blunder")
         assert named == tuple(f"P{i}" for i in wrong), name
 
 
