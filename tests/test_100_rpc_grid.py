@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,10 +60,16 @@ def apart(image: Path, corrections: Path | None, exact: SensorModel, high: float
 def test_rpc_and_grid_are_the_sensor(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fitted, fit = [], write.fit_pair
-    monkeypatch.setattr(
-        write, "fit_pair", lambda *given: fitted[0] if fitted else fitted.append(fit(*given)) or fitted[0]
-    )
+    made: list[Any] = []
+    fit = write.fit_pair
+
+    def once(*given: Any) -> Any:
+        """The fit, made for the first run only."""
+        if not made:
+            made.append(fit(*given))
+        return made[0]
+
+    monkeypatch.setattr(write, "fit_pair", once)
     image = blank(tmp_path / "IMAGERY.TIF", SIZE)
     (tmp_path / "METADATA.DIM").write_text(trembling())
     words = ["rpc", str(image), "--sensor", "pushbroom", "--height-range", "0", "900", "--text", "--grid"]

@@ -43,7 +43,12 @@ MAPS = {
 }
 
 
-@pytest.mark.parametrize("code", MAPS)
+SHARE = ("EPSG:3857", "ESRI:54030", "EPSG:8857")  # a cylinder, a map between its poles' lines, one whose rim folds
+
+
+@pytest.mark.parametrize(
+    "code", [code if code in SHARE else pytest.param(code, marks=pytest.mark.slow) for code in MAPS]
+)
 def test_the_whole_globe(code: str, globe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The output reaches from end to end of the map, shows each place once, and each where PROJ says."""
     bounds, lost = MAPS[code]

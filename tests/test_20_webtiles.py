@@ -55,13 +55,13 @@ def test_all_tiles_of_all_levels(tmp_path: Path) -> None:
     pixels = rng.integers(0, 256, (700, 900, 4), dtype=np.uint8)
     pixels[..., 3] = 255 * (rng.uniform(size=(700, 900)) < 0.7)
     pixels[:, 400:] = 0
-    level, col, row = 12, 5 * SIDE + 100, 7 * SIDE - 30
+    level, col, row = 12, SIDE + 100, 3 * SIDE - 30
     write_mbtiles(tmp_path / "a.mbtiles", pixels, level, col, row, title="T")
     base = sqlite3.connect(tmp_path / "a.mbtiles")
     assert base.execute("PRAGMA application_id").fetchone() == (0x4D504258,)
     facts = dict(base.execute("SELECT * FROM metadata"))
     assert (facts["name"], facts["format"], facts["maxzoom"]) == ("T", "png", "12")
-    whole = np.zeros((16 * SIDE, 16 * SIDE, 4), dtype=float)
+    whole = np.zeros((8 * SIDE, 8 * SIDE, 4), dtype=np.float32)
     whole[row : row + 700, col : col + 900] = pixels
     for zoom in range(level, int(facts["minzoom"]) - 1, -1):
         seen = np.zeros_like(whole)

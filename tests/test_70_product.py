@@ -136,9 +136,8 @@ def test_bytes_of_a_mosaic_depend_on_neither_threads_nor_tiles(strip: Strip, tmp
     made = job(strip.dem, effect, strip.photos, 0.5)
     assert made.grid.width > 2 * 1024
     assert made.grid.height > 3 * 512
-    runs = RUNS if driver == "GTiff" else RUNS[::3]
     sums, gains = set(), set()
-    for threads, tile in runs:
+    for threads, tile in RUNS[::3]:
         result = made.mosaic(tmp_path / "mosaic.tif", threads=threads, tile=tile, driver=driver, feather=40.0)
         assert result.labels is not None
         sums.add((sha(result.path), sha(result.labels)))
@@ -242,7 +241,7 @@ def test_weights_sum_to_one_everywhere(strip: Strip, tmp_path: Path, feather: fl
     assert (values[~valid] == 0).all()
 
 
-@pytest.mark.parametrize(("feather", "resolution"), [(0.0, GSD), (60.0, GSD), (20.0, 0.4)])
+@pytest.mark.parametrize(("feather", "resolution"), [(0.0, GSD), (60.0, GSD), (20.0, 0.7)])
 def test_labels_cover_exactly_what_is_valid(strip: Strip, tmp_path: Path, feather: float, resolution: float) -> None:
     made = job(strip.dem, strip.files, strip.photos, resolution)
     result = made.mosaic(tmp_path / "mosaic.tif", feather=feather)
