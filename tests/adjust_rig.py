@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pyproj import CRS
 
+from geomosaic.orientation.single.fit import ControlAdjustment
 from geomosaic.orientation.single.problem import Build, registry_build
 from geomosaic.sensor.plugin import SensorRequest
 
@@ -50,6 +51,10 @@ def names(count: int) -> list[str]:
 
 def builder(kind: str, xy: np.ndarray, colrow: np.ndarray) -> Build:
     return registry_build("planar", SensorRequest("scan", SIZE, OPTIONS[kind], UTM), xy, colrow)
+
+
+def control(kind: str, xy: np.ndarray, colrow: np.ndarray, sigma: np.ndarray | None = None) -> ControlAdjustment:
+    return ControlAdjustment.of(builder(kind, xy, colrow), names(len(xy)), xy, colrow, sigma)
 
 
 def noisy(kind: str, count: int, seed: int, sigma: float = 0.5) -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geomosaic.sensor.solve import correlations, dangerous_cylinder, poses, three_point_poses
+from geomosaic.estimation.statistics import correlations
+from geomosaic.sensor.solve import dangerous_cylinder, poses, three_point_poses
 from geomosaic.types import FloatArray
 
 

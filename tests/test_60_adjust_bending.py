@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.orientation.single.local_prediction import powers, predictions
-from geomosaic.orientation.single.neighbour_tests import explained_by_bend
+from geomosaic.estimation.blunders.local_prediction import powers, predictions
+from geomosaic.estimation.blunders.neighbour_tests import explained_by_bend
 
 
 def lens(across: int, down: int, barrel: float, power: int) -> tuple[np.ndarray, np.ndarray]:

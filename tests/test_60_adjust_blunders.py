@@ -7,11 +7,11 @@ import pytest
 from adjust_rig import CENTRE, builder, names, noisy, places, spoil, truth
 
 from geomosaic.errors import SolveError
-from geomosaic.orientation.single.blunder_hypotheses import KINDS, _choices, _fit, explain
+from geomosaic.estimation.blunders.hypotheses import KINDS, _choices, _fit, explain
+from geomosaic.estimation.blunders.local_prediction import predictions, without_perspective
+from geomosaic.estimation.blunders.neighbour_tests import search_neighbours
 from geomosaic.orientation.single.check_points import odd_checks
 from geomosaic.orientation.single.fit import fit_control
-from geomosaic.orientation.single.local_prediction import predictions, without_perspective
-from geomosaic.orientation.single.neighbour_tests import search_neighbours
 
 
 def spread(count: int, seed: int) -> np.ndarray:

@@ -9,8 +9,8 @@ import pytest
 from adjust_rig import CENTRE, OPTIONS, SIZE, UTM, builder, names, noisy, places, truth
 
 from geomosaic.errors import InputError, SolveError
-from geomosaic.orientation.single.fit import fit_control
-from geomosaic.orientation.single.problem import Problem, registry_build
+from geomosaic.orientation.single.fit import ControlAdjustment, fit_control
+from geomosaic.orientation.single.problem import registry_build
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground
 
@@ -109,7 +109,8 @@ def test_rms_by_hand() -> None:
 
 def test_the_textbook_radius_holds_95_percent_and_its_rms_40() -> None:
     """Section 9-3: 40 % within the RMS and 95 % within 2.5 of it; so its RMS is that of one axis."""
-    from geomosaic.orientation.single.fit import textbook95, total_rms
+    from geomosaic.estimation.statistics import total_rms
+    from geomosaic.orientation.single.fit import textbook95
 
     errors = np.random.default_rng(1).normal(0.0, 3.0, (200_000, 2))
     lengths = np.hypot(*errors.T)
@@ -297,7 +298,7 @@ def test_undetermined_control_is_refused() -> None:
 
 def test_a_subset_is_the_problem_of_its_points() -> None:
     xy, colrow = noisy("affine", 12, 5)
-    whole = Problem.of(builder("affine", xy, colrow), names(12), xy, colrow)
+    whole = ControlAdjustment.of(builder("affine", xy, colrow), names(12), xy, colrow)
     part = whole.subset(np.arange(12) % 2 == 0).subset(np.arange(6) < 5)
     assert part.ids == ("P0", "P2", "P4", "P6", "P8")
     alone = registry_build("planar", SensorRequest("scan", SIZE, OPTIONS["affine"], UTM), xy[:10:2], colrow[:10:2])

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjust_rig import CENTRE, SIZE, builder, names, noisy, places, spoil, truth
+from adjust_rig import CENTRE, SIZE, builder, control, noisy, places, spoil, truth
 
 from geomosaic.errors import InputError, SolveError
-from geomosaic.orientation.single.blunders import m_estimate, search_blunders
-from geomosaic.orientation.single.data_snooping import snoop
+from geomosaic.estimation.blunders.data_snooping import snoop
+from geomosaic.estimation.blunders.m_estimator import m_estimate, search_blunders
 
 COUNTS = {"conformal": 12, "affine": 16, "projective": 20, "poly2": 25, "poly3": 40}
 
@@ -19,7 +19,7 @@ def test_one_blunder_is_found(kind: str) -> None:
     for seed in range(1 if kind == "poly3" else 3):
         xy, colrow = noisy(kind, COUNTS[kind], seed)
         bad = spoil(colrow, 1.0 / COUNTS[kind], seed, low=25.0, high=60.0)
-        found = search_blunders(builder(kind, xy, colrow), names(len(xy)), xy, colrow)
+        found = search_blunders(control(kind, xy, colrow))
         assert set(found.snooping.blunders) == set(found.estimate.blunders) == bad
         assert found.agree
         assert found.blunders == tuple(bad)
@@ -31,7 +31,7 @@ def test_thirty_percent_are_found(kind: str) -> None:
     for seed in range(1 if kind == "poly3" else 2):
         xy, colrow = noisy(kind, COUNTS[kind], seed)
         bad = spoil(colrow, 0.3, seed)
-        found = search_blunders(builder(kind, xy, colrow), names(len(xy)), xy, colrow)
+        found = search_blunders(control(kind, xy, colrow))
         assert set(found.snooping.blunders) == bad
         assert set(found.estimate.blunders) == bad
         assert "both methods find" in found.said
@@ -46,7 +46,7 @@ def trials(kind: str, share: float, count: int) -> tuple[float, float, float]:
     for seed in range(count):
         xy, colrow = noisy(kind, COUNTS[kind], seed)
         bad = spoil(colrow, share, seed)
-        found = search_blunders(builder(kind, xy, colrow), names(len(xy)), xy, colrow)
+        found = search_blunders(control(kind, xy, colrow))
         hits.append((set(found.snooping.blunders) == bad, set(found.estimate.blunders) == bad, found.agree))
     snooping, estimate, agree = np.mean(hits, axis=0)
     return float(snooping), float(estimate), float(agree)
@@ -64,7 +64,7 @@ def test_blunders_all_the_same_way() -> None:
     """A third of the points shifted together (a neighbouring house): they agree with each other, but are fewer."""
     xy, colrow = noisy("conformal", 18, 5)
     colrow[:6] += [35.0, -20.0]
-    found = search_blunders(builder("conformal", xy, colrow), names(18), xy, colrow)
+    found = search_blunders(control("conformal", xy, colrow))
     assert set(found.estimate.blunders) == {f"P{i}" for i in range(6)}
 
 
@@ -72,7 +72,7 @@ def test_mirrored_control_with_blunders() -> None:
     xy, colrow = noisy("conformal", 16, 6)
     colrow[:, 1] = SIZE[1] - colrow[:, 1]
     bad = spoil(colrow, 0.25, 6)
-    found = search_blunders(builder("conformal", xy, colrow), names(16), xy, colrow)
+    found = search_blunders(control("conformal", xy, colrow))
     assert set(found.blunders) == bad
     assert found.estimate.fit.mirrored
 
@@ -84,7 +84,7 @@ def test_points_on_both_sides_of_the_horizon() -> None:
         colrow[[index, other]] = colrow[[other, index]] * 3.0 - 2000.0
     with pytest.raises(SolveError):
         builder("projective", xy, colrow)(np.arange(16), np.ones(16))
-    found = search_blunders(builder("projective", xy, colrow), names(16), xy, colrow)
+    found = search_blunders(control("projective", xy, colrow))
     bad = {"P0", "P3", "P5", "P9", "P12", "P14"}
     assert set(found.snooping.blunders) == bad
     assert set(found.estimate.blunders) == bad
@@ -94,11 +94,11 @@ def test_a_known_sigma0_is_used() -> None:
     """A 6-pixel error in noise of half a pixel is a blunder, and none if the measurements are known to be bad."""
     xy, colrow = noisy("affine", 14, 4)
     colrow[3] += [4.0, -5.0]
-    build = builder("affine", xy, colrow)
-    assert snoop(build, names(14), xy, colrow).blunders == ("P3",)
-    assert snoop(build, names(14), xy, colrow, sigma0=0.5).blunders == ("P3",)
-    assert snoop(build, names(14), xy, colrow, sigma0=4.0).blunders == ()
-    assert m_estimate(build, names(14), xy, colrow, sigma0=4.0).blunders == ()
+    problem = control("affine", xy, colrow)
+    assert snoop(problem).blunders == ("P3",)
+    assert snoop(problem, sigma0=0.5).blunders == ("P3",)
+    assert snoop(problem, sigma0=4.0).blunders == ()
+    assert m_estimate(problem, sigma0=4.0).blunders == ()
 
 
 def test_sigmas_of_points_are_believed() -> None:
@@ -107,7 +107,7 @@ def test_sigmas_of_points_are_believed() -> None:
     colrow[3] += [4.0, -5.0]
     sigma = np.full(14, 0.5)
     sigma[3] = 5.0
-    assert search_blunders(builder("affine", xy, colrow), names(14), xy, colrow, sigma).blunders == ()
+    assert search_blunders(control("affine", xy, colrow, sigma)).blunders == ()
 
 
 def test_false_alarms_are_as_rare_as_said() -> None:
@@ -115,7 +115,7 @@ def test_false_alarms_are_as_rare_as_said() -> None:
     out = 0
     for seed in range(60):
         xy, colrow = noisy("conformal", 12, seed)
-        out += len(snoop(builder("conformal", xy, colrow), names(12), xy, colrow, alpha=0.01, sigma0=0.5).blunders)
+        out += len(snoop(control("conformal", xy, colrow), alpha=0.01, sigma0=0.5).blunders)
     assert 0 < out < 18
 
 
@@ -123,17 +123,17 @@ def test_exact_points_with_one_blunder() -> None:
     xy = places(10)
     colrow = truth("affine", xy)
     colrow[7] += [0.0, 0.5]
-    found = search_blunders(builder("affine", xy, colrow), names(10), xy, colrow)
+    found = search_blunders(control("affine", xy, colrow))
     assert found.blunders == ("P7",)
     clean = truth("affine", xy)
-    assert search_blunders(builder("affine", xy, clean), names(10), xy, clean).blunders == ()
+    assert search_blunders(control("affine", xy, clean)).blunders == ()
 
 
 def test_the_same_every_time() -> None:
     xy, colrow = noisy("poly2", 25, 2)
     spoil(colrow, 0.3, 2)
-    build = builder("poly2", xy, colrow)
-    first, second = (search_blunders(build, names(25), xy, colrow) for _ in range(2))
+    problem = control("poly2", xy, colrow)
+    first, second = (search_blunders(problem) for _ in range(2))
     assert first.said == second.said
     np.testing.assert_array_equal(first.estimate.weights, second.estimate.weights)
 
@@ -141,20 +141,20 @@ def test_the_same_every_time() -> None:
 def test_what_cannot_be_searched_is_refused() -> None:
     xy, colrow = noisy("affine", 12, 1)
     with pytest.raises(SolveError, match="passes through all"):
-        search_blunders(builder("tps", xy, colrow), names(12), xy, colrow)
+        search_blunders(control("tps", xy, colrow))
     with pytest.raises(SolveError, match="4 points are too few"):
-        snoop(builder("affine", xy, colrow), names(4), xy[:4], colrow[:4])
+        snoop(control("affine", xy[:4], colrow[:4]))
     line = np.linspace(0.0, 400.0, 9)[:, None] * [1.0, 0.5] + CENTRE
     with pytest.raises(SolveError, match="no sample"):
-        snoop(builder("affine", line, truth("affine", line)), names(9), line, truth("affine", line))
+        snoop(control("affine", line, truth("affine", line)))
     with pytest.raises(InputError, match="between 0 and 1"):
-        snoop(builder("affine", xy, colrow), names(12), xy, colrow, alpha=1.5)
+        snoop(control("affine", xy, colrow), alpha=1.5)
 
 
 def test_signed_ranks_as_an_independent_implementation_has_them() -> None:
     from scipy.stats import wilcoxon
 
-    from geomosaic.orientation.single.model_selection import signed_rank_probability
+    from geomosaic.estimation.statistics import signed_rank_probability
 
     random = np.random.default_rng(5)
     for count in (6, 7, 20, 50, 51, 200):
@@ -171,8 +171,8 @@ def test_signed_ranks_as_an_independent_implementation_has_them() -> None:
 def test_tails_as_an_independent_implementation_has_them() -> None:
     from scipy.stats import chi2, f
 
-    from geomosaic.orientation.single.fit import probabilities
+    from geomosaic.estimation.statistics import tail_probability
 
     told = np.array([0.0, 0.5, 3.0, 20.0, 400.0, np.inf])
-    assert probabilities(told, 1.3, 17.0) == pytest.approx(f.sf(told / 1.3**2 / 2.0, 2, 17), rel=1e-9)
-    assert probabilities(told, 1.3, np.inf) == pytest.approx(chi2.sf(told / 1.3**2, 2), rel=1e-9)
+    assert tail_probability(told, 1.3, 17.0) == pytest.approx(f.sf(told / 1.3**2 / 2.0, 2, 17), rel=1e-9)
+    assert tail_probability(told, 1.3, np.inf) == pytest.approx(chi2.sf(told / 1.3**2, 2), rel=1e-9)

@@ -10,7 +10,7 @@ import pytest
 from planar_rig import PHOTOS, textbook_block
 
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
-from geomosaic.estimation.mean_shift import Shifts
+from geomosaic.estimation.blunders.mean_shift import Shifts
 from geomosaic.orientation.planar.blunders import adjust_checked, look, look_singly, look_somehow, shifts_of, without
 from geomosaic.orientation.planar.measurements import Control, PlanarBlock
 from geomosaic.orientation.planar.simultaneous import adjust

@@ -1,1 +1,1 @@
-"""Least squares: normal equations, networks of measurements, outliers; knows no image and no file."""
+"""Least squares: equations, problems and their solver, statistics, and blunders; knows no image and no file."""

@@ -11,8 +11,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.georeferencing.independent_check import GROSS, GROSS_PIXELS, Opinion
-from geomosaic.orientation.single.blunders import BlunderSearch
-from geomosaic.orientation.single.fit import ControlFit
+from geomosaic.orientation.single.fit import ControlBlunders, ControlFit
 from geomosaic.orientation.single.model_selection import Choice
 from geomosaic.orientation.single.point_deletion import Deletion
 from geomosaic.orientation.single.problem import image_by_map
@@ -70,12 +69,12 @@ def stop_on_errors(advice: Sequence[Advice], where: str, *, insist: bool, possib
         raise BadControlError(advice, where, final=final)
 
 
-def blunder_advice(search: BlunderSearch, searched: Sequence[str], fit: ControlFit) -> list[Advice]:
+def blunder_advice(search: ControlBlunders, searched: Sequence[str], fit: ControlFit) -> list[Advice]:
     """Name points that are wrong and take part all the same.
 
     Parameters
     ----------
-    search : BlunderSearch
+    search : ControlBlunders
     searched : sequence of str
         Names of the points it was made over.
     fit : ControlFit
@@ -105,7 +104,7 @@ def blunder_advice(search: BlunderSearch, searched: Sequence[str], fit: ControlF
     return found
 
 
-def bent_advice(search: BlunderSearch, fit: ControlFit, model: str) -> list[Advice]:
+def bent_advice(search: ControlBlunders, fit: ControlFit, model: str) -> list[Advice]:
     """Say so where the fit misses points, or rejects them, that a smooth bend of the image explains."""
     bent = [name for name in search.bent if name in fit.ids]
     if not bent:

@@ -12,9 +12,10 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.control.findings import Advice
+from geomosaic.estimation.statistics import axis_rms, total_rms
 from geomosaic.georeferencing.residual_vectors import write_residuals
 from geomosaic.orientation.single.check_points import CheckStatistics
-from geomosaic.orientation.single.fit import ControlFit, axis_rms, textbook95, total_rms
+from geomosaic.orientation.single.fit import ControlFit, textbook95
 from geomosaic.raster.output_files import write_text
 from geomosaic.report.control import render_control
 from geomosaic.types import AnyArray, FloatArray

@@ -10,10 +10,10 @@ import numpy as np
 from geomosaic.control.distribution import needed
 from geomosaic.control.findings import listed
 from geomosaic.control.points import ControlPoints
-from geomosaic.orientation.single.blunder_hypotheses import FEWEST, MOST, Explanation, explain
-from geomosaic.orientation.single.blunders import BlunderSearch
+from geomosaic.estimation.blunders.hypotheses import FEWEST, MOST, Explanation, explain
+from geomosaic.estimation.blunders.neighbour_tests import NeighbourSearch, explained_by_bend, search_neighbours
+from geomosaic.orientation.single.fit import ControlBlunders
 from geomosaic.orientation.single.model_selection import Choice
-from geomosaic.orientation.single.neighbour_tests import NeighbourSearch, explained_by_bend, search_neighbours
 
 GROSS, GROSS_PIXELS = 6.0, 5.0
 """A blunder is gross from so many times the RMS of the others on, and so many pixels: it would be seen."""
@@ -141,12 +141,12 @@ def confirmed(opinion: Opinion, points: ControlPoints, choice: Choice | None, ev
     return replace(opinion, blunders=names, said=said)
 
 
-def pardoned(search: BlunderSearch, points: ControlPoints, model: str) -> BlunderSearch:
+def pardoned(search: ControlBlunders, points: ControlPoints, model: str) -> ControlBlunders:
     """Take those out of what was found under a kind of fit that a smooth bend of the image explains.
 
     Parameters
     ----------
-    search : BlunderSearch
+    search : ControlBlunders
     points : ControlPoints
         All of them.
     model : str

@@ -12,11 +12,11 @@ from geomosaic.control.distribution import collinear
 from geomosaic.control.findings import Advice
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import GeomosaicError
+from geomosaic.estimation.blunders.hypotheses import MOST
+from geomosaic.estimation.blunders.m_estimator import search_blunders
 from geomosaic.georeferencing.independent_check import Opinion, confirmed, pardoned, second_opinion, unbent
 from geomosaic.georeferencing.request import FitRequest, kind_order
-from geomosaic.orientation.single.blunder_hypotheses import MOST
-from geomosaic.orientation.single.blunders import BlunderSearch, search_blunders
-from geomosaic.orientation.single.fit import ControlFit, fit_control
+from geomosaic.orientation.single.fit import ControlAdjustment, ControlBlunders, ControlFit, fit_control
 from geomosaic.orientation.single.model_selection import Choice, choose_model, planar_builds
 from geomosaic.orientation.single.problem import Build, registry_build
 from geomosaic.sensor.plugin import SensorRequest
@@ -115,7 +115,7 @@ class Trial:
         Those left out as blunders; none unless that was asked for.
     choice : Choice, optional
         All models compared, on points that are no suspects, where points were enough for it.
-    search : BlunderSearch, optional
+    search : ControlBlunders, optional
         With `model`, over `points` and suspects.
     said : str
         What the search found, or why there is none.
@@ -131,7 +131,7 @@ class Trial:
     points: ControlPoints
     suspects: tuple[str, ...]
     choice: Choice | None
-    search: BlunderSearch | None
+    search: ControlBlunders | None
     said: str
     opinion: Opinion | None = None
     why: str = ""
@@ -226,12 +226,12 @@ def _choose(image: str, size: tuple[int, int], points: ControlPoints, *, needed:
 
 def _search(
     build: Build, points: ControlPoints, model: str, opinion: Opinion | None
-) -> tuple[BlunderSearch | None, str]:
+) -> tuple[ControlBlunders | None, str]:
     if model == "tps":
         passes = "a thin plate spline passes through all points, blunders too"
         return None, f"{passes}; {opinion.said}" if opinion is not None else f"{passes}, and points are too few to tell"
     try:
-        found = search_blunders(build, points.names, points.xy, points.colrow, points.sigma)
+        found = search_blunders(ControlAdjustment.of(build, points.names, points.xy, points.colrow, points.sigma))
     except GeomosaicError as error:
         return None, error.what if opinion is None else f"{error.what}; {opinion.said}"
     return found, found.said

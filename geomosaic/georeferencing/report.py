@@ -22,7 +22,7 @@ from geomosaic.georeferencing.facts import (
 from geomosaic.georeferencing.independent_check import Opinion
 from geomosaic.georeferencing.request import FitRequest, kind_order
 from geomosaic.georeferencing.solution import Solution
-from geomosaic.orientation.single.blunders import BlunderSearch
+from geomosaic.orientation.single.fit import ControlBlunders
 from geomosaic.orientation.single.model_selection import Choice
 from geomosaic.orientation.single.point_deletion import Deletion
 from geomosaic.render.ortho import OrthoResult
@@ -152,7 +152,7 @@ def _deletion(found: Deletion | None) -> dict[str, Any] | None:
     }
 
 
-def _robust(found: BlunderSearch | None, said: str, opinion: Opinion | None) -> dict[str, Any]:
+def _robust(found: ControlBlunders | None, said: str, opinion: Opinion | None) -> dict[str, Any]:
     if opinion is None:
         return _search(found, said)
     first = {
@@ -166,7 +166,7 @@ def _robust(found: BlunderSearch | None, said: str, opinion: Opinion | None) -> 
     return {**facts, "without_model": first, "blunders": list(dict.fromkeys([*facts["blunders"], *opinion.blunders]))}
 
 
-def _search(found: BlunderSearch | None, said: str) -> dict[str, Any]:
+def _search(found: ControlBlunders | None, said: str) -> dict[str, Any]:
     if found is None:
         return {"said": said, "blunders": []}
     good = found.estimate.fit

@@ -28,9 +28,8 @@ from geomosaic.georeferencing.examination import (
 from geomosaic.georeferencing.independent_check import Opinion
 from geomosaic.georeferencing.model_trial import builder, try_models
 from geomosaic.georeferencing.request import FitRequest, kind_order
-from geomosaic.orientation.single.blunders import BlunderSearch
 from geomosaic.orientation.single.check_points import CheckStatistics, check_model
-from geomosaic.orientation.single.fit import ControlFit, fit_control
+from geomosaic.orientation.single.fit import ControlBlunders, ControlFit, fit_control
 from geomosaic.orientation.single.model_selection import Choice
 from geomosaic.orientation.single.point_deletion import Deletion, delete_points
 from geomosaic.orientation.single.problem import map_by_image
@@ -61,7 +60,7 @@ class Solution:
         All models by their leave-one-out errors, where points were enough to compare them.
     deletion : Deletion, optional
         Where a threshold was given.
-    robust : BlunderSearch, optional
+    robust : ControlBlunders, optional
         Where points were enough for it.
     robust_said : str
         What it found, or why there is none.
@@ -82,7 +81,7 @@ class Solution:
     map_residuals: FloatArray
     choice: Choice | None
     deletion: Deletion | None
-    robust: BlunderSearch | None
+    robust: ControlBlunders | None
     robust_said: str
     opinion: Opinion | None
     check: CheckStatistics | None

@@ -14,10 +14,11 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SensorInputError, SolveError
+from geomosaic.estimation.statistics import correlations
 from geomosaic.geo.crs import geocentric
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import flag, known_keys, need, number, numbers, positive, table_of
-from geomosaic.sensor.solve import Pose, Resection, correlations, dangerous_cylinder, poses, resect
+from geomosaic.sensor.solve import Pose, Resection, dangerous_cylinder, poses, resect
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera_capabilities import Inside
 from geomosaic_frame.corrections import bending_of, untold

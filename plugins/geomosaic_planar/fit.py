@@ -10,6 +10,7 @@ from geomosaic.errors import SolveError
 from geomosaic.estimation.equations import Equations, SingularValues
 from geomosaic.estimation.problem import Problem
 from geomosaic.estimation.solver import Stopping, solve
+from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.types import FloatArray
 from geomosaic_planar import spline
 from geomosaic_planar.terms import AXES, article, basis, derivatives, evaluate, least_points
@@ -261,7 +262,7 @@ def fit_planar(
     residuals = image - evaluate(kind, order, values, uv, handed)
     redundancy = 2 * count - len(values)
     weighted = residuals * root[:, None]
-    sigma0 = float(np.sqrt((weighted**2).sum() / redundancy)) if redundancy > 0 else float("nan")
+    sigma0 = sigma0_of((weighted**2).sum(), redundancy)
     covariance = cofactors * sigma0**2
     return PlanarFit(kind, order, centre, scale, values, residuals, covariance, sigma0, condition, handed)
 

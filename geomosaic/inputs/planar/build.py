@@ -27,7 +27,7 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build, plane_sensor
 
 if TYPE_CHECKING:
-    from geomosaic.estimation.blunders import Findings
+    from geomosaic.estimation.blunders.findings import Findings
     from geomosaic.orientation.planar.measurements import PlanarBlock
     from geomosaic.orientation.planar.transformations import PlanarTransform
 

@@ -13,7 +13,7 @@ from geomosaic.errors import counted
 from geomosaic.orientation.planar.joins import joins
 
 if TYPE_CHECKING:
-    from geomosaic.estimation.blunders import Findings
+    from geomosaic.estimation.blunders.findings import Findings
     from geomosaic.orientation.planar.accumulated_errors import Accumulated
     from geomosaic.orientation.planar.joins import Join
     from geomosaic.orientation.planar.measurements import PlanarBlock

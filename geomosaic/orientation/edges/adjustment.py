@@ -18,6 +18,7 @@ from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.linear_network import Network
 from geomosaic.estimation.problem import Problem, Unknowns
 from geomosaic.estimation.solver import Stopping, solve
+from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.geo.transform import Transform
 from geomosaic.orientation.edges.observations import Stations
 from geomosaic.sensor.model import SensorModel
@@ -252,7 +253,7 @@ def adjust(problem: EdgeProblem, models: list[SensorModel], ground: FloatArray) 
         ground_cofactors=of_ground,
         residuals=state.residuals,
         cofactors=cofactors,
-        sigma0=float(np.sqrt(solution.squares / redundancy)) if redundancy > 0 else float("nan"),
+        sigma0=sigma0_of(solution.squares, redundancy),
         redundancy=redundancy,
         iterations=solution.rounds,
         condition=network.equations.condition()[0],

@@ -11,8 +11,8 @@ from pyproj import CRS
 
 from geomosaic.block.block import ControlPoint, OrientedImage
 from geomosaic.errors import InputError, SolveError
-from geomosaic.estimation.blunders import Doubt, Findings, findings, named
-from geomosaic.estimation.outlier_search import search
+from geomosaic.estimation.blunders.findings import Doubt, Findings, findings, named
+from geomosaic.estimation.blunders.mean_shift_search import search
 from geomosaic.orientation.edges.adjustment import EdgeProblem, EdgeSolution, adjust
 from geomosaic.orientation.edges.distributed_corrections import spread
 from geomosaic.orientation.edges.initial_values import Misfit, common_ground, grown, misfit, own_fits

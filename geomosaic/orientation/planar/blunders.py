@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.estimation.blunders import Doubt, Findings, Label, named, together
+from geomosaic.estimation.blunders.findings import Doubt, Findings, Label, named, together
+from geomosaic.estimation.blunders.mean_shift import Shifts
+from geomosaic.estimation.blunders.mean_shift_search import search
 from geomosaic.estimation.linear_network import Network
-from geomosaic.estimation.mean_shift import Shifts
-from geomosaic.estimation.outlier_search import search
 from geomosaic.orientation.planar.accumulated_errors import as_ties
 from geomosaic.orientation.planar.determinacy import check_plausible
 from geomosaic.orientation.planar.measurements import PlanarBlock, Tie

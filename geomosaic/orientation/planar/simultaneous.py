@@ -18,6 +18,7 @@ from geomosaic.errors import SolveError
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.problem import Problem
 from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
+from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.orientation.planar.determinacy import check_determined, check_plausible, ill_conditioned
 from geomosaic.orientation.planar.measurements import PlanarBlock
 from geomosaic.orientation.planar.observation_equations import (
@@ -179,7 +180,7 @@ def _finish(adjustment: _Adjustment, solution: Solution[_State]) -> PlanarSoluti
         points=problem.frame.map(points),
         residuals=residuals,
         standardised=standardised(problem, values, at, sigma, cofactors, residuals),
-        sigma0=float(np.sqrt(squares / redundancy)) if redundancy > 0 else float("nan"),
+        sigma0=sigma0_of(squares, redundancy),
         redundancy=redundancy,
         equations=2 * len(views.pairs),
         condition=equations.condition()[0],

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.estimation.blunders import Doubt, Findings, Label, findings
-from geomosaic.estimation.mean_shift import Shifts
-from geomosaic.estimation.outlier_search import ALPHA, Search
+from geomosaic.estimation.blunders.findings import Doubt, Findings, Label, findings
+from geomosaic.estimation.blunders.mean_shift import Shifts
+from geomosaic.estimation.blunders.mean_shift_search import ALPHA, Search
 from geomosaic.types import FloatArray
 
 LACKING = {"conformal": 4, "affine": 2, "projective": 0}

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.orientation.single.fit import axis_rms, textbook95, total_rms
+from geomosaic.estimation.statistics import axis_rms, mean_probability, total_rms
+from geomosaic.orientation.single.fit import textbook95
 from geomosaic.orientation.single.problem import map_by_image
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import AnyArray, BoolArray, FloatArray
@@ -87,7 +88,7 @@ class CheckStatistics:
     @property
     def shift_probability(self) -> float:
         """Probability of a mean shift as long as this by chance alone (Hotelling's T²); NaN for fewer than 4 points."""
-        return shift_probability(self.errors)
+        return mean_probability(self.errors)
 
     @property
     def shifted(self) -> bool:
@@ -130,28 +131,6 @@ class CheckStatistics:
             f"Tested after the ASPRS Positional Accuracy Standards, Edition 2 (2024): horizontal accuracy "
             f"RMSE_H = {self.rms_with_survey:.3g} {self.unit} from {len(self)} check points{survey}"
         )
-
-
-def shift_probability(errors: FloatArray) -> float:
-    """Probability of a mean of vectors (N, 2) this far from 0, by chance: Hotelling's T², (N − 2)/(2 (N − 1)) T² ~ F.
-
-    Returns
-    -------
-    float
-        NaN for fewer than 4 vectors, or where they all lie on a line.
-    """
-    from scipy.special import fdtrc
-
-    count = len(errors)
-    if count < 4:
-        return float("nan")
-    mean = errors.mean(axis=0)
-    covariance = np.cov(errors.T)
-    size = float(np.trace(covariance))
-    if not np.linalg.det(covariance) > 1e-12 * size**2:
-        return float("nan")
-    squared = count * float(mean @ np.linalg.solve(covariance, mean))
-    return float(fdtrc(2, count - 2, squared * (count - 2) / (2 * (count - 1))))
 
 
 def check_errors(

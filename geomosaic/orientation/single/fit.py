@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.orientation.single.leave_one_out import Cofactors, cofactors, leave_one_out
-from geomosaic.orientation.single.problem import Build, Problem, is_mirrored, map_by_image
+from geomosaic.estimation.blunders.m_estimator import BlunderSearch
+from geomosaic.estimation.statistics import Cofactors, axis_rms, sigma0_of, total_rms
+from geomosaic.orientation.single.leave_one_out import cofactors, leave_one_out
+from geomosaic.orientation.single.problem import Build, ControlProblem, is_mirrored, map_by_image
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve.derivatives import jacobian
-from geomosaic.types import AnyArray, BoolArray, FloatArray
+from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
 
 NINETY_FIVE = 2.5
 """Wolf & Dewitt, section 9-3: RMS error of one axis to a radius that holds about 95 % of points (exactly 2.4477)."""
@@ -135,10 +137,10 @@ def fit_control(
     SolveError
         The points do not determine the model.
     """
-    return fit_problem(Problem.of(build, ids, ground, colrow, sigma), omission=omission)
+    return fit_problem(ControlProblem.of(build, ids, ground, colrow, sigma), omission=omission)
 
 
-def fit_problem(problem: Problem, *, omission: bool = False) -> ControlFit:
+def fit_problem(problem: ControlProblem, *, omission: bool = False) -> ControlFit:
     """Fit a model to the points of a problem; see `fit_control`."""
     model = problem.model()
     residuals = problem.errors(model)
@@ -146,8 +148,8 @@ def fit_problem(problem: Problem, *, omission: bool = False) -> ControlFit:
     found = cofactors(model, problem.xyz, problem.sigma)
     weighted = residuals / problem.sigma[:, None]
     redundancy = found.redundancy
-    sigma0 = float(np.sqrt((weighted**2).sum() / redundancy)) if redundancy > 0 else float("nan")
-    numbers = found.numbers
+    sigma0 = sigma0_of((weighted**2).sum(), redundancy)
+    numbers = found.redundancy_numbers
     spread = sigma0 * np.sqrt(numbers)
     standardised = np.full_like(weighted, np.nan)
     np.divide(weighted, spread, out=standardised, where=spread > 0.0)
@@ -178,20 +180,6 @@ def _moved(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
     return moved
 
 
-def axis_rms(errors: FloatArray) -> tuple[float, float]:
-    """RMS of each of two columns (N, 2); NaN rows do not count."""
-    seen = errors[np.isfinite(errors).all(axis=1)]
-    if not len(seen):
-        return float("nan"), float("nan")
-    first, second = np.sqrt((seen**2).mean(axis=0))
-    return float(first), float(second)
-
-
-def total_rms(errors: FloatArray) -> float:
-    """RMS length of vectors (N, 2); NaN rows do not count."""
-    return float(np.hypot(*axis_rms(errors)))
-
-
 def textbook95(errors: FloatArray) -> float:
     """2.5 × RMS of one axis (mean of both): with normal errors 95.6 % lie within it, and 39 % within 1 × RMS.
 
@@ -201,56 +189,41 @@ def textbook95(errors: FloatArray) -> float:
     return NINETY_FIVE * total_rms(errors) / float(np.sqrt(2.0))
 
 
-def judge(problem: Problem, kept: BoolArray, scale: float, freedom: float) -> FloatArray:
-    """Probability (N,) that chance alone brings the error of each point under a fit to those kept.
+@dataclass(frozen=True, eq=False)
+class ControlAdjustment(ControlProblem):
+    """Control points whose fit can be repeated without some of them, for searches for blunders (`blunders.Refit`)."""
 
-    Parameters
-    ----------
-    problem : Problem
-    kept : bool array (N,)
-    scale : float
-        Standard deviation of unit weight.
-    freedom : float
-        Degrees of freedom it rests on; inf where it is known beforehand.
-    """
-    return probabilities(statistics(problem, kept)[1], scale, freedom)
+    def subset(self, kept: AnyArray) -> ControlAdjustment:
+        """Problem of some of the points (bool (N,) or int (K,))."""
+        chosen = np.arange(len(self))[np.asarray(kept)]
+        whole = self.build
 
+        def build(selection: IntArray, sigma: FloatArray) -> SensorModel:
+            return whole(chosen[selection], sigma)
 
-def statistics(problem: Problem, kept: BoolArray) -> tuple[ControlFit, FloatArray]:
-    """Fit the points kept, and measure the error of every point against that fit.
+        names = tuple(self.ids[i] for i in chosen)
+        return ControlAdjustment(build, names, self.xyz[chosen], self.colrow[chosen], self.sigma[chosen])
 
-    For a point kept, T = vᵀ (I − H)⁻¹ v is what the weighted sum of squares loses without it; for one left out, it is
-    eᵀ (I + A Q Aᵀ)⁻¹ e of its error of prediction: one number for both axes of a point, in place of Baarda's w of each.
+    def fit(self, kept: AnyArray) -> ControlFit:
+        """Fit to a selection, with leave-one-out errors."""
+        return fit_problem(self.subset(kept), omission=True)
 
-    Returns
-    -------
-    fit : ControlFit
-    statistic : array (N,)
-        0 for points that nothing checks, inf for those the model cannot see.
-    """
-    fit = fit_problem(problem.subset(kept))
-    statistic = np.zeros(len(problem))
-    own = fit.residuals / fit.sigma[:, None]
-    inside = np.einsum("ni,nij,nj->n", own, fit.cofactors.checked, own)
-    statistic[kept] = np.where(np.isfinite(inside), inside, 0.0)
-    outside = np.flatnonzero(~kept)
-    if len(outside):
-        errors = problem.errors(fit.model)[outside] / problem.sigma[outside, None]
-        design = jacobian(fit.model, problem.xyz[outside])[0] / problem.sigma[outside, None, None]
-        spread = np.eye(2) + np.einsum("nip,pq,njq->nij", design, fit.cofactors.parameters, design)
-        seen = np.isfinite(errors).all(axis=1) & np.isfinite(spread).all(axis=(1, 2))
-        statistic[outside] = np.inf
-        solved = np.linalg.solve(spread[seen], errors[seen][:, :, None])[:, :, 0]
-        statistic[outside[seen]] = (errors[seen] * solved).sum(axis=1)
-    return fit, statistic
+    def statistics(self, kept: BoolArray) -> tuple[ControlFit, FloatArray]:
+        """Fit to the points kept, and the statistic (N,) of each point's error against that fit.
+
+        That of a point kept is what the weighted sum of squares loses without it; that of one left out, its error of
+        prediction. 0 for points that nothing checks, inf for those the model cannot see.
+        """
+        fit = fit_problem(self.subset(kept))
+        statistic = np.zeros(len(self))
+        statistic[kept] = fit.cofactors.deletion_statistic(fit.residuals / fit.sigma[:, None])
+        outside = np.flatnonzero(~kept)
+        if len(outside):
+            errors = self.errors(fit.model)[outside] / self.sigma[outside, None]
+            design = jacobian(fit.model, self.xyz[outside])[0] / self.sigma[outside, None, None]
+            statistic[outside] = fit.cofactors.prediction_statistic(errors, design)
+        return fit, statistic
 
 
-def probabilities(statistic: FloatArray, scale: float, freedom: float) -> FloatArray:
-    """Probability of statistics as large by chance: T / (2 s²) has the distribution F(2, f) when the point is good.
-
-    With two degrees of freedom above, its upper tail is (1 + T / (f s²))^(−f/2), and exp(−T / (2 s²)) where s is known.
-    """
-    ratio = statistic / scale**2
-    power = -0.5 * ratio if np.isinf(freedom) else -0.5 * freedom * np.log1p(ratio / freedom)
-    probability: FloatArray = np.exp(power)
-    return probability
+ControlBlunders = BlunderSearch[ControlFit]
+"""Search for blunders among control points."""

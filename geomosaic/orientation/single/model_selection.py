@@ -4,48 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import erfc, sqrt
 from typing import Any
 
 import numpy as np
 
 from geomosaic.errors import GeomosaicError, SolveError
-from geomosaic.orientation.single.fit import ControlFit, fit_problem, total_rms
-from geomosaic.orientation.single.problem import Build, Problem, registry_build
+from geomosaic.estimation.statistics import signed_rank_probability, total_rms
+from geomosaic.orientation.single.fit import ControlFit, fit_problem
+from geomosaic.orientation.single.problem import Build, ControlProblem, registry_build
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.types import AnyArray, BoolArray, FloatArray
-
-EXACT = 50
-"""Differences up to which all signs are counted; the normal distribution serves beyond, and where lengths are equal."""
-
-
-def signed_rank_probability(differences: FloatArray) -> float:
-    """Probability by chance of differences (N,) that are so much above 0 (Wilcoxon 1945).
-
-    Differences of 0 say nothing and are left out; 1 where none is left.
-    """
-    told = differences[differences != 0.0]
-    count = len(told)
-    if not count:
-        return 1.0
-    _, group, sizes = np.unique(np.abs(told), return_inverse=True, return_counts=True)
-    ranks = (np.cumsum(sizes) - (sizes - 1) / 2.0)[group]
-    above = float(ranks[told > 0.0].sum())
-    if count <= EXACT and (sizes == 1).all():
-        return _exact(count, round(above))
-    variance = count * (count + 1) * (2 * count + 1) / 24.0 - float((sizes**3 - sizes).sum()) / 48.0
-    return 0.5 * erfc((above - count * (count + 1) / 4.0) / sqrt(2.0 * variance)) if variance > 0.0 else 0.5
-
-
-def _exact(count: int, above: int) -> float:
-    """Share of all choices of signs whose positive ranks sum to `above` or more."""
-    ways = np.zeros(count * (count + 1) // 2 + 1)
-    ways[0] = 1.0
-    for rank in range(1, count + 1):
-        ways[rank:] += ways[:-rank].copy()
-    return float(ways[above:].sum() / 2.0**count)
-
 
 PLANAR: Mapping[str, Mapping[str, Any]] = {
     "conformal": {"kind": "conformal"},
@@ -157,7 +126,7 @@ def choose_model(
     fits: dict[str, ControlFit | str] = {}
     for name, build in builds.items():
         try:
-            fits[name] = fit_problem(Problem.of(build, ids, ground, colrow, sigma), omission=True)
+            fits[name] = fit_problem(ControlProblem.of(build, ids, ground, colrow, sigma), omission=True)
         except GeomosaicError as error:
             fits[name] = error.what
     lengths = {

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.errors import InputError, SolveError
-from geomosaic.orientation.single.fit import ControlFit, fit_problem
-from geomosaic.orientation.single.problem import Build, Problem
+from geomosaic.orientation.single.fit import ControlAdjustment, ControlFit, fit_problem
+from geomosaic.orientation.single.problem import Build
 from geomosaic.types import AnyArray
 
 
@@ -76,7 +76,7 @@ def delete_points(
     """Delete the point of largest residual and fit again, until the total RMS is below a threshold.
 
     The RMS falls with every deletion whether or not the fit gets better, so deletion ends while one point more than
-    the kind needs is left: see the leave-one-out errors of the fit, and compare with `robust.snoop`.
+    the kind needs is left: see the leave-one-out errors of the fit, and compare with data snooping.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def delete_points(
     """
     if not (np.isfinite(threshold) and threshold > 0.0):
         raise InputError(f"a threshold of {threshold} is not a positive number of pixels")
-    problem = Problem.of(build, ids, ground, colrow, sigma)
+    problem = ControlAdjustment.of(build, ids, ground, colrow, sigma)
     fit = fit_problem(problem)
     need_residuals(fit)
     kept, rows = np.arange(len(problem)), list[DeletedPoint]()
@@ -137,8 +137,10 @@ def need_residuals(fit: ControlFit) -> None:
         )
 
 
-def _ended(problem: Problem, kept: AnyArray, rows: list[DeletedPoint], threshold: float, stuck: str | None) -> Deletion:
-    fit = fit_problem(problem.subset(kept), omission=True)
+def _ended(
+    problem: ControlAdjustment, kept: AnyArray, rows: list[DeletedPoint], threshold: float, stuck: str | None
+) -> Deletion:
+    fit = problem.fit(kept)
     reached = fit.rms_total < threshold
     count = f"{len(rows)} point{'s' * (len(rows) != 1)} deleted"
     if reached:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 
@@ -66,7 +66,7 @@ def registry_build(sensor: str, request: SensorRequest, ground: FloatArray, colr
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class ControlProblem:
     """Control points with the function that fits them.
 
     Attributes
@@ -96,7 +96,7 @@ class Problem:
         ground: AnyArray,
         colrow: AnyArray,
         sigma: AnyArray | float | None = None,
-    ) -> Problem:
+    ) -> Self:
         """Check shapes and values.
 
         Raises
@@ -127,6 +127,11 @@ class Problem:
     def __len__(self) -> int:
         return len(self.ids)
 
+    @property
+    def magnitude(self) -> float:
+        """Largest absolute image coordinate, pixels."""
+        return float(np.abs(self.colrow).max())
+
     def model(self, selection: AnyArray | None = None, sigma: FloatArray | None = None) -> SensorModel:
         """Fit to the points of a bool (N,) or int (K,) selection; `sigma` (N,) replaces that of all points."""
         chosen = np.arange(len(self)) if selection is None else np.asarray(selection)
@@ -135,20 +140,13 @@ class Problem:
         spread = self.sigma if sigma is None else sigma
         return self.build(chosen.astype(np.int64), spread[chosen])
 
+    def free_parameters(self, model: SensorModel) -> int:
+        """Number of parameters that were estimated."""
+        return int(np.count_nonzero(model.parameters.sigmas > 0.0))
+
     def errors(self, model: SensorModel) -> FloatArray:
         """Measured minus computed (col, row) (N, 2) in pixels; NaN where a model does not see a point."""
         return self.colrow - model.ground_to_image(self.xyz)
-
-    def subset(self, kept: AnyArray) -> Problem:
-        """Return the problem of some of the points (bool (N,) or int (K,))."""
-        chosen = np.arange(len(self))[np.asarray(kept)]
-        whole = self.build
-
-        def build(selection: IntArray, sigma: FloatArray) -> SensorModel:
-            return whole(chosen[selection], sigma)
-
-        names = tuple(self.ids[i] for i in chosen)
-        return Problem(build, names, self.xyz[chosen], self.colrow[chosen], self.sigma[chosen])
 
     def need_seen(self, errors: FloatArray) -> None:
         """Refuse a fit that does not see one of its own points."""

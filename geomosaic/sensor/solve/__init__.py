@@ -13,22 +13,19 @@ if TYPE_CHECKING:
     from geomosaic.sensor.solve.adjust import Resection, fit, resect
     from geomosaic.sensor.solve.derivatives import jacobian
     from geomosaic.sensor.solve.inverse import image_to_ground, image_to_height
-    from geomosaic.sensor.solve.resection_quality import correlations, dangerous_cylinder
-    from geomosaic.sensor.solve.three_point_resection import Pose, poses, three_point_poses
+    from geomosaic.sensor.solve.three_point_resection import Pose, dangerous_cylinder, poses, three_point_poses
 
 _MODULES = {
     "adjust": ("Resection", "fit", "resect"),
     "inverse": ("image_to_ground", "image_to_height"),
     "derivatives": ("jacobian",),
-    "resection_quality": ("correlations", "dangerous_cylinder"),
-    "three_point_resection": ("Pose", "poses", "three_point_poses"),
+    "three_point_resection": ("Pose", "dangerous_cylinder", "poses", "three_point_poses"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "Pose",
     "Resection",
-    "correlations",
     "dangerous_cylinder",
     "fit",
     "image_to_ground",

@@ -11,6 +11,7 @@ from geomosaic.errors import SolveError, counted
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.problem import Problem, Unknowns
 from geomosaic.estimation.solver import Solution, solve
+from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve.derivatives import jacobian
 from geomosaic.types import BoolArray, FloatArray
@@ -225,7 +226,7 @@ class _Problem(Problem[_State[Model]]):
         state, free = solution.state, self.unknowns.free
         equations = self.equations(state)
         redundancy = equations.redundancy
-        sigma0 = float(np.sqrt(solution.squares / redundancy)) if redundancy > 0 else float("nan")
+        sigma0 = sigma0_of(solution.squares, redundancy)
         covariance = np.zeros((len(free), len(free)))
         covariance[np.ix_(free, free)] = equations.singular_values.cofactors() * (
             1.0 if self.known_sigmas else sigma0**2

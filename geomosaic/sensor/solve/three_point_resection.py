@@ -231,3 +231,36 @@ def _triples(rays: FloatArray) -> list[list[int]]:
     first, second, third = (rays[[triple[i] for triple in all_of_them]] for i in range(3))
     area = np.linalg.norm(np.cross(second - first, third - first), axis=1)
     return [all_of_them[i] for i in np.argsort(-area)[:TRIPLES]]
+
+
+def dangerous_cylinder(centre: FloatArray, points: FloatArray) -> float:
+    """Distance of a projection centre from the dangerous cylinder of three points, as a share of its radius.
+
+    The cylinder stands on the circle through the points, across their plane. From a centre on it three points do not
+    determine a pose: two of Grunert's solutions are one there, and sigmas are infinite (Finsterwalder 1903). Four
+    points in one plane, no three of them in line, have no such place, on one circle or not: they determine the
+    projective map between plane and image, and with it the pose.
+
+    Parameters
+    ----------
+    centre : array (3,)
+    points : array (3, 3)
+        Three points, one per row.
+
+    Returns
+    -------
+    float
+        0 on the cylinder, 1 on its axis; infinite for points in line.
+    """
+    known = np.asarray(points, dtype=np.float64)
+    first, second = known[1] - known[0], known[2] - known[0]
+    normal = np.cross(first, second)
+    twice = float(normal @ normal)
+    if not twice > 1e-24 * float(first @ first) * float(second @ second):
+        return float("inf")
+    # Middle of the circle from the corner (first, second): the classical formula of the circumcentre.
+    middle = np.cross((first @ first) * second - (second @ second) * first, normal) / (2.0 * twice)
+    axis = normal / np.sqrt(twice)
+    here = np.asarray(centre, dtype=np.float64) - known[0] - middle
+    radius = float(np.linalg.norm(middle))
+    return abs(float(np.linalg.norm(here - (here @ axis) * axis)) - radius) / radius

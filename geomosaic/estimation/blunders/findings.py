@@ -1,4 +1,4 @@
-"""Blunders of a network by name, and what is done about them."""
+"""Blunders of a block by name: size, place, what may be wrong in their stead, and what is done about them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.estimation.blunders.mean_shift import Shifts
+from geomosaic.estimation.blunders.mean_shift_search import Search, detectable
 from geomosaic.estimation.linear_network import Network
-from geomosaic.estimation.mean_shift import Shifts
-from geomosaic.estimation.outlier_search import Search, detectable
 
 GROSS, GROSS_PIXELS = 6.0, 5.0
 """A blunder is gross from so many standard deviations of the others on, and so many pixels: it would be seen."""

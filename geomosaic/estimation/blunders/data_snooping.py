@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Generic
 
 import numpy as np
 
 from geomosaic.errors import InputError, SolveError
-from geomosaic.orientation.single.fit import ControlFit, fit_problem, judge
-from geomosaic.orientation.single.least_trimmed_squares import RobustStart, check_count, trimmed_start
-from geomosaic.orientation.single.problem import Build, Problem
-from geomosaic.types import AnyArray, BoolArray, FloatArray
+from geomosaic.estimation.blunders.least_trimmed_squares import RobustStart, check_count, trimmed_start
+from geomosaic.estimation.blunders.refit import Fit, Refit, error_probabilities
+from geomosaic.types import BoolArray, FloatArray
 
 ALPHA = 0.001
 """Baarda's usual probability of putting out a good point, for one test."""
 
 
 @dataclass(frozen=True, eq=False)
-class Snooping:
+class Snooping(Generic[Fit]):
     """Blunders by data snooping.
 
     Attributes
@@ -35,7 +34,7 @@ class Snooping:
         Standard deviation of unit weight that the tests used.
     freedom : float
         Redundancy it rests on; inf where it was given.
-    fit : ControlFit
+    fit : PointFit
         To the points kept, with leave-one-out errors.
     """
 
@@ -45,26 +44,15 @@ class Snooping:
     alpha: float
     scale: float
     freedom: float
-    fit: ControlFit
+    fit: Fit
 
 
-def snoop(
-    build: Build,
-    ids: Sequence[str],
-    ground: AnyArray,
-    colrow: AnyArray,
-    sigma: AnyArray | float | None = None,
-    *,
-    alpha: float = ALPHA,
-    sigma0: float | None = None,
-    seed: int = 0,
-) -> Snooping:
+def snoop(problem: Refit[Fit], *, alpha: float = ALPHA, sigma0: float | None = None, seed: int = 0) -> Snooping[Fit]:
     """Put out the point whose error is least probable, fit again, until every error may be chance.
 
     Parameters
     ----------
-    build, ids, ground, colrow, sigma
-        See `fit.fit_control`.
+    problem : Refit
     alpha : float
         Probability below which an error is no chance.
     sigma0 : float, optional
@@ -80,7 +68,6 @@ def snoop(
     SolveError
         Too few points, or a model that passes through all of them.
     """
-    problem = Problem.of(build, ids, ground, colrow, sigma)
     if sigma0 is not None and _fits(problem):
         everyone = np.ones(len(problem), dtype=np.bool_)
         start = RobustStart(everyone, sigma0, 0, check_count(problem, seed), 0.0)
@@ -89,7 +76,7 @@ def snoop(
     return snoop_problem(problem, start, alpha, sigma0)
 
 
-def _fits(problem: Problem) -> bool:
+def _fits(problem: Refit[Fit]) -> bool:
     try:
         problem.model()
     except SolveError:
@@ -97,7 +84,9 @@ def _fits(problem: Problem) -> bool:
     return True
 
 
-def snoop_problem(problem: Problem, start: RobustStart, alpha: float = ALPHA, sigma0: float | None = None) -> Snooping:
+def snoop_problem(
+    problem: Refit[Fit], start: RobustStart, alpha: float = ALPHA, sigma0: float | None = None
+) -> Snooping[Fit]:
     """Snoop with a robust start at hand; see `snoop`."""
     if not 0.0 < alpha < 1.0:
         raise InputError(f"a probability of {alpha} is not between 0 and 1")
@@ -106,18 +95,18 @@ def snoop_problem(problem: Problem, start: RobustStart, alpha: float = ALPHA, si
     scale, freedom = (start.scale, float(start.freedom)) if sigma0 is None else (sigma0, float("inf"))
     kept, order = np.ones(len(problem), dtype=np.bool_), list[int]()
     try:
-        probability = judge(problem, kept, scale, freedom)
+        probability = error_probabilities(problem, kept, scale, freedom)
     except SolveError:  # all points together contradict each other too much for any fit
         kept = start.inliers.copy()
         order = np.flatnonzero(~kept).tolist()
-        probability = judge(problem, kept, scale, freedom)
+        probability = error_probabilities(problem, kept, scale, freedom)
     while kept.sum() > start.needed + 1:
         worst = int(np.argmin(np.where(kept, probability, np.inf)))
         if not probability[worst] < alpha:
             break
         try:
             fewer = kept & (np.arange(len(kept)) != worst)
-            probability = judge(problem, fewer, scale, freedom)
+            probability = error_probabilities(problem, fewer, scale, freedom)
         except SolveError:
             break
         kept = fewer
@@ -125,12 +114,12 @@ def snoop_problem(problem: Problem, start: RobustStart, alpha: float = ALPHA, si
     kept, probability, back = _readmit(problem, kept, probability, alpha, scale, freedom)
     names = tuple(problem.ids[i] for i in order if not kept[i])
     again = tuple(problem.ids[i] for i in back)
-    last = fit_problem(problem.subset(kept), omission=True)
+    last = problem.fit(kept)
     return Snooping(names, again, probability, alpha, scale, freedom, last)
 
 
 def _readmit(
-    problem: Problem, kept: BoolArray, probability: FloatArray, alpha: float, scale: float, freedom: float
+    problem: Refit[Fit], kept: BoolArray, probability: FloatArray, alpha: float, scale: float, freedom: float
 ) -> tuple[BoolArray, FloatArray, list[int]]:
     """Let points in again, the best first, as long as no point that takes part fails for it."""
     back: list[int] = []
@@ -141,7 +130,7 @@ def _readmit(
         more = kept.copy()
         more[best] = True
         try:
-            found = judge(problem, more, scale, freedom)
+            found = error_probabilities(problem, more, scale, freedom)
         except SolveError:
             break
         if (found[more] < alpha).any():

@@ -18,8 +18,8 @@ from itertools import combinations
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.orientation.single.fit import total_rms
-from geomosaic.orientation.single.local_prediction import predictions, without_perspective
+from geomosaic.estimation.blunders.local_prediction import predictions, without_perspective
+from geomosaic.estimation.statistics import total_rms
 from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
 
 NEIGHBOURS = 8

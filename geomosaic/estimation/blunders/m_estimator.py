@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Generic
 
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.orientation.single.data_snooping import ALPHA, Snooping, snoop_problem
-from geomosaic.orientation.single.fit import ControlFit, fit_problem, judge
-from geomosaic.orientation.single.least_trimmed_squares import RobustStart, trimmed_start
-from geomosaic.orientation.single.problem import Build, Problem
-from geomosaic.types import AnyArray, FloatArray
+from geomosaic.estimation.blunders.data_snooping import ALPHA, Snooping, snoop_problem
+from geomosaic.estimation.blunders.least_trimmed_squares import RobustStart, trimmed_start
+from geomosaic.estimation.blunders.refit import Fit, Refit, error_probabilities
+from geomosaic.types import FloatArray
 
 TUKEY = 5.12
 """Standard deviations at which a point loses all weight: 95 % efficiency for normal errors in two axes."""
@@ -22,7 +21,7 @@ SETTLED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class MEstimate:
+class MEstimate(Generic[Fit]):
     """A fit by iterated weights.
 
     Attributes
@@ -37,7 +36,7 @@ class MEstimate:
         Of the error of each point, by chance alone, under the fit to the others that are no blunders.
     scale : float
         Standard deviation of unit weight.
-    fit : ControlFit
+    fit : PointFit
         Least squares on the points that are no blunders, with leave-one-out errors.
     rounds : int
     settled : bool
@@ -49,13 +48,13 @@ class MEstimate:
     residuals: FloatArray
     probability: FloatArray
     scale: float
-    fit: ControlFit
+    fit: Fit
     rounds: int
     settled: bool
 
 
 @dataclass(frozen=True, eq=False)
-class BlunderSearch:
+class BlunderSearch(Generic[Fit]):
     """What both methods found.
 
     Attributes
@@ -73,8 +72,8 @@ class BlunderSearch:
         Found by one or both, and pardoned since: a smooth bend of the image explains them.
     """
 
-    snooping: Snooping
-    estimate: MEstimate
+    snooping: Snooping[Fit]
+    estimate: MEstimate[Fit]
     agree: bool
     blunders: tuple[str, ...]
     bearable: float
@@ -88,19 +87,11 @@ class BlunderSearch:
 
 
 def search_blunders(
-    build: Build,
-    ids: Sequence[str],
-    ground: AnyArray,
-    colrow: AnyArray,
-    sigma: AnyArray | float | None = None,
-    *,
-    alpha: float = ALPHA,
-    sigma0: float | None = None,
-    seed: int = 0,
-) -> BlunderSearch:
+    problem: Refit[Fit], *, alpha: float = ALPHA, sigma0: float | None = None, seed: int = 0
+) -> BlunderSearch[Fit]:
     """Look for blunders by data snooping and by an M-estimator, and say whether they agree.
 
-    Parameters are those of `snooping.snoop`.
+    Parameters are those of `data_snooping.snoop`.
 
     Raises
     ------
@@ -109,7 +100,6 @@ def search_blunders(
     SolveError
         Too few points, or a model that passes through all of them.
     """
-    problem = Problem.of(build, ids, ground, colrow, sigma)
     start = trimmed_start(problem, seed)
     snooping = snoop_problem(problem, start, alpha, sigma0)
     estimate = estimate_problem(problem, start, alpha, sigma0)
@@ -121,27 +111,18 @@ def search_blunders(
 
 
 def m_estimate(
-    build: Build,
-    ids: Sequence[str],
-    ground: AnyArray,
-    colrow: AnyArray,
-    sigma: AnyArray | float | None = None,
-    *,
-    alpha: float = ALPHA,
-    sigma0: float | None = None,
-    seed: int = 0,
-) -> MEstimate:
+    problem: Refit[Fit], *, alpha: float = ALPHA, sigma0: float | None = None, seed: int = 0
+) -> MEstimate[Fit]:
     """Fit by Tukey's weights from a robust start, its scale held (MM-estimator, Yohai 1987).
 
-    Parameters and errors are those of `snooping.snoop`.
+    Parameters and errors are those of `data_snooping.snoop`.
     """
-    problem = Problem.of(build, ids, ground, colrow, sigma)
     return estimate_problem(problem, trimmed_start(problem, seed), alpha, sigma0)
 
 
 def estimate_problem(
-    problem: Problem, start: RobustStart, alpha: float = ALPHA, sigma0: float | None = None
-) -> MEstimate:
+    problem: Refit[Fit], start: RobustStart, alpha: float = ALPHA, sigma0: float | None = None
+) -> MEstimate[Fit]:
     """Estimate with a robust start at hand; see `m_estimate`."""
     scale, freedom = (start.scale, float(start.freedom)) if sigma0 is None else (sigma0, float("inf"))
     weights, errors = start.inliers.astype(np.float64), problem.errors(problem.model(start.inliers))
@@ -158,18 +139,18 @@ def estimate_problem(
         errors = problem.errors(model)
         settled = bool(np.abs(weights - before).max() < SETTLED)
     kept = (weights > 0.0) & start.inliers
-    probability = judge(problem, kept, scale, freedom)
+    probability = error_probabilities(problem, kept, scale, freedom)
     for _ in range(10):
         better = probability >= alpha
         if (better == kept).all() or better.sum() <= start.needed:
             break
         try:
-            probability = judge(problem, better, scale, freedom)
+            probability = error_probabilities(problem, better, scale, freedom)
         except SolveError:
             break
         kept = better
     blunders = tuple(name for name, good in zip(problem.ids, kept, strict=True) if not good)
-    fit = fit_problem(problem.subset(kept), omission=True)
+    fit = problem.fit(kept)
     return MEstimate(blunders, weights, errors, probability, scale, fit, rounds, settled)
 
 
@@ -180,7 +161,7 @@ def _tukey(lengths: FloatArray) -> FloatArray:
     return weights
 
 
-def _said(problem: Problem, first: set[str], second: set[str], both: tuple[str, ...], start: RobustStart) -> str:
+def _said(problem: Refit[Fit], first: set[str], second: set[str], both: tuple[str, ...], start: RobustStart) -> str:
     def names(chosen: set[str]) -> str:
         found = [name for name in problem.ids if name in chosen]
         return ", ".join(found[:8]) + (f" and {len(found) - 8} more" if len(found) > 8 else "")

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.estimation.mean_shift import Shifts, State
+from geomosaic.estimation.blunders.mean_shift import Shifts, State
+from geomosaic.estimation.statistics import log_tail_probability
 from geomosaic.types import FloatArray
 
 ALPHA = 0.01
@@ -146,11 +147,8 @@ def _worst(at: State, taken: Sequence[int], floor: float, limit: float) -> int |
 
 
 def _log_chance(statistic: FloatArray, scale: float, freedom: int) -> FloatArray:
-    """Logarithm of the probability of statistics as large: T / (2 s²) is F(2, f) distributed, see `judge`."""
-    if freedom < 1:
-        return np.zeros_like(statistic)
-    logarithm: FloatArray = -0.5 * freedom * np.log1p(statistic / scale**2 / freedom)
-    return logarithm
+    """Logarithm of the probability of statistics as large; 0 without redundancy: anything may be."""
+    return log_tail_probability(statistic, scale, freedom) if freedom >= 1 else np.zeros_like(statistic)
 
 
 def detectable(shifts: Shifts, found: Search) -> float:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import combinations
 from math import comb
+from typing import Any
 
 import numpy as np
 
 from geomosaic.errors import GeomosaicError, SolveError, counted
-from geomosaic.orientation.single.fit import probabilities, statistics
-from geomosaic.orientation.single.problem import Problem
-from geomosaic.sensor.model import SensorModel
+from geomosaic.estimation.blunders.refit import Fit, Refit
+from geomosaic.estimation.statistics import tail_probability
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 CLEAN = 0.7
@@ -49,7 +49,7 @@ class RobustStart:
     bearable: float
 
 
-def points_needed(problem: Problem, seed: int = 0) -> int:
+def points_needed(problem: Refit[Fit], seed: int = 0) -> int:
     """Fewest points the model needs, found by trying: all points together may contradict each other too much.
 
     Raises
@@ -63,9 +63,9 @@ def points_needed(problem: Problem, seed: int = 0) -> int:
         model = _any_model(problem, size, random)
         if model is None:
             continue
-        free = int(np.count_nonzero(model.parameters.sigmas > 0.0))
+        free = problem.free_parameters(model)
         larger = _any_model(problem, min(size + 2, count), random)
-        if larger is not None and np.count_nonzero(larger.parameters.sigmas > 0.0) > free:
+        if larger is not None and problem.free_parameters(larger) > free:
             raise SolveError(
                 "the fit passes through all of its control points, blunders too",
                 hint="look for blunders with a kind of fewer parameters (not tps)",
@@ -74,7 +74,7 @@ def points_needed(problem: Problem, seed: int = 0) -> int:
     raise SolveError("no sample of the control points determines the model", hint="add points, or spread them")
 
 
-def _any_model(problem: Problem, size: int, random: np.random.Generator) -> SensorModel | None:
+def _any_model(problem: Refit[Fit], size: int, random: np.random.Generator) -> Any:
     for _ in range(8):
         model = _fit(problem, random.choice(len(problem), size, replace=False))
         if model is not None:
@@ -82,14 +82,14 @@ def _any_model(problem: Problem, size: int, random: np.random.Generator) -> Sens
     return None
 
 
-def _fit(problem: Problem, chosen: IntArray) -> SensorModel | None:
+def _fit(problem: Refit[Fit], chosen: IntArray) -> Any:
     try:
         return problem.model(chosen)
     except GeomosaicError:
         return None
 
 
-def check_count(problem: Problem, seed: int = 0) -> int:
+def check_count(problem: Refit[Fit], seed: int = 0) -> int:
     """Fewest points the model needs, refusing fewer than two more.
 
     Raises
@@ -106,12 +106,12 @@ def check_count(problem: Problem, seed: int = 0) -> int:
     return needed
 
 
-def trimmed_start(problem: Problem, seed: int = 0) -> RobustStart:
+def trimmed_start(problem: Refit[Fit], seed: int = 0) -> RobustStart:
     """Find the points that agree: small samples are fitted, concentrated on the better half, and the best is kept.
 
     Parameters
     ----------
-    problem : Problem
+    problem : Refit
     seed : int
         Of the samples; the same gives the same.
 
@@ -145,18 +145,18 @@ def _samples(count: int, size: int, seed: int) -> list[IntArray]:
     return [random.choice(count, size, replace=False) for _ in range(wanted)]
 
 
-def _best(problem: Problem, samples: list[IntArray], half: int) -> list[tuple[float, IntArray]]:
+def _best(problem: Refit[Fit], samples: list[IntArray], half: int) -> list[tuple[float, IntArray]]:
     """Concentrate samples; the best first."""
     found = (_concentrate(problem, sample, half, 0) for sample in samples)
     return sorted((each for each in found if each is not None), key=lambda each: each[0])
 
 
-def _lengths(problem: Problem, model: SensorModel) -> FloatArray:
+def _lengths(problem: Refit[Fit], model: Any) -> FloatArray:
     lengths: FloatArray = np.hypot(*problem.errors(model).T) / problem.sigma
     return np.where(np.isfinite(lengths), lengths, np.inf)
 
 
-def _concentrate(problem: Problem, chosen: IntArray, half: int, steps: int) -> tuple[float, IntArray] | None:
+def _concentrate(problem: Refit[Fit], chosen: IntArray, half: int, steps: int) -> tuple[float, IntArray] | None:
     """Fit, take the better half, fit that, ...: the sum of its squares never grows. The sum and the half."""
     best: tuple[float, IntArray] | None = None
     for _ in range(steps + 1):
@@ -172,7 +172,7 @@ def _concentrate(problem: Problem, chosen: IntArray, half: int, steps: int) -> t
     return best
 
 
-def _grow(problem: Problem, half: IntArray) -> tuple[BoolArray, float, int]:
+def _grow(problem: Refit[Fit], half: IntArray) -> tuple[BoolArray, float, int]:
     """Let in the points outside, the best first, while their errors of prediction may be chance (a forward search).
 
     The errors of the best m of N points are smaller than those of all: for normal errors in two axes the mean square
@@ -180,18 +180,18 @@ def _grow(problem: Problem, half: IntArray) -> tuple[BoolArray, float, int]:
     in, and not at the end, where those outside are taken for blunders.
     """
     count = len(problem)
-    floor = 1e-9 * max(1.0, float(np.abs(problem.colrow).max())) / float(np.median(problem.sigma))
+    floor = 1e-9 * max(1.0, problem.magnitude) / float(np.median(problem.sigma))
     inliers = np.zeros(count, dtype=np.bool_)
     inliers[half] = True
     while True:
-        fit, statistic = statistics(problem, inliers)
+        fit, statistic = problem.statistics(inliers)
         scale = max(fit.sigma0, floor)
         outside = np.flatnonzero(~inliers)
         if not len(outside):
             break
         share = float(inliers.mean())
         short = np.sqrt(1.0 + (1.0 - share) * np.log(1.0 - share) / share)
-        chance = probabilities(statistic[outside], scale / short, float(fit.redundancy))
+        chance = tail_probability(statistic[outside], scale / short, float(fit.redundancy))
         order = outside[np.argsort(-chance, kind="stable")][: max(1, len(outside) // 10)]
         chosen = order[np.sort(-chance, kind="stable")[: len(order)] <= -REJECTED]
         if not len(chosen):

@@ -1,0 +1,208 @@
+"""Statistics of least squares: sigma0, cofactors, redundancy numbers, leave-one-out errors, correlations and tests.
+
+With weighted design A (2N, P), residuals v = (I − H) e, where H = A (AᵀA)⁻¹ Aᵀ, so the cofactors of the residuals are
+Q_vv = I − H; its diagonal holds the redundancy numbers (Förstner 1979). Without point i its residual would be
+(I − H_ii)⁻¹ v_i, H_ii being the point's 2 × 2 block (Cook and Weisberg 1982, for two observations at a time).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import erfc, sqrt
+
+import numpy as np
+
+from geomosaic.errors import SolveError
+from geomosaic.estimation.equations import Equations
+from geomosaic.types import BoolArray, FloatArray
+
+SINGULAR = 1e-12
+"""Share of the largest singular value below which parameters are not determined."""
+UNCHECKED = 1e-7
+"""Redundancy number below which an observation is not checked by others."""
+EXACT = 50
+"""Differences up to which all signs are counted; the normal distribution serves beyond, and where lengths are equal."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cofactors:
+    """Cofactors of the parameters and of the points at a solution.
+
+    Attributes
+    ----------
+    parameters : array (P, P)
+        Cofactors of the parameters; 0 for those held fixed.
+    hat : array (N, 2, 2)
+        Blocks H_ii of the weighted hat matrix.
+    redundancy : int
+        Observations, a-priori values of parameters among them, minus free parameters.
+    """
+
+    parameters: FloatArray
+    hat: FloatArray
+    redundancy: int
+
+    @classmethod
+    def of(cls, equations: Equations, free: BoolArray, points: int) -> Cofactors:
+        """Cofactors of dense equations whose first rows are two for each point.
+
+        Parameters
+        ----------
+        equations : Equations
+        free : bool array (P,)
+            Parameters that are unknowns of the equations.
+        points : int
+
+        Raises
+        ------
+        SolveError
+            The points do not determine the parameters.
+        """
+        count, whole = equations.design.shape[1], np.zeros((len(free), len(free)))
+        if count == 0:
+            return cls(whole, np.zeros((points, 2, 2)), equations.redundancy)
+        factors = equations.singular_values
+        if equations.redundancy < 0 or not factors.singular[-1] > SINGULAR * factors.singular[0]:
+            raise SolveError("the control points do not determine the parameters of the model", hint="add points")
+        whole[np.ix_(free, free)] = factors.cofactors()
+        blocks = factors.left[: 2 * points].reshape(points, 2, count)
+        return cls(whole, np.einsum("nip,njp->nij", blocks, blocks), equations.redundancy)
+
+    @property
+    def redundancy_numbers(self) -> FloatArray:
+        """Redundancy numbers (N, 2) of columns and rows, 0 (nothing checks it) to 1."""
+        own: FloatArray = 1.0 - np.diagonal(self.hat, axis1=1, axis2=2)
+        return np.where(own > UNCHECKED, own, 0.0)
+
+    @property
+    def inverse_blocks(self) -> FloatArray:
+        """Inverse blocks (I − H_ii)⁻¹ (N, 2, 2); NaN where other points do not check a point in both axes."""
+        own = np.eye(2) - self.hat
+        values, turns = np.linalg.eigh(own)
+        held = values[:, 0] <= UNCHECKED
+        inverse: FloatArray = np.einsum("nij,nj,nkj->nik", turns, 1.0 / np.where(held[:, None], 1.0, values), turns)
+        inverse[held] = np.nan
+        return inverse
+
+    def leave_one_out(self, residuals: FloatArray) -> FloatArray:
+        """Residuals (N, 2) that points would have without a part in the fit; NaN where others do not hold it."""
+        errors: FloatArray = np.einsum("nij,nj->ni", self.inverse_blocks, residuals)
+        return errors
+
+    def deletion_statistic(self, weighted: FloatArray) -> FloatArray:
+        """Decrease (N,) of the weighted sum of squares, T = vᵀ (I − H)⁻¹ v, if a point took no part; 0 where unchecked.
+
+        One number for both axes of a point, in place of Baarda's w of each.
+        """
+        gain = np.einsum("ni,nij,nj->n", weighted, self.inverse_blocks, weighted)
+        return np.where(np.isfinite(gain), gain, 0.0)
+
+    def prediction_statistic(self, weighted: FloatArray, design: FloatArray) -> FloatArray:
+        """Statistic eᵀ (I + A Q Aᵀ)⁻¹ e (M,) of points that took no part; inf where one cannot be computed.
+
+        Parameters
+        ----------
+        weighted : array (M, 2)
+            Errors of prediction over the standard deviations of the measurements.
+        design : array (M, 2, P)
+            Their derivatives by the parameters, weighted alike.
+        """
+        spread = np.eye(2) + np.einsum("nip,pq,njq->nij", design, self.parameters, design)
+        seen = np.isfinite(weighted).all(axis=1) & np.isfinite(spread).all(axis=(1, 2))
+        statistic = np.full(len(weighted), np.inf)
+        solved = np.linalg.solve(spread[seen], weighted[seen][:, :, None])[:, :, 0]
+        statistic[seen] = (weighted[seen] * solved).sum(axis=1)
+        return statistic
+
+
+def sigma0_of(squares: float, redundancy: int) -> float:
+    """Standard deviation of unit weight; NaN without redundancy."""
+    return float(np.sqrt(squares / redundancy)) if redundancy > 0 else float("nan")
+
+
+def correlations(covariance: FloatArray) -> FloatArray:
+    """Correlation matrix of a covariance matrix (P, P); 0 for parameters that were held fixed."""
+    sigma = np.sqrt(np.diag(covariance))
+    products = np.outer(sigma, sigma)
+    out: FloatArray = np.divide(covariance, products, out=np.zeros_like(covariance), where=products > 0.0)
+    return out
+
+
+def axis_rms(errors: FloatArray) -> tuple[float, float]:
+    """RMS of each of two columns (N, 2); NaN rows do not count."""
+    seen = errors[np.isfinite(errors).all(axis=1)]
+    if not len(seen):
+        return float("nan"), float("nan")
+    first, second = np.sqrt((seen**2).mean(axis=0))
+    return float(first), float(second)
+
+
+def total_rms(errors: FloatArray) -> float:
+    """RMS length of vectors (N, 2); NaN rows do not count."""
+    return float(np.hypot(*axis_rms(errors)))
+
+
+def log_tail_probability(statistic: FloatArray, scale: float, freedom: float) -> FloatArray:
+    """Logarithm of the probability of statistics T as large by chance: T / (2 s²) is F(2, f) distributed.
+
+    With two degrees of freedom above, the upper tail is (1 + T / (f s²))^(−f/2), and exp(−T / (2 s²)) where the scale s
+    is known beforehand, f = ∞.
+    """
+    ratio = statistic / scale**2
+    power: FloatArray = -0.5 * ratio if np.isinf(freedom) else -0.5 * freedom * np.log1p(ratio / freedom)
+    return power
+
+
+def tail_probability(statistic: FloatArray, scale: float, freedom: float) -> FloatArray:
+    """Probability of statistics as large by chance, see `log_tail_probability`."""
+    probability: FloatArray = np.exp(log_tail_probability(statistic, scale, freedom))
+    return probability
+
+
+def mean_probability(errors: FloatArray) -> float:
+    """Probability of a mean of vectors (N, 2) this far from 0, by chance: Hotelling's T², (N − 2)/(2 (N − 1)) T² ~ F.
+
+    Returns
+    -------
+    float
+        NaN for fewer than 4 vectors, or where they all lie on a line.
+    """
+    from scipy.special import fdtrc
+
+    count = len(errors)
+    if count < 4:
+        return float("nan")
+    mean = errors.mean(axis=0)
+    covariance = np.cov(errors.T)
+    size = float(np.trace(covariance))
+    if not np.linalg.det(covariance) > 1e-12 * size**2:
+        return float("nan")
+    squared = count * float(mean @ np.linalg.solve(covariance, mean))
+    return float(fdtrc(2, count - 2, squared * (count - 2) / (2 * (count - 1))))
+
+
+def signed_rank_probability(differences: FloatArray) -> float:
+    """Probability by chance of differences (N,) that are so much above 0 (Wilcoxon 1945).
+
+    Differences of 0 say nothing and are left out; 1 where none is left.
+    """
+    unequal = differences[differences != 0.0]
+    count = len(unequal)
+    if not count:
+        return 1.0
+    _, group, sizes = np.unique(np.abs(unequal), return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(sizes) - (sizes - 1) / 2.0)[group]
+    above = float(ranks[unequal > 0.0].sum())
+    if count <= EXACT and (sizes == 1).all():
+        return _signed_rank_tail(count, round(above))
+    variance = count * (count + 1) * (2 * count + 1) / 24.0 - float((sizes**3 - sizes).sum()) / 48.0
+    return 0.5 * erfc((above - count * (count + 1) / 4.0) / sqrt(2.0 * variance)) if variance > 0.0 else 0.5
+
+
+def _signed_rank_tail(count: int, above: int) -> float:
+    """Share of all choices of signs whose positive ranks sum to `above` or more."""
+    ways = np.zeros(count * (count + 1) // 2 + 1)
+    ways[0] = 1.0
+    for rank in range(1, count + 1):
+        ways[rank:] += ways[:-rank].copy()
+    return float(ways[above:].sum() / 2.0**count)
