@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from refined_rig import Agile
 from spot_rig import SIZE
@@ -154,6 +154,7 @@ def test_bad_metadata(text: str, words: str) -> None:
     st.integers(0, 10_000),
     st.sampled_from(["", "nan", "inf", "-1", "0", "1e300", "-1e9", "x", "1 2"]),
 )
+@example("primary", 32, "1e300")  # once squared before anything asked whether it can be meant
 def test_a_number_replaced(way: str, which: int, word: str) -> None:
     """A clear error, or a model whose pixels meet the ground or NaN."""
     text = text_of(way)

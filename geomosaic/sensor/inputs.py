@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from geomosaic.errors import SensorInputError, did_you_mean
+from geomosaic.sensor.metadata import LARGEST
 from geomosaic.sensor.plugin import SensorInput
 
 
@@ -82,15 +83,15 @@ def number(value: Any, key: str, where: str) -> float:
     Raises
     ------
     SensorInputError
-        Not a number, NaN or infinite.
+        Not a number, NaN, infinite, or larger than `metadata.LARGEST`.
     """
     try:
         # True is a number to Python, and to nobody who writes a project file.
         result = math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         result = math.nan
-    if not math.isfinite(result):
-        raise input_error(f"{key} = {value!r} is not a finite number", key, where)
+    if not abs(result) <= LARGEST:
+        raise input_error(f"{key} = {value!r} is not a finite number of a sensible size", key, where)
     return result
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.sensor.metadata import finite_number
 from geomosaic.types import FloatArray
 
 MODELS: Mapping[str, tuple[str, tuple[str, ...]]] = {
@@ -139,11 +140,8 @@ def _rotation(q: FloatArray, where: str) -> FloatArray:
 def _numbers(words: list[str], where: str) -> list[float]:
     values = []
     for word in words:
-        try:
-            value = float(word)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise InputError(f"'{word[:40]}' is no finite number", where=where)
+        value = finite_number(word)
+        if math.isnan(value):
+            raise InputError(f"'{word[:40]}' is no finite number of a sensible size", where=where)
         values.append(value)
     return values

@@ -20,7 +20,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.safe_xml import parse
+from geomosaic.sensor.metadata import finite_number, parse_xml
 
 ENDING = ".ori.xml"
 LONGEST = 1e9
@@ -41,7 +41,7 @@ def read_ori(data: bytes, where: str) -> Photo:
     InputError
         The XML is damaged, has entities, is no orientation of a frame camera, or lacks a value; names it.
     """
-    root = parse(data, where)
+    root = parse_xml(data, where)
     if root.tag != "orientation" or root.find("geometry") is None:
         raise InputError("this is no orientation of IGN: <orientation> or <geometry> is missing", where=where)
     if root.find("geometry/intrinseque/spherique") is not None:
@@ -104,10 +104,7 @@ def _child(parent: Element, path: str, where: str) -> Element:
 
 def _number(parent: Element, path: str, where: str) -> float:
     text = (_child(parent, path, where).text or "").strip()
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"<{path}> is '{text[:60]}', not a finite number", where=where)
+    value = finite_number(text)
+    if math.isnan(value):
+        raise InputError(f"<{path}> is '{text[:60]}', not a finite number of a sensible size", where=where)
     return value

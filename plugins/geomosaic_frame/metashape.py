@@ -29,7 +29,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.geo.rotation import omega_phi_kappa
-from geomosaic.sensor.safe_xml import parse
+from geomosaic.sensor.metadata import finite_number, parse_xml
 from geomosaic.types import FloatArray
 
 Cameras = dict[str, tuple[dict[str, Any], dict[str, Any]]]
@@ -50,7 +50,7 @@ def read_metashape(data: bytes, where: str) -> Cameras:
     InputError
         The XML is damaged, has entities, or is no export of cameras; a camera is of a kind that is not supported.
     """
-    root = parse(data, where)
+    root = parse_xml(data, where)
     chunks = [root] if root.tag == "chunk" else root.findall("chunk")
     if not chunks:
         raise InputError("the XML has no <chunk>", where=where, hint="export the cameras from Metashape as XML")
@@ -141,11 +141,8 @@ def _lens(kind: str, value: Mapping[str, float], where: str) -> dict[str, Any]:
 
 
 def _numbers(text: str | None, count: int, what: str, where: str) -> FloatArray:
-    try:
-        values = [float(word) for word in (text or "").split()]
-    except ValueError:
-        values = []
-    if len(values) != count or not all(map(math.isfinite, values)):
+    values = [finite_number(word) for word in (text or "").split()]
+    if len(values) != count or any(map(math.isnan, values)):
         raise InputError(f"<{what}> is '{(text or '')[:60]}', not {count} finite numbers", where=where)
     return np.array(values)
 
@@ -177,12 +174,9 @@ def read_metashape_text(text: str, where: str) -> dict[str, dict[str, Any]]:
         words = line.strip().split("\t") if "\t" in line else line.rsplit(maxsplit=15)
         if len(words) not in (7, 16):
             raise InputError(f"{len(words)} values where a camera has 7 or 16", where=here)
-        try:
-            values = [float(word) for word in words[1:]]
-        except ValueError:
-            values = [math.nan]
-        if not all(map(math.isfinite, values)):
-            raise InputError("a value is no finite number", where=here)
+        values = [finite_number(word) for word in words[1:]]
+        if any(map(math.isnan, values)):
+            raise InputError("a value is no finite number of a sensible size", where=here)
         m = omega_phi_kappa(*np.radians(values[3:6]))
         if len(values) == 15:
             printed = np.array(values[6:]).reshape(3, 3)

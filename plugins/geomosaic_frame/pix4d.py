@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.sensor.metadata import finite_number
 
 PARAMETERS = "_calibrated_camera_parameters.txt"
 PMATRIX = "_pmatrix.txt"
@@ -152,10 +153,7 @@ def _head(line: str, where: str) -> tuple[str, tuple[int, int]]:
 
 
 def _numbers(line: str, count: int, what: str, where: str) -> list[float]:
-    try:
-        values = [float(word) for word in line.split()]
-    except ValueError:
-        values = []
-    if len(values) != count or not all(map(math.isfinite, values)):
+    values = [finite_number(word) for word in line.split()]
+    if len(values) != count or any(map(math.isnan, values)):
         raise InputError(f"{what} is '{line.strip()[:60]}', not {count} numbers", where=where)
     return values

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import re
 
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.sensor.metadata import finite_number
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.look_angles import Look
 from geomosaic_pushbroom.orbit import Orbit, in_order, need_cover
@@ -90,10 +90,7 @@ def _list(words: dict[str, str], name: str, count: int, where: str) -> FloatArra
     given = words.get(f"{_PREFIX}{name}")
     if given is None:
         raise InputError(f"the keyword list has no {_PREFIX}{name}", where=where, hint="get the whole file")
-    try:
-        values = np.array([float(word) for word in given.split()])
-    except ValueError:
-        values = np.array([math.nan])
+    values = np.array([finite_number(word) for word in given.split()])
     if not len(values) or not np.isfinite(values).all() or (count and len(values) != count):
         wanted = f"{count} finite numbers" if count else "finite numbers"
         raise InputError(f"{_PREFIX}{name} does not hold {wanted}", where=where, hint="get the file again")

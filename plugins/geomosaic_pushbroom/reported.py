@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.safe_xml import parse as parse_plain
+from geomosaic.sensor.metadata import finite_number, parse_xml
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.look_angles import Look
 from geomosaic_pushbroom.paths import Path
@@ -118,8 +118,8 @@ _SKIPPED = frozenset({"Sensor_Calibration", "Image_Display"})
 
 
 def parse(data: bytes, where: str) -> Element:
-    """Parse the parts of a metadata file that say something of geometry; see `geomosaic.sensor.safe_xml`."""
-    return parse_plain(data, where, _SKIPPED)
+    """Parse the parts of a metadata file that say something of geometry; see `geomosaic.sensor.metadata`."""
+    return parse_xml(data, where, _SKIPPED)
 
 
 def find(element: Element, path: str, where: str) -> Element:
@@ -167,13 +167,10 @@ def each(element: Element, path: str) -> Iterator[Element]:
 
 
 def _number(word: str, path: str, where: str) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
+    value = finite_number(word)
+    if math.isnan(value):
         raise InputError(
-            f"<{path.removeprefix('.//')}> is '{word[:40]}', not a finite number",
+            f"<{path.removeprefix('.//')}> is '{word[:40]}', not a finite number of a sensible size",
             where=where,
             hint="get the file again",
         )

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.sensor.metadata import finite_number
 from geomosaic_rpc.coefficients import COUNT, Rpc
 
 FIRST_PIXEL: Mapping[str, float | None] = {
@@ -110,19 +111,17 @@ class RpcFields:
 
 
 def number(text: str, name: str, where: str) -> float:
-    """Read one finite number.
+    """Finite number of a text.
 
     Raises
     ------
     InputError
         Something else.
     """
-    try:
-        value = float(text) if re.fullmatch(r"[-+0-9.eE]{1,60}", text) else math.nan
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{name} is '{text[:40]}', not a finite number", where=where, hint=_MEND)
+    # Python's own numbers may have underscores and blanks, which no RPC file has.
+    value = finite_number(text) if re.fullmatch(r"[-+0-9.eE]{1,60}", text) else math.nan
+    if math.isnan(value):
+        raise InputError(f"{name} is '{text[:40]}', not a finite number of a sensible size", where=where, hint=_MEND)
     return value
 
 

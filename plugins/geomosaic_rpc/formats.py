@@ -6,7 +6,7 @@ import re
 from xml.etree.ElementTree import Element
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.safe_xml import parse
+from geomosaic.sensor.metadata import parse_xml
 from geomosaic_rpc.fields import FIRST_PIXEL, POLYNOMIALS, SCALARS, RpcFields, number, numbered
 
 # Units that _RPC.TXT files print behind a number; others (feet) would need a conversion.
@@ -110,7 +110,7 @@ def _once(found: dict[str, str], key: str, value: str, where: str) -> None:
 
 def rpc_xml(data: bytes, where: str) -> RpcFields:
     """Read an RPC from XML, recognised by its root element."""
-    root = parse(data, where)
+    root = parse_xml(data, where)
     tag = root.tag.rpartition("}")[2]
     if tag == "Dimap_Document":
         return _dimap(root, where)

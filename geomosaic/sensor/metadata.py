@@ -1,18 +1,32 @@
-"""XML read without what XML can do beyond naming values: no document types, no entities."""
+"""Metadata files: XML without document types or entities, and numbers of a sensible size."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder
 from xml.parsers.expat import ExpatError, ParserCreate
 
 from geomosaic.errors import InputError
 
+LARGEST = 1e15
+"""Nothing measured of an image, an orbit or the Earth is larger in any unit; powers of such a number would overflow."""
 _DEEPEST = 64
 
 
-def parse(data: bytes, where: str, skipped: Collection[str] = ()) -> Element:
-    """Parse XML; a document type, and with it every entity, is refused.
+def finite_number(text: str) -> float:
+    """Number of a text; NaN where it is none, is infinite, or is larger than `LARGEST`."""
+    try:
+        value = float(text)
+    except ValueError:
+        return math.nan
+    return value if abs(value) <= LARGEST else math.nan
+
+
+def parse_xml(data: bytes, where: str, skipped: Collection[str] = ()) -> Element:
+    """Root of an XML document; a document type, and with it every entity, is refused.
+
+    A metadata file comes from anywhere: entities could name other files, or grow without end.
 
     Parameters
     ----------
