@@ -55,7 +55,7 @@ def head_of_report(folder: Path) -> Image.Image | None:
 
 def map_sheet(folder: Path) -> Image.Image:
     """The sheet of `docs/sheet/layout.toml`, of the demo's mosaic, as pixels."""
-    from geomosaic.sheets.inputs import sheet_from_files
+    from geomosaic.sheets.inputs import sheet
 
     sys.path.insert(0, str(SHEET))
     from make_map import make
@@ -67,7 +67,7 @@ def map_sheet(folder: Path) -> Image.Image:
         shutil.copy(folder / "dem.tif", place)
         make(folder / "gcps.csv", place / "map.gpkg")
         out, report = place / "sheet.png", folder / "output" / "report.json"
-        sheet_from_files(folder / "output" / "sample.tif", out, layout=place / "layout.toml", report=report, dpi=150)
+        sheet(folder / "output" / "sample.tif", out, layout=place / "layout.toml", report=report, dpi=150)
         return Image.open(out).convert("RGB")
 
 

@@ -14,7 +14,7 @@ import rasterio
 from affine import Affine
 from rasterio.warp import Resampling, reproject
 
-from geomosaic.accuracy.check_points import check_map
+from geomosaic.accuracy.check_points import check
 from geomosaic.control.read import read_control
 from geomosaic.errors import InputError
 from geomosaic.georeferencing.examination import BadControlError
@@ -138,7 +138,7 @@ def test_a_landsat_map_at_points_taken_from_its_own_transform(real_data, tmp_pat
         for i, ((c, r), (n, m)) in enumerate(zip(colrow, noise, strict=True))
     ]
     (tmp_path / "points.csv").write_text("\n".join(["id,x,y,col,row", *rows]))
-    found = check_map(raster, tmp_path / "points.csv", crs="EPSG:32618")
+    found = check(raster, tmp_path / "points.csv", crs="EPSG:32618")
     assert found.pixel_errors == pytest.approx(noise + np.array([0.5, 0.0]), abs=1e-6)
     s = found.statistics
     assert s.mean[0] == pytest.approx(0.5 * transform.a, abs=0.1 * transform.a)

@@ -10,7 +10,7 @@ import pytest
 import rasterio
 from test_70_georeference import CRS, PLAIN, affine_map, image, places, table, texture
 
-from geomosaic.accuracy.check_points import check_map
+from geomosaic.accuracy.check_points import check
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
@@ -41,7 +41,7 @@ def test_a_far_output_crs_is_told_and_drawn_rightly(tmp_path: Path, crs: str) ->
     inner = places(3, 3) * 0.8 + 20.0
     seen_at = grid.colrow(Transform(parse_crs(CRS), grid.crs)(affine_map(inner)))
     points = table(tmp_path / "check.csv", seen_at, degrees(affine_map(inner)))
-    found = check_map(tmp_path / "map.tif", points, crs="EPSG:4326")
+    found = check(tmp_path / "map.tif", points, crs="EPSG:4326")
     assert found.pixel_rms_total < 1e-3
 
 
@@ -82,7 +82,7 @@ def test_what_has_no_place_on_the_earth_is_refused_whoever_insists(tmp_path: Pat
                 georeference(scan, tmp_path / "map.tif", given, FitRequest("affine", insist=insist), options=PLAIN)
             assert "--insist" not in (refused.value.hint or "")
             with pytest.raises(InputError, match=code) as refused_check:
-                check_map(drawn, path, crs="EPSG:4326", insist=insist)
+                check(drawn, path, crs="EPSG:4326", insist=insist)
             assert "--insist" not in (refused_check.value.hint or "")
     # Left out as told, the others are drawn: the point has no place, and needs none.
     given = ControlInput(typed, "EPSG:4326", without=("P4",))
@@ -132,16 +132,16 @@ def test_check_points_of_a_map_are_judged_alone_and_a_wrong_one_is_named(tmp_pat
     roles = ["check" if i % 2 else "control" for i in range(16)]
     errors[::2] += 9.0  # control: other points of the table, which must not count
     points = table(tmp_path / "check.csv", seen + errors, xy, roles)
-    found = check_map(raster, points, crs=CRS)
+    found = check(raster, points, crs=CRS)
     assert found.ids == tuple(f"P{i}" for i in range(1, 16, 2))
     assert found.pixel_rms == pytest.approx(np.sqrt((errors[1::2] ** 2).mean(axis=0)), abs=1e-6)
     assert any("8 control points left out" in note for note in found.notes)
     assert not found.advice
     errors[5] = (12.0, -7.0)
     table(tmp_path / "check.csv", seen + errors, xy, roles)
-    odd = check_map(raster, points, crs=CRS)
+    odd = check(raster, points, crs=CRS)
     assert [(finding.code, finding.points) for finding in odd.advice] == [("check-point", ("P5",))]
     assert "1 of 8 check points is off" in odd.advice[0].what
-    without = check_map(raster, points, crs=CRS, without=("P5",))
+    without = check(raster, points, crs=CRS, without=("P5",))
     assert len(without.ids) == 7
     assert not without.advice

@@ -69,7 +69,7 @@ def proposed(path: Path) -> tuple[geopandas.GeoDataFrame, np.ndarray]:
 def test_the_lakes_that_are_there_and_nothing_else(tmp_path: Path, noise: float) -> None:
     """By area: water that is found, and land that is taken for water."""
     image, dem, water = files(tmp_path, True, noise)
-    made = propose_water(image, dem, tmp_path / "water.gpkg", heights="egm96")
+    made = propose_water(image, dem, tmp_path / "water.gpkg", dem_heights="egm96")
     frame, found = proposed(tmp_path / "water.gpkg")
     both, either = (found & water).sum(), (found | water).sum()
     assert both / either > 0.93, f"{both / either:.3f} of the area in common, {len(frame)} pieces"
@@ -85,7 +85,7 @@ def test_the_lakes_that_are_there_and_nothing_else(tmp_path: Path, noise: float)
 def test_nothing_where_no_water_is(tmp_path: Path, noise: float) -> None:
     """The same hills, with an even field on a terrace and a road, and no lake."""
     image, dem, _ = files(tmp_path, False, noise)
-    assert propose_water(image, dem, tmp_path / "water.gpkg", heights="egm96").areas == ()
+    assert propose_water(image, dem, tmp_path / "water.gpkg", dem_heights="egm96").areas == ()
     frame, _ = proposed(tmp_path / "water.gpkg")
     assert len(frame) == 0
     # An empty proposal can be given back.
@@ -111,7 +111,7 @@ def test_what_is_proposed_goes_into_a_mosaic(tmp_path: Path) -> None:
 def test_what_cannot_be_looked_at(tmp_path: Path) -> None:
     image, dem, _ = files(tmp_path, True, 0.0)
     with pytest.raises(InputError, match="GeoPackage"):
-        propose_water(image, dem, tmp_path / "water.shp", heights="egm96")
+        propose_water(image, dem, tmp_path / "water.shp", dem_heights="egm96")
     far = rig.write(tmp_path / "far.tif", np.zeros((50, 50, 1), np.float32), 9000)
     with pytest.raises(InputError, match="no height where the image"):
-        propose_water(image, far, tmp_path / "water.gpkg", heights="egm96")
+        propose_water(image, far, tmp_path / "water.gpkg", dem_heights="egm96")

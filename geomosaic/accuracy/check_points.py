@@ -20,7 +20,7 @@ from geomosaic.geo.grid import Grid
 from geomosaic.geo.units import short_unit
 from geomosaic.orientation.single.check_points import CheckStatistics, check_errors, odd_checks
 from geomosaic.raster.info import SourceInfo, inspect
-from geomosaic.types import FloatArray
+from geomosaic.types import FloatArray, PathLike
 
 
 def check_advice(
@@ -116,9 +116,9 @@ class MapCheck:
     advice: tuple[Advice, ...]
 
 
-def check_map(
-    raster: Path,
-    points: Path,
+def check(
+    raster: PathLike,
+    points: PathLike,
     *,
     crs: str | None = None,
     raster_crs: str | None = None,
@@ -128,12 +128,12 @@ def check_map(
     insist: bool = False,
     without: tuple[str, ...] = (),
 ) -> MapCheck:
-    """Hold a georeferenced raster against points whose places are known.
+    """Accuracy of a georeferenced raster at points whose places are known.
 
     Parameters
     ----------
-    raster : Path
-    points : Path
+    raster : path
+    points : path
         True x and y, and where the raster has them: col and row, or measured_x and measured_y in its CRS. Any file of
         control will do; where some points have the role 'check', only those count.
     crs : str, optional
@@ -154,6 +154,7 @@ def check_map(
     InputError
         The raster is not georeferenced, a file is wrong, or coordinates do not fit their CRS.
     """
+    raster, points = Path(raster), Path(points)
     info = inspect(raster)
     grid = _grid(info, raster_crs)
     if has_positions(points):

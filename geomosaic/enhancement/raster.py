@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from geomosaic.enhancement.contrast import Clahe, luminance, sharpened, toned
-from geomosaic.enhancement.hillshade import hillshade, shaded
+from geomosaic.enhancement.hillshade import hillshade as shade_of_slope, shaded
 from geomosaic.enhancement.options import EnhancePart
 from geomosaic.enhancement.pan_sharpening import PanModel, magnified, pan_model, pan_sharpened
 from geomosaic.enhancement.picture import band_curves, heights_at, sample, shown_bands, stretch_given
@@ -17,19 +18,37 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import linear_unit
 from geomosaic.raster.framing import raster_grid, read_bands
 from geomosaic.raster.output_files import check_output
+from geomosaic.raster.product import RasterProduct
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.resample.warp import value_range
-from geomosaic.types import AnyArray, FloatArray
+from geomosaic.types import AnyArray, FloatArray, PathLike
 
 TILE = (2048, 512)
 SHADE = 0.6
 """Strength of a hillshade, as on sheets."""
 
 
-def enhance_raster(
-    raster: Path,
-    output: Path,
+@dataclass(frozen=True, repr=False)
+class EnhancedRaster(RasterProduct):
+    """Raster of eight bits for print."""
+
+    path: Path
+    grid: Grid
+
+
+@dataclass(frozen=True, repr=False)
+class PanSharpened(RasterProduct):
+    """Raster sharpened by a panchromatic one, and the model of the pan band by the others."""
+
+    path: Path
+    grid: Grid
+    model: PanModel
+
+
+def enhance(
+    raster: PathLike,
+    output: PathLike,
     *,
     bands: tuple[int, ...] | None = None,
     stretch: str | None = None,
@@ -39,19 +58,43 @@ def enhance_raster(
     clahe: float | None = None,
     sharpen: float | None = None,
     radius: float = 1.0,
-    shade: Path | None = None,
+    hillshade: PathLike | None = None,
     driver: str = "COG",
     overwrite: bool = False,
-) -> Path:
-    """Write an 8-bit picture; see `EnhancePart` for the parameters.
+) -> EnhancedRaster:
+    """8-bit picture of a raster for print: stretched, its local contrast evened, shaded and sharpened, in this order.
 
-    `radius` counts pixels here, and `shade` is the DEM of a hillshade.
+    Parameters
+    ----------
+    raster, output : path
+    bands : tuple of int, optional
+        Counted from 1; the first three or the first one unless given.
+    stretch : str, optional
+        See `EnhancePart`, as for `limits`, `percentiles`, `gamma`, `clahe` and `sharpen`.
+    limits, percentiles : tuple of float, optional
+        Of the stretch: values, or percent.
+    gamma, clahe, sharpen : float, optional
+        Strength of each step.
+    radius : float
+        Of sharpening, pixels.
+    hillshade : path, optional
+        DEM that the picture is shaded by.
+    driver : str
+        'COG' or 'GTiff'.
+    overwrite : bool
+        Replace an existing file.
+
+    Returns
+    -------
+    EnhancedRaster
 
     Raises
     ------
     InputError, OutputExistsError, OutputError
     """
-    check_output(output, overwrite=overwrite, inputs=(raster, *filter(None, [shade])))
+    raster, output = Path(raster), Path(output)
+    hillshade = None if hillshade is None else Path(hillshade)
+    check_output(output, overwrite=overwrite, inputs=(raster, *filter(None, [hillshade])))
     with Source(raster) as source:
         grid = raster_grid(source, str(raster))
         own = {key: found for key, found in stretch_given(stretch, limits, percentiles).items() if found is not None}
@@ -65,8 +108,8 @@ def enhance_raster(
             level = np.dstack([curves[k](values[..., k]) if curves else values[..., k] for k in range(len(shown))])
             grey = luminance(level) if len(shown) == 3 else level[..., 0]
             local = Clahe.of(grey, valid.astype(np.uint8), look.clahe)
-        light_of = None if shade is None else _shade_of(shade, grid, look)
-        reach = max(int(np.ceil(3 * radius)) + 1 if sharpen else 0, 0 if shade is None else 1)
+        light_of = None if hillshade is None else _shade_of(hillshade, grid, look)
+        reach = max(int(np.ceil(3 * radius)) + 1 if sharpen else 0, 0 if hillshade is None else 1)
         with RasterSink(output, grid, len(shown), "uint8", driver=driver, overwrite=overwrite) as sink:
             for window in grid.window.split(*TILE):
                 wide = Window(
@@ -90,7 +133,7 @@ def enhance_raster(
                 made = np.ascontiguousarray(rgb[inside][..., : len(shown)])
                 sink.write(window, made, np.ascontiguousarray(seen[inside]))
             sink.finish()
-    return output
+    return EnhancedRaster(output, grid)
 
 
 def _shade_of(dem: Path, grid: Grid, look: EnhancePart) -> Callable[[Window], FloatArray]:
@@ -104,40 +147,41 @@ def _shade_of(dem: Path, grid: Grid, look: EnhancePart) -> Callable[[Window], Fl
         x = grid.xy(np.column_stack([cols, np.zeros_like(cols)]))[:, 0]
         y = grid.xy(np.column_stack([np.zeros_like(rows), rows]))[:, 1]
         step = grid.resolution[0] * metres, grid.resolution[1] * metres
-        return hillshade(heights_at(dem, None, grid.crs, x, y), step, look.azimuth, look.altitude)
+        return shade_of_slope(heights_at(dem, None, grid.crs, x, y), step, look.azimuth, look.altitude)
 
     return of
 
 
-def sharpen_with_pan(
-    raster: Path,
-    pan: Path,
-    output: Path,
+def pan_sharpen(
+    raster: PathLike,
+    pan: PathLike,
+    output: PathLike,
     *,
     method: str = "regression",
     bands: Sequence[int] | None = None,
     driver: str = "COG",
     overwrite: bool = False,
-) -> PanModel:
-    """Write the bands of a raster on the pixels of a panchromatic one, with its detail.
+) -> PanSharpened:
+    """Bands of a raster on the pixels of a panchromatic one, with its detail.
 
     The model is found where both are known, at the resolution of the bands, from means of the pan band there.
 
     Parameters
     ----------
-    raster, pan : Path
+    raster, pan : path
         In the same CRS, north up; the pan band is the first one of its file.
-    output : Path
+    output : path
         Of the sample type of the bands.
 
     Returns
     -------
-    PanModel
+    PanSharpened
 
     Raises
     ------
     InputError, OutputExistsError, OutputError
     """
+    raster, pan, output = Path(raster), Path(pan), Path(output)
     check_output(output, overwrite=overwrite, inputs=(raster, pan))
     with Source(raster) as coarse, Source(pan) as fine:
         low, high = raster_grid(coarse, str(raster)), raster_grid(fine, str(pan))
@@ -163,7 +207,7 @@ def sharpen_with_pan(
                 valid = ((known > 0) & (seen > 0.5)).astype(np.uint8)
                 sink.write(window, np.ascontiguousarray(sharp.astype(coarse.dtype)), valid)
             sink.finish()
-    return model
+    return PanSharpened(output, high, model)
 
 
 def _near(coarse: Source, low: Grid, high: Grid, window: Window, bands: Sequence[int]) -> tuple[AnyArray, AnyArray]:

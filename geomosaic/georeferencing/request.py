@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from geomosaic.control.parsing import Reading
+from geomosaic.control.points import ControlPoints
 from geomosaic.control.read import read_control
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.grid import Bounds
@@ -21,8 +22,8 @@ class ControlInput:
 
     Attributes
     ----------
-    path : Path, optional
-        The file; without one the control is inside the image, or in a world file beside it.
+    path : Path or ControlPoints, optional
+        The file, or the points; without one the control is inside the image, or in a world file beside it.
     crs : str, optional
         CRS of the ground.
     rows : str, optional
@@ -35,7 +36,7 @@ class ControlInput:
         Longitude and latitude near the image, degrees.
     """
 
-    path: Path | None = None
+    path: Path | ControlPoints | None = None
     crs: str | None = None
     rows: str | None = None
     pixels: str | None = None
@@ -116,6 +117,8 @@ def find_control(info: SourceInfo, given: ControlInput) -> Reading:
         There is none, or it cannot be read.
     """
     image = Path(info.path)
+    if isinstance(given.path, ControlPoints):
+        return Reading(given.path.without(given.without, "`gcps`"), "values")
     path = given.path if given.path is not None else _own(info)
     reading = read_control(path, image=image.name, crs=given.crs, size=info.size, sign=given.rows, count=given.pixels)
     notes = list(reading.notes)

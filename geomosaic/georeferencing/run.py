@@ -93,7 +93,7 @@ def georeference(
     reading = find_control(info, given)
     files = {end: output.with_name(f"{output.stem}-control{end}") for end in (".json", ".html", ".gpkg")}
     for file in (output, *(files.values() if report else ())):
-        _refuse(file, (image, given.path), overwrite=options.overwrite)
+        _refuse(file, (image, *([given.path] if isinstance(given.path, Path) else [])), overwrite=options.overwrite)
     first_look(reading.control, info.size, request, given.near)
     target = None if place.crs is None else parse_map(place.crs, "--dst-crs")
     crs = fit_crs(reading.control, request.crs, target)

@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.seams.seamlines import SeamPlace, SeamQuality, Segment
 from geomosaic.radiometry.gain_offset import Balance
+from geomosaic.raster.product import RasterProduct
 
 if TYPE_CHECKING:
     from geomosaic.mosaicking.colour.stretch import Stretch
 
 
-@dataclass(frozen=True, kw_only=True)
-class MosaicResult:
-    """What was made.
+@dataclass(frozen=True, kw_only=True, repr=False)
+class MosaicResult(RasterProduct):
+    """Mosaic that was written, with its gains, accuracies and what lies beside it.
 
     Attributes
     ----------

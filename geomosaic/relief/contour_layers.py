@@ -17,6 +17,7 @@ from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.relief.contours import Heights, nice_interval, trace
 from geomosaic.relief.spot_heights import SpotHeight, find_spots
 from geomosaic.surface.dem import Dem
+from geomosaic.types import PathLike
 
 
 @dataclass(frozen=True)
@@ -56,20 +57,20 @@ class ContourResult:
     prominence: float = 0.0
 
 
-def make_contours(
-    dem: Path,
-    output: Path,
+def contours(
+    dem: PathLike,
+    output: PathLike,
     *,
     interval: float | None = None,
     index: int = 5,
     tolerance: float | None = None,
-    shortest: float | None = None,
-    heights: str | None = None,
+    min_length: float | None = None,
+    dem_heights: str | None = None,
     prominence: float | None = None,
     spacing: float | None = None,
     overwrite: bool = False,
 ) -> ContourResult:
-    """Trace contours of a whole DEM and write them as layer `contours` of a GeoPackage.
+    """Contours and spot heights of a whole DEM, written as layers of a GeoPackage.
 
     Columns: `height` (metres), `main` (true for every `index`-th), `deviation` (metres, see `ContourResult`). The
     ground rises to the left of each line. Layer `spot_heights` has the summits and hollows that stand out: `height`,
@@ -77,8 +78,8 @@ def make_contours(
 
     Parameters
     ----------
-    dem : Path
-    output : Path
+    dem : path
+    output : path
         Ends in .gpkg.
     interval : float, optional
         Metres; a round one that gives about 20 contours by default.
@@ -86,9 +87,9 @@ def make_contours(
         Every so many contours one is a main one.
     tolerance : float, optional
         Metres of height that smoothing may change; a tenth of the interval by default, 0 for none.
-    shortest : float, optional
+    min_length : float, optional
         Shorter rings are left out; in units of the DEM's CRS, 8 nodes by default.
-    heights : str, optional
+    dem_heights : str, optional
         Vertical datum of the DEM, where the file does not say it.
     prominence : float, optional
         Metres by which spot heights stand out at least; the interval by default, 0 for no spot heights.
@@ -101,16 +102,17 @@ def make_contours(
     ------
     InputError, OutputExistsError, OutputError
     """
+    dem, output = Path(dem), Path(output)
     if output.suffix.lower() != ".gpkg":
         raise InputError("contours are written as GeoPackage", where=str(output), hint="end the name in .gpkg")
     check_output(output, overwrite=overwrite)
-    surface = Dem.open(dem, heights=heights)
+    surface = Dem.open(dem, heights=dem_heights)
     try:
         if interval is None:
             interval = nice_interval(*surface.range)
-        shortest = 8.0 * surface.spacing if shortest is None else shortest
+        min_length = 8.0 * surface.spacing if min_length is None else min_length
         nodes = nodes_of(surface, surface.grid.bounds, 0.0)
-        found = trace(nodes, interval, index=index, tolerance=tolerance, shortest=shortest)
+        found = trace(nodes, interval, index=index, tolerance=tolerance, shortest=min_length)
         prominence = interval if prominence is None else prominence
         spacing = 20.0 * surface.spacing if spacing is None else spacing
         spots = find_spots(nodes, prominence, spacing) if prominence > 0 else []
@@ -121,7 +123,7 @@ def make_contours(
         raise InputError(
             f"no contour: the heights do not reach a multiple of {interval:g} m",
             where=str(dem),
-            hint="give a shorter --interval",
+            hint="give a shorter `interval`",
         )
     import shapely
 

@@ -14,6 +14,7 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
+from geomosaic.raster.product import RasterProduct
 from geomosaic.raster.sink import RasterSink
 from geomosaic.render.dem_gaps import height_notes
 from geomosaic.render.photo import Photo, pull
@@ -27,9 +28,9 @@ from geomosaic.surface.model import Surface
 from geomosaic.types import AnyArray, ByteArray
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class OrthoResult:
-    """What was made.
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class OrthoResult(RasterProduct):
+    """Ortho that was written, with the accuracy of its geometry.
 
     Attributes
     ----------

@@ -19,6 +19,7 @@ from geomosaic.sheets.layout import Layout, parse_scale
 from geomosaic.sheets.make import SheetResult, VectorInput, make_sheet
 from geomosaic.sheets.styles.foreign import SUFFIXES, foreign_style
 from geomosaic.sheets.styles.style import BUILT_IN, Style, built_in, parse_style
+from geomosaic.types import PathLike
 
 
 def read_records(raster: Path, report: Path | None = None) -> dict[str, Any] | None:
@@ -222,11 +223,11 @@ def sheet_inputs(
     return SheetInputs(plan, tuple(layers), dem, shade, dem_heights or plan.contours.heights or None, facts)
 
 
-def sheet_from_files(
-    raster: Path,
-    output: Path,
+def sheet(
+    raster: PathLike,
+    output: PathLike,
     *,
-    layout: Path | None = None,
+    layout: PathLike | None = None,
     title: str | None = None,
     driver: str = "GTiff",
     collar: bool = False,
@@ -234,10 +235,34 @@ def sheet_from_files(
     overwrite: bool = False,
     **options: Any,
 ) -> SheetResult:
-    """Make a sheet; what is given here wins over the layout file.
+    """Map sheet of a raster at an exact scale; what is given here wins over the layout file.
 
-    Parameters are those of `geomosaic sheet`; see `sheet_inputs` for `options` and `make_sheet` for what it raises.
+    Parameters
+    ----------
+    raster : path
+        Georeferenced.
+    output : path
+        Ends in .pdf or .png; the map alone in .tif, .mbtiles or .kmz.
+    layout : path, optional
+        Layout of the sheet (TOML).
+    title : str, optional
+        The name of the raster unless given.
+    driver : str
+        'GTiff' or 'COG', for a .tif.
+    collar : bool
+        Draw the margin, too, where the output is the map alone.
+    world_file : bool
+        Write a world file beside a picture.
+    overwrite : bool
+        Replace an existing file.
+    **options
+        Scale, paper, vectors, contours and stretch: the parameters of `sheet_inputs`.
+
+    Raises
+    ------
+    InputError, OutputExistsError, OutputError
     """
+    raster, output, layout = Path(raster), Path(output), None if layout is None else Path(layout)
     named = title if title is not None or layout is not None else raster.stem.replace("_", " ")
     found = sheet_inputs(raster, layout=layout, title=named, **options)
     return make_sheet(

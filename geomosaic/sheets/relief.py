@@ -67,7 +67,7 @@ def sheet_relief(
     spacing : float
         In units of `crs`: closer nodes are averaged, since the paper does not show them.
     interval, index, tolerance, heights
-        As in `make_contours`; the interval by default follows from the heights on the sheet.
+        As in `contours`; the interval by default follows from the heights on the sheet.
     spots : float, optional
         Least distance of spot heights in units of `crs`; None for none.
     prominence : float, optional

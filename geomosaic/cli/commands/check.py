@@ -93,14 +93,14 @@ def command(raster: Path, points: Path, as_json: bool, **flags: Any) -> int:
       geomosaic plan product --ortho-scale 1:5000 --camera-constant 150 --json > plan.json
       geomosaic check map.tif --points check.csv --target plan.json
     """
-    from geomosaic.accuracy.check_points import check_map
+    from geomosaic.accuracy.check_points import check
     from geomosaic.accuracy.requirements import judge, read_target
     from geomosaic.cli.measured_results import check_facts, check_words
     from geomosaic.errors import QualityError
 
     target = read_target(flags["target"]) if flags["target"] is not None else ()
     with notes():
-        found = check_map(
+        found = check(
             raster,
             points,
             crs=flags["crs"],

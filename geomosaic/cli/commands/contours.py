@@ -64,11 +64,11 @@ def command(
     """
     from dataclasses import asdict
 
-    from geomosaic.relief.contour_layers import make_contours
+    from geomosaic.relief.contour_layers import contours
 
     with notes():
-        made = make_contours(
-            dem, output, interval=interval, index=index, tolerance=tolerance, shortest=min_length, heights=dem_heights,
+        made = contours(
+            dem, output, interval=interval, index=index, tolerance=tolerance, min_length=min_length, dem_heights=dem_heights,
             prominence=prominence, spacing=spacing, overwrite=overwrite,
         )  # fmt: skip
     facts = {"output" if key == "path" else key: value for key, value in asdict(made).items()}

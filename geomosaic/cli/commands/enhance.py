@@ -41,7 +41,7 @@ def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: 
       geomosaic enhance scene.tif -b 4,3,2 --stretch percentile --gamma 1.2 -o print.tif
       geomosaic enhance xs.tif --pan pan.tif --method regression -o sharp.tif
     """
-    from geomosaic.enhancement.raster import enhance_raster, sharpen_with_pan
+    from geomosaic.enhancement.raster import enhance, pan_sharpen
     from geomosaic.errors import InputError
 
     common = {"driver": flags.pop("driver"), "overwrite": flags.pop("overwrite")}
@@ -58,7 +58,8 @@ def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: 
                     where="--pan",
                     hint="pan-sharpen first, then enhance the result",
                 )
-            model = sharpen_with_pan(raster, pan, output, method=method, bands=flags["bands"], **common)
+            made = pan_sharpen(raster, pan, output, method=method, bands=flags["bands"], **common)
+            model = made.model
             weights = [float(w) for w in model.weights]
             facts = {
                 "output": str(output),
@@ -72,5 +73,5 @@ def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: 
                 facts, f"{output}: the bands explain {100 * model.r2:.1f} % of the pan band (weights {shown})", as_json
             )
             return
-        enhance_raster(raster, output, shade=flags.pop("hillshade"), **flags, **common)
+        enhance(raster, output, **flags, **common)
     answer({"output": str(output)}, str(output), as_json)

@@ -50,10 +50,10 @@ def command(raster: Path, output: Path, as_json: bool, **flags: Any) -> None:
       geomosaic sheet mosaic.tif --scale 1:5000 --paper A3 --contours dem.tif \\
         --vector roads.gpkg:road -o sheet.pdf
     """
-    from geomosaic.sheets.inputs import sheet_from_files
+    from geomosaic.sheets.inputs import sheet
 
     with notes():
-        made = sheet_from_files(raster, output, bounds=flags.pop("bounds") or None, **flags)
+        made = sheet(raster, output, bounds=flags.pop("bounds") or None, **flags)
     answer(facts(made), words(made), as_json)
 
 

@@ -71,7 +71,7 @@ def _scheme(flags: dict[str, Any]) -> Scheme:
 )
 @content_options
 @click.option(
-    "--format", "suffix", type=click.Choice(["pdf", "png", "tif", "mbtiles", "kmz"]), default="pdf", show_default=True
+    "--format", type=click.Choice(["pdf", "png", "tif", "mbtiles", "kmz"]), default="pdf", show_default=True
 )
 @file_options
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that draw.")
@@ -87,11 +87,11 @@ def make_command(raster: Path, output: Path, as_json: bool, **flags: Any) -> Non
     Example:
       geomosaic sheets make mosaic.tif --scheme puwg1992 --scale 1:10000 -o sheets/
     """
-    from geomosaic.sheets.series.inputs import series_from_files
+    from geomosaic.sheets.series.inputs import sheet_series
 
     scheme = _scheme(flags)
     with notes(), progress(as_json) as bars:
-        made = series_from_files(raster, output, scheme, progress=bars, **flags)
+        made = sheet_series(raster, output, scheme, progress=bars, **flags)
     facts = {
         "sheets": list(made.names),
         "made": [str(path) for path in made.made],

@@ -44,7 +44,7 @@ def command(
     from geomosaic.mosaicking.water.proposal import propose_water
 
     with notes():
-        made = propose_water(image, dem, output, smallest=min_area, heights=dem_heights, overwrite=overwrite)
+        made = propose_water(image, dem, output, min_area=min_area, dem_heights=dem_heights, overwrite=overwrite)
     facts = {
         "output": str(made.path),
         "areas_m2": [round(area, 1) for area in made.areas],

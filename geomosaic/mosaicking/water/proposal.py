@@ -19,7 +19,7 @@ from geomosaic.raster.source import Source
 from geomosaic.raster.validity import traced
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.surface.dem import Dem
-from geomosaic.types import BoolArray, FloatArray
+from geomosaic.types import BoolArray, FloatArray, PathLike
 
 LAYER = "water"
 MOST_CELLS = 4_000_000
@@ -54,13 +54,13 @@ class WaterResult:
 
 
 def propose_water(
-    image: Path,
-    dem: Path,
-    output: Path,
+    image: PathLike,
+    dem: PathLike,
+    output: PathLike,
     *,
-    smallest: float | None = None,
+    min_area: float | None = None,
     tilt: float = TILT,
-    heights: str | None = None,
+    dem_heights: str | None = None,
     overwrite: bool = False,
 ) -> WaterResult:
     """Write areas that may be water as layer `water` of a GeoPackage.
@@ -69,16 +69,16 @@ def propose_water(
 
     Parameters
     ----------
-    image : Path
+    image : path
         A mosaic or an ortho, north up.
-    dem : Path
-    output : Path
+    dem : path
+    output : path
         Ends in .gpkg.
-    smallest : float, optional
+    min_area : float, optional
         Square metres; 40 cells by default.
     tilt : float
         Largest slope of an area as a whole.
-    heights : str, optional
+    dem_heights : str, optional
         Vertical datum of the DEM, where the file does not say it.
     overwrite : bool
 
@@ -88,10 +88,11 @@ def propose_water(
     """
     import shapely
 
+    image, dem, output = Path(image), Path(dem), Path(output)
     if output.suffix.lower() != ".gpkg":
         raise InputError("areas are written as GeoPackage", where=str(output), hint="end the name in .gpkg")
     check_output(output, overwrite=overwrite)
-    surface = Dem.open(dem, heights=heights)
+    surface = Dem.open(dem, heights=dem_heights)
     try:
         with Source(image) as source:
             full = _grid(source)
@@ -105,8 +106,8 @@ def propose_water(
     if not (valid & np.isfinite(under)).any():
         raise InputError("the DEM has no height where the image shows something", where=str(dem), hint="check both CRS")
     cell = grid.resolution[0] * metre
-    smallest = LEAST_CELLS * cell**2 if smallest is None else smallest
-    cells = max(LEAST_CELLS, math.ceil(smallest / cell**2))
+    min_area = LEAST_CELLS * cell**2 if min_area is None else min_area
+    cells = max(LEAST_CELLS, math.ceil(min_area / cell**2))
     number, lakes = find_lakes(values, valid, under, cell, smallest=cells, tilt=tilt)
     shapes = _shapes(number, grid, lakes)
     areas = [shapely.area(shape) * metre**2 for shape in shapes]

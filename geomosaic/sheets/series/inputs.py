@@ -18,6 +18,7 @@ from geomosaic.sheets.series.make import Progress, SeriesInputs, SeriesResult, m
 from geomosaic.sheets.series.neatline import sheet_place
 from geomosaic.sheets.series.regular import Polygons, Scheme
 from geomosaic.sheets.vector_layers import missing
+from geomosaic.types import PathLike
 
 
 def read_scheme(
@@ -77,12 +78,12 @@ def sheet_corners(scheme: Scheme, name: str, crs: str) -> list[list[float]]:
     return found
 
 
-def series_from_files(
-    raster: Path,
-    folder: Path,
+def sheet_series(
+    raster: PathLike,
+    folder: PathLike,
     scheme: Scheme,
     *,
-    suffix: str = "pdf",
+    format: str = "pdf",
     overlap: float = 0.0,
     only: tuple[str, ...] = (),
     workers: int = 1,
@@ -92,12 +93,41 @@ def series_from_files(
     progress: Progress | None = None,
     **options: Any,
 ) -> SeriesResult:
-    """Make a series; see `sheet_inputs` for `options` and `make_series` for the others."""
+    """All sheets of a series that show something of a raster, with their index; finished ones are kept.
+
+    Parameters
+    ----------
+    raster : path
+        Georeferenced.
+    folder : path
+        For the sheets and their index.
+    scheme : Scheme
+        Division of the ground, see `sheet_scheme`.
+    format : str
+        'pdf', 'png', 'tif', 'mbtiles' or 'kmz'.
+    overlap : float
+        Reach of a sheet beyond its edges, map units.
+    only : tuple of str
+        Names of the sheets to make; all unless given.
+    workers : int
+        Processes that draw.
+    driver, collar, world_file
+        See `sheet`.
+    progress : callable, optional
+        Called with (done, total, stage).
+    **options
+        Parameters of `sheet_inputs`.
+
+    Raises
+    ------
+    InputError, OutputError
+    """
+    raster, folder = Path(raster), Path(folder)
     found = sheet_inputs(raster, **options)
     inputs = SeriesInputs(
         raster, found.layout, found.layers, found.dem, found.dem_heights, found.shade, found.report,
         FileOptions(driver, collar, world_file),
     )  # fmt: skip
     return make_series(
-        inputs, scheme, folder, suffix=f".{suffix}", overlap=overlap, only=only, workers=workers, progress=progress
+        inputs, scheme, folder, suffix=f".{format}", overlap=overlap, only=only, workers=workers, progress=progress
     )

@@ -1,0 +1,178 @@
+"""Mosaics: many images to one; photos joined at their edges; facades, towers and domes developed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from geomosaic.api.orthos import area, on_ground
+from geomosaic.developed.develop import DevelopedResult, make_developed
+from geomosaic.errors import InputError
+from geomosaic.geo.grid import Bounds, Grid
+from geomosaic.inputs.declarations import Block, wrong_policy
+from geomosaic.mosaicking.options import MosaicOptions
+from geomosaic.mosaicking.result import MosaicResult
+from geomosaic.orientation.edges import EdgeMatch
+from geomosaic.products.edge_matching import EdgeInputs, make_edge_mosaic
+from geomosaic.products.from_inputs import make_mosaic, make_planar_mosaic
+from geomosaic.render.options import RenderOptions
+from geomosaic.surface.dem import Dem
+from geomosaic.types import PathLike
+
+
+def mosaic(
+    images: Block | Sequence[PathLike],
+    output: PathLike,
+    *,
+    dem: PathLike | Dem | float | None = None,
+    dem_heights: str | None = None,
+    crs: str | None = None,
+    resolution: float | None = None,
+    bounds: Bounds | None = None,
+    like: PathLike | Grid | None = None,
+    **options: Any,
+) -> MosaicResult:
+    """Mosaic of raw or georeferenced images, each pixel resampled once.
+
+    Parameters
+    ----------
+    images : Block or sequence of path
+        A block with its orientation; paths of images that are georeferenced.
+    output : path
+        GeoTIFF to write; labels, vectors and the STAC item go beside it.
+    dem, dem_heights, crs, resolution, bounds, like
+        See `ortho`.
+    **options
+        Of `MosaicOptions`, flat, such as `blend="multiband", seams="alike", threads=2`.
+
+    Returns
+    -------
+    MosaicResult
+        With gains, accuracies and what was written; `read()` gives the pixels.
+
+    Raises
+    ------
+    GeomosaicError
+        InputError, OutputError, SensorError or SolveError; nothing is left under the output's names.
+    """
+    block = on_ground(images if isinstance(images, Block) else Block(tuple(map(Path, images))), dem, dem_heights)
+    place, wanted = area(crs, resolution, bounds, like), mosaic_options(options)
+    if block.planar is not None:
+        return make_planar_mosaic(block, block.planar, place, Path(output), wanted)[0]
+    return make_mosaic(block, place, Path(output), wanted)
+
+
+def mosaic_options(given: dict[str, Any]) -> MosaicOptions:
+    """Options of a mosaic from flat values."""
+    shared = {item.name for item in fields(RenderOptions)}
+    render = RenderOptions(**{name: value for name, value in given.items() if name in shared})
+    return MosaicOptions(render, **{name: value for name, value in given.items() if name not in shared})
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeMosaic:
+    """Photos joined exactly at common points, and their mosaic.
+
+    Attributes
+    ----------
+    match : EdgeMatch
+        Misfits before and after, residuals, blunders.
+    mosaic : MosaicResult
+    """
+
+    match: EdgeMatch
+    mosaic: MosaicResult
+
+
+def match_edges(
+    images: Sequence[PathLike],
+    output: PathLike,
+    gcps: PathLike,
+    common: PathLike,
+    crs: str,
+    *,
+    model: str = "affine",
+    reach: float | None = None,
+    bands: tuple[int, ...] | None = None,
+    robust: bool = False,
+    insist: bool = False,
+    resolution: float | None = None,
+    bounds: Bounds | None = None,
+    **options: Any,
+) -> EdgeMosaic:
+    """Photos adjusted to control and common points together, joined exactly at their edges, and their mosaic.
+
+    Parameters
+    ----------
+    images : sequence of path
+    output : path
+        GeoTIFF to write.
+    gcps : path
+        Control points: id, x, y, z, image, col, row.
+    common : path
+        Points that neighbours show: id, image, col, row and optionally sigma_px.
+    crs : str
+        Of the control points.
+    model : str
+        'conformal', 'affine' or 'projective', of each photo.
+    reach : float, optional
+        Pixels where a correction has faded away; 3 gaps between common points unless given.
+    bands : tuple of int, optional
+        Counted from 1.
+    robust : bool
+        Leave out points that are found wrong.
+    insist : bool
+        Go on where points are wrong.
+    resolution, bounds
+        See `ortho`.
+    **options
+        Of `MosaicOptions`, flat.
+
+    Raises
+    ------
+    GeomosaicError
+    """
+    paths, policy = tuple(map(Path, images)), wrong_policy(robust, insist)
+    inputs = EdgeInputs(paths, Path(gcps), Path(common), crs, model, reach, bands, policy)
+    place = area(None, resolution, bounds, None)
+    matched, made = make_edge_mosaic(inputs, place, Path(output), mosaic_options(options))
+    return EdgeMosaic(matched, made)
+
+
+def develop(
+    images: Block,
+    output: PathLike,
+    surface: PathLike,
+    *,
+    oblique: float = 80.0,
+    resolution: float | None = None,
+    bounds: Bounds | None = None,
+    **options: Any,
+) -> DevelopedResult:
+    """Photos of a facade, a tower or a dome on its developed surface, in metres.
+
+    Parameters
+    ----------
+    images : Scene or Block
+        Positions and control count in the frame of the surface file.
+    output : path
+        GeoTIFF to write.
+    surface : path
+        Surface file (TOML): plane, cylinder, cone, sphere or ellipsoid.
+    oblique : float
+        Largest angle between line of sight and normal that is drawn, degrees.
+    resolution, bounds
+        See `ortho`, in metres of the development.
+    **options
+        Of `MosaicOptions`, flat; of one image those of `RenderOptions` count.
+
+    Raises
+    ------
+    GeomosaicError
+    """
+    if not 0.0 < oblique < 90.0:
+        raise InputError(f"{oblique} degrees cannot be drawn", where="`oblique`", hint="more than 0 and less than 90")
+    place = area(None, resolution, bounds, None)
+    return make_developed(images, Path(surface), place, Path(output), mosaic_options(options), oblique)

@@ -1,0 +1,204 @@
+"""Orthos: one image onto a DEM or a height; a raster in another CRS; a strip without control."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.geo.crs import horizontal, parse_map
+from geomosaic.geo.datum import doubt, operation_between
+from geomosaic.geo.grid import Bounds, Grid
+from geomosaic.inputs.area import Area, grid_of
+from geomosaic.inputs.declarations import Block, Scene
+from geomosaic.inputs.rasters import check_placed
+from geomosaic.products.from_inputs import make_ortho
+from geomosaic.raster.info import inspect
+from geomosaic.render.options import RenderOptions
+from geomosaic.render.ortho import OrthoResult
+from geomosaic.reprojection.vectors import VectorResult, is_vector, reproject_vectors
+from geomosaic.surface.dem import Dem
+from geomosaic.types import PathLike
+
+
+def ortho(
+    scene: Block | PathLike,
+    output: PathLike,
+    *,
+    dem: PathLike | Dem | float | None = None,
+    dem_heights: str | None = None,
+    crs: str | None = None,
+    resolution: float | None = None,
+    bounds: Bounds | None = None,
+    like: PathLike | Grid | None = None,
+    **options: Any,
+) -> OrthoResult:
+    """Ortho of one image.
+
+    Parameters
+    ----------
+    scene : Scene or path
+        The image with its orientation; a path for one that is georeferenced.
+    output : path
+        GeoTIFF to write.
+    dem : path, Dem or float, optional
+        Ground: a DEM, or one height in metres; instead of the scene's own.
+    dem_heights : str, optional
+        Vertical datum of `dem`, where the file does not say it: 'ellipsoidal', 'egm96', an EPSG code or a geoid grid.
+    crs : str, optional
+        CRS of the output; that of the DEM, the position or the control unless given.
+    resolution : float, optional
+        Pixel size in map units; that of the image unless given.
+    bounds : tuple of float, optional
+        Left, bottom, right, top in map units; all that the image shows unless given.
+    like : path or Grid, optional
+        Raster or grid whose CRS, pixels and extent the output takes, instead of the three.
+    **options
+        Of `RenderOptions`: `resampling`, `tolerance`, `true_ortho`, `overwrite`, `threads`, ...
+
+    Returns
+    -------
+    OrthoResult
+        With the measured error of the geometry; `read()` gives the pixels.
+
+    Raises
+    ------
+    GeomosaicError
+        InputError, OutputError, SensorError or SolveError; nothing is left under the output's name.
+    """
+    block = on_ground(scene if isinstance(scene, Block) else Scene((Path(scene),)), dem, dem_heights)
+    return make_ortho(block, area(crs, resolution, bounds, like), Path(output), RenderOptions(**options))
+
+
+def reproject(
+    source: PathLike,
+    output: PathLike,
+    *,
+    crs: str | None = None,
+    src_crs: str | None = None,
+    resolution: float | None = None,
+    bounds: Bounds | None = None,
+    like: PathLike | Grid | None = None,
+    snap: bool = False,
+    **options: Any,
+) -> OrthoResult | VectorResult:
+    """Georeferenced raster, or file of vectors, in another CRS.
+
+    Parameters
+    ----------
+    source, output : path
+    crs : str, optional
+        CRS of the output.
+    src_crs : str, optional
+        CRS of the source, instead of what the file says.
+    resolution, bounds, like
+        See `ortho`; for rasters only, but that vectors take the CRS of `like`.
+    snap : bool
+        Widen `bounds` to whole multiples of `resolution`; without bounds that is always done.
+    **options
+        Of `RenderOptions`; for vectors `overwrite` only.
+
+    Returns
+    -------
+    OrthoResult or VectorResult
+
+    Raises
+    ------
+    InputError, OutputError
+    """
+    place = area(crs, resolution, bounds, like, snap=snap)
+    if crs is None and like is None:
+        raise InputError("nothing says where to", hint="give `crs` or `like`")
+    if crs is not None and like is not None:
+        raise InputError("`like` says CRS, pixels and extent", where="`crs`", hint="leave it out")
+    target = parse_map(crs, "`crs`") if place.like is None and crs else grid_of(place.like or Path()).crs
+    own = parse_map(src_crs, "`src_crs`") if src_crs else None
+    path = Path(source)
+    if is_vector(path):
+        given = {"resolution": resolution, "bounds": bounds, "snap": snap or None, **options}
+        useless = [f"`{name}`" for name, value in given.items() if value is not None and name != "overwrite"]
+        if useless:
+            raise InputError(f"vectors have no pixels: {', '.join(useless)} would do nothing", hint="leave it out")
+        return reproject_vectors(path, target, Path(output), source=own, overwrite=options.get("overwrite", False))
+    info = inspect(path)
+    check_placed(info, own)
+    render = RenderOptions(**options)
+    if "palette" in info.colors and render.resampling == "nearest":
+        warnings.warn(
+            "the numbers of the palette are kept, its colours are not carried over", GeomosaicWarning, stacklevel=2
+        )
+    if own is None and info.crs is not None and (suspicious := doubt(info.crs)):
+        if not operation_between(horizontal(info.crs), horizontal(target)).possible:
+            what, _, hint = suspicious.partition("; ")
+            raise InputError(f"{what}; no operation leads from it to '{target.name}'", where=info.path, hint=hint)
+        warnings.warn(suspicious, GeomosaicWarning, stacklevel=2)
+    placed: dict[str, Any] = {}
+    if src_crs is not None and info.transform is not None:
+        placed["transform"] = list(info.transform[:6])
+    return make_ortho(Scene((path,), options=placed, crs=src_crs), place, Path(output), render)
+
+
+def deskew(
+    image: PathLike,
+    output: PathLike,
+    nominal: Mapping[str, Any],
+    *,
+    sensor: str = "panoramic",
+    bands: tuple[int, ...] | None = None,
+    resolution: float | None = None,
+    bounds: Bounds | None = None,
+    **options: Any,
+) -> OrthoResult:
+    """Scanned strip without skew and tangential distortion, made without control.
+
+    The result is in relative metres, x across and y ahead of the scanner: it has shape and scale, but no place.
+
+    Parameters
+    ----------
+    image, output : path
+    nominal : mapping
+        Nominal numbers of the scanner and its flight, as the sensor names them.
+    sensor : str
+        Sensor that knows `relative`.
+    bands : tuple of int, optional
+        Counted from 1.
+    resolution, bounds
+        See `ortho`, in relative metres.
+    **options
+        Of `RenderOptions`.
+
+    Raises
+    ------
+    GeomosaicError
+    """
+    strip = Scene((Path(image),), sensor, options={**nominal, "relative": True}, bands=bands)
+    return make_ortho(strip, area(None, resolution, bounds, None), Path(output), RenderOptions(**options))
+
+
+def on_ground(block: Block, dem: PathLike | Dem | float | None, dem_heights: str | None) -> Block:
+    """Block over another ground than its own, where one is given."""
+    if dem is None:
+        return block if dem_heights is None else replace(block, dem_heights=dem_heights)
+    if isinstance(dem, int | float):
+        return replace(block, dem=None, height=float(dem), dem_heights=dem_heights)
+    surface = dem if isinstance(dem, Dem) else Path(dem)
+    return replace(block, dem=surface, height=None, dem_heights=dem_heights)
+
+
+def area(
+    crs: str | None,
+    resolution: float | None,
+    bounds: Bounds | None,
+    like: PathLike | Grid | None,
+    *,
+    snap: bool = False,
+) -> Area:
+    """Place of an output from plain arguments."""
+    if like is not None and (resolution is not None or bounds is not None or snap):
+        given = {"resolution": resolution, "bounds": bounds, "snap": snap or None}
+        useless = [f"`{name}`" for name, value in given.items() if value is not None]
+        raise InputError("`like` says CRS, pixels and extent", where=", ".join(useless), hint="leave it out")
+    return Area(crs, resolution, bounds, snap, Path(like) if isinstance(like, str) else like)
