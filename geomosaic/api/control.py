@@ -13,8 +13,9 @@ from geomosaic.georeferencing.request import ControlInput, FitRequest, Place
 from geomosaic.georeferencing.run import Georeferenced
 from geomosaic.georeferencing.run import georeference as georeference_image
 from geomosaic.match.marks import Mark
+from geomosaic.options.declaration import compose
+from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import refuse_existing
-from geomosaic.render.options import RenderOptions
 from geomosaic.types import PathLike
 
 
@@ -98,7 +99,7 @@ def georeference(
     fit = FitRequest(model, fit_crs, threshold, robust, insist)
     place = Place(dst_crs, resolution, bounds)
     return georeference_image(
-        Path(image), Path(output), given, fit, place, RenderOptions(**options), bands=bands, report=report
+        Path(image), Path(output), given, fit, place, compose(RenderOptions, options), bands=bands, report=report
     )
 
 

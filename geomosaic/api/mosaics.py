@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +12,11 @@ from geomosaic.developed.develop import DevelopedResult, make_developed
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.inputs.declarations import Block, wrong_policy
-from geomosaic.mosaicking.options import MosaicOptions
 from geomosaic.mosaicking.result import MosaicResult
+from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.orientation.edges import EdgeMatch
 from geomosaic.products.edge_matching import EdgeInputs, make_edge_mosaic
 from geomosaic.products.from_inputs import make_mosaic, make_planar_mosaic
-from geomosaic.render.options import RenderOptions
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
 
@@ -45,7 +44,8 @@ def mosaic(
     dem, dem_heights, crs, resolution, bounds, like
         See `ortho`.
     **options
-        Of `MosaicOptions`, flat, such as `blend="multiband", seams="alike", threads=2`.
+        Of `RenderOptions`, `ColourOptions`, `SeamOptions`, `BlendOptions` and the others of `MosaicOptions`: flat, such as
+        `blend="multiband", seams="alike", threads=2`, or whole, such as `blending=BlendOptions("multiband")`.
 
     Returns
     -------
@@ -58,17 +58,10 @@ def mosaic(
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's names.
     """
     block = on_ground(images if isinstance(images, Block) else Block(tuple(map(Path, images))), dem, dem_heights)
-    place, wanted = area(crs, resolution, bounds, like), mosaic_options(options)
+    place, wanted = area(crs, resolution, bounds, like), MosaicOptions.of(**options)
     if block.planar is not None:
         return make_planar_mosaic(block, block.planar, place, Path(output), wanted)[0]
     return make_mosaic(block, place, Path(output), wanted)
-
-
-def mosaic_options(given: dict[str, Any]) -> MosaicOptions:
-    """Options of a mosaic from flat values."""
-    shared = {item.name for item in fields(RenderOptions)}
-    render = RenderOptions(**{name: value for name, value in given.items() if name in shared})
-    return MosaicOptions(render, **{name: value for name, value in given.items() if name not in shared})
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +130,7 @@ def match_edges(
     paths, policy = tuple(map(Path, images)), wrong_policy(robust, insist)
     inputs = EdgeInputs(paths, Path(gcps), Path(common), crs, model, reach, bands, policy)
     place = area(None, resolution, bounds, None)
-    matched, made = make_edge_mosaic(inputs, place, Path(output), mosaic_options(options))
+    matched, made = make_edge_mosaic(inputs, place, Path(output), MosaicOptions.of(**options))
     return EdgeMosaic(matched, made)
 
 
@@ -175,4 +168,4 @@ def develop(
     if not 0.0 < oblique < 90.0:
         raise InputError(f"{oblique} degrees cannot be drawn", where="`oblique`", hint="more than 0 and less than 90")
     place = area(None, resolution, bounds, None)
-    return make_developed(images, Path(surface), place, Path(output), mosaic_options(options), oblique)
+    return make_developed(images, Path(surface), place, Path(output), MosaicOptions.of(**options), oblique)

@@ -15,11 +15,13 @@ from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.inputs.area import Area, grid_of
 from geomosaic.inputs.declarations import Block, Scene
 from geomosaic.inputs.rasters import check_placed
+from geomosaic.options.declaration import compose
+from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_ortho
 from geomosaic.raster.info import inspect
-from geomosaic.render.options import RenderOptions
 from geomosaic.render.ortho import OrthoResult
 from geomosaic.reprojection.vectors import VectorResult, is_vector, reproject_vectors
+from geomosaic.sensor.registry import relative_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
 
@@ -70,7 +72,7 @@ def ortho(
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's name.
     """
     block = on_ground(scene if isinstance(scene, Block) else Scene((Path(scene),)), dem, dem_heights)
-    return make_ortho(block, area(crs, resolution, bounds, like), Path(output), RenderOptions(**options))
+    return make_ortho(block, area(crs, resolution, bounds, like), Path(output), compose(RenderOptions, options))
 
 
 def reproject(
@@ -125,7 +127,7 @@ def reproject(
         return reproject_vectors(path, target, Path(output), source=own, overwrite=options.get("overwrite", False))
     info = inspect(path)
     check_placed(info, own)
-    render = RenderOptions(**options)
+    render = compose(RenderOptions, options)
     if "palette" in info.colors and render.resampling == "nearest":
         warnings.warn(
             "the numbers of the palette are kept, its colours are not carried over", GeomosaicWarning, stacklevel=2
@@ -146,7 +148,7 @@ def deskew(
     output: PathLike,
     nominal: Mapping[str, Any],
     *,
-    sensor: str = "panoramic",
+    sensor: str | None = None,
     bands: tuple[int, ...] | None = None,
     resolution: float | None = None,
     bounds: Bounds | None = None,
@@ -161,8 +163,8 @@ def deskew(
     image, output : path
     nominal : mapping
         Nominal numbers of the scanner and its flight, as the sensor names them.
-    sensor : str
-        Sensor that knows `relative`.
+    sensor : str, optional
+        Sensor that makes models in relative metres; the installed one unless given.
     bands : tuple of int, optional
         Counted from 1.
     resolution, bounds
@@ -174,8 +176,8 @@ def deskew(
     ------
     GeomosaicError
     """
-    strip = Scene((Path(image),), sensor, options={**nominal, "relative": True}, bands=bands)
-    return make_ortho(strip, area(None, resolution, bounds, None), Path(output), RenderOptions(**options))
+    strip = Scene((Path(image),), sensor or relative_sensor(), options={**nominal, "relative": True}, bands=bands)
+    return make_ortho(strip, area(None, resolution, bounds, None), Path(output), compose(RenderOptions, options))
 
 
 def on_ground(block: Block, dem: PathLike | Dem | float | None, dem_heights: str | None) -> Block:

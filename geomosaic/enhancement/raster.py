@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.enhancement.contrast import Clahe, luminance, sharpened, toned
-from geomosaic.enhancement.hillshade import hillshade as shade_of_slope, shaded
+from geomosaic.enhancement.hillshade import hillshade as shade_of_slope
+from geomosaic.enhancement.hillshade import shaded
 from geomosaic.enhancement.options import EnhancePart
 from geomosaic.enhancement.pan_sharpening import PanModel, magnified, pan_model, pan_sharpened
 from geomosaic.enhancement.picture import band_curves, heights_at, sample, shown_bands, stretch_given
@@ -172,6 +173,14 @@ def pan_sharpen(
         In the same CRS, north up; the pan band is the first one of its file.
     output : path
         Of the sample type of the bands.
+    method : str
+        'regression', 'brovey' or 'weighted'.
+    bands : sequence of int, optional
+        Counted from 1; all unless given.
+    driver : str
+        'COG' or 'GTiff'.
+    overwrite : bool
+        Replace an existing file.
 
     Returns
     -------

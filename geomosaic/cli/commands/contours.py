@@ -68,8 +68,8 @@ def command(
 
     with notes():
         made = contours(
-            dem, output, interval=interval, index=index, tolerance=tolerance, min_length=min_length, dem_heights=dem_heights,
-            prominence=prominence, spacing=spacing, overwrite=overwrite,
+            dem, output, interval=interval, index=index, tolerance=tolerance, min_length=min_length,
+            dem_heights=dem_heights, prominence=prominence, spacing=spacing, overwrite=overwrite,
         )  # fmt: skip
     facts = {"output" if key == "path" else key: value for key, value in asdict(made).items()}
     words = (

@@ -50,14 +50,14 @@ def command() -> None:
 
 def _scheme(flags: dict[str, Any]) -> Scheme:
     from geomosaic.errors import InputError
-    from geomosaic.sheets.series.inputs import read_scheme
+    from geomosaic.sheets.series.inputs import sheet_scheme
 
     found = {key: flags.pop(key) for key in ("scheme", "scale", "size", "origin", "crs", "polygons", "name_column")}
     if (found["scheme"] is None) == (found["polygons"] is None):
         raise InputError(
             "sheets need a scheme or polygons", where="--scheme", hint="give --scheme NAME or --polygons FILE"
         )
-    return read_scheme(**found)
+    return sheet_scheme(**found)
 
 
 @command.command("make")
@@ -70,9 +70,7 @@ def _scheme(flags: dict[str, Any]) -> Scheme:
     "--paper", callback=paper_value, metavar="NAME|WxH", help="A0 to A4, or millimetres.  [default: what fits]"
 )
 @content_options
-@click.option(
-    "--format", type=click.Choice(["pdf", "png", "tif", "mbtiles", "kmz"]), default="pdf", show_default=True
-)
+@click.option("--format", type=click.Choice(["pdf", "png", "tif", "mbtiles", "kmz"]), default="pdf", show_default=True)
 @file_options
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that draw.")
 @click.option("-o", "--output", type=FILE, required=True, help="Folder for the sheets and their index.")

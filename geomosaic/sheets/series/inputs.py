@@ -21,16 +21,34 @@ from geomosaic.sheets.vector_layers import missing
 from geomosaic.types import PathLike
 
 
-def read_scheme(
-    scheme: str | None,
-    scale: float | None,
-    size: tuple[float, ...],
-    origin: tuple[float, float],
-    crs: str | None,
-    polygons: str | None,
-    name_column: str,
+def sheet_scheme(
+    scheme: str | None = None,
+    scale: float | None = None,
+    *,
+    size: tuple[float, ...] = (),
+    origin: tuple[float, float] = (0.0, 0.0),
+    crs: str | None = None,
+    polygons: str | None = None,
+    name_column: str = "name",
 ) -> Scheme:
-    """Scheme by its name, or of polygons in a file.
+    """Division of the ground into sheets: by the name of a scheme, or of polygons in a file.
+
+    Parameters
+    ----------
+    scheme : str, optional
+        'international', 'puwg1992', 'soviet', 'tk', 'ign', 'mgrs' or 'grid'.
+    scale : float, optional
+        N of 1:N.
+    size : tuple of float
+        Side of the sheets of 'mgrs' or 'grid', or width and height, in map units.
+    origin : tuple of float
+        x, y of 'grid'.
+    crs : str, optional
+        Of 'grid'.
+    polygons : str, optional
+        FILE or FILE#LAYER of sheets that are drawn, instead of a scheme.
+    name_column : str
+        Of their names.
 
     Raises
     ------
@@ -46,7 +64,7 @@ def read_scheme(
         raise InputError(
             f"there is no column '{name_column}'",
             where=polygons,
-            hint=f"--name-column: {', '.join(map(str, frame.columns))}",
+            hint=f"`name_column`: {', '.join(map(str, frame.columns))}",
         )
     rings: dict[str, Any] = {}
     for number, (name, geometry) in enumerate(zip(frame[name_column], frame.geometry, strict=True), start=1):

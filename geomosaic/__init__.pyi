@@ -1,0 +1,41 @@
+# Public names for type checkers; geomosaic/__init__.py loads them on first use.
+from geomosaic.accuracy.check_points import check as check
+from geomosaic.api.control import find_fiducials as find_fiducials
+from geomosaic.api.control import georeference as georeference
+from geomosaic.api.monoplots import draw_vectors as draw_vectors
+from geomosaic.api.monoplots import locate as locate
+from geomosaic.api.mosaics import develop as develop
+from geomosaic.api.mosaics import match_edges as match_edges
+from geomosaic.api.mosaics import mosaic as mosaic
+from geomosaic.api.orthos import deskew as deskew
+from geomosaic.api.orthos import ortho as ortho
+from geomosaic.api.orthos import reproject as reproject
+from geomosaic.api.projects import new_project as new_project
+from geomosaic.api.projects import plan as plan
+from geomosaic.api.projects import run_project as run_project
+from geomosaic.api.projects import sensors as sensors
+from geomosaic.api.rpcs import fit_rpc as fit_rpc
+from geomosaic.api.rpcs import refine_rpc as refine_rpc
+from geomosaic.control.points import ControlPoints as ControlPoints
+from geomosaic.enhancement.raster import enhance as enhance
+from geomosaic.enhancement.raster import pan_sharpen as pan_sharpen
+from geomosaic.errors import GeomosaicError as GeomosaicError
+from geomosaic.geo.grid import Grid as Grid
+from geomosaic.geo.grid import Window as Window
+from geomosaic.inputs.camera import Camera as Camera
+from geomosaic.inputs.declarations import Block as Block
+from geomosaic.inputs.declarations import Scene as Scene
+from geomosaic.inputs.exterior_orientation import Exterior as Exterior
+from geomosaic.mosaicking.water.proposal import propose_water as propose_water
+from geomosaic.options.mosaic import BlendOptions as BlendOptions
+from geomosaic.options.mosaic import ColourOptions as ColourOptions
+from geomosaic.options.mosaic import MosaicOptions as MosaicOptions
+from geomosaic.options.mosaic import SeamOptions as SeamOptions
+from geomosaic.options.render import RenderOptions as RenderOptions
+from geomosaic.relief.contour_layers import contours as contours
+from geomosaic.sheets.inputs import sheet as sheet
+from geomosaic.sheets.series.inputs import sheet_scheme as sheet_scheme
+from geomosaic.sheets.series.inputs import sheet_series as sheet_series
+from geomosaic.surface.dem import Dem as Dem
+
+__version__: str

@@ -1,0 +1,263 @@
+"""The public API: values and files, results and their files, errors that name parameters, an untouched process."""
+
+from __future__ import annotations
+
+import ast
+import gc
+import os
+import signal
+import subprocess
+import sys
+import types
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from cli_rig import elsewhere
+from pyproj import CRS
+
+import geomosaic as gm
+from geomosaic.errors import GeomosaicError, InputError
+from geomosaic.raster.product import RasterProduct
+
+SAMPLE = Path(__file__).parents[1] / "data" / "sample"
+FILES = {
+    "camera": SAMPLE / "camera.toml",
+    "exterior": SAMPLE / "exterior.csv",
+    "crs": "EPSG:32633",
+    "heights": "egm96",
+}
+PLACE = {"resolution": 4.0, "bounds": (399700.0, 5500200.0, 400100.0, 5500600.0)}
+PHOTO = SAMPLE / "photos" / "strip1_02.jpg"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    output = tmp_path_factory.mktemp("api") / "ortho.tif"
+    return gm.ortho(gm.Scene(PHOTO, "frame", **FILES), output, dem=SAMPLE / "dem.tif", **PLACE)
+
+
+def test_every_public_name_loads_and_is_typed():
+    assert 25 <= len(gm.__all__) - 1 <= 40
+    for name in gm.__all__:
+        assert getattr(gm, name) is not None
+    stub = ast.parse(Path(gm.__file__).with_suffix(".pyi").read_text())
+    typed = {alias.name: node.module for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert typed == gm._HOMES
+
+
+def test_public_functions_document_their_parameters():
+    import inspect
+
+    for name in gm.__all__:
+        function = getattr(gm, name)
+        if not isinstance(function, types.FunctionType):
+            continue
+        text = inspect.getdoc(function)
+        assert text is not None, name
+        assert "Raises\n" in text or name == "sensors", name
+        described = " ".join(line.split(" : ")[0] for line in text.splitlines() if not line.startswith(" "))
+        for parameter in inspect.signature(function).parameters:
+            assert parameter in described.replace("*", "").replace(",", " ").split(), (name, parameter)
+
+
+def test_values_make_the_same_ortho_as_files(made, tmp_path):
+    rows = [line.split(",") for line in (SAMPLE / "exterior.csv").read_text().splitlines()]
+    x, y, z, *angles = next([float(v) for v in row[1:7]] for row in rows if row[0] == PHOTO.name)
+    exterior = gm.Exterior(x, y, z, *angles, crs="EPSG:32633", heights="egm96")
+    with rasterio.open(SAMPLE / "dem.tif") as file:
+        grid = gm.Grid.from_profile(file.profile)
+        dem = gm.Dem.from_array(file.read(1), grid, "egm96")
+    photo = gm.Scene(PHOTO, "frame", camera=gm.Camera.read(SAMPLE / "camera.toml"), exterior=exterior)
+    again = gm.ortho(photo, tmp_path / "values.tif", dem=dem, like=made.grid)
+    assert np.array_equal(again.read().filled(), made.read().filled())
+    assert again.lattice_error == made.lattice_error
+
+
+def test_control_points_as_values_are_those_of_their_table():
+    table = gm.ControlPoints.read(SAMPLE / "gcps.csv", image=PHOTO.name, crs="EPSG:32633+5773")
+    from geomosaic.inputs.build import build_block
+
+    by_file = build_block(gm.Scene(PHOTO, "frame", control=SAMPLE / "gcps.csv", dem=SAMPLE / "dem.tif", **FILES))
+    by_value = build_block(gm.Scene(PHOTO, "frame", control=table, dem=SAMPLE / "dem.tif", **FILES))
+    assert len(by_value.control) == len(by_file.control) > 0
+    assert [p.xyz for p in by_value.control] == [p.xyz for p in by_file.control]
+    assert [p.colrow for p in by_value.control] == [p.colrow for p in by_file.control]
+
+
+def test_the_command_line_makes_the_same_pixels(made, tmp_path):
+    out = tmp_path / "cli.tif"
+    left, bottom, right, top = PLACE["bounds"]
+    words = f"ortho {PHOTO} --sensor frame --camera {FILES['camera']} --exterior {FILES['exterior']} --exterior-crs "
+    words += f"EPSG:32633 --heights egm96 --dem {SAMPLE / 'dem.tif'} --res 4 --bounds {left} {bottom} {right} {top}"
+    told = elsewhere(*words.split(), "-o", out)
+    assert told.returncode == 0, told.stderr
+    with rasterio.open(out) as one, rasterio.open(made.path) as other:
+        assert np.array_equal(one.read(), other.read())
+        assert one.profile == other.profile
+
+
+def test_a_mosaic_of_georeferenced_rasters_and_its_arrays(made, tmp_path):
+    mosaic = gm.mosaic([made.path], tmp_path / "mosaic.tif", balance=False)
+    assert isinstance(mosaic, RasterProduct)
+    assert mosaic.grid == made.grid
+    assert np.array_equal(mosaic.read().filled(), made.read().filled())
+
+
+def test_a_result_reads_what_its_file_holds(made):
+    with rasterio.open(made.path) as file:
+        values, mask = file.read(), file.dataset_mask()
+    array = made.read()
+    assert array.shape == values.shape
+    assert array.dtype == values.dtype
+    assert np.array_equal(array.data[:, mask > 0], values[:, mask > 0])
+    assert np.array_equal(array.mask[0], mask == 0)
+    part = made.read(gm.Window(10, 20, 1000, 7), bands=[2])
+    assert np.array_equal(part.filled(0), array[1:2, 20:27, 10:].filled(0))
+    with pytest.raises(InputError, match="lies outside"):
+        made.read(gm.Window(9999, 0, 1, 1))
+    assert "EPSG:32633" in repr(made)
+    assert len(repr(made)) < 200
+
+
+def test_a_result_as_xarray(made):
+    pytest.importorskip("rioxarray")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        array = made.to_xarray()
+    assert array.shape == (3, *made.grid.shape)
+    assert np.array_equal(np.nan_to_num(array.values), made.read().astype("float32").filled(0))
+
+
+def test_without_rioxarray_a_hint_says_what_to_install(made, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rioxarray", None)
+    with pytest.raises(InputError) as caught:
+        made.to_xarray()
+    assert caught.value.hint == "pip install rioxarray"
+
+
+def test_a_grid_goes_through_a_rasterio_profile(made, tmp_path):
+    grid = gm.Grid(CRS("EPSG:32633"), Affine(2.0, 0.5, 100.0, 0.25, -3.0, 200.0), 7, 5)
+    with rasterio.open(tmp_path / "a.tif", "w", driver="GTiff", count=1, dtype="uint8", **grid.to_profile()) as file:
+        file.write(np.zeros((1, 5, 7), np.uint8))
+    with rasterio.open(tmp_path / "a.tif") as file:
+        assert gm.Grid.from_profile(file.profile) == grid
+    with pytest.raises(InputError, match="no crs"):
+        gm.Grid.from_profile({"transform": grid.transform, "width": 7, "height": 5})
+
+
+class BoxLike:
+    """Stand-in for odc-geo's GeoBox."""
+
+    def __init__(self, shape, affine, crs):
+        self.shape, self.affine, self.crs = shape, affine, CRS(crs)
+
+
+def test_a_grid_goes_through_anything_like_a_geobox():
+    grid = gm.Grid.from_bounds(CRS("EPSG:25832"), (600000.0, 5300000.0, 600070.0, 5300050.0), 10.0)
+    assert gm.Grid.from_geobox(grid.to_geobox(BoxLike)) == grid
+
+
+def test_a_grid_goes_through_a_geobox():
+    pytest.importorskip("odc.geo")
+    grid = gm.Grid.from_bounds(CRS("EPSG:25832"), (600000.0, 5300000.0, 600070.0, 5300050.0), 10.0)
+    box = grid.to_geobox()
+    assert tuple(box.shape) == grid.shape
+    assert gm.Grid.from_geobox(box) == grid
+
+
+def test_angles_say_their_system():
+    assert gm.Exterior(0, 0, 9, roll=1, pitch=2, yaw=3).system == "rpy"
+    assert gm.Exterior(0, 0, 9, 1, 2, 3, system="pok").system == "pok"
+    with pytest.raises(InputError, match="are not the angles"):
+        gm.Exterior(0, 0, 9, omega=1)
+    with pytest.raises(InputError, match="different crs"):
+        gm.Block(
+            ("a.tif", "b.tif"),
+            "frame",
+            exterior={
+                "a.tif": gm.Exterior(0, 0, 9, 1, 2, 3, crs="EPSG:32633"),
+                "b.tif": gm.Exterior(0, 0, 9, 1, 2, 3, crs="EPSG:32634"),
+            },
+        )
+    with pytest.raises(AttributeError):
+        gm.Exterior(0, 0, 9, 1, 2, 3).crs = "EPSG:4326"
+
+
+def test_one_value_for_several_images_is_refused():
+    with pytest.raises(InputError, match="one value is given for 2 images"):
+        gm.Block(("a.tif", "b.tif"), "frame", exterior=gm.Exterior(0, 0, 9, 1, 2, 3))
+
+
+def test_what_would_do_nothing_is_refused(made, tmp_path):
+    with pytest.raises(InputError, match="`like` says") as caught:
+        gm.ortho(made.path, tmp_path / "x.tif", like=made.grid, resolution=2.0)
+    assert caught.value.where == "`resolution`"
+    with pytest.raises(InputError, match="`resolution` would do nothing"):
+        gm.reproject(tmp_path / "a.gpkg", tmp_path / "b.gpkg", crs="EPSG:4326", resolution=1.0)
+
+
+def test_a_raster_in_another_crs(made, tmp_path):
+    again = gm.reproject(made.path, tmp_path / "utm.tif", crs="EPSG:25833", resolution=4.0)
+    assert again.grid.crs.to_epsg() == 25833
+    assert again.read().count() > 0.9 * made.read().count()
+
+
+def test_places_of_pixels_and_back(made):
+    photo = gm.Scene(PHOTO, "frame", **FILES, dem=SAMPLE / "dem.tif")
+    found = gm.locate(photo, np.array([[600.0, 450.0], [100.0, 100.0]]), dst_crs="EPSG:32633", sigma_px=0.5)
+    assert found.lost == 0
+    colrow = made.grid.colrow(found.places.xyz[:1, :2])
+    assert ((colrow >= 0) & (colrow <= made.grid.shape[::-1])).all()
+
+
+def test_planning_derives_what_follows():
+    assert gm.plan("photo", height=3000.0, camera_constant=150.0)["photo_scale"].value == pytest.approx(20000.0)
+    with pytest.raises(InputError, match="no quantity 'heigt'") as caught:
+        gm.plan("photo", heigt=1.0)
+    assert "height" in caught.value.hint
+
+
+def test_sensors_are_listed():
+    assert {"frame", "planar", "rpc"} <= {entry.name for entry in gm.sensors()}
+
+
+def state():
+    """What a library call must leave as it is."""
+    return {
+        "environment": dict(os.environ),
+        "signals": [signal.getsignal(number) for number in sorted(signal.valid_signals())],
+        "filters": list(warnings.filters),
+        "showwarning": warnings.showwarning,
+        "collector": (gc.isenabled(), gc.get_threshold(), gc.get_freeze_count()),
+        "streams": (sys.stdin, sys.stdout, sys.stderr),
+        "numpy": np.geterr(),
+        "folder": Path.cwd(),
+    }
+
+
+def test_a_call_changes_nothing_of_its_process(made, tmp_path):
+    before = state()
+    gm.ortho(made.path, tmp_path / "again.tif", threads=2)
+    gm.contours(SAMPLE / "dem.tif", tmp_path / "contours.gpkg", interval=20)
+    with pytest.raises(GeomosaicError):
+        gm.ortho(tmp_path / "missing.tif", tmp_path / "none.tif")
+    assert state() == before
+
+
+def test_importing_loads_no_numerical_library():
+    code = "import sys, geomosaic; print(sorted({'numpy', 'pyproj', 'rasterio', 'click'} & set(sys.modules)))"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
+
+
+def test_the_modules_of_values_run_their_examples():
+    import doctest
+    from importlib import import_module
+
+    for name in sorted({*gm._HOMES.values()}):
+        result = doctest.testmod(import_module(name))
+        assert result.failed == 0, name
