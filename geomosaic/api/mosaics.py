@@ -44,8 +44,8 @@ def mosaic(
     dem, dem_heights, crs, resolution, bounds, like
         See `ortho`.
     **options
-        Of `RenderOptions`, `ColourOptions`, `SeamOptions`, `BlendOptions` and the others of `MosaicOptions`: flat, such as
-        `blend="multiband", seams="alike", threads=2`, or whole, such as `blending=BlendOptions("multiband")`.
+        Of `MosaicOptions`, which is composed of `RenderOptions`, `ColourOptions`, `SeamOptions`, `BlendOptions` and
+        others: flat, such as `blend="multiband", threads=2`, or whole, such as `blending=BlendOptions("multiband")`.
 
     Returns
     -------
