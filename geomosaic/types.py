@@ -1,7 +1,8 @@
-"""Array aliases used in signatures; shapes, units and frames stand in each docstring."""
+"""Type aliases used in signatures; shapes, units and frames of arrays stand in each docstring."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -15,3 +16,5 @@ ByteArray: TypeAlias = NDArray[np.uint8]
 IntArray: TypeAlias = NDArray[np.int64]
 AnyArray: TypeAlias = NDArray[Any]
 PathLike: TypeAlias = str | Path
+Progress: TypeAlias = Callable[[int, int, str], None]
+"""Called with how much is done, of how much, and the name of the stage."""

@@ -12,7 +12,7 @@ from pathlib import Path
 from geomosaic.errors import OutputError
 
 
-def write_atomic(path: Path, text: str) -> None:
+def write_atomic(path: Path, text: str, encoding: str = "utf-8") -> None:
     """Write a text file in place of one that may be there, and make its folder.
 
     Raises
@@ -27,21 +27,23 @@ def write_atomic(path: Path, text: str) -> None:
             f"cannot be written: {error.strerror}", where=str(path), hint="check free space and permissions"
         ) from error
     with under_construction(path) as unfinished:
-        unfinished.write_text(text, encoding="utf-8")
+        unfinished.write_text(text, encoding=encoding, newline="\n")
 
 
 def partial(path: Path, suffix: str = "") -> Path:
-    """Name of a file under construction: `.NAME.partial-HOST-PID`, in the folder of the final one.
+    """Name of a file under construction: `.NAME.partial-HOST-PID`, an ending last, in the folder of the final one.
 
     Those that dead processes of this machine left of the same final name are removed.
     """
-    start = f".{path.name}.partial-{_host()}-"
-    pattern = re.compile(re.escape(start) + r"(\d+)(\..*|-.*)?")
+    # Some drivers take the first such ending in a name for that of the file, so it stands but once.
+    stem = path.stem if suffix and path.suffix.lower() == suffix else path.name
+    ours = re.escape(f".partial-{_host()}-")
+    pattern = re.compile(rf"\.{re.escape(path.stem)}({re.escape(path.suffix)})?{ours}(\d+)(\..*|-.*)?")
     for entry in os.scandir(path.parent):
         found = pattern.fullmatch(entry.name)
-        if found and not _alive(int(found.group(1))):
+        if found and not _alive(int(found.group(2))):
             Path(entry.path).unlink(missing_ok=True)
-    return path.with_name(f"{start}{os.getpid()}{suffix}")
+    return path.with_name(f".{stem}.partial-{_host()}-{os.getpid()}{suffix}")
 
 
 def remove(unfinished: Path) -> None:

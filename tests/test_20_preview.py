@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from raster_rig import holes, picture, write_raster
 
+from geomosaic.digests import sha256
 from geomosaic.errors import InputError
-from geomosaic.raster.checksum import sha256
 from geomosaic.raster.preview import png_bytes, preview
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from geomosaic.mosaicking.reruns.earlier_results import Recall, decode, digest_of, encode
+from geomosaic.digests import digest_of
+from geomosaic.mosaicking.reruns.earlier_results import Recall, decode, encode
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.radiometry.histogram_matching import Curve
 from geomosaic.radiometry.local_gains import Shade

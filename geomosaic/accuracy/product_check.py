@@ -14,10 +14,9 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
 from geomosaic.match.shift import Shifts, shifts
-from geomosaic.options.render import Progress
 from geomosaic.raster.source import Source
 from geomosaic.resample import reference
-from geomosaic.types import AnyArray, BoolArray, FloatArray
+from geomosaic.types import AnyArray, BoolArray, FloatArray, Progress
 
 # Bytes of values of one picture that are looked at together, and those that a format without windows may keep.
 _STRIP, _HELD = 8 << 20, 64 << 20

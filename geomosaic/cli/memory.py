@@ -6,6 +6,7 @@ import os
 
 import click
 
+from geomosaic.cli.process import keep_memory
 from geomosaic.cli.talk import say
 from geomosaic.cli.values import size
 
@@ -54,7 +55,12 @@ def memory_limit(ctx: click.Context, param: click.Parameter, value: str | None) 
 
 
 def note_memory(limit: int | None, threads: int | None) -> None:
-    """Say so where a limit is below what the command may need; it works all the same, with as little as it can."""
+    """Say so where a limit is below what the command may need; it works all the same, with as little as it can.
+
+    Where none is asked for, time is what counts, and memory is kept from one block to the next.
+    """
+    if limit is None:
+        keep_memory()
     command = click.get_current_context().info_name or ""
     many = threads or os.cpu_count() or 1
     need = LEAST[command] + PER_THREAD * many

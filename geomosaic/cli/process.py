@@ -1,4 +1,4 @@
-"""Settings of the command line's own process: streams, signals, and its end.
+"""Settings of the command line's own process: streams, signals, memory, and its end.
 
 Everything that changes the process stands here, and only the command line calls it; functions of the library leave
 streams, signals, environment and warning filters of their callers alone.
@@ -129,6 +129,24 @@ def on_sigterm(request: Callable[[], None]) -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def keep_memory() -> None:
+    """Let glibc keep the memory of arrays that are freed for those that come next; elsewhere nothing happens.
+
+    Blocks of pixels are of the same few sizes over and over. That the system clears every page anew took a ninth of the
+    processor time of a mosaic of twelve photos (13.7 s for 12.0 s, medians of 7 pairs of whole processes); the peak is
+    2 % higher.
+    """
+    import ctypes
+
+    trim_threshold, mmap_threshold = -1, -3  # of malloc.h
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (OSError, TypeError, AttributeError):  # no glibc
+        return
+    mallopt(mmap_threshold, 64 << 20)
+    mallopt(trim_threshold, 128 << 20)
 
 
 def leave(code: int) -> NoReturn:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geomosaic.cli.talk import Progress
+from geomosaic.types import Progress
 
 if TYPE_CHECKING:
     from geomosaic.inputs.area import Area

@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -14,8 +14,7 @@ import click
 
 from geomosaic.cli.process import check_stopped
 from geomosaic.errors import GeomosaicWarning, OutputError
-
-Progress = Callable[[int, int, str], None]
+from geomosaic.types import Progress
 
 
 def say(text: str = "") -> None:

@@ -13,9 +13,10 @@ from typing import Any
 from geomosaic.errors import InputError, OutputError, OutputExistsError
 from geomosaic.jobs.manifest import Manifest, Record
 from geomosaic.jobs.run_control import Stop, project_lock
-from geomosaic.jobs.step import Context, Job, Progress, State, Step
+from geomosaic.jobs.step import Context, Job, State, Step
 from geomosaic.jobs.step_keys import ingredients
-from geomosaic.raster.checksum import Hashes
+from geomosaic.raster.file_dependencies import Hashes
+from geomosaic.types import Progress
 
 MANIFEST, LOCK = "manifest.json", "lock"
 

@@ -13,13 +13,14 @@ from geomosaic.jobs import engine
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.manifest import read_json
 from geomosaic.jobs.run_control import Stop
-from geomosaic.jobs.step import Job, Machine, Progress, State, Step
+from geomosaic.jobs.step import Job, Machine, State, Step
 from geomosaic.jobs.step_keys import plugin_versions, sensor_files, with_companions
 from geomosaic.jobs.steps.mosaic import mosaic, orthos
 from geomosaic.jobs.steps.orient import orient
 from geomosaic.jobs.steps.report import check, failure, report
 from geomosaic.mosaicking.blending.rules import LABELLED
 from geomosaic.project.load import Project
+from geomosaic.types import Progress
 
 
 def job_of(project: Project, machine: Machine | None = None) -> Job:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from geomosaic.errors import InputError, Interrupted, OutputError
-from geomosaic.jobs.step import Progress
+from geomosaic.types import Progress
 
 
 @contextmanager

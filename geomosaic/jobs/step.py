@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from geomosaic.raster.checksum import sha256
-
-Progress = Callable[[int, int, str], None]
+from geomosaic.digests import sha256
+from geomosaic.types import Progress
 
 
 @dataclass(frozen=True)

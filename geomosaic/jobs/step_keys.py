@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import lru_cache
@@ -11,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from geomosaic.digests import digest_of
 from geomosaic.errors import GeomosaicError
 from geomosaic.project.load import Project
 from geomosaic.raster.file_dependencies import companions
@@ -42,12 +41,6 @@ def ingredients(
     parts |= {f"file {path}": digest for path, digest in files.items()}
     parts |= {f"library {library}": found for library, found in versions().items()}
     return parts
-
-
-def digest_of(value: Any) -> str:
-    """SHA-256 of a value as JSON; what JSON does not know counts by its text."""
-    text = json.dumps(value, sort_keys=True, separators=(",", ":"), default=str)
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def with_companions(

@@ -8,6 +8,7 @@ from typing import Any
 
 from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.block.footprint import Footprint
+from geomosaic.digests import sha256
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.blending.rules import LABELLED, Ruler, output_info
 from geomosaic.mosaicking.colour.corrections import corrections
@@ -17,7 +18,6 @@ from geomosaic.mosaicking.records.provenance import source_facts
 from geomosaic.mosaicking.result import Clock, MosaicResult
 from geomosaic.mosaicking.seams.image_order import image_order
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output_files import check_geotiff, check_output
 from geomosaic.render.dem_gaps import height_notes
 from geomosaic.render.ortho import samples

@@ -13,6 +13,7 @@ import numpy as np
 
 from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.block.footprint import Footprint
+from geomosaic.digests import sha256
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.blending.block import Blender, Seams
@@ -31,7 +32,6 @@ from geomosaic.mosaicking.seams.seamlines import sample_size, seam_segments, wor
 from geomosaic.mosaicking.unit import MosaicUnit, label_type
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.radiometry.gain_offset import Balance, solve
-from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output_files import check_geotiff, check_output
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.vector import prepare

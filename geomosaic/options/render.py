@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from geomosaic.errors import InputError
 from geomosaic.options.check import check_values
 from geomosaic.options.declaration import option
-
-Progress = Callable[[int, int, str], None]
+from geomosaic.types import Progress
 
 RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average")
 BLOCK_WIDTH, BLOCK_HEIGHT = 1024, 512

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from geomosaic.errors import InputError, OutputExistsError
 from geomosaic.raster.file_dependencies import holds, journal_of
-from geomosaic.whole_files import under_construction
+from geomosaic.whole_files import write_atomic
 
 OTHER_FORMATS = (
     ".bmp", ".ecw", ".gif", ".gpkg", ".img", ".jp2", ".jpeg", ".jpg", ".json", ".kmz", ".mbtiles", ".nc", ".pdf",
@@ -72,5 +72,4 @@ def write_text(path: Path, text: str, *, overwrite: bool, encoding: str = "utf-8
         The name is taken; writing failed.
     """
     check_output(path, overwrite=overwrite)
-    with under_construction(path) as unfinished:
-        unfinished.write_text(text, encoding=encoding, newline="\n")
+    write_atomic(path, text, encoding)

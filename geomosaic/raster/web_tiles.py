@@ -25,11 +25,10 @@ from rasterio.errors import RasterioError
 from rasterio.io import MemoryFile
 from rasterio.warp import calculate_default_transform, reproject
 
-from geomosaic.errors import OutputError
 from geomosaic.geo.grid import Grid
 from geomosaic.raster.output_files import check_output
 from geomosaic.types import ByteArray, PathLike
-from geomosaic.whole_files import partial, remove, sync
+from geomosaic.whole_files import under_construction
 
 SIDE = 256
 """Pixels of a tile."""
@@ -152,29 +151,18 @@ def write_web(path: PathLike, grid: Grid, pixels: ByteArray, *, title: str, over
     path = Path(path)
     check_output(path, overwrite=overwrite)
     target = rasterio.crs.CRS.from_epsg(3857 if path.suffix.lower() == ".mbtiles" else 4326)
-    unfinished: Path | None = None
-    try:
-        # The driver of KMZ takes the first .kmz in the name for the archive, and wants it to end so.
-        unfinished = partial(path.resolve().with_suffix(""), path.suffix.lower())
-        with warnings.catch_warnings():
-            # rasterio multiplies affines in a way that the affine library wants to end.
-            warnings.simplefilter("ignore", PendingDeprecationWarning)
-            warped, affine = _warped(grid, pixels, target)
-            if path.suffix.lower() == ".mbtiles":
-                level = round(np.log2(2 * MERCATOR / SIDE / affine.a))
-                col, row = round((affine.c + MERCATOR) / affine.a), round((MERCATOR - affine.f) / affine.a)
-                write_mbtiles(unfinished, np.moveaxis(warped, 0, 2), level, col, row, title=title)
-            else:
-                _overlay(unfinished, warped, affine, target)
-                _finished(unfinished, title)
-        sync(unfinished)
-        unfinished.replace(path)
-        sync(path.parent)
-    except (OSError, RasterioError, sqlite3.Error, zipfile.BadZipFile) as error:
-        raise OutputError(f"writing failed ({error})", where=str(path), hint="check the space on the disk") from error
-    finally:
-        if unfinished is not None:
-            remove(unfinished)
+    failures = RasterioError, sqlite3.Error, zipfile.BadZipFile
+    with under_construction(path, path.suffix.lower(), failures) as unfinished, warnings.catch_warnings():
+        # rasterio multiplies affines in a way that the affine library wants to end.
+        warnings.simplefilter("ignore", PendingDeprecationWarning)
+        warped, affine = _warped(grid, pixels, target)
+        if path.suffix.lower() == ".mbtiles":
+            level = round(np.log2(2 * MERCATOR / SIDE / affine.a))
+            col, row = round((affine.c + MERCATOR) / affine.a), round((MERCATOR - affine.f) / affine.a)
+            write_mbtiles(unfinished, np.moveaxis(warped, 0, 2), level, col, row, title=title)
+        else:
+            _overlay(unfinished, warped, affine, target)
+            _finished(unfinished, title)
     return path
 
 

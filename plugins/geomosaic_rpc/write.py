@@ -9,6 +9,7 @@ import numpy as np
 from geomosaic.errors import OutputExistsError
 from geomosaic.raster.rpc_tags import write_rpc_tags
 from geomosaic.types import PathLike
+from geomosaic.whole_files import write_atomic
 from geomosaic_rpc.coefficients import Rpc
 from geomosaic_rpc.fields import POLYNOMIALS, SCALARS
 from geomosaic_rpc.fit import RpcFit, fit_rpc
@@ -72,7 +73,7 @@ def write_text(model: RpcModel, image: PathLike, *, overwrite: bool = False) -> 
     path = path.with_name(f"{path.stem}_RPC.TXT")
     if path.exists() and not overwrite:
         raise OutputExistsError("the RPC file exists", where=str(path), hint="move it away, or allow overwriting")
-    path.write_text(text_of(plain(model)), encoding="ascii")
+    write_atomic(path, text_of(plain(model)), "ascii")
     return path
 
 

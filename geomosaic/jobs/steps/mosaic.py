@@ -13,12 +13,13 @@ from pyproj import CRS
 
 from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint
+from geomosaic.digests import digest_of
 from geomosaic.inputs.area import FindOutlines, plan_mosaic
 from geomosaic.inputs.frames import describe
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.manifest import heard, read_json, tell, write_json
 from geomosaic.jobs.step import Context, Machine
-from geomosaic.jobs.step_keys import digest_of, versions
+from geomosaic.jobs.step_keys import versions
 from geomosaic.jobs.steps.orient import area_of, render_options, restore_block
 from geomosaic.mosaicking.colour.facts import colour_facts, picture
 from geomosaic.mosaicking.reruns.reuse import Memory
@@ -172,7 +173,7 @@ def _memory(project: Project, context: Context) -> Memory:
 
 def _remembered(memory: Memory) -> FindOutlines:
     """Outlines of the images, as an earlier run has found them where nothing they depend on has changed."""
-    from geomosaic.mosaicking.reruns.earlier_results import VERSION, Recall, digest_of
+    from geomosaic.mosaicking.reruns.earlier_results import VERSION, Recall
     from geomosaic.render.extent import footprints
 
     def find(scenes: tuple[OrientedImage, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:

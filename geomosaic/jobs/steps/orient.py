@@ -22,10 +22,11 @@ from geomosaic.inputs.orientation_check.plausibility import FAR
 from geomosaic.inputs.usable_area import with_usable
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.manifest import heard, read_json, write_json
-from geomosaic.jobs.step import Context, Machine, Progress
+from geomosaic.jobs.step import Context, Machine
 from geomosaic.options.render import RenderOptions
 from geomosaic.project.load import Project
 from geomosaic.sensor.state import from_dict, to_dict
+from geomosaic.types import Progress
 
 
 def orient(project: Project, context: Context) -> Mapping[str, Any]:

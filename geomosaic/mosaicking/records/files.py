@@ -12,6 +12,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block.footprint import Footprint
+from geomosaic.digests import sha256
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Grid
@@ -20,7 +21,6 @@ from geomosaic.geo.units import metres_per_unit
 from geomosaic.mosaicking.records.provenance import time_span
 from geomosaic.mosaicking.seams.seamlines import SeamQuality, Segment, seam_segments
 from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output_files import check_output, write_text
 from geomosaic.raster.vector import Layer, write_layers
 

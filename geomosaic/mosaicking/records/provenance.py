@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geomosaic.digests import sha256
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.options.render import RenderOptions
-from geomosaic.raster.checksum import sha256
 from geomosaic.raster.photo_metadata import acquired
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source

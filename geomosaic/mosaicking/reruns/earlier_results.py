@@ -6,7 +6,6 @@ Values are kept as JSON files, one per kind: plain values, arrays to the bit, tu
 from __future__ import annotations
 
 import base64
-import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
@@ -17,12 +16,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 import geomosaic
+from geomosaic.digests import digest_of
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import Correction
 from geomosaic.mosaicking.reruns.reuse import Memory, colour_bytes
 from geomosaic.mosaicking.seams.seamlines import SeamQuality, Segment, measure_seams
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.render.photos import Photos
+from geomosaic.whole_files import write_atomic
 
 if TYPE_CHECKING:
     from geomosaic.mosaicking.colour.stretch import Stretch
@@ -84,27 +85,8 @@ class Recall:
         """Keep values by key in place of those before."""
         if self._folder is None:
             return
-        from geomosaic.whole_files import partial, remove
-
-        path = self._folder / f"{kind}.json"
-        self._folder.mkdir(parents=True, exist_ok=True)
-        unfinished = partial(path)
-        try:
-            unfinished.write_text(json.dumps({key: encode(value) for key, value in values.items()}), encoding="utf-8")
-            unfinished.replace(path)
-        finally:
-            remove(unfinished)
-
-
-def digest_of(*parts: Any) -> str:
-    """Digest of texts, bytes and arrays; of other things, their text."""
-    digest = hashlib.sha256()
-    for part in parts:
-        data = (
-            part if isinstance(part, bytes) else np.asarray(part).tobytes() if _is_array(part) else str(part).encode()
-        )
-        digest.update(len(data).to_bytes(8, "little") + data)
-    return digest.hexdigest()
+        values = {key: encode(value) for key, value in values.items()}
+        write_atomic(self._folder / f"{kind}.json", json.dumps(values))
 
 
 def encode(value: Any) -> Any:

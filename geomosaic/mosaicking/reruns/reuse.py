@@ -8,7 +8,6 @@ same as if they had been computed.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import geomosaic
+from geomosaic.digests import digest_of, sha256
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender
@@ -26,8 +26,8 @@ from geomosaic.mosaicking.unit import MosaicUnit
 from geomosaic.options.render import RenderOptions
 from geomosaic.radiometry.histogram_matching import Curve
 from geomosaic.radiometry.local_gains import Shade
-from geomosaic.raster.checksum import sha256
 from geomosaic.types import IntArray
+from geomosaic.whole_files import write_atomic
 
 if TYPE_CHECKING:
     from geomosaic.options.mosaic import MosaicOptions
@@ -159,19 +159,18 @@ class Reuse:
         reach, step = blender.reach, 1e-3 * blender.grid.resolution[0]
         around = Window(window.col - reach, window.row - reach, window.width + 2 * reach, window.height + 2 * reach)
         frame = shapely.box(*blender.grid.crop(around).bounds)
-        digest = hashlib.sha256(f"{self._base}|{window}".encode())
+        parts: list[Any] = [self._base, str(window)]
         for i in blender.photos.near(around if blender.wide else window):
             outline = blender.photos.outlines[i]
             # Centres say who fills gaps; their last digits may differ from run to run.
             centre = [round(v / step) for v in outline.centre]
-            digest.update(f"|{i} {self._memory.scenes[i]} {centre}".encode())
-            digest.update(colour_bytes(blender.colours[i]))
+            parts += [i, self._memory.scenes[i], centre, colour_bytes(blender.colours[i])]
             for shape in (blender.seams.regions[i], blender.seams.outlines[i]):
                 part = shapely.intersection(shape, frame)
                 # A border that is cut elsewhere is the same here but for its last digits: thousandths of pixels count.
                 part = shapely.transform(part, lambda xy: np.round(xy / step))
-                digest.update(shapely.to_wkb(shapely.normalize(part)))
-        return digest.hexdigest()
+                parts.append(shapely.to_wkb(shapely.normalize(part)))
+        return digest_of(*parts)
 
     def unit(self, window: Window, compute: Callable[[Window], MosaicUnit]) -> KeptUnit | MosaicUnit:
         """A unit, as it was where it is known."""
@@ -191,17 +190,9 @@ class Reuse:
 
     def save(self) -> None:
         """Keep the keys of this run for the next."""
-        from geomosaic.whole_files import partial, remove
-
         kept: dict[str, Any] = {name: self._memory.digest(path) for name, path in self._files.items()}
         kept["units"] = self._kept
-        self._memory.file.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = partial(self._memory.file)
-        try:
-            unfinished.write_text(json.dumps(kept))
-            unfinished.replace(self._memory.file)
-        finally:
-            remove(unfinished)
+        write_atomic(self._memory.file, json.dumps(kept))
 
 
 def reuse_of(

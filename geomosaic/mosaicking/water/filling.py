@@ -7,7 +7,6 @@ that passes through them: the smoothest there is, and never brighter or darker t
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from geomosaic.digests import digest_of
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction, corrected
@@ -212,5 +212,4 @@ def spread(values: FloatArray, inside: BoolArray) -> FloatArray:
 
 def said(found: Sequence[Pool]) -> str:
     """What pixels depend on, as text."""
-    parts = b"".join(pool.shape.wkb + np.ascontiguousarray(pool.tone).tobytes() for pool in found)
-    return hashlib.sha256(parts).hexdigest() if found else ""
+    return digest_of(*(part for pool in found for part in (pool.shape.wkb, pool.tone))) if found else ""

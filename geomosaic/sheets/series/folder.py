@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -12,8 +11,8 @@ from typing import Any, Literal
 
 from pyproj import CRS
 
+from geomosaic.digests import digest_of, sha256
 from geomosaic.errors import InputError, OutputExistsError
-from geomosaic.raster.checksum import sha256
 from geomosaic.raster.output_files import write_text
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.sheets.layout import Layout
@@ -31,11 +30,6 @@ INDEX, INDEX_ENDS = "index", (".gpkg", ".pdf")
 def file_name(name: str) -> str:
     """Name of a sheet as that of a file."""
     return re.sub(r"[^\w.-]+", "_", name).strip("_.") or "sheet"
-
-
-def digest(value: Any) -> str:
-    """Checksum of what JSON can hold."""
-    return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
 
 
 State = Literal["absent", "finished", "older", "foreign"]
@@ -111,7 +105,7 @@ def earlier_sheets(
             place = sheet_place(scheme, name, crs, overlap)
         except InputError:  # of another scheme
             continue
-        if digest(place.ring.tolist()) == known.get("ring"):
+        if digest_of(place.ring.tolist()) == known.get("ring"):
             found.append((place, path))
     return found
 

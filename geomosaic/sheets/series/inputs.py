@@ -14,11 +14,11 @@ from geomosaic.raster.vector import read_layer
 from geomosaic.sheets.drawing.save import FileOptions
 from geomosaic.sheets.inputs import sheet_inputs
 from geomosaic.sheets.series.catalogue import scheme as by_name
-from geomosaic.sheets.series.make import Progress, SeriesInputs, SeriesResult, make_series
+from geomosaic.sheets.series.make import SeriesInputs, SeriesResult, make_series
 from geomosaic.sheets.series.neatline import sheet_place
 from geomosaic.sheets.series.regular import Polygons, Scheme
 from geomosaic.sheets.vector_layers import missing
-from geomosaic.types import PathLike
+from geomosaic.types import PathLike, Progress
 
 
 def sheet_scheme(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,17 +13,17 @@ from typing import Any
 from pyproj import CRS
 
 import geomosaic
+from geomosaic.digests import digest_of, sha256
 from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Bounds
-from geomosaic.raster.checksum import Hashes, sha256
+from geomosaic.raster.file_dependencies import Hashes
 from geomosaic.raster.framing import raster_grid
 from geomosaic.raster.source import Source
 from geomosaic.sheets.drawing.save import FileOptions
 from geomosaic.sheets.layout import Layout
 from geomosaic.sheets.make import VectorInput, make_sheet
 from geomosaic.sheets.series.folder import (
-    digest,
     earlier_sheets,
     file_name,
     read_record,
@@ -35,9 +35,9 @@ from geomosaic.sheets.series.folder import (
 )
 from geomosaic.sheets.series.neatline import SheetPlace, sheet_place, sheets_on
 from geomosaic.sheets.series.regular import Scheme
+from geomosaic.types import Progress
 
 MOST_SHEETS = 5000
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def make_series(
     tasks, kept, order = [], [], []
     for name, place in zip(names, places, strict=True):
         path, ring = folder / (file_name(name) + suffix), place.ring.tolist()
-        key = digest({**base, "name": name, "overlap": overlap, "ring": ring, "suffix": suffix})
+        key = digest_of({**base, "name": name, "overlap": overlap, "ring": ring, "suffix": suffix})
         order.append((place, path))
         state = state_of(path, record["sheets"].get(path.name), key)
         if state == "foreign":
@@ -142,7 +142,7 @@ def make_series(
         entry = {
             "key": key,
             "name": name,
-            "ring": digest(ring),
+            "ring": digest_of(ring),
             "sha256": sha256(path) if state == "finished" else None,
         }
         if state == "older":
