@@ -13,8 +13,14 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import pytest
 from cli_rig import PHOTOS, PLACE, flags, photos
+from hypothesis import settings
 
 ROOT = Path(__file__).resolve().parent.parent
+
+# The same examples in every run; HYPOTHESIS_PROFILE=search looks for new ones, twenty times as many.
+settings.register_profile("fixed", derandomize=True, deadline=None)
+settings.register_profile("search", deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 
 
 @pytest.fixture(scope="session")

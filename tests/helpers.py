@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from affine import Affine
+from hypothesis import settings
 from pyproj import CRS
 
 from geomosaic.geo.crs import parse_crs, with_heights
@@ -16,6 +17,11 @@ from geomosaic.surface.model import HeightPatch
 
 MAP = parse_crs("EPSG:32633")
 GROUND = with_heights(MAP, "ellipsoidal")
+
+
+def examples(count: int, **more: Any) -> settings:
+    """Number of examples of a property: this many, or twenty times as many in a search for new ones."""
+    return settings(max_examples=count * (1 if settings.default.derandomize else 20), **more)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import rasterio
 from affine import Affine
-from hypothesis import given, settings
+from helpers import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from raster_rig import NORTH_UP, holes, picture, whole
 
@@ -204,7 +205,7 @@ def naive_mean(values, valid, s):
     return means, known
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(
     st.integers(1, 23), st.integers(1, 23), st.integers(2, 9),
     st.sampled_from(["uint8", "uint16", "int16", "float32"]), st.integers(0, 5),

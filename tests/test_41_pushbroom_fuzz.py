@@ -7,7 +7,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from helpers import examples
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from spot_rig import SIZE, Satellite
 
@@ -16,7 +17,7 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic_pushbroom.build import of_scene
 from geomosaic_pushbroom.metadata import read_bytes
 
-SETTINGS = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+SETTINGS = examples(60, suppress_health_check=[HealthCheck.too_slow])
 NUMBER = re.compile(r"(?<=>)-?\d[\d.e+-]*(?=<)")
 
 

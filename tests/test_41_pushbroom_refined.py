@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from helpers import examples
+from hypothesis import HealthCheck, example, given
 from hypothesis import strategies as st
 from refined_rig import Agile
 from spot_rig import SIZE
@@ -148,7 +149,7 @@ def test_bad_metadata(text: str, words: str) -> None:
     assert words in str(told.value)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@examples(60, suppress_health_check=[HealthCheck.too_slow])
 @given(
     st.sampled_from(["polynomials", "table", "primary"]),
     st.integers(0, 10_000),

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import rasterio
 import rpc_rig as rig
-from hypothesis import given, settings
+from helpers import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from geomosaic.errors import GeomosaicWarning, InputError
@@ -116,7 +117,7 @@ def test_broken_files_are_told(case: str) -> None:
     assert "scene.rpc" in str(caught.value)
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(st.sampled_from(sorted(FORMATS)), st.data())
 def test_damaged_files_give_an_error_or_a_finite_model(name: str, data: st.DataObject) -> None:
     good = FORMATS[name]().encode()
@@ -131,7 +132,7 @@ def test_damaged_files_give_an_error_or_a_finite_model(name: str, data: st.DataO
     assert image.shape == (5, 2)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(st.binary(max_size=400))
 def test_anything_is_read_or_refused(data: bytes) -> None:
     with pytest.raises(InputError):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from helpers import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from geomosaic.mosaicking.blending.weights import halo, reduction, signed_distance, weights
@@ -26,7 +27,7 @@ def block(seed: int, number: int) -> tuple[list[shapely.Polygon], list[tuple[flo
     return outlines, centres
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(seed=st.integers(0, 10**6), number=st.integers(2, 9))
 def test_regions_partition_the_union(seed: int, number: int) -> None:
     outlines, centres = block(seed, number)

@@ -12,7 +12,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from helpers import examples
+from hypothesis import HealthCheck, example, given
 from hypothesis import strategies as st
 
 from geomosaic.control.read import read_control as read_image_control
@@ -34,9 +35,7 @@ from geomosaic.rpc.refine import read_ties
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 
-SETTINGS = settings(
-    max_examples=25, deadline=5000, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
-)
+SETTINGS = examples(25, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 MAP = with_heights(parse_crs("EPSG:32633"), "ellipsoidal")
 MATRIX = "1 0 0 0 1 0 0 0 1"
 
