@@ -283,7 +283,7 @@ SKY = {"system": "opk", "omega": 180.0, "phi": 3.0, "kappa": 0.0}
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"positon": [0, 0, 0]}, ["unknown key 'positon'", "did you mean 'position'"]),
+        ({"positon": [0, 0, 0]}, ["has no input 'positon'", "did you mean 'position'"]),
         ({"camera": None}, ["'camera' is missing"]),
         ({"position": None}, ["'position' is missing"]),
         ({"position": [1.0, 2.0]}, ["position has 2 values, not 3"]),

@@ -18,7 +18,7 @@ from geomosaic.block.block import OrientedBlock
 from geomosaic.cli.main import run
 from geomosaic.errors import InputError, SolveError
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.control_diagnostics import astray
+from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.declarations import Block
 from geomosaic.project.sample import sample_folder
 from geomosaic_rpc.write import text_of
@@ -72,7 +72,7 @@ SLIPS: dict[str, tuple[Callable[[Row], dict[str, object]], str]] = {
 def test_slips_are_told_with_their_mend(tmp_path: Path, slip: str) -> None:
     change, hint = SLIPS[slip]
     inputs = sample(changed(tmp_path / "gcps.csv", change))
-    control, check = astray(inputs, build_block(inputs))
+    control, check = control_discrepancies(inputs, build_block(inputs))
     assert (control.role, check.role) == ("control", "check")
     assert control.median > 30.0
     assert "it would be 0." in control.cause
@@ -81,7 +81,7 @@ def test_slips_are_told_with_their_mend(tmp_path: Path, slip: str) -> None:
 
 def test_nothing_usual_explains_it(tmp_path: Path) -> None:
     inputs = sample(changed(tmp_path / "gcps.csv", lambda r: {"x": float(r["x"]) + 20.0}))
-    control, _ = astray(inputs, build_block(inputs))
+    control, _ = control_discrepancies(inputs, build_block(inputs))
     assert control.cause == ""
     assert 20.0 < control.median < 50.0
     assert "they only judge, as sensor 'frame' is not adjusted to them" in control.text
@@ -90,7 +90,7 @@ def test_nothing_usual_explains_it(tmp_path: Path) -> None:
 
 def test_good_control_says_nothing() -> None:
     inputs = sample(sample_folder() / "gcps.csv")
-    assert astray(inputs, build_block(inputs)) == []
+    assert control_discrepancies(inputs, build_block(inputs)) == []
 
 
 @pytest.mark.parametrize(
@@ -135,7 +135,7 @@ def scene(folder: Path, change: Callable[[np.ndarray], np.ndarray], refine: str)
 
 def test_a_scene_whose_control_has_latitude_first(tmp_path: Path) -> None:
     inputs, block = scene(tmp_path, lambda xyz: xyz[:, [1, 0, 2]], "none")
-    (control,) = astray(inputs, block)
+    (control,) = control_discrepancies(inputs, block)
     assert "with x and y exchanged it would be 0 px" in control.cause or "e-" in control.cause
     assert "x is longitude, y is latitude" in control.hint
     with pytest.raises(SolveError, match="with x and y exchanged") as caught:  # nothing could be corrected with it
@@ -145,13 +145,13 @@ def test_a_scene_whose_control_has_latitude_first(tmp_path: Path) -> None:
 
 def test_what_a_correction_has_made_of_control_does_not_hide_the_cause(tmp_path: Path) -> None:
     inputs, block = scene(tmp_path, lambda xyz: xyz / [1.0, 1.0, 0.3048], "shift")
-    (control,) = astray(inputs, block)
+    (control,) = control_discrepancies(inputs, block)
     assert "their heights in feet" in control.cause
 
 
 def test_a_scene_whose_control_counts_from_the_geoid(tmp_path: Path) -> None:
     inputs, block = scene(tmp_path, lambda xyz: xyz - [0.0, 0.0, 47.3], "none")
-    found = astray(inputs, block)
+    found = control_discrepancies(inputs, block)
     assert [points.role for points in found] == ["control"]
     assert "their heights counted from the geoid" in found[0].cause
 

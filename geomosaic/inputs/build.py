@@ -12,7 +12,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
-from geomosaic.errors import HeightDatumError, InputError, SensorInputError, SolveError
+from geomosaic.errors import GeomosaicError, HeightDatumError, InputError, SensorInputError, SolveError
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.camera import read_camera
@@ -73,16 +73,40 @@ def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:
         error.hint = f"all photos would look down if you {down}; else {error.hint}" if hints else error.hint
         raise
     except SolveError as error:
-        if control:
-            from geomosaic.inputs.control_diagnostics import explain
-
-            explain(inputs, control, crs, error)
+        _explain(inputs, control, crs, error)
         raise
     if ground and (len(scenes) > 1 or control):  # what one photo alone says of itself is known
         from geomosaic.inputs.orientation_check.plausibility import check_orientation
 
         check_orientation(inputs, photos, crs, (scenes, surface, control), build)
     return OrientedBlock(with_usable(inputs, scenes), surface, control, crs)
+
+
+def unadjusted(inputs: Block) -> Sequence[OrientedImage] | None:
+    """Images without what control points make of them; None where their sensor does not adjust itself, or fails."""
+    if capabilities(inputs.sensor).control is not ControlUse.ADJUSTMENT:
+        return None
+    plain = replace(inputs, control=None, options={**inputs.options, "refine": "none"})
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return build_block(plain, ground=False).scenes
+    except GeomosaicError:
+        return None
+
+
+def _explain(inputs: Block, control: Sequence[ControlPoint], crs: CRS | None, error: SolveError) -> None:
+    """Put the likeliest cause into the error of a sensor that its control points did not determine."""
+    points = [point for point in control if point.role == "control"]
+    scenes = unadjusted(inputs) if points else None
+    if crs is None or scenes is None:
+        return
+    from geomosaic.inputs.control_hypotheses import likeliest_cause
+    from geomosaic.inputs.orientation_check.plausibility import distance
+
+    cause, hint = likeliest_cause(scenes, points, crs, distance(scenes, points, crs))
+    if cause:
+        error.what, error.hint = f"{error.what}: the points do not lie in the image; {cause}", hint
 
 
 def _moved_by_a_metre(inputs: Block, photos: Sequence[Photo], crs: CRS | None) -> float | None:
@@ -276,7 +300,7 @@ def _control(inputs: Block, photos: Sequence[Photo], crs: CRS | None) -> tuple[C
     else:
         points, where = read_control(inputs.control, [photo.name for photo in photos]), str(inputs.control)
     if points and not inputs.trusted:
-        from geomosaic.inputs.control_diagnostics import refuse_misplaced
+        from geomosaic.inputs.control_hypotheses import refuse_misplaced
 
         refuse_misplaced(points, crs, where)
     return points

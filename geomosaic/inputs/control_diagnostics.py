@@ -5,163 +5,19 @@ Control points of a sensor that does not adjust itself only judge: that they lie
 
 from __future__ import annotations
 
-import math
-import warnings
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import numpy as np
-from pyproj import CRS
-
-from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
-from geomosaic.control.coordinate_diagnostics import misplaced
-from geomosaic.errors import GeomosaicError, InputError, SolveError
-from geomosaic.geo.crs import horizontal
-from geomosaic.geo.transform import Transform
+from geomosaic.block.block import OrientedBlock
+from geomosaic.inputs.build import unadjusted
+from geomosaic.inputs.control_hypotheses import likeliest_cause
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.orientation_check.plausibility import BETTER, FAR, PLAUSIBLE, distance
-from geomosaic.inputs.planar.tables import image_control
+from geomosaic.inputs.orientation_check.plausibility import FAR, distance
 from geomosaic.sensor.plugin import ControlUse
 from geomosaic.sensor.registry import capabilities
-from geomosaic.surface.vertical_datum import undulation
-
-CERTAIN = ("degrees-in-metres", "metres-in-degrees", "latitude-longitude-swapped", "swapped-axes")
-"""Slips that leave no doubt; a place beyond the area of use may be meant."""
-
-_SHARED = "bring the points into the CRS of the positions (crs under [exterior]), which is theirs too"
-_MENDS = {
-    "degrees-in-metres": f"{_SHARED}; or, where both are in degrees, name that CRS, such as EPSG:4326",
-    "metres-in-degrees": f"{_SHARED}; or, where both are in a projection, name that",
-}
-
-
-def refuse_misplaced(points: Sequence[ControlPoint], crs: CRS, where: str) -> None:
-    """Refuse coordinates in another unit than the CRS, or with exchanged axes.
-
-    Raises
-    ------
-    InputError
-        Says what they look like, and a hint.
-    """
-    once = list({point.id: point for point in points}.values())
-    for advice in misplaced(image_control(once, horizontal(crs), where)):
-        if advice.code in CERTAIN and len(advice.points) > len(once) / 2:
-            raise InputError(advice.what, where=where, hint=_MENDS.get(advice.code, advice.hint))
-
-
-FOOT = 0.3048
-_LEAST_UNDULATION = 0.5
-
-Sizes = dict[str, tuple[int, int]]
 
 
 @dataclass(frozen=True)
-class PointReading:
-    """One way to read the points.
-
-    Attributes
-    ----------
-    what : str
-        Follows 'with': what would be different.
-    hint : str
-    points : tuple of ControlPoint
-        Read that way, in the CRS of the block.
-    """
-
-    what: str
-    hint: str
-    points: tuple[ControlPoint, ...]
-
-
-def point_readings(points: Sequence[ControlPoint], crs: CRS, sizes: Sizes) -> Iterator[PointReading]:
-    """Other readings of control points, the likeliest slips first.
-
-    Parameters
-    ----------
-    points : sequence of ControlPoint
-    crs : CRS
-        Of their coordinates, 3-D.
-    sizes : dict
-        Width and height of the images by name.
-    """
-    if not crs.is_geocentric:
-        yield from _by_axes(points, crs)
-        yield from _by_height(points, crs)
-    yield from _by_pixels(points, sizes)
-    utm = horizontal(crs).to_epsg() if horizontal(crs).utm_zone else None
-    if utm is not None:
-        yield from _by_zone(points, crs, utm)
-
-
-def _by_axes(points: Sequence[ControlPoint], crs: CRS) -> Iterator[PointReading]:
-    names = ("longitude", "latitude") if horizontal(crs).is_geographic else ("east", "north")
-    yield PointReading(
-        "x and y exchanged",
-        f"exchange the names x and y in the header of the control points: x is {names[0]}, y is {names[1]}",
-        tuple(replace(point, xyz=(point.xyz[1], point.xyz[0], point.xyz[2])) for point in points),
-    )
-
-
-def _by_height(points: Sequence[ControlPoint], crs: CRS) -> Iterator[PointReading]:
-    shift = undulation(horizontal(crs), *points[0].xyz[:2])
-    if math.isfinite(shift) and abs(shift) >= _LEAST_UNDULATION:
-        for by, of in ((shift, "the geoid (EGM96)"), (-shift, "the ellipsoid")):
-            yield PointReading(
-                f"their heights counted from {of}, {abs(shift):.1f} m {'above' if by > 0 else 'below'} where they lie",
-                f"add {by:+.1f} m to z of the control points (which share the vertical datum of the positions, heights "
-                "under [exterior]), or declare the datum that is theirs",
-                _heights(points, 1.0, by),
-            )
-    for factor, unit in ((FOOT, "feet"), (1.0 / FOOT, "metres that were taken for feet")):
-        yield PointReading(
-            f"their heights in {unit}",
-            f"multiply z of the control points by {factor:.4f}",
-            _heights(points, factor, 0.0),
-        )
-
-
-def _by_pixels(points: Sequence[ControlPoint], sizes: Sizes) -> Iterator[PointReading]:
-    def moved(change: str) -> tuple[ControlPoint, ...]:
-        out = []
-        for point in points:
-            (col, row), (width, height) = point.colrow, sizes[point.image]
-            place = {"rows": (col, height - row), "swap": (row, col), "minus": (col, -row), "turn": (width - col, row)}
-            out.append(replace(point, colrow=place[change]))
-        return tuple(out)
-
-    yield PointReading("col and row exchanged", "exchange the names col and row in the header", moved("swap"))
-    yield PointReading("rows counted from the bottom", "write row = height of the image - row", moved("rows"))
-    yield PointReading("rows counted with a minus sign, as QGIS does", "change the sign of row", moved("minus"))
-    yield PointReading("columns counted from the right", "write col = width of the image - col", moved("turn"))
-
-
-def _by_zone(points: Sequence[ControlPoint], crs: CRS, code: int) -> Iterator[PointReading]:
-    for other in (code - 1, code + 1):
-        try:
-            elsewhere = CRS.from_epsg(other)
-            if not elsewhere.utm_zone:
-                continue
-            xy = Transform(elsewhere, horizontal(crs))(np.array([point.xyz[:2] for point in points]))
-        except (GeomosaicError, ValueError, RuntimeError):
-            continue
-        if np.isfinite(xy).all():
-            yield PointReading(
-                f"the points in {elsewhere.name}",
-                f"bring the control points from EPSG:{other} to the CRS of [exterior], which is also theirs",
-                tuple(replace(p, xyz=(float(x), float(y), p.xyz[2])) for p, (x, y) in zip(points, xy, strict=True)),
-            )
-
-
-def _heights(points: Sequence[ControlPoint], factor: float, shift: float) -> tuple[ControlPoint, ...]:
-    return tuple(replace(p, xyz=(p.xyz[0], p.xyz[1], factor * p.xyz[2] + shift)) for p in points)
-
-
-FEW = 3
-"""Points by which no other reading is told from chance."""
-
-
-@dataclass(frozen=True)
-class Astray:
+class ControlDiscrepancy:
     """Points of one role that lie far from where the images put them.
 
     Attributes
@@ -188,7 +44,7 @@ class Astray:
         return f"{self.role} points lie {off} (median) from where the images put them{why}: {self.hint}"
 
 
-def astray(inputs: Block, block: OrientedBlock) -> list[Astray]:
+def control_discrepancies(inputs: Block, block: OrientedBlock) -> list[ControlDiscrepancy]:
     """Points, control and check apart, of which the median lies farther off than `FAR` pixels.
 
     Parameters
@@ -204,49 +60,10 @@ def astray(inputs: Block, block: OrientedBlock) -> list[Astray]:
         points = [point for point in block.control if point.role == role]
         off = distance(block.scenes, points, block.crs) if points else 0.0
         if off > FAR:
-            scenes = _unrefined(inputs) or block.scenes
-            cause, hint = _cause(scenes, points, block.crs, distance(scenes, points, block.crs))
-            found.append(Astray(role, off, cause, hint or _how_to_adjust(inputs, role)))
+            scenes = unadjusted(inputs) or block.scenes
+            cause, hint = likeliest_cause(scenes, points, block.crs, distance(scenes, points, block.crs))
+            found.append(ControlDiscrepancy(role, off, cause, hint or _how_to_adjust(inputs, role)))
     return found
-
-
-def explain(inputs: Block, control: Sequence[ControlPoint], crs: CRS | None, error: SolveError) -> None:
-    """Put the likeliest cause into the error of a sensor that its control points did not determine."""
-    points = [point for point in control if point.role == "control"]
-    scenes = _unrefined(inputs)
-    if crs is None or scenes is None or not points:
-        return
-    cause, hint = _cause(scenes, points, crs, distance(scenes, points, crs))
-    if cause:
-        error.what, error.hint = f"{error.what}: the points do not lie in the image; {cause}", hint
-
-
-def _cause(scenes: Sequence[OrientedImage], points: Sequence[ControlPoint], crs: CRS, given: float) -> tuple[str, str]:
-    """The reading of the points that brings them where the images put them, with its hint; empty words for none."""
-    if len(points) < FEW or given <= FAR:
-        return "", ""
-    sizes = {scene.name: scene.model.size for scene in scenes}
-    tried = [(distance(scenes, reading.points, crs), reading) for reading in point_readings(points, crs, sizes)]
-    least, best = min(tried, key=lambda pair: pair[0])
-    plausible = PLAUSIBLE * min(math.hypot(*size) for size in sizes.values())
-    if BETTER * least < given and least < plausible:
-        return f"with {best.what} it would be {least:.3g} px", best.hint
-    return "", ""
-
-
-def _unrefined(inputs: Block) -> Sequence[OrientedImage] | None:
-    """The images without what the control made of them; None where their sensor cannot be had so."""
-    from geomosaic.inputs.build import build_block
-
-    if capabilities(inputs.sensor).control is not ControlUse.ADJUSTMENT:
-        return None
-    plain = replace(inputs, control=None, options={**inputs.options, "refine": "none"})
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return build_block(plain, ground=False).scenes
-    except GeomosaicError:
-        return None
 
 
 def _how_to_adjust(inputs: Block, role: str) -> str:

@@ -15,7 +15,7 @@ from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.crs import height_name, parse_crs
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.control_diagnostics import astray
+from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.orientation_check.plausibility import FAR, distance
 from geomosaic.monoplotting import Certainty, Places, ground_crs, locate, orientation
@@ -182,12 +182,14 @@ def oriented(
         model, covariance, note = orientation(scene.model, inputs.sigmas, control, block.crs)
     except SolveError as error:
         error.where = error.where or f"{inputs.block.control}, {scene.name}"
-        for points in astray(inputs.block, block):
+        for points in control_discrepancies(inputs.block, block):
             if points.cause:
                 error.what, error.hint = f"{error.what}; {points.cause}", points.hint
         raise
     if block.crs is not None and distance([replace(scene, model=model)], control, block.crs) > FAR:
-        for points in astray(inputs.block, block):  # of the image as it was: adjusted to wrong points it tells nothing
+        for points in control_discrepancies(
+            inputs.block, block
+        ):  # of the image as it was: adjusted to wrong points it tells nothing
             warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
     return replace(scene, model=model), covariance, note
 

@@ -11,13 +11,12 @@ from pyproj import CRS
 from geomosaic.errors import InputError, SensorInputError
 from geomosaic.geo.crs import has_heights, with_heights
 from geomosaic.geo.local_frames import is_free
-from geomosaic.sensor.inputs import choice, flag, known_keys, need, number, numbers
+from geomosaic.sensor.inputs import choice, flag, need, number, numbers
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera_capabilities import Inside
 from geomosaic_frame.cameras import camera_of, tables
 from geomosaic_frame.corrections import bending_of, untold
-from geomosaic_frame.entry_point import OPTIONS
 from geomosaic_frame.initial_model import looks_anywhere, model_at
 from geomosaic_frame.model import FrameModel
 from geomosaic_frame.orientation import FULL_CIRCLE, Attitude, read_attitude
@@ -44,7 +43,6 @@ def build_frame(request: SensorRequest) -> FrameModel:
         An input is missing, unknown or out of range, or the photo looks at the sky; names the image and the input.
     """
     where, options = request.image, request.options
-    known_keys(options, OPTIONS, where)
     table, row = tables(request)
     camera, notes = camera_of(table, request)
     unit = choice(options.get("angle_unit", "deg"), FULL_CIRCLE, "angle_unit", where)

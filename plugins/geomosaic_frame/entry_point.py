@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from geomosaic.sensor.inputs import known_inputs
 from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
 
 if TYPE_CHECKING:
@@ -105,9 +106,6 @@ INPUTS = (
     ),
 )
 
-OPTIONS = tuple(entry.name for entry in INPUTS)
-
-
 EXAMPLE = SensorExample(
     (4000, 3000),
     """\
@@ -161,4 +159,5 @@ class FramePlugin:
         """Make the model of one photo; see `geomosaic_frame.build`."""
         from geomosaic_frame.build import build_frame
 
+        known_inputs(request.options, INPUTS, self.name, request.image)
         return build_frame(request)

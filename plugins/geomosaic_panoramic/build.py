@@ -15,12 +15,10 @@ from geomosaic.errors import InputError, SensorInputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.local_frames import LocalFrame, map_place
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.inputs import known_inputs
 from geomosaic.sensor.model import Parameters
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.vertical_datum import need_heights
 from geomosaic_panoramic.control import adjusted
-from geomosaic_panoramic.entry_point import CONTROL, INPUTS
 from geomosaic_panoramic.flight import (
     PER_STEP,
     cells,
@@ -61,7 +59,6 @@ def build_model(request: SensorRequest) -> PanoramicModel | RelativeStrip:
         The scanner sees none of the control points.
     """
     where = request.image
-    known_inputs(request.options, INPUTS, "panoramic", where)
     relative = request.options.get("relative", False)
     if not isinstance(relative, bool):
         raise SensorInputError(
@@ -82,7 +79,7 @@ def build_model(request: SensorRequest) -> PanoramicModel | RelativeStrip:
 def _without_place(request: SensorRequest) -> dict[str, Any]:
     """Inputs at a nominal place, instead of those without one."""
     where, options = request.image, dict(request.options)
-    for name in (*PLACED, *(entry.name for entry in CONTROL)):
+    for name in (*PLACED, "points", "refine", "sigmas"):
         if name in options:
             raise InputError(f"input '{name}' is given together with relative", where=where, hint="leave one out")
     above = number(options, "height_above_ground", where)

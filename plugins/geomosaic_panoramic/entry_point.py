@@ -4,28 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from geomosaic.sensor.inputs import known_inputs
 from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
 
 if TYPE_CHECKING:
     from geomosaic_panoramic.model import PanoramicModel, RelativeStrip
 
-CONTROL = (
-    SensorInput(
-        "points",
-        "control points, each with x, y, z, col, row and optionally id and sigma (pixels, default 1), in the declared "
-        "CRS; in a project those of [control]",
-    ),
-    SensorInput(
-        "refine", "points: the flight is corrected by control points; none: it stays as it is", default="points"
-    ),
-    SensorInput(
-        "sigmas",
-        "a-priori standard deviations of what control points may correct: position, speed (per line or sweep), angles, "
-        "rates, or single parameters; 0 is fixed",
-        "m, m, deg, deg",
-        "5 % of the height above ground, 5 % of the advance, 2.9 deg; with a track 1 m, 0, 0.5 deg; rates 0",
-    ),
-)
 
 INPUTS = (
     SensorInput("kind", "scanner (a line is one moment), sweeps (several lines at once) or panoramic (one sweep)"),
@@ -57,7 +41,21 @@ INPUTS = (
     SensorInput("height_above_ground", "with relative: in place of a position", "m"),
     SensorInput("drift", "with relative: angle of the nose to the right of the course", "deg", "0"),
     SensorInput("latitude", "with relative and an orbit: of the middle of the image, geodetic", "deg"),
-    *CONTROL,
+    SensorInput(
+        "points",
+        "control points, each with x, y, z, col, row and optionally id and sigma (pixels, default 1), in the declared "
+        "CRS; in a project those of [control]",
+    ),
+    SensorInput(
+        "refine", "points: the flight is corrected by control points; none: it stays as it is", default="points"
+    ),
+    SensorInput(
+        "sigmas",
+        "a-priori standard deviations of what control points may correct: position, speed (per line or sweep), angles, "
+        "rates, or single parameters; 0 is fixed",
+        "m, m, deg, deg",
+        "5 % of the height above ground, 5 % of the advance, 2.9 deg; with a track 1 m, 0, 0.5 deg; rates 0",
+    ),
 )
 
 EXAMPLE = SensorExample(
@@ -104,4 +102,5 @@ class PanoramicPlugin:
         """Model of one image; see `geomosaic_panoramic.build`."""
         from geomosaic_panoramic.build import build_model
 
+        known_inputs(request.options, INPUTS, self.name, request.image)
         return build_model(request)

@@ -11,10 +11,9 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
-from geomosaic.sensor.inputs import choice, known_inputs, meant, numbers, point_rows, positive
+from geomosaic.sensor.inputs import choice, meant, numbers, point_rows, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
-from geomosaic_planar.entry_point import INPUTS
 from geomosaic_planar.fit import fit_planar
 from geomosaic_planar.model import PlanarModel
 from geomosaic_planar.terms import AXES, KINDS, MAX_ORDER, parameter_names
@@ -35,7 +34,6 @@ def build_model(request: SensorRequest) -> PlanarModel:
     """
     where = request.image
     options = request.options
-    known_inputs(options, INPUTS, "planar", where)
     given = [source for source in SOURCES if source in options]
     if len(given) != 1:
         what = f"{' and '.join(given)} are given together" if given else "there is nothing to place the image with"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from geomosaic.sensor.inputs import known_inputs
 from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
 from geomosaic_planar.terms import KINDS, MAX_ORDER
 
@@ -70,4 +71,5 @@ class PlanarPlugin:
         """Model of one image; see `geomosaic_planar.build`."""
         from geomosaic_planar.build import build_model
 
+        known_inputs(request.options, INPUTS, self.name, request.image)
         return build_model(request)

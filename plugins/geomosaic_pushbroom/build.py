@@ -18,7 +18,6 @@ from geomosaic.sensor.solve import resect
 from geomosaic.sensor.vertical_datum import need_heights
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.assemble import ECEF, assemble
-from geomosaic_pushbroom.entry_point import OPTIONS
 from geomosaic_pushbroom.metadata import find_beside, read_metadata
 from geomosaic_pushbroom.model import PushbroomModel
 from geomosaic_pushbroom.platform import Flight
@@ -43,7 +42,6 @@ def build_pushbroom(request: SensorRequest) -> PushbroomModel:
         The control points do not determine the model.
     """
     where, options = request.image, request.options
-    known_keys(options, OPTIONS, where)
     control = read_points(options["points"], where) if options.get("points") is not None else None
     if options.get("refine", "points") not in ("points", "none"):
         raise InputError(f"refine = {options['refine']!r}", where=where, hint="choose from: points, none")

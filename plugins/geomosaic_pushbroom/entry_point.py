@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from geomosaic.sensor.inputs import known_inputs
 from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
 
 if TYPE_CHECKING:
@@ -75,9 +76,6 @@ INPUTS = (
     ),
 )
 
-OPTIONS = tuple(entry.name for entry in INPUTS)
-
-
 EXAMPLE = SensorExample(
     (1000, 500),
     """\
@@ -141,4 +139,5 @@ class PushbroomPlugin:
         """Make the model of one scene or strip; see `geomosaic_pushbroom.build`."""
         from geomosaic_pushbroom.build import build_pushbroom
 
+        known_inputs(request.options, INPUTS, self.name, request.image)
         return build_pushbroom(request)

@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, SensorInputError
 from geomosaic.geo.crs import geocentric, geographic
 from geomosaic.geo.local_frames import enu_axes, map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.entry_point import INPUTS
 from geomosaic_pushbroom.look_angles import Look
 from geomosaic_pushbroom.paths import TrackPath
 from geomosaic_pushbroom.platform import Flight
@@ -32,6 +31,15 @@ SIDES = {"right": 1.0, "left": -1.0}
 UNITS = {"deg": np.pi / 180.0, "gon": np.pi / 200.0, "rad": 1.0}
 
 
+NEEDED = {
+    "focal_length_px": "camera constant in pixels",
+    "start_time": "time of the first row's middle in the clock of the track, s",
+    "line_period": "time from one row to the next, s",
+    "columns": "right or left, the side of the flight to which columns grow",
+}
+"""Inputs without which a track makes no model."""
+
+
 def read_track(request: SensorRequest) -> tuple[Flight, Look, Quality]:
     """Read the flight of a strip.
 
@@ -41,11 +49,13 @@ def read_track(request: SensorRequest) -> tuple[Flight, Look, Quality]:
         The table, the camera or the times are missing or wrong.
     """
     where, options = request.image, request.options
-    for name in ("focal_length_px", "start_time", "line_period", "columns"):
+    for name, text in NEEDED.items():
         if options.get(name) is None:
-            text = next(entry.text for entry in INPUTS if entry.name == name)
-            raise InputError(
-                f"'{name}' is missing, which a strip with a track needs", where=where, hint=f"give {name}: {text}"
+            raise SensorInputError(
+                f"'{name}' is missing, which a strip with a track needs",
+                name=name,
+                where=where,
+                hint=f"give {name}: {text}",
             )
     unit = options.get("angle_unit", "deg")
     if unit not in UNITS:

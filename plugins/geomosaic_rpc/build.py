@@ -10,12 +10,11 @@ import numpy as np
 
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.inputs import choice, known_inputs, number, numbers, point_rows
+from geomosaic.sensor.inputs import choice, number, numbers, point_rows
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.vertical_datum import need_heights
 from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import Rpc
-from geomosaic_rpc.entry_point import INPUTS
 from geomosaic_rpc.find import OWN, Found, find_rpc, own_rpc, read_rpc
 from geomosaic_rpc.model import KINDS, WGS84, RpcModel
 from geomosaic_rpc.refinement import refine
@@ -34,7 +33,6 @@ def build_model(request: SensorRequest) -> RpcModel:
         The control points do not determine the refinement.
     """
     where, options = request.image, request.options
-    known_inputs(options, INPUTS, "rpc", where)
     kind = choice(options.get("refine", "shift"), KINDS, "refine", where)
     found = _chosen(request)
     first = number(options["first_pixel"], "first_pixel", where) if "first_pixel" in options else None

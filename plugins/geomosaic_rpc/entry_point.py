@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from geomosaic.sensor.inputs import known_inputs
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
 from geomosaic.types import FloatArray, IntArray
@@ -117,6 +118,7 @@ class RpcPlugin:
         """Model of one image; see `geomosaic_rpc.build`."""
         from geomosaic_rpc.build import build_model
 
+        known_inputs(request.options, INPUTS, self.name, request.image)
         return build_model(request)
 
     @property

@@ -10,7 +10,7 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import has_heights
 from geomosaic.inputs.area import Area, plan
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.control_diagnostics import astray
+from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.control_points import read_control
 from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.exterior_orientation import undeclared_reconstruction
@@ -108,7 +108,7 @@ def _block(inputs: Block) -> tuple[str, str | None]:
     left, bottom, right, top = grid.bounds
     unit = grid.crs.axis_info[0].unit_name
     sampling = np.median([outline.sampling for outline in outlines])
-    far = [points.text for points in astray(inputs, block)]
+    far = [points.text for points in control_discrepancies(inputs, block)]
     return (
         f"together: {right - left:.6g} x {top - bottom:.6g} {unit} in {crs_name(grid.crs)}, "
         f"ground sampling {sampling:.3g} {unit}"

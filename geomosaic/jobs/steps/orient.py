@@ -13,7 +13,7 @@ from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.camera import read_camera
-from geomosaic.inputs.control_diagnostics import astray
+from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
 from geomosaic.inputs.frames import describe, named
 from geomosaic.inputs.ground import build_surface
@@ -38,7 +38,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
             write_json(path, {"image": scene.name, **to_dict(scene.sensor, scene.model)})
             context.progress(done + 1, len(block.scenes), "orient")
         residuals = check_control(block)
-        off = astray(project.inputs, block)
+        off = control_discrepancies(project.inputs, block)
         for points in off:
             warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
     inputs = project.inputs
