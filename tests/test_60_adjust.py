@@ -147,7 +147,7 @@ def test_the_kind_the_photo_has_is_chosen(kind: str, expected: str) -> None:
         choice = choose_model(planar_builds(request, xy, colrow), names(40), xy, colrow)
         assert choice.name == expected
         assert choice.said.startswith(expected)
-        assert choice.odd == ()
+        assert choice.outliers == ()
         rows = {row.name: row for row in choice.table}
         assert list(rows) == ["conformal", "affine", "projective", "poly2", "poly3", "poly4", "poly5", "tps"]
         alone = fit_control(builder(expected, xy, colrow), names(40), xy, colrow)
@@ -183,5 +183,5 @@ def test_a_blunder_does_not_decide_the_kind_and_is_named() -> None:
     xy, colrow = noisy("affine", 24, 7)
     colrow[5] += [300.0, -200.0]
     choice = choose_model(planar_builds(SensorRequest("scan", SIZE, {}, UTM), xy, colrow), names(24), xy, colrow)
-    assert choice.odd == ("P5",)
+    assert choice.outliers == ("P5",)
     assert "no kind predicts P5" in choice.said

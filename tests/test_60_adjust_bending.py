@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geomosaic.estimation.blunders.local_prediction import powers, predictions
-from geomosaic.estimation.blunders.neighbour_tests import explained_by_bend
+from geomosaic.estimation.blunders.neighbour_tests import explained_by_distortion
 
 
 def lens(across: int, down: int, barrel: float, power: int) -> tuple[np.ndarray, np.ndarray]:
@@ -50,7 +50,7 @@ def test_errors_left_out_are_those_of_a_spline_without_the_point(order):
 def test_corners_of_a_distorted_photo_are_explained(barrel, power):
     xy, colrow = lens(12, 9, barrel, power)
     accused = corners(12, 9)
-    assert (explained_by_bend(xy, colrow, accused) == accused).all()
+    assert (explained_by_distortion(xy, colrow, accused) == accused).all()
 
 
 def test_what_was_measured_elsewhere_is_not():
@@ -65,7 +65,7 @@ def test_what_was_measured_elsewhere_is_not():
         colrow[wrong] += np.column_stack([length * np.cos(angle), length * np.sin(angle)])
         accused = corners(12, 9)
         accused[wrong] = True
-        explained = explained_by_bend(xy, colrow, accused)
+        explained = explained_by_distortion(xy, colrow, accused)
         assert not explained[wrong].any(), seed
         pardoned += [bool(explained[i]) for i in (11, 96) if i not in wrong]
     assert np.mean(pardoned) > 0.9
@@ -73,6 +73,6 @@ def test_what_was_measured_elsewhere_is_not():
 
 def test_few_points_explain_nothing():
     xy, colrow = lens(4, 3, 0.05, 2)
-    assert not explained_by_bend(xy, colrow, corners(4, 3)).any()
+    assert not explained_by_distortion(xy, colrow, corners(4, 3)).any()
     nobody = np.zeros(12, dtype=bool)
-    assert not explained_by_bend(xy, colrow, nobody).any()
+    assert not explained_by_distortion(xy, colrow, nobody).any()

@@ -7,10 +7,10 @@ import pytest
 from adjust_rig import CENTRE, builder, names, noisy, places, spoil, truth
 
 from geomosaic.errors import SolveError
-from geomosaic.estimation.blunders.hypotheses import KINDS, _choices, _fit, explain
+from geomosaic.estimation.blunders.hypotheses import KINDS, _choices, _fit, weigh_hypotheses
 from geomosaic.estimation.blunders.local_prediction import predictions, without_perspective
 from geomosaic.estimation.blunders.neighbour_tests import search_neighbours
-from geomosaic.orientation.single.check_points import odd_checks
+from geomosaic.orientation.single.check_points import check_point_outliers
 from geomosaic.orientation.single.fit import fit_control
 
 
@@ -98,11 +98,11 @@ def test_one_of_few_is_named_and_of_good_ones_none():
         for seed in range(40):
             xy = spread(count, seed)
             colrow = truth(kind, xy) + np.random.default_rng([seed, 1]).normal(0.0, 0.3, (count, 2))
-            good = explain(names(count), xy, colrow)
+            good = weigh_hypotheses(names(count), xy, colrow)
             assert not good.blunders
             assert not good.suspicious
             bad = spoil(colrow, 1.0 / count, seed, low=40.0)
-            found = explain(names(count), xy, colrow)
+            found = weigh_hypotheses(names(count), xy, colrow)
             assert not set(found.blunders) - bad
             hits += set(found.blunders) == bad
         assert hits >= share * 40, (kind, count, hits)
@@ -113,7 +113,7 @@ def test_what_cannot_be_told_is_said_to_be_uncertain():
     xy = spread(4, 0)
     colrow = truth("conformal", xy)
     colrow[2] += [40.0, 5.0]
-    found = explain(names(4), xy, colrow)
+    found = weigh_hypotheses(names(4), xy, colrow)
     assert not found.blunders
     assert found.probability == pytest.approx(np.clip(found.probability, 0.0, 1.0))
     assert found.fault < 0.9
@@ -128,16 +128,16 @@ def test_a_wrong_check_point_is_found_and_a_shift_is_not():
     for seed in range(300):
         random = np.random.default_rng(seed)
         errors = random.normal([3.0, -2.0], 0.8, (int(random.integers(4, 12)), 2))
-        false += odd_checks(errors).odd.any()
+        false += check_point_outliers(errors).outliers.any()
         errors[1] += [25.0, 0.0]
-        found = odd_checks(errors)
-        hits += found.odd.tolist() == [i == 1 for i in range(len(errors))]
+        found = check_point_outliers(errors)
+        hits += found.outliers.tolist() == [i == 1 for i in range(len(errors))]
     assert false <= 6
     assert hits > 285
 
 
 def test_one_or_two_check_points_are_judged_by_the_fit():
     errors = np.array([[0.4, 0.1], [9.0, 2.0]])
-    assert not odd_checks(errors).odd.any()
-    assert odd_checks(errors, 0.5).odd.tolist() == [False, True]
-    assert odd_checks(errors, 3.0).odd.tolist() == [False, False]
+    assert not check_point_outliers(errors).outliers.any()
+    assert check_point_outliers(errors, 0.5).outliers.tolist() == [False, True]
+    assert check_point_outliers(errors, 3.0).outliers.tolist() == [False, False]

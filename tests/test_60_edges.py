@@ -294,7 +294,7 @@ def test_a_wrong_point_is_named_and_left_out(kind: str, common: bool) -> None:
     """
     r = rig(2, kind, bend=3.0 if common else 0.0, tilt=4e-6 if common else 0.0)
     clean = matched(r)
-    assert not clean.findings.wrong
+    assert not clean.findings.blunders
     bad_common = [replace(p, colrow=(p.colrow[0] + 30.0, p.colrow[1]), where="common.csv, line 4")
                   if common and (p.id, p.image) == ("p03", "photo-1") else p for p in r.common]  # fmt: skip
     bad_control = [replace(p, colrow=(p.colrow[0], p.colrow[1] + 25.0), where="gcps.csv, line 7")
@@ -307,8 +307,8 @@ def test_a_wrong_point_is_named_and_left_out(kind: str, common: bool) -> None:
     with pytest.raises(InputError, match=f"1 of 16 measurements contradicts the others.*{name}.*{where}"):
         match_edges(r.photos, bad_control, bad_common)
     with pytest.warns(GeomosaicWarning, match=f"{name}.*left out"):
-        left = match_edges(r.photos, bad_control, bad_common, wrong="leave")
-    assert left.findings.wrong[0].size == pytest.approx(30.0 if common else 25.0, abs=4.0)
+        left = match_edges(r.photos, bad_control, bad_common, policy="leave")
+    assert left.findings.blunders[0].size == pytest.approx(30.0 if common else 25.0, abs=4.0)
     corners = np.array([[0.0, 0.0], SIZE])
     for a, b in zip(left.adjusted, clean.adjusted, strict=True):
         places = [image_to_height(model, corners, 0.0, clean.crs) for model in (a, b)]

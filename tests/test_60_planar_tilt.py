@@ -10,10 +10,10 @@ import pytest
 from planar_rig import flight, textbook_block
 
 from geomosaic.orientation.planar import tilt
-from geomosaic.orientation.planar.blunders import look, shifts_of, tilt_shifts
+from geomosaic.orientation.planar.blunders import mean_shifts_of, search_block, tilt_shifts
 from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
 from geomosaic.orientation.planar.simultaneous import adjust
-from geomosaic.orientation.planar.tilt import lacking_terms
+from geomosaic.orientation.planar.tilt import missing_terms
 from geomosaic.orientation.planar.transformations import from_matrix, matrix, reverse
 
 NOISE = 0.1
@@ -42,20 +42,20 @@ def spoilt(block: PlanarBlock, seed: int, count: int = 3, size: float = 15.0) ->
 @pytest.mark.parametrize("kind", ["conformal", "affine"])
 def test_tilt_does_not_make_good_points_wrong(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is named, and the rest agrees as the measurements do; without the tilts points would be blamed."""
-    found = look(tilted_block(3), kind).findings
-    assert not found.wrong
+    found = search_block(tilted_block(3), kind).findings
+    assert not found.blunders
     assert found.tilted
-    assert found.agree < 1.5 * NOISE
-    monkeypatch.setitem(tilt.LACKING, kind, 0)
-    assert any(each.gross for each in look(tilted_block(3), kind).findings.wrong)
+    assert found.precision < 1.5 * NOISE
+    monkeypatch.setitem(tilt.MISSING, kind, 0)
+    assert any(each.gross for each in search_block(tilted_block(3), kind).findings.blunders)
 
 
 @pytest.mark.parametrize("kind", ["conformal", "affine"])
 def test_wrong_points_in_tilted_photos_are_named_and_no_others(kind: str) -> None:
     """Three of 15 px, in photos whose tilts shift points by as much."""
     block, wrong = spoilt(tilted_block(3), 7)
-    found = look(block, kind).findings
-    assert {each.label.id for each in found.wrong} == wrong
+    found = search_block(block, kind).findings
+    assert {each.label.id for each in found.blunders} == wrong
     assert found.tilted
 
 
@@ -64,7 +64,7 @@ def test_photos_that_follow_the_model_are_not_called_tilted(kind: str) -> None:
     """Whatever is wrong in them."""
     for seed in range(2):
         _, block = textbook_block(kind, 0.5, seed)
-        assert not look(spoilt(block, seed, 2, 40.0)[0], kind).findings.tilted
+        assert not search_block(spoilt(block, seed, 2, 40.0)[0], kind).findings.tilted
 
 
 def test_only_the_tilted_photo_is_named() -> None:
@@ -75,12 +75,12 @@ def test_only_the_tilted_photo_is_named() -> None:
         if measured.photo != "VI":
             return measured
         xy = np.array([[(measured.col - 2500.0) / 2500.0, (2000.0 - measured.row) / 2500.0]])
-        shift = lacking_terms("affine", xy)[0] @ [0.02, -0.015] * [2500.0, -2500.0]
+        shift = missing_terms("affine", xy)[0] @ [0.02, -0.015] * [2500.0, -2500.0]
         return replace(measured, col=measured.col + shift[0], row=measured.row + shift[1])
 
     tilted = PlanarBlock(block.photos, tuple(map(moved, block.ties)), tuple(map(moved, block.control)))
-    found = look(tilted, "affine").findings
-    assert not found.wrong
+    found = search_block(tilted, "affine").findings
+    assert not found.blunders
     ((photo, size),) = found.tilted
     shifts = [
         np.hypot(a.col - b.col, a.row - b.row) for a, b in zip(tilted.measurements, block.measurements, strict=True)
@@ -98,12 +98,12 @@ def test_what_a_kind_lacks_is_the_projective_rest_to_the_first_order() -> None:
         shift = reverse("projective", from_matrix("projective", exact / exact[2, 2]), xy) - xy
         x, y, one, zero = *xy.T, np.ones(40), np.zeros(40)
         follows = [[x, y], [-y, x], [one, zero], [zero, one], [x, -y], [y, x]][:own]
-        design = np.concatenate([np.moveaxis(np.array(follows), 0, -1), np.moveaxis(lacking_terms(kind, xy), 0, 1)], -1)
+        design = np.concatenate([np.moveaxis(np.array(follows), 0, -1), np.moveaxis(missing_terms(kind, xy), 0, 1)], -1)
         flat = design.reshape(-1, design.shape[-1])
         left = shift.T.ravel() - flat @ np.linalg.lstsq(flat, shift.T.ravel(), rcond=None)[0]
         assert flat.shape[1] == np.linalg.matrix_rank(flat) == 8
         assert np.abs(left).max() < 1e-4 * np.abs(shift).max()
-    assert lacking_terms("projective", xy).shape == (40, 2, 0)
+    assert missing_terms("projective", xy).shape == (40, 2, 0)
     assert matrix("conformal", np.array([1.0, 0.0, 0.0, 0.0])).tolist() == np.eye(3).tolist()
 
 
@@ -111,7 +111,7 @@ def test_the_size_of_a_tilt_is_what_it_shifts_points_by() -> None:
     """In the linearised block itself: the unknowns of the tilted photo against the shifts put in."""
     _, block = textbook_block("affine")
     solution = adjust(block, "affine")
-    shifts, _, _ = shifts_of(block, solution, {}, tilted=frozenset({"V", "X"}))
+    shifts, _, _ = mean_shifts_of(block, solution, {}, tilted=frozenset({"V", "X"}))
     unknowns = np.zeros(shifts.network.unknowns)
     unknowns[-4:] = [0.0, 0.0, 0.01, 0.0]  # of X, the second of the two in the order of the block
     sizes = tilt_shifts(block, "affine", frozenset({"V", "X"}), unknowns)

@@ -10,8 +10,15 @@ import pytest
 from planar_rig import PHOTOS, textbook_block
 
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
-from geomosaic.estimation.blunders.mean_shift import Shifts
-from geomosaic.orientation.planar.blunders import adjust_checked, look, look_singly, look_somehow, shifts_of, without
+from geomosaic.estimation.blunders.mean_shift import MeanShifts
+from geomosaic.orientation.planar.blunders import (
+    adjust_checked,
+    mean_shifts_of,
+    search_any_adjustment,
+    search_block,
+    search_each_photo,
+    without_measurements,
+)
 from geomosaic.orientation.planar.measurements import Control, PlanarBlock
 from geomosaic.orientation.planar.simultaneous import adjust
 
@@ -26,10 +33,10 @@ def moved(block: PlanarBlock, point: str, photo: str, by: tuple[float, float]) -
     return PlanarBlock(block.photos, tuple(map(here, block.ties)), tuple(map(here, block.control)))
 
 
-def shifts(block: PlanarBlock, kind: str) -> tuple[Shifts, list[tuple[str, str | None]]]:
+def shifts(block: PlanarBlock, kind: str) -> tuple[MeanShifts, list[tuple[str, str | None]]]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GeomosaicWarning)
-        found, _, doubts = shifts_of(block, adjust(block, kind), {})
+        found, _, doubts = mean_shifts_of(block, adjust(block, kind), {})
     return found, doubts
 
 
@@ -44,7 +51,7 @@ def test_the_statistic_is_what_the_sum_of_squares_falls_by(kind: str, point: str
     assert at is not None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GeomosaicWarning)
-        whole, less = adjust(block, kind), adjust(without(block, [(point, photo)]), kind)
+        whole, less = adjust(block, kind), adjust(without_measurements(block, [(point, photo)]), kind)
     assert at.squares == pytest.approx(whole.sigma0**2 * whole.redundancy, rel=1e-3)
     index = doubts.index((point, photo))
     fallen = at.squares - less.sigma0**2 * less.redundancy
@@ -62,7 +69,7 @@ def test_letting_one_in_is_an_adjustment_without_it() -> None:
     found, doubts = shifts(block, "affine")
     index = doubts.index(("13", "IV"))
     with_it = found.state([index])
-    less, others = shifts(without(block, [("13", "IV")]), "affine")
+    less, others = shifts(without_measurements(block, [("13", "IV")]), "affine")
     alone = less.state([])
     assert with_it is not None
     assert alone is not None
@@ -78,8 +85,8 @@ def test_one_is_named_with_photo_size_and_line(kind: str, point: str, photo: str
     """A point in four photos by its photo; one in two by both, since nothing tells which; control by its photo."""
     _, block = textbook_block(kind, 0.5, 2)
     bad = moved(block, point, photo, (24.0, -18.0))
-    looked = look(bad, kind)
-    (wrong,) = looked.findings.wrong
+    looked = search_block(bad, kind)
+    (wrong,) = looked.findings.blunders
     assert wrong.label.id == point
     assert wrong.label.images == (("XI", "XII") if point == "33" else (photo,))
     assert wrong.size == pytest.approx(30.0, abs=3.0)
@@ -98,7 +105,7 @@ def test_one_is_named_with_photo_size_and_line(kind: str, point: str, photo: str
         warnings.simplefilter("always")
         kept, said = adjust_checked(bad, kind, policy="keep")
     assert "measure it again" in str(told_of[0].message)
-    assert (kept.rms, said.done) == (adjust_quietly(bad, kind).rms, "keep")
+    assert (kept.rms, said.policy) == (adjust_quietly(bad, kind).rms, "keep")
 
 
 def adjust_quietly(block: PlanarBlock, kind: str):
@@ -117,10 +124,10 @@ def test_wrong_coordinates_are_told_from_wrong_measurements() -> None:
     control = [Control("25", x + 3.2, y - 2.4, t.photo, t.col, t.row, t.sigma) for t in block.ties if t.id == "25"]
     bad = PlanarBlock(block.photos, tuple(t for t in block.ties if t.id != "25"), (*block.control, *control))
     assert len(truth) == 12
-    (wrong,) = look(bad, "conformal").findings.wrong
+    (wrong,) = search_block(bad, "conformal").findings.blunders
     assert wrong.label.name == "coordinates of control point '25'"
     assert wrong.size == pytest.approx(40.0, abs=3.0)  # 4 m
-    fewer = look(bad, "conformal").block
+    fewer = search_block(bad, "conformal").block
     assert {tie.photo for tie in fewer.ties if tie.id == "25"} == {"VII", "VIII", "XI", "XII"}
 
 
@@ -132,7 +139,9 @@ def test_several_are_named_and_no_others(seed: int) -> None:
     spoilt = block
     for point, photo, size in bad:
         spoilt = moved(spoilt, point, photo, (size, 0.5 * size))
-    assert {each.label.id for each in look(spoilt, "conformal").findings.wrong} == {point for point, _, _ in bad}
+    assert {each.label.id for each in search_block(spoilt, "conformal").findings.blunders} == {
+        point for point, _, _ in bad
+    }
 
 
 @pytest.mark.parametrize("kind", ["conformal", "affine", "projective"])
@@ -140,21 +149,21 @@ def test_nothing_is_named_in_good_blocks(kind: str) -> None:
     """Ten blocks of 0.5 px noise; and with sigmas that are wrong by ten."""
     for seed in range(10):
         _, block = textbook_block(kind, 0.5, seed, sigma=5.0 if seed % 2 else None)
-        assert not look(block, kind).findings.wrong
+        assert not search_block(block, kind).findings.blunders
 
 
 def test_what_the_redundancy_hides_is_said() -> None:
     """Projective, redundancy 8: only large errors can be found, and it says how large; without redundancy none."""
     _, block = textbook_block("projective", 0.5, 1)
-    found = look(block, "projective").findings
+    found = search_block(block, "projective").findings
     assert found.redundancy == 8
-    assert found.detectable > 10.0
-    conformal = look(textbook_block("conformal", 0.5, 1)[1], "conformal").findings
-    assert conformal.detectable < 6.0
+    assert found.minimal_detectable > 10.0
+    conformal = search_block(textbook_block("conformal", 0.5, 1)[1], "conformal").findings
+    assert conformal.minimal_detectable < 6.0
     four = [(100, 100), (4900, 100), (4900, 3900), (100, 3900)]
     points = tuple(Control(str(k), 0.1 * c, -0.1 * r, "I", c, r) for k, (c, r) in enumerate(four))
-    alone = look_singly(PlanarBlock(block.photos[:1], (), points), "projective").findings
-    assert (alone.redundancy, alone.detectable, len(alone.unchecked)) == (0, np.inf, 4)
+    alone = search_each_photo(PlanarBlock(block.photos[:1], (), points), "projective").findings
+    assert (alone.redundancy, alone.minimal_detectable, len(alone.unchecked)) == (0, np.inf, 4)
 
 
 def test_a_blunder_that_breaks_the_projective_adjustment_is_named_all_the_same() -> None:
@@ -170,9 +179,9 @@ def test_uncontrolled_blocks_are_looked_at_by_their_ties() -> None:
     """Ties alone: the photo in the middle is held."""
     _, block = textbook_block("conformal", 0.5, 6)
     free = PlanarBlock(block.photos, block.ties)
-    assert not look_somehow(free, "conformal", True).findings.wrong
-    looked = look_somehow(moved(free, "12", "III", (0.0, 45.0)), "conformal", True)
-    (wrong,) = looked.findings.wrong
+    assert not search_any_adjustment(free, "conformal", True).findings.blunders
+    looked = search_any_adjustment(moved(free, "12", "III", (0.0, 45.0)), "conformal", True)
+    (wrong,) = looked.findings.blunders
     assert wrong.label.images == ("III", "VII")
     assert len(looked.block.ties) == len(free.ties) - 1
 
@@ -191,6 +200,6 @@ def test_share_that_is_named(kind: str, least: tuple[float, ...]) -> None:
             random = np.random.default_rng(1000 + seed)
             chosen, angle = random.choice(block.measurements), random.uniform(0.0, 2.0 * np.pi)
             bad = moved(block, chosen.id, chosen.photo, (size * np.cos(angle), size * np.sin(angle)))
-            named += [each.label.id for each in look(bad, kind).findings.wrong] == [chosen.id]
+            named += [each.label.id for each in search_block(bad, kind).findings.blunders] == [chosen.id]
         print(f"{kind}, {size:g} px: {named / 30:.0%}")
         assert named / 30 >= wanted

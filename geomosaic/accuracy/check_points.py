@@ -18,7 +18,7 @@ from geomosaic.errors import InputError, counted
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.units import short_unit
-from geomosaic.orientation.single.check_points import CheckStatistics, check_errors, odd_checks
+from geomosaic.orientation.single.check_points import CheckStatistics, check_errors, check_point_outliers
 from geomosaic.raster.info import SourceInfo, inspect
 from geomosaic.types import FloatArray, PathLike
 
@@ -42,8 +42,8 @@ def check_advice(
     if not np.isfinite(pixels).all() or not len(pixels):
         return []
     expected = expected if np.isfinite(expected) else 0.0
-    found = odd_checks(pixels, expected)
-    chosen = np.flatnonzero(found.odd)
+    found = check_point_outliers(pixels, expected)
+    chosen = np.flatnonzero(found.outliers)
     if not len(chosen):
         return []
     chosen = chosen[np.argsort(-np.hypot(*pixels[chosen].T), kind="stable")]
@@ -57,7 +57,7 @@ def check_advice(
     told += f"; and {len(wrong) - 6} more" if len(wrong) > 6 else ""
     who = f"{len(wrong)} of {len(names)} check points" if len(names) > 1 else "the check point"
     what = f"{who} {'is' if len(wrong) == 1 else 'are'} off: {told}"
-    rest = moved[~found.odd]
+    rest = moved[~found.outliers]
     if len(rest) >= 2:
         x, y = rest.mean(axis=0)
         what += f", where the others agree: RMS {found.rms:.2f} px without, mean shift x {x:+.3g}, y {y:+.3g} {unit}"

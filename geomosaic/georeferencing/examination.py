@@ -12,7 +12,7 @@ from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.georeferencing.independent_check import GROSS, GROSS_PIXELS, Opinion
 from geomosaic.orientation.single.fit import ControlBlunders, ControlFit
-from geomosaic.orientation.single.model_selection import Choice
+from geomosaic.orientation.single.model_selection import ModelChoice
 from geomosaic.orientation.single.point_deletion import Deletion
 from geomosaic.orientation.single.problem import image_by_map
 from geomosaic.sensor.model import SensorModel
@@ -154,9 +154,9 @@ def deletion_advice(deletion: Deletion | None) -> list[Advice]:
     return [Advice("threshold-not-reached", "warning", deletion.said, (), hint)]
 
 
-def odd_advice(choice: Choice | None, fit: ControlFit, named: Sequence[str]) -> list[Advice]:
+def odd_advice(choice: ModelChoice | None, fit: ControlFit, named: Sequence[str]) -> list[Advice]:
     """Name points that no kind of fit predicts and that take part all the same, where the search did not."""
-    odd = () if choice is None else tuple(name for name in choice.odd if name in fit.ids and name not in named)
+    odd = () if choice is None else tuple(name for name in choice.outliers if name in fit.ids and name not in named)
     if not odd:
         return []
     told = f"{len(odd)} of {len(fit.ids)} points fit{'s' * (len(odd) == 1)} no kind of transformation"
@@ -188,7 +188,7 @@ def size_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
     return [Advice("large-errors", severity, what, (), hint)]
 
 
-def comparison_advice(choice: Choice | None, model: str) -> list[Advice]:
+def comparison_advice(choice: ModelChoice | None, model: str) -> list[Advice]:
     """Say so where another model than the one asked for predicts points left out much better."""
     rows = {} if choice is None else {row.name: row.leave_one_out for row in choice.table}
     if choice is None or choice.name == model or not rows[choice.name] < BETTER * rows.get(SAME.get(model, model), 0.0):

@@ -10,10 +10,10 @@ import numpy as np
 from geomosaic.control.distribution import needed
 from geomosaic.control.findings import listed
 from geomosaic.control.points import ControlPoints
-from geomosaic.estimation.blunders.hypotheses import FEWEST, MOST, Explanation, explain
-from geomosaic.estimation.blunders.neighbour_tests import NeighbourSearch, explained_by_bend, search_neighbours
+from geomosaic.estimation.blunders.hypotheses import FEWEST, MOST, Hypotheses, weigh_hypotheses
+from geomosaic.estimation.blunders.neighbour_tests import NeighbourSearch, explained_by_distortion, search_neighbours
 from geomosaic.orientation.single.fit import ControlBlunders
-from geomosaic.orientation.single.model_selection import Choice
+from geomosaic.orientation.single.model_selection import ModelChoice
 
 GROSS, GROSS_PIXELS = 6.0, 5.0
 """A blunder is gross from so many times the RMS of the others on, and so many pixels: it would be seen."""
@@ -70,13 +70,13 @@ def second_opinion(points: ControlPoints, model: str) -> Opinion | None:
     if count < FEWEST:
         return None
     if count <= MOST:
-        return _of_few(explain(points.names, points.xy, points.colrow, points.sigma))
+        return _of_few(weigh_hypotheses(points.names, points.xy, points.colrow, points.sigma))
     if model in ("auto", "tps") or (model.startswith("poly") and count < ROOM * needed(model)):
         return _of_many(search_neighbours(points.names, points.xy, points.colrow))
     return None
 
 
-def _of_few(found: Explanation) -> Opinion:
+def _of_few(found: Hypotheses) -> Opinion:
     lengths = dict(zip(found.ids, np.hypot(*found.errors.T).tolist(), strict=True))
     names = tuple(name for name in found.blunders if lengths[name] > SEEN)
     said = "every kind of fit tried with every choice of good points: "
@@ -100,7 +100,9 @@ def _of_many(found: NeighbourSearch) -> Opinion:
     return Opinion(names, (), float(bool(names)), lengths, found.rms, "against their neighbours", said)
 
 
-def confirmed(opinion: Opinion, points: ControlPoints, choice: Choice | None, everyone: Choice | None) -> Opinion:
+def confirmed(
+    opinion: Opinion, points: ControlPoints, choice: ModelChoice | None, everyone: ModelChoice | None
+) -> Opinion:
     """Keep those blunders that no good kind of fit to the other points predicts.
 
     A corner, which neighbours only extrapolate, may be where a polynomial has it.
@@ -132,7 +134,7 @@ def confirmed(opinion: Opinion, points: ControlPoints, choice: Choice | None, ev
             errors = np.hypot(*row.fit.leave_one_out[accused].T)
             wrong &= ~(errors <= max(GROSS * opinion.rms, GROSS_PIXELS))
     if choice is not None and choice.name in BENT:
-        wrong &= ~explained_by_bend(points.xy, points.colrow, accused)[accused]
+        wrong &= ~explained_by_distortion(points.xy, points.colrow, accused)[accused]
     names = tuple(name for name, bad in zip(held.names, wrong, strict=True) if bad)
     if names == opinion.blunders:
         return opinion
@@ -155,7 +157,7 @@ def pardoned(search: ControlBlunders, points: ControlPoints, model: str) -> Cont
     accused = np.array([name in search.accused for name in points.names])
     if model not in BENT or not accused.any():
         return search
-    agree = explained_by_bend(points.xy, points.colrow, accused)
+    agree = explained_by_distortion(points.xy, points.colrow, accused)
     bent = tuple(name for name, good in zip(points.names, agree, strict=True) if good)
     if not bent:
         return search
@@ -163,7 +165,7 @@ def pardoned(search: ControlBlunders, points: ControlPoints, model: str) -> Cont
     return replace(search, blunders=left, bent=bent, said=f"{search.said}; a smooth bend explains {listed(bent)}")
 
 
-def unbent(choice: Choice, points: ControlPoints) -> Choice:
+def unbent(choice: ModelChoice, points: ControlPoints) -> ModelChoice:
     """Take those out of what no kind of fit predicts that a smooth bend of the image explains.
 
     Parameters
@@ -172,8 +174,8 @@ def unbent(choice: Choice, points: ControlPoints) -> Choice:
     points : ControlPoints
         It was made with.
     """
-    odd = np.array([name in choice.odd for name in points.names])
+    odd = np.array([name in choice.outliers for name in points.names])
     if choice.name not in BENT or not odd.any():
         return choice
-    odd &= ~explained_by_bend(points.xy, points.colrow, odd)
-    return replace(choice, odd=tuple(name for name, out in zip(points.names, odd, strict=True) if out))
+    odd &= ~explained_by_distortion(points.xy, points.colrow, odd)
+    return replace(choice, outliers=tuple(name for name, out in zip(points.names, odd, strict=True) if out))

@@ -17,7 +17,7 @@ from geomosaic.estimation.blunders.m_estimator import search_blunders
 from geomosaic.georeferencing.independent_check import Opinion, confirmed, pardoned, second_opinion, unbent
 from geomosaic.georeferencing.request import FitRequest, kind_order
 from geomosaic.orientation.single.fit import ControlAdjustment, ControlBlunders, ControlFit, fit_control
-from geomosaic.orientation.single.model_selection import Choice, choose_model, planar_builds
+from geomosaic.orientation.single.model_selection import ModelChoice, choose_model, planar_builds
 from geomosaic.orientation.single.problem import Build, registry_build
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import plane_sensor
@@ -31,7 +31,7 @@ AGREE = 0.1
 
 
 def look_at_four(
-    points: ControlPoints, choice: Choice, builder: Callable[[str, ControlPoints], Build]
+    points: ControlPoints, choice: ModelChoice, builder: Callable[[str, ControlPoints], Build]
 ) -> tuple[str, Advice | None]:
     """Say why a projective fit takes the place of the one chosen, or which of four points is wrong.
 
@@ -130,7 +130,7 @@ class Trial:
     model: str
     points: ControlPoints
     suspects: tuple[str, ...]
-    choice: Choice | None
+    choice: ModelChoice | None
     search: ControlBlunders | None
     said: str
     opinion: Opinion | None = None
@@ -183,7 +183,7 @@ def try_models(image: str, size: tuple[int, int], points: ControlPoints, request
             said = search.said
         found = set(blamed)
         if request.robust or (auto and request.threshold is not None):
-            found |= set(search.blunders if search is not None else () if choice is None else choice.odd)
+            found |= set(search.blunders if search is not None else () if choice is None else choice.outliers)
         again = tuple(name for name in points.names if name in found)
         if again == suspects:
             break
@@ -211,7 +211,7 @@ def builder(model: str, image: str, size: tuple[int, int], points: ControlPoints
     return registry_build(plane_sensor(), request, points.xy, points.colrow)
 
 
-def _choose(image: str, size: tuple[int, int], points: ControlPoints, *, needed: bool) -> Choice | None:
+def _choose(image: str, size: tuple[int, int], points: ControlPoints, *, needed: bool) -> ModelChoice | None:
     """Compare all models; where the choice is not needed, as far as that takes no long time."""
     if not needed and len(points) > COMPARED:
         return None

@@ -23,7 +23,7 @@ from geomosaic.georeferencing.independent_check import Opinion
 from geomosaic.georeferencing.request import FitRequest, kind_order
 from geomosaic.georeferencing.solution import Solution
 from geomosaic.orientation.single.fit import ControlBlunders
-from geomosaic.orientation.single.model_selection import Choice
+from geomosaic.orientation.single.model_selection import ModelChoice
 from geomosaic.orientation.single.point_deletion import Deletion
 from geomosaic.render.ortho import OrthoResult
 from geomosaic.sensor.registry import plane_sensor
@@ -106,13 +106,13 @@ def _check(solution: Solution) -> dict[str, Any]:
     return {**found, "px": error_facts(solution.residuals[judges])}
 
 
-def _choice(found: Choice | None) -> dict[str, Any] | None:
+def _choice(found: ModelChoice | None) -> dict[str, Any] | None:
     if found is None:
         return None
     return {
         "model": found.name,
         "why": found.said.removeprefix(f"{found.name}: "),
-        "odd": list(found.odd),
+        "odd": list(found.outliers),
         "tried": [
             {
                 "model": row.name,

@@ -30,7 +30,7 @@ from geomosaic.georeferencing.model_trial import builder, try_models
 from geomosaic.georeferencing.request import FitRequest, kind_order
 from geomosaic.orientation.single.check_points import CheckStatistics, check_model
 from geomosaic.orientation.single.fit import ControlBlunders, ControlFit, fit_control
-from geomosaic.orientation.single.model_selection import Choice
+from geomosaic.orientation.single.model_selection import ModelChoice
 from geomosaic.orientation.single.point_deletion import Deletion, delete_points
 from geomosaic.orientation.single.problem import map_by_image
 from geomosaic.types import FloatArray
@@ -79,7 +79,7 @@ class Solution:
     fit: ControlFit
     residuals: FloatArray
     map_residuals: FloatArray
-    choice: Choice | None
+    choice: ModelChoice | None
     deletion: Deletion | None
     robust: ControlBlunders | None
     robust_said: str

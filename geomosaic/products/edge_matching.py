@@ -107,7 +107,7 @@ def match_photos(inputs: EdgeInputs) -> EdgeMatch:
     crs = parse_map(inputs.crs, "CRS of the control")
     examine(control, crs, inputs.control, inputs.wrong)
     photos, tables = _started(inputs, crs, control, common), f"{inputs.control.name} and {inputs.common.name}"
-    matched = match_edges(photos, control, common, crs=crs, reach=inputs.reach, wrong=inputs.wrong, tables=tables)
+    matched = match_edges(photos, control, common, crs=crs, reach=inputs.reach, policy=inputs.wrong, tables=tables)
     if not matched.after.ids:
         raise InputError(
             "the photos share no point: there is no edge to match",

@@ -9,22 +9,22 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.estimation.blunders.mean_shift import Shifts
-from geomosaic.estimation.blunders.mean_shift_search import Search, detectable
+from geomosaic.estimation.blunders.mean_shift import MeanShifts
+from geomosaic.estimation.blunders.mean_shift_search import ShiftSearch, minimal_detectable
 from geomosaic.estimation.linear_network import Network
 
 GROSS, GROSS_PIXELS = 6.0, 5.0
 """A blunder is gross from so many standard deviations of the others on, and so many pixels: it would be seen."""
 MISFIT = 1.5
 """Standard deviation of unit weight from which on small contradictions may be the model's: only gross ones count."""
-NAMED = 6
+MOST_NAMED = 6
 """Points named in one message."""
 POLICIES = ("stop", "leave", "keep")
 """What is done with blunders: stop where one is gross, leave all of them out, or go on with them."""
 
 
 @dataclass(frozen=True)
-class Label:
+class MeasurementLabel:
     """What one shift of a network belongs to.
 
     Attributes
@@ -51,7 +51,7 @@ class Label:
 
 
 @dataclass(frozen=True)
-class Wrong:
+class Blunder:
     """A measurement that contradicts the others.
 
     Attributes
@@ -64,56 +64,56 @@ class Wrong:
     gross : bool
     redundancy : float
         How much of it others check, 0 to 1.
-    alike : tuple of str
-        Names of others that may be wrong in its place: the redundancy does not tell which.
+    alternatives : tuple of str
+        Names of others that may be the blunder in its place: the redundancy does not tell which.
     """
 
-    label: Label
+    label: MeasurementLabel
     shift: int
     size: float
     gross: bool
     redundancy: float
-    alike: tuple[str, ...]
+    alternatives: tuple[str, ...]
 
     def __str__(self) -> str:
         own = "; ".join(dict.fromkeys(self.label.where))
-        alike = f", or in its place {' or '.join(self.alike[:3])}" if self.alike else ""
+        alike = f", or in its place {' or '.join(self.alternatives[:3])}" if self.alternatives else ""
         return f"{self.label.name} ({self.size:.1f} px{'; ' if own else ''}{own}){alike}"
 
 
 @dataclass(frozen=True)
-class Findings:
+class BlunderReport:
     """What the search says of a block.
 
     Attributes
     ----------
-    wrong : tuple of Wrong
-        The worst first.
+    blunders : tuple of Blunder
+        The largest first.
     measurements : int
         That were looked at.
     unchecked : tuple of str
         Names of those that no others check: an error in them cannot be seen.
     redundancy : int
-    agree : float
+    precision : float
         Pixels: standard deviation of one coordinate of the others; NaN without redundancy.
-    detectable : float
+    minimal_detectable : float
         Pixels: an error of a measurement that would be found in half of all cases, median over those that are checked.
     tilted : tuple of (str, float)
         Photos that do not follow the model, and by how many pixels at most; their points are not wrong for it.
-    done : str
+    policy : str
         Which of `POLICIES` was followed.
     """
 
-    wrong: tuple[Wrong, ...] = ()
+    blunders: tuple[Blunder, ...] = ()
     measurements: int = 0
     unchecked: tuple[str, ...] = ()
     redundancy: int = 0
-    agree: float = float("nan")
-    detectable: float = float("nan")
+    precision: float = float("nan")
+    minimal_detectable: float = float("nan")
     tilted: tuple[tuple[str, float], ...] = ()
-    done: str = field(default="stop")
+    policy: str = field(default="stop")
 
-    def settle(self, where: str, policy: str) -> None:
+    def enforce(self, where: str, policy: str) -> None:
         """Stop, or tell.
 
         Parameters
@@ -128,24 +128,26 @@ class Findings:
         InputError
             A blunder is gross and the policy is 'stop'.
         """
-        if not self.wrong:
+        if not self.blunders:
             return
-        named = "; ".join(map(str, self.wrong[:NAMED]))
-        more = f"; and {len(self.wrong) - NAMED} more" if len(self.wrong) > NAMED else ""
-        one = len(self.wrong) == 1
+        listed = "; ".join(map(str, self.blunders[:MOST_NAMED]))
+        more = f"; and {len(self.blunders) - MOST_NAMED} more" if len(self.blunders) > MOST_NAMED else ""
+        one = len(self.blunders) == 1
         what = (
-            f"{len(self.wrong)} of {self.measurements} measurements contradict{'s' if one else ''} the others, which "
-            f"agree within {self.agree:.2g} px (redundancy {self.redundancy}): {named}{more}"
+            f"{len(self.blunders)} of {self.measurements} measurements contradict{'s' if one else ''} the others, "
+            f"which agree within {self.precision:.2g} px (redundancy {self.redundancy}): {listed}{more}"
         )
         again = "measure it again" if one else "measure them again"
-        if policy == "stop" and any(each.gross for each in self.wrong):
+        if policy == "stop" and any(each.gross for each in self.blunders):
             hint = f"{again}, or go on without {'it' if one else 'them'}: --robust; or with {'it' if one else 'them'}: "
             raise InputError(what, where=where, hint=f"{hint}--insist (in a project: robust or insist under [planar])")
         tail = ": left out" if policy == "leave" else f"; {again}, or leave {'it' if one else 'them'} out: --robust"
         warnings.warn(f"{where}: {what}{tail}", GeomosaicWarning, stacklevel=3)
 
 
-def findings(shifts: Shifts, found: Search, labels: Sequence[Label], *, bent: bool = False) -> Findings:
+def report_of(
+    shifts: MeanShifts, found: ShiftSearch, labels: Sequence[MeasurementLabel], *, bent: bool = False
+) -> BlunderReport:
     """Name what a search found.
 
     Parameters
@@ -162,46 +164,46 @@ def findings(shifts: Shifts, found: Search, labels: Sequence[Label], *, bent: bo
     spread = float(np.median(shifts.network.sigma))
     agree = found.scale * spread
     wrong = []
-    for index, alike in zip(found.taken, found.alike, strict=True):
+    for index, others in zip(found.included, found.alternatives, strict=True):
         size = float(np.hypot(*found.state.shifts[index])) / labels[index].pixel
         gross = size > max(GROSS * agree, GROSS_PIXELS)
         fits = found.scale < MISFIT
         # A photo that is bent leaves its corners, where the control is, and not its neighbours at a seam.
-        if (fits and not alike) if bent and labels[index].control else (gross or fits):
-            names = tuple(labels[k].name for k in alike)
-            wrong.append(Wrong(labels[index], index, size, gross, float(share[index]), names))
+        if (fits and not others) if bent and labels[index].control else (gross or fits):
+            names = tuple(labels[k].name for k in others)
+            wrong.append(Blunder(labels[index], index, size, gross, float(share[index]), names))
     unknown = np.isnan(found.state.statistic)
-    return Findings(
+    return BlunderReport(
         tuple(sorted(wrong, key=lambda each: -each.size)),
         len(shifts),
         tuple(label.name for label, nothing in zip(labels, unknown, strict=True) if nothing),
         found.state.redundancy,
         agree,
-        detectable(shifts, found),
+        minimal_detectable(shifts, found),
     )
 
 
-def together(parts: Sequence[Findings]) -> Findings:
+def combined(parts: Sequence[BlunderReport]) -> BlunderReport:
     """Findings of blocks that were looked at one by one."""
-    agree = [part.agree for part in parts if np.isfinite(part.agree)]
-    return Findings(
-        tuple(sorted((each for part in parts for each in part.wrong), key=lambda each: -each.size)),
+    agree = [part.precision for part in parts if np.isfinite(part.precision)]
+    return BlunderReport(
+        tuple(sorted((each for part in parts for each in part.blunders), key=lambda each: -each.size)),
         sum(part.measurements for part in parts),
         tuple(name for part in parts for name in part.unchecked),
         sum(part.redundancy for part in parts),
         float(np.median(agree)) if agree else float("nan"),
-        max((part.detectable for part in parts if part.measurements), default=float("nan")),
+        max((part.minimal_detectable for part in parts if part.measurements), default=float("nan")),
         tuple(each for part in parts for each in part.tilted),
     )
 
 
-Doubt = tuple[str, str | None]
+MeasurementKey = tuple[str, str | None]
 """A point in a photo; None in place of the photo: its coordinates on the ground."""
 
 
-def named(
+def candidate_shifts(
     network: Network, ids: Sequence[str], images: Sequence[str], lines: Sequence[str], unknown: str
-) -> tuple[Shifts, list[Label], list[Doubt]]:
+) -> tuple[MeanShifts, list[MeasurementLabel], list[MeasurementKey]]:
     """Shifts of a network: each measurement, and given coordinates that several photos see.
 
     Of a point in two photos whose place nobody gave, one measurement stands for both: nothing tells which is wrong.
@@ -220,7 +222,7 @@ def named(
     by_point: dict[int, list[int]] = {}
     for view, point in enumerate(network.point.tolist()):
         by_point.setdefault(point, []).append(view)
-    labels, doubts, chosen = list[Label](), list[Doubt](), list[int]()
+    labels, keys, chosen = list[MeasurementLabel](), list[MeasurementKey](), list[int]()
     given = [p for p, seen in by_point.items() if np.isfinite(network.given_sigma[p]) and len(seen) > 1]
     for point, seen in by_point.items():
         is_control = bool(np.isfinite(network.given_sigma[point]))
@@ -230,13 +232,15 @@ def named(
             where = tuple(images[v] for v in shown)
             name = f"{'control point' if is_control else unknown} '{ids[point]}' in {' and '.join(where)}"
             own = tuple(lines[v] for v in shown if lines[v])
-            labels.append(Label(name, ids[point], where, own, 1.0, is_control))
-            doubts.append((ids[point], images[view]))
+            labels.append(MeasurementLabel(name, ids[point], where, own, 1.0, is_control))
+            keys.append((ids[point], images[view]))
             chosen.append(view)
     for point in given:
         first = by_point[point][0]
         pixel = float(np.abs(np.linalg.det(network.by_point[first])) ** -0.5)
         own = (lines[first],) if lines[first] else ()
-        labels.append(Label(f"coordinates of control point '{ids[point]}'", ids[point], (), own, pixel, True))
-        doubts.append((ids[point], None))
-    return Shifts(network, np.array(chosen, dtype=np.int64), np.array(given, dtype=np.int64)), labels, doubts
+        labels.append(
+            MeasurementLabel(f"coordinates of control point '{ids[point]}'", ids[point], (), own, pixel, True)
+        )
+        keys.append((ids[point], None))
+    return MeanShifts(network, np.array(chosen, dtype=np.int64), np.array(given, dtype=np.int64)), labels, keys

@@ -38,7 +38,7 @@ WORST = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Explanation:
+class Hypotheses:
     """How probable it is that points are wrong.
 
     Attributes
@@ -77,7 +77,9 @@ class Explanation:
         return tuple(self.ids[i] for i in order if self.probability[i] > DOUBTFUL)
 
 
-def explain(ids: Sequence[str], ground: AnyArray, colrow: AnyArray, sigma: AnyArray | None = None) -> Explanation:
+def weigh_hypotheses(
+    ids: Sequence[str], ground: AnyArray, colrow: AnyArray, sigma: AnyArray | None = None
+) -> Hypotheses:
     """Weigh kinds of fit and choices of good points against each other.
 
     Parameters
@@ -109,7 +111,7 @@ def explain(ids: Sequence[str], ground: AnyArray, colrow: AnyArray, sigma: AnyAr
     share /= share.sum()
     errors = left[best] * extent
     good = kept[best[1]]
-    return Explanation(
+    return Hypotheses(
         tuple(map(str, ids)),
         KINDS[best[0]],
         np.einsum("kc,cn->n", share, ~kept),

@@ -132,7 +132,7 @@ def trimmed_start(problem: Refit[Fit], seed: int = 0) -> RobustStart:
     tried = _best(problem, [chosen for _, chosen in tried[: max(BEST, len(tried) // 3)]], half)
     finished = [_concentrate(problem, each[1], half, STEPS) or each for each in tried[:BEST]]
     best = min(finished, key=lambda each: each[0])
-    inliers, scale, freedom = _grow(problem, best[1])
+    inliers, scale, freedom = _forward_search(problem, best[1])
     bearable = 1.0 - min(1.0, 3.0 / len(samples)) ** (1.0 / size)
     return RobustStart(inliers, scale, freedom, needed, 0.5 if comb(count, size) <= len(samples) else bearable)
 
@@ -172,7 +172,7 @@ def _concentrate(problem: Refit[Fit], chosen: IntArray, half: int, steps: int) -
     return best
 
 
-def _grow(problem: Refit[Fit], half: IntArray) -> tuple[BoolArray, float, int]:
+def _forward_search(problem: Refit[Fit], half: IntArray) -> tuple[BoolArray, float, int]:
     """Let in the points outside, the best first, while their errors of prediction may be chance (a forward search).
 
     The errors of the best m of N points are smaller than those of all: for normal errors in two axes the mean square

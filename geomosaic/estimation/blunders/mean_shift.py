@@ -26,7 +26,7 @@ UNCHECKED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class ShiftState:
     """With some shifts let in.
 
     Attributes
@@ -48,7 +48,7 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
-class Shifts:
+class MeanShifts:
     """All shifts of a network: of each view, then of given coordinates.
 
     Attributes
@@ -119,7 +119,7 @@ class Shifts:
             self._cache[shift] = b.T @ one
         return self._cache[shift]
 
-    def state(self, taken: Sequence[int]) -> State | None:
+    def state(self, taken: Sequence[int]) -> ShiftState | None:
         """Let some shifts in; None where they cannot be told from each other or from the unknowns."""
         z, blocks, own, squares = self._base
         chosen = np.array(taken, dtype=np.int64)
@@ -146,7 +146,7 @@ class Shifts:
         solved = np.linalg.solve(blocks[checked], z[checked][:, :, None])[:, :, 0]
         shifts[checked] = solved
         statistic[checked] = (z[checked] * solved).sum(axis=1)
-        return State(statistic, shifts, max(squares, 0.0), self.network.equations.redundancy - 2 * len(chosen))
+        return ShiftState(statistic, shifts, max(squares, 0.0), self.network.equations.redundancy - 2 * len(chosen))
 
     def unknowns(self, taken: Sequence[int]) -> FloatArray:
         """Unknowns (U,) of the photos with some shifts let in; they must be told apart."""

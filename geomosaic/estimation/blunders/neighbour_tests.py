@@ -180,7 +180,7 @@ COMPARABLE = 2.0
 ROUNDS = 10
 
 
-def explained_by_bend(ground: AnyArray, colrow: AnyArray, accused: BoolArray) -> BoolArray:
+def explained_by_distortion(ground: AnyArray, colrow: AnyArray, accused: BoolArray) -> BoolArray:
     """Which of the accused a smooth bend explains, as the points around them have it.
 
     Those that are explained help to explain the next ones, from the inside outwards.

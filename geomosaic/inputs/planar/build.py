@@ -27,7 +27,7 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build, plane_sensor
 
 if TYPE_CHECKING:
-    from geomosaic.estimation.blunders.findings import Findings
+    from geomosaic.estimation.blunders.findings import BlunderReport
     from geomosaic.orientation.planar.measurements import PlanarBlock
     from geomosaic.orientation.planar.transformations import PlanarTransform
 
@@ -101,7 +101,7 @@ def build_planar(inputs: Block, wanted: PlanarInputs) -> tuple[OrientedBlock, di
 
 def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and control points") -> Placed:
     """Place the photos of a block the way that was asked for; `tables` are named where points are wrong."""
-    from geomosaic.orientation.planar.blunders import adjust_checked, look_singly, look_somehow
+    from geomosaic.orientation.planar.blunders import adjust_checked, search_any_adjustment, search_each_photo
 
     usual, allowed = MODELS[wanted.kind]
     model = wanted.model or usual
@@ -113,12 +113,12 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
         )
     _refuse_idle(wanted)
     if wanted.kind == "uncontrolled":
-        block, found = look_somehow(block, model, True).settled(tables, wanted.wrong)
+        block, found = search_any_adjustment(block, model, True).enforced(tables, wanted.wrong)
         return _uncontrolled(block, model, wanted, found)
     if wanted.kind == "grown":
         from geomosaic.orientation.planar.sequential import grow
 
-        block, found = look_somehow(block, model, False).settled(tables, wanted.wrong)
+        block, found = search_any_adjustment(block, model, False).enforced(tables, wanted.wrong)
         grown = grow(block, model)
         if grown.failed:
             worst = sorted(grown.failed, key=lambda one: -one.largest)
@@ -137,7 +137,7 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
     if wanted.kind == "controlled" and _singly(block, wanted):
         from geomosaic.orientation.planar.uncontrolled import rectify_singly
 
-        block, found = look_singly(block, model).settled(tables, wanted.wrong)
+        block, found = search_each_photo(block, model).enforced(tables, wanted.wrong)
         single = rectify_singly(block, model)
         transforms = {name: solution.transforms[name] for name, solution in single.items()}
         return Placed(transforms, single_facts(block, single, model) | wrong_facts(found))
@@ -145,7 +145,7 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
     return Placed(dict(solution.transforms), joint_facts(solution, wanted.kind) | wrong_facts(found))
 
 
-def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs, found: Findings) -> Placed:
+def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs, found: BlunderReport) -> Placed:
     from geomosaic.orientation.planar.accumulated_errors import compare, reference
     from geomosaic.orientation.planar.uncontrolled import chain
 

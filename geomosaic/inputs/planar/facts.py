@@ -13,7 +13,7 @@ from geomosaic.errors import counted
 from geomosaic.orientation.planar.joins import joins
 
 if TYPE_CHECKING:
-    from geomosaic.estimation.blunders.findings import Findings
+    from geomosaic.estimation.blunders.findings import BlunderReport
     from geomosaic.orientation.planar.accumulated_errors import Accumulated
     from geomosaic.orientation.planar.joins import Join
     from geomosaic.orientation.planar.measurements import PlanarBlock
@@ -107,16 +107,16 @@ def control_facts(residuals: Sequence[ControlResidual]) -> dict[str, Any]:
     }
 
 
-def wrong_facts(found: Findings) -> dict[str, Any]:
+def wrong_facts(found: BlunderReport) -> dict[str, Any]:
     """Of the search for wrong points."""
     return {
         "wrong_points": {
             "measurements": found.measurements,
             "redundancy": found.redundancy,
-            "agree_px": finite(found.agree),
-            "detectable_px": finite(found.detectable),
+            "agree_px": finite(found.precision),
+            "detectable_px": finite(found.minimal_detectable),
             "unchecked": list(found.unchecked),
-            "left_out": found.done == "leave",
+            "left_out": found.policy == "leave",
             "tilted": [{"photo": photo, "px": size} for photo, size in found.tilted],
             "found": [
                 {
@@ -127,9 +127,9 @@ def wrong_facts(found: Findings) -> dict[str, Any]:
                     "px": each.size,
                     "gross": each.gross,
                     "redundancy": each.redundancy,
-                    "or": list(each.alike),
+                    "or": list(each.alternatives),
                 }
-                for each in found.wrong
+                for each in found.blunders
             ],
         }
     }

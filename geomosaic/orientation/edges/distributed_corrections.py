@@ -28,12 +28,12 @@ SWING = 2.0
 _MARGIN = 2
 
 
-def finest(places: FloatArray, reach: float, most_nodes: int) -> float:
+def finest_spacing(places: FloatArray, reach: float, most_nodes: int) -> float:
     """Node spacing in pixels of a grid of `most_nodes` over all that the corrections reach."""
     return float(np.sqrt(np.prod(np.ptp(places, axis=0) + 2.0 * reach) / most_nodes))
 
 
-def laid_down(places: FloatArray, values: FloatArray, reach: float, most_nodes: int) -> CorrectionGrid | None:
+def correction_through(places: FloatArray, values: FloatArray, reach: float, most_nodes: int) -> CorrectionGrid | None:
     """Make a grid through corrections (K, 2) at places (K, 2), no two of which are the same.
 
     Returns
@@ -45,7 +45,7 @@ def laid_down(places: FloatArray, values: FloatArray, reach: float, most_nodes: 
 
     low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
     closest = float(cKDTree(places).query(places, k=2)[0][:, 1].min())  # inf for one point
-    last = min(reach, max(2.5 * closest, CELLS * finest(places, reach, most_nodes)))
+    last = min(reach, max(2.5 * closest, CELLS * finest_spacing(places, reach, most_nodes)))
     steps = int(np.ceil(np.log2(reach / last) - 1e-9))
     scales = reach * (last / reach) ** (np.arange(steps + 1) / max(steps, 1))  # each about half the one before
     fine = _empty(low, high, float(scales[-1]) / CELLS)
@@ -164,14 +164,14 @@ def spread(points: FloatArray, corrections: FloatArray, reach: float, names: tup
         That does not help either.
     """
     each = _Wanted(points, corrections, names)
-    spacing = finest(points, reach, NODES[-1])
+    spacing = finest_spacing(points, reach, NODES[-1])
     for most_nodes, within in (
         (NODES[0], 1e-3),
         (NODES[1], 1e-3),
         *((NODES[1], share * spacing) for share in TOGETHER),
     ):
         wanted = each.together(within)
-        grid = laid_down(wanted.places, wanted.values, reach, most_nodes)
+        grid = correction_through(wanted.places, wanted.values, reach, most_nodes)
         if grid is not None:
             missed = np.abs(grid.at(points) - corrections).max(axis=1) > EXACT
             if missed.any():

@@ -28,7 +28,7 @@ def own_fits(problem: EdgeProblem, models: list[SensorModel]) -> tuple[list[Sens
     return _fitted(problem, models, s.xyz, known, np.zeros(len(models), dtype=bool))
 
 
-def grown(problem: EdgeProblem, models: list[SensorModel], fitted: BoolArray) -> list[SensorModel]:
+def extended_to_neighbours(problem: EdgeProblem, models: list[SensorModel], fitted: BoolArray) -> list[SensorModel]:
     """Fit the photos that are not fitted yet to what their neighbours say of the common points, round by round.
 
     A photo that is not reached keeps the values it came with: they are its start.

@@ -11,11 +11,11 @@ from pyproj import CRS
 
 from geomosaic.block.block import ControlPoint, OrientedImage
 from geomosaic.errors import InputError, SolveError
-from geomosaic.estimation.blunders.findings import Doubt, Findings, findings, named
-from geomosaic.estimation.blunders.mean_shift_search import search
+from geomosaic.estimation.blunders.findings import BlunderReport, MeasurementKey, candidate_shifts, report_of
+from geomosaic.estimation.blunders.mean_shift_search import search_shifts
 from geomosaic.orientation.edges.adjustment import EdgeProblem, EdgeSolution, adjust
 from geomosaic.orientation.edges.distributed_corrections import spread
-from geomosaic.orientation.edges.initial_values import Misfit, common_ground, grown, misfit, own_fits
+from geomosaic.orientation.edges.initial_values import Misfit, common_ground, extended_to_neighbours, misfit, own_fits
 from geomosaic.orientation.edges.observations import CommonPoint, Stations, map_crs
 from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.correction_grid import CorrectionGrid
@@ -23,17 +23,17 @@ from geomosaic.sensor.model import SensorModel
 from geomosaic.types import BoolArray, FloatArray
 
 
-def look(problem: EdgeProblem, solution: EdgeSolution) -> tuple[Findings, list[Doubt]]:
+def search_blunders(problem: EdgeProblem, solution: EdgeSolution) -> tuple[BlunderReport, list[MeasurementKey]]:
     """Look for wrong points in a solution; what is found as (point, photo), None for coordinates."""
     s = problem.stations
     images = [problem.photos[k] for k in s.photo]
-    shifts, labels, doubts = named(solution.network, s.ids, images, s.where, "common point")
-    said = findings(shifts, search(shifts), labels, bent=True)
-    return said, [doubts[each.shift] for each in said.wrong]
+    shifts, labels, keys = candidate_shifts(solution.network, s.ids, images, s.where, "common point")
+    report = report_of(shifts, search_shifts(shifts), labels, bent=True)
+    return report, [keys[each.shift] for each in report.blunders]
 
 
-def without(
-    control: Sequence[ControlPoint], common: Sequence[CommonPoint], left: Sequence[Doubt]
+def without_measurements(
+    control: Sequence[ControlPoint], common: Sequence[CommonPoint], left: Sequence[MeasurementKey]
 ) -> tuple[list[ControlPoint], list[CommonPoint]]:
     """Points that are kept; control whose coordinates are wrong becomes common, a common point alone goes too."""
     out, places = set(left), {name for name, image in left if image is None}
@@ -113,7 +113,7 @@ class EdgeMatch:
     crs: CRS
     iterations: int
     condition: float
-    findings: Findings
+    findings: BlunderReport
 
 
 def match_edges(
@@ -123,7 +123,7 @@ def match_edges(
     *,
     crs: CRS | None = None,
     reach: float | None = None,
-    wrong: str = "stop",
+    policy: str = "stop",
     tables: str = "control and common points",
 ) -> EdgeMatch:
     """Adjust two photos or a block to control and common points together, and join them exactly at shared points.
@@ -150,7 +150,7 @@ def match_edges(
         Pixels from a common point to where its correction has faded away. By default three times the largest gap
         between neighbouring points of an edge (an eighth of the photo's width where an edge has one point), but at
         least ten times the largest correction.
-    wrong : str
+    policy : str
         What is done with wrong points: 'stop' where one is gross, 'leave' all of them out, or 'keep' them.
     tables : str
         What messages call the tables.
@@ -168,16 +168,16 @@ def match_edges(
         raise InputError(f"a reach of {reach} pixels is not a positive number")
     map_ = map_crs(photos, crs)
     problem, alone, fitted, solution = _solved(photos, control, common, map_)
-    found, left = look(problem, solution)
-    found.settle(tables, wrong)
-    for _ in range(ROUNDS if wrong == "leave" else 0):
+    found, left = search_blunders(problem, solution)
+    found.enforce(tables, policy)
+    for _ in range(ROUNDS if policy == "leave" else 0):
         if not left:
             break
-        control, common = without(control, common, left)
+        control, common = without_measurements(control, common, left)
         problem, alone, fitted, solution = _solved(photos, control, common, map_)
-        more, left = look(problem, solution)  # what the gross ones hid
-        more.settle(tables, wrong)
-        found = replace(more, wrong=(*found.wrong, *more.wrong))
+        more, left = search_blunders(problem, solution)  # what the gross ones hid
+        more.enforce(tables, policy)
+        found = replace(more, blunders=(*found.blunders, *more.blunders))
     grids = _grids(problem, solution, reach)
     joined = [
         model if grid is None else Corrected.of(model, grid, photo.sensor)
@@ -202,7 +202,7 @@ def match_edges(
         crs=map_,
         iterations=solution.iterations,
         condition=solution.condition,
-        findings=replace(found, done=wrong),
+        findings=replace(found, policy=policy),
     )
 
 
@@ -214,7 +214,7 @@ def _solved(
     names = tuple(photo.name for photo in photos)
     problem = EdgeProblem.of(names, given, Stations.of(photos, control, common), crs)
     alone, fitted = own_fits(problem, given)
-    start = grown(problem, alone, fitted)
+    start = extended_to_neighbours(problem, alone, fitted)
     ground = common_ground(problem, start, np.ones(len(photos), dtype=bool))
     return problem, alone, fitted, adjust(problem, start, ground)
 

@@ -9,9 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.estimation.blunders.findings import Doubt, Findings, Label, named, together
-from geomosaic.estimation.blunders.mean_shift import Shifts
-from geomosaic.estimation.blunders.mean_shift_search import search
+from geomosaic.estimation.blunders.findings import (
+    BlunderReport,
+    MeasurementKey,
+    MeasurementLabel,
+    candidate_shifts,
+    combined,
+)
+from geomosaic.estimation.blunders.mean_shift import MeanShifts
+from geomosaic.estimation.blunders.mean_shift_search import search_shifts
 from geomosaic.estimation.linear_network import Network
 from geomosaic.orientation.planar.accumulated_errors import as_ties
 from geomosaic.orientation.planar.determinacy import check_plausible
@@ -19,7 +25,7 @@ from geomosaic.orientation.planar.measurements import PlanarBlock, Tie
 from geomosaic.orientation.planar.observation_equations import GROUND, PlanarProblem, mean_positions, views_of
 from geomosaic.orientation.planar.simultaneous import adjust_unchecked
 from geomosaic.orientation.planar.solution import PlanarSolution, image_residuals
-from geomosaic.orientation.planar.tilt import STEADY, Trial, lacking_terms, simplest
+from geomosaic.orientation.planar.tilt import WORST_CONDITION, TiltTrial, likeliest_tilts, missing_terms
 from geomosaic.orientation.planar.transformations import (
     Frame,
     PlanarTransform,
@@ -32,13 +38,13 @@ from geomosaic.orientation.planar.uncontrolled import middle
 from geomosaic.types import FloatArray, IntArray
 
 
-def shifts_of(
+def mean_shifts_of(
     block: PlanarBlock,
     solution: PlanarSolution,
     fixed: Mapping[str, PlanarTransform],
-    left: Sequence[Doubt] = (),
+    left: Sequence[MeasurementKey] = (),
     tilted: frozenset[str] = frozenset(),
-) -> tuple[Shifts, list[Label], list[Doubt]]:
+) -> tuple[MeanShifts, list[MeasurementLabel], list[MeasurementKey]]:
     """The block at a solution of most of it, what may be wrong in it, and the names of that.
 
     Parameters
@@ -91,19 +97,19 @@ def shifts_of(
     images = [block.photos[int(k)].name for k in photo[used]]
     ids = [views.ids[k] for k in chosen]
     lines = [block.by_photo[name][ids[k]].where for name, k in zip(images, numbers, strict=True)]
-    return named(network, ids, images, lines, "tie point")
+    return candidate_shifts(network, ids, images, lines, "tie point")
 
 
 def tilt_shifts(block: PlanarBlock, kind: str, tilted: frozenset[str], unknowns: FloatArray) -> dict[str, float]:
     """Largest shift in pixels, at the points of each tilted photo, by the unknowns (U,) that the kind lacks."""
     names = [photo.name for photo in block.photos if photo.name in tilted]
-    count = lacking_terms(kind, np.zeros((1, 2))).shape[-1]
+    count = missing_terms(kind, np.zeros((1, 2))).shape[-1]
     own = unknowns[len(unknowns) - count * len(names) :].reshape(len(names), count)
     found = {}
     for name, values in zip(names, own, strict=True):
         size = block.photo(name).size
         colrow = np.array([[p.col, p.row] for p in block.by_photo[name].values()])
-        moved = lacking_terms(kind, photo_coordinates(size, colrow)) @ values * half(size)
+        moved = missing_terms(kind, photo_coordinates(size, colrow)) @ values * half(size)
         found[name] = float(np.hypot(*moved.T).max())
     return found
 
@@ -119,7 +125,7 @@ def _with_tilt(
     """Columns and slopes of the views with those of what the kind lacks, and how many unknowns there are."""
     if not tilted:
         return columns, slopes, problem.unknowns
-    terms = lacking_terms(problem.kind, at) * (np.array([1.0, -1.0]) * problem.half[photo, None])[:, :, None]
+    terms = missing_terms(problem.kind, at) * (np.array([1.0, -1.0]) * problem.half[photo, None])[:, :, None]
     count = terms.shape[-1]
     own = np.array([one.name in tilted for one in problem.block.photos])
     first = np.where(own, problem.unknowns + (np.cumsum(own) - 1) * count, -1)[photo]
@@ -136,7 +142,7 @@ ROUNDS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Looked:
+class SearchedBlock:
     """A block after the search.
 
     Attributes
@@ -149,21 +155,21 @@ class Looked:
         Adjustment of the whole block, and the affine one it started from; None where it fails.
     """
 
-    findings: Findings
+    findings: BlunderReport
     block: PlanarBlock
     whole: PlanarBlock
     solved: tuple[PlanarSolution, PlanarSolution | None] | None = None
 
-    def settled(self, where: str, policy: str) -> tuple[PlanarBlock, Findings]:
-        """Stop or tell, see `Findings.settle`; the block to go on with, and the findings with what was done."""
-        self.findings.settle(where, policy)
-        return self.block if policy == "leave" else self.whole, replace(self.findings, done=policy)
+    def enforced(self, where: str, policy: str) -> tuple[PlanarBlock, BlunderReport]:
+        """Stop or tell, see `BlunderReport.enforce`; the block to go on with, and the findings with what was done."""
+        self.findings.enforce(where, policy)
+        return self.block if policy == "leave" else self.whole, replace(self.findings, policy=policy)
 
 
 def adjust_checked(
     block: PlanarBlock, kind: str, *, policy: str = "stop", where: str = "tie and control points"
-) -> tuple[PlanarSolution, Findings]:
-    """Adjust all photos together after a look for wrong points; see `simultaneous.adjust` and `Findings.settle`.
+) -> tuple[PlanarSolution, BlunderReport]:
+    """Adjust all photos together after a look for wrong points; see `simultaneous.adjust` and `BlunderReport.enforce`.
 
     Raises
     ------
@@ -171,14 +177,14 @@ def adjust_checked(
         A point is grossly wrong and the policy is 'stop'.
     SolveError
     """
-    looked = look(block, kind)
-    used, found = looked.settled(where, policy)
-    solution, start = looked.solved if looked.solved and not found.wrong else adjust_unchecked(used, kind, {}, None)
+    looked = search_block(block, kind)
+    used, found = looked.enforced(where, policy)
+    solution, start = looked.solved if looked.solved and not found.blunders else adjust_unchecked(used, kind, {}, None)
     check_plausible(solution, start, None)
     return solution, found
 
 
-def look(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | None = None) -> Looked:
+def search_block(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | None = None) -> SearchedBlock:
     """Look for wrong points.
 
     Where a projective adjustment fails, a wrong point may be why: it is then looked for in the affine one.
@@ -188,12 +194,12 @@ def look(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | N
     SolveError
         The block cannot be adjusted, and no wrong point is to blame.
     """
-    held, left = dict(fixed or {}), list[Doubt]()
-    said, out, tilted = Findings(), list[Doubt](), frozenset[str]()
+    held, left = dict(fixed or {}), list[MeasurementKey]()
+    report, out, tilted = BlunderReport(), list[MeasurementKey](), frozenset[str]()
     whole: tuple[PlanarSolution, PlanarSolution | None] | None = None
     for _ in range(ROUNDS):
         try:
-            solution, start = adjust_unchecked(without(block, left), kind, held, None)
+            solution, start = adjust_unchecked(without_measurements(block, left), kind, held, None)
             whole = whole or (None if left else (solution, start))
         except SolveError:
             if left:  # what remains no longer holds the photos: what was found stands
@@ -202,18 +208,18 @@ def look(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | N
                 raise
             solution, _ = adjust_unchecked(block, "affine", held, None)
         free = frozenset(photo.name for photo in block.photos if photo.name not in held)
-        trial = simplest(_searches(block, solution, held, left), solution.kind, tilted, free)
+        trial = likeliest_tilts(_searches(block, solution, held, left), solution.kind, tilted, free)
         tilted = trial.tilted
-        said, before = trial.said(), set(left)
-        left, out = [trial.doubts[k] for k in trial.found.taken], [trial.doubts[each.shift] for each in said.wrong]
+        report, before = trial.report(), set(left)
+        left, out = [trial.keys[k] for k in trial.found.included], [trial.keys[each.shift] for each in report.blunders]
         if set(left) == before:
             if solution.kind != kind:  # neither kind has a wrong point to blame: let the error say what it is
                 adjust_unchecked(block, kind, held, None)
             break
-    return Looked(said, without(block, out), block, whole)
+    return SearchedBlock(report, without_measurements(block, out), block, whole)
 
 
-def look_somehow(block: PlanarBlock, kind: str, uncontrolled: bool) -> Looked:
+def search_any_adjustment(block: PlanarBlock, kind: str, uncontrolled: bool) -> SearchedBlock:
     """Look in the adjustment of all photos together that the points allow: `kind` or conformal, on control or on ties.
 
     On ties alone the photo in the middle is held. Where no adjustment is possible, nothing is found: what needs the
@@ -228,31 +234,35 @@ def look_somehow(block: PlanarBlock, kind: str, uncontrolled: bool) -> Looked:
     for model in dict.fromkeys((kind, "conformal")):
         for measured, fixed in ways:
             with suppress(SolveError):
-                found = look(measured, model, fixed)
+                found = search_block(measured, model, fixed)
                 own = {(p.id, p.photo) for p in found.block.measurements}
                 places = {p.id for p in measured.control} - {p.id for p in found.block.control}
                 gone = [(p.id, p.photo) for p in block.measurements if (p.id, p.photo) not in own]
-                return Looked(found.findings, without(block, [*gone, *((name, None) for name in places)]), block)
-    return Looked(Findings(), block, block)
+                return SearchedBlock(
+                    found.findings, without_measurements(block, [*gone, *((name, None) for name in places)]), block
+                )
+    return SearchedBlock(BlunderReport(), block, block)
 
 
-def look_singly(block: PlanarBlock, kind: str) -> Looked:
+def search_each_photo(block: PlanarBlock, kind: str) -> SearchedBlock:
     """Look in each photo by itself, which its control points alone hold."""
-    said, left = list[Findings](), list[Doubt]()
+    report, left = list[BlunderReport](), list[MeasurementKey]()
     for photo in block.photos:
         own = PlanarBlock((photo,), (), tuple(point for point in block.control if point.photo == photo.name))
         with suppress(SolveError):  # too few or badly spread: the fit itself will say so
-            found = look(own, kind)
-            said.append(found.findings)
+            found = search_block(own, kind)
+            report.append(found.findings)
             kept = {point.id for point in found.block.control}
             left += [(point.id, photo.name) for point in own.control if point.id not in kept]
     with suppress(SolveError):  # ties take no part, but gaps at them are told: a wrong one is worth a word
-        of_ties = [each for each in look(block, kind).findings.wrong if each.label.name.startswith("tie point")]
-        said.append(Findings(tuple(replace(each, gross=False) for each in of_ties)))
-    return Looked(together(said), without(block, left), block)
+        of_ties = [
+            each for each in search_block(block, kind).findings.blunders if each.label.name.startswith("tie point")
+        ]
+        report.append(BlunderReport(tuple(replace(each, gross=False) for each in of_ties)))
+    return SearchedBlock(combined(report), without_measurements(block, left), block)
 
 
-def without(block: PlanarBlock, left: Sequence[Doubt]) -> PlanarBlock:
+def without_measurements(block: PlanarBlock, left: Sequence[MeasurementKey]) -> PlanarBlock:
     """Return the block without measurements; points whose coordinates are left out become tie points."""
     out, places = set(left), {name for name, photo in left if photo is None}
     ties = [tie for tie in block.ties if (tie.id, tie.photo) not in out]
@@ -262,17 +272,17 @@ def without(block: PlanarBlock, left: Sequence[Doubt]) -> PlanarBlock:
 
 
 def _searches(
-    block: PlanarBlock, solution: PlanarSolution, fixed: Mapping[str, PlanarTransform], left: Sequence[Doubt]
-) -> Callable[[frozenset[str]], Trial | None]:
+    block: PlanarBlock, solution: PlanarSolution, fixed: Mapping[str, PlanarTransform], left: Sequence[MeasurementKey]
+) -> Callable[[frozenset[str]], TiltTrial | None]:
     """The search in the block at a solution, as a function of the photos that are taken as tilted."""
 
-    def search_with(tilted: frozenset[str]) -> Trial | None:
-        shifts, labels, doubts = shifts_of(block, solution, fixed, left, tilted)
-        if tilted and not shifts.network.equations.condition()[0] < STEADY:
+    def search_with(tilted: frozenset[str]) -> TiltTrial | None:
+        shifts, labels, keys = mean_shifts_of(block, solution, fixed, left, tilted)
+        if tilted and not shifts.network.equations.condition()[0] < WORST_CONDITION:
             return None
-        index = {doubt: k for k, doubt in enumerate(doubts)}
-        found = search(shifts, [index[doubt] for doubt in left if doubt in index])
-        size = tilt_shifts(block, solution.kind, tilted, shifts.unknowns(found.taken))
-        return Trial(size, shifts, labels, doubts, found)
+        index = {key: k for k, key in enumerate(keys)}
+        found = search_shifts(shifts, [index[key] for key in left if key in index])
+        size = tilt_shifts(block, solution.kind, tilted, shifts.unknowns(found.included))
+        return TiltTrial(size, shifts, labels, keys, found)
 
     return search_with

@@ -17,23 +17,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.estimation.blunders.findings import Doubt, Findings, Label, findings
-from geomosaic.estimation.blunders.mean_shift import Shifts
-from geomosaic.estimation.blunders.mean_shift_search import ALPHA, Search
+from geomosaic.estimation.blunders.findings import BlunderReport, MeasurementKey, MeasurementLabel, report_of
+from geomosaic.estimation.blunders.mean_shift import MeanShifts
+from geomosaic.estimation.blunders.mean_shift_search import ALPHA, ShiftSearch
 from geomosaic.types import FloatArray
 
-LACKING = {"conformal": 4, "affine": 2, "projective": 0}
+MISSING = {"conformal": 4, "affine": 2, "projective": 0}
 """Unknowns of a photo that a projective transformation has and this one has not."""
 TRIED = 3
 """Photos tried one by one, those with the most contradictions."""
 TINY = 1e-12
 """Sum of squares that is as good as none."""
-STEADY = 1e6
+WORST_CONDITION = 1e6
 """Condition number from which on the points do not hold a photo's further unknowns."""
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class TiltTrial:
     """A search with some photos taken as tilted.
 
     Attributes
@@ -43,44 +43,44 @@ class Trial:
     shifts : Shifts
     labels : list of Label
         Of the shifts.
-    doubts : list
+    keys : list
         What each shift is of.
     found : Search
     """
 
     sizes: dict[str, float]
-    shifts: Shifts
-    labels: list[Label]
-    doubts: list[Doubt]
-    found: Search
+    shifts: MeanShifts
+    labels: list[MeasurementLabel]
+    keys: list[MeasurementKey]
+    found: ShiftSearch
 
     @property
     def tilted(self) -> frozenset[str]:
         """Photos that are taken as tilted."""
         return frozenset(self.sizes)
 
-    def said(self) -> Findings:
+    def report(self) -> BlunderReport:
         """What there is to say of it."""
         tilted = sorted(self.sizes.items(), key=lambda each: -each[1])
-        return replace(findings(self.shifts, self.found, self.labels), tilted=tuple(tilted))
+        return replace(report_of(self.shifts, self.found, self.labels), tilted=tuple(tilted))
 
-    def gain(self, other: Trial, kind: str, photos: int) -> float:
+    def gain(self, other: TiltTrial, kind: str, photos: int) -> float:
         """How much likelier this explanation is than another, as twice a logarithm; above 0 it is the better one.
 
         The sums of squares are compared as the search compares them (the scale is not known), and each shift and each
         tilt is charged what chance would gain by picking the best of as many, times a hundred.
         """
-        each = {"shift": 2.0 * np.log(len(self.shifts) / ALPHA), "tilt": 2.0 * np.log(photos / ALPHA) + LACKING[kind]}
-        charge = each["shift"] * (len(self.found.taken) - len(other.found.taken))
+        each = {"shift": 2.0 * np.log(len(self.shifts) / ALPHA), "tilt": 2.0 * np.log(photos / ALPHA) + MISSING[kind]}
+        charge = each["shift"] * (len(self.found.included) - len(other.found.included))
         charge += each["tilt"] * (len(self.sizes) - len(other.sizes))
         mine, theirs = self.found.state, other.found.state
         freedom = min(mine.redundancy, theirs.redundancy)
         return float(freedom * np.log(max(theirs.squares, TINY) / max(mine.squares, TINY)) - charge)
 
 
-def simplest(
-    search: Callable[[frozenset[str]], Trial | None], kind: str, tilted: frozenset[str], photos: frozenset[str]
-) -> Trial:
+def likeliest_tilts(
+    search: Callable[[frozenset[str]], TiltTrial | None], kind: str, tilted: frozenset[str], photos: frozenset[str]
+) -> TiltTrial:
     """Search, with those photos taken as tilted where that is likelier than that so many of their points are wrong.
 
     Parameters
@@ -97,8 +97,8 @@ def simplest(
     best = search(tilted)
     if best is None:
         raise RuntimeError("photos whose unknowns are not held")
-    while LACKING[kind] and best.tilted != photos:
-        blamed = Counter(image for shift in best.found.taken for image in best.labels[shift].images)
+    while MISSING[kind] and best.tilted != photos:
+        blamed = Counter(image for shift in best.found.included for image in best.labels[shift].images)
         suspects = [image for image, _ in blamed.most_common() if image in photos - best.tilted]
         ways = [*(frozenset({image}) for image in suspects[:TRIED]), frozenset(suspects), photos]
         chosen = dict.fromkeys(best.tilted | way for way in ways if way)
@@ -110,7 +110,7 @@ def simplest(
     return best
 
 
-def lacking_terms(kind: str, xy: FloatArray) -> FloatArray:
+def missing_terms(kind: str, xy: FloatArray) -> FloatArray:
     """Shifts (N, 2, K) of (x, y) in the image by what a kind lacks, at photo coordinates (N, 2)."""
     x, y = xy.T
     perspective = np.array([[x * x, x * y], [x * y, y * y]])

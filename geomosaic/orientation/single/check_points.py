@@ -202,24 +202,24 @@ MOST = 0.4
 
 
 @dataclass(frozen=True, eq=False)
-class OddChecks:
+class CheckPointOutliers:
     """Which check points contradict the others.
 
     Attributes
     ----------
-    odd : bool array (N,)
+    outliers : bool array (N,)
     centre : array (2,)
         Median error of all, pixels: of what is systematic in the map.
     rms : float
         RMS length of the errors of the others, pixels.
     """
 
-    odd: BoolArray
+    outliers: BoolArray
     centre: FloatArray
     rms: float
 
 
-def odd_checks(errors: FloatArray, expected: float = 0.0) -> OddChecks:
+def check_point_outliers(errors: FloatArray, expected: float = 0.0) -> CheckPointOutliers:
     """Find check points whose errors are far from the median error.
 
     A shift of the whole map moves the median and makes none of them odd. With normal errors in both axes a good point
@@ -243,4 +243,4 @@ def odd_checks(errors: FloatArray, expected: float = 0.0) -> OddChecks:
         odd = (apart > max(TIMES * expected, FEW_SEEN)) & (expected > 0.0)
     if count >= 3 and odd.mean() > MOST:
         odd = np.zeros(count, dtype=np.bool_)
-    return OddChecks(odd, centre, total_rms(errors[~odd]))
+    return CheckPointOutliers(odd, centre, total_rms(errors[~odd]))

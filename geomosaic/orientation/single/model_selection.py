@@ -27,7 +27,7 @@ PLANAR: Mapping[str, Mapping[str, Any]] = {
 SIGNIFICANT = 0.02
 FEW = 6
 """Points below which no test can tell; the gain must then be threefold."""
-ODD = 6.0
+OUTLYING = 6.0
 """A point that kinds miss by so many times their median error is left out of the comparison."""
 
 
@@ -63,7 +63,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class ModelChoice:
     """The kind chosen.
 
     Attributes
@@ -72,7 +72,7 @@ class Choice:
     fit : ControlFit
     table : tuple of Candidate
         The simplest first.
-    odd : tuple of str
+    outliers : tuple of str
         Points that no kind predicts: left out of the comparison, though not of the fits.
     said : str
         Why, in a sentence.
@@ -81,7 +81,7 @@ class Choice:
     name: str
     fit: ControlFit
     table: tuple[Candidate, ...]
-    odd: tuple[str, ...]
+    outliers: tuple[str, ...]
     said: str
 
 
@@ -104,7 +104,7 @@ def choose_model(
     ground: AnyArray,
     colrow: AnyArray,
     sigma: AnyArray | float | None = None,
-) -> Choice:
+) -> ModelChoice:
     """Choose among kinds by their leave-one-out errors.
 
     The kinds are gone through from the simplest. A kind takes the place of the one preferred so far if its
@@ -139,7 +139,7 @@ def choose_model(
             f"{len(ids)} control points leave none to choose a kind of fit by",
             hint="give more points, or name the kind; conformal needs 3 to be chosen",
         )
-    odd = _odd(list(lengths.values()))
+    odd = _outliers(list(lengths.values()))
     chosen, gains = "", dict[str, float]()
     for name, errors in lengths.items():
         if not chosen:
@@ -153,10 +153,10 @@ def choose_model(
     if isinstance(best, str):  # cannot be: only fits have errors
         raise SolveError(best)
     names = tuple(str(name) for name, out in zip(ids, odd, strict=True) if out)
-    return Choice(chosen, best, table, names, _said(chosen, table, names))
+    return ModelChoice(chosen, best, table, names, _said(chosen, table, names))
 
 
-def _odd(lengths: Sequence[FloatArray]) -> BoolArray:
+def _outliers(lengths: Sequence[FloatArray]) -> BoolArray:
     """Points (N,) that the better half of the kinds miss by far more than they miss others.
 
     The worse half may miss all points: a blunder bends kinds of many parameters everywhere.
@@ -165,7 +165,7 @@ def _odd(lengths: Sequence[FloatArray]) -> BoolArray:
     better = sorted(lengths, key=lambda errors: float(np.nanmedian(errors)))[: -(-len(lengths) // 2)]
     odd = np.full(count, count >= 8)
     for errors in better:
-        odd &= ~(errors <= ODD * np.nanmedian(errors))
+        odd &= ~(errors <= OUTLYING * np.nanmedian(errors))
     return odd
 
 

@@ -23,7 +23,7 @@ KEPT = 5
 MOST_POINTS = 300
 
 
-def starts(kind: str, points: FloatArray, axis: FloatArray | None) -> list[Shape]:
+def initial_shapes(kind: str, points: FloatArray, axis: FloatArray | None) -> list[Shape]:
     """Bodies to start from, best first; points (N, 3) about the origin, axis a unit vector where it is known."""
     if kind == "plane":
         return [Shape(kind, points.mean(axis=0), basis(_least(points)), np.array([]))]
@@ -191,14 +191,14 @@ def fit_body(kind: str, points: FloatArray, axis: FloatArray | None = None) -> F
         raise SolveError(f"all points of the {kind} are one", hint="measure points all over it")
     local = (known - middle) / spread  # lengths about one: steps and rounding are alike for all unknowns
     direction = None if axis is None or not held else np.asarray(axis, dtype=np.float64) / np.linalg.norm(axis)
-    solved = [_adjusted(start, local, held) for start in starts(kind, local, direction)]
+    solved = [_adjusted(start, local, held) for start in initial_shapes(kind, local, direction)]
     sound = [one for one in solved if one is not None and (one.sizes > SMALLEST).all()]
     if not sound:
         raise SolveError(f"the points show no {kind}", hint=f"measure more of them, all over it; is it a {kind}?")
     # Starts often lead to one body, turned about its axis: the first of equals, so that rounding does not choose.
     squares = [_squares(one, local) for one in sound]
     shape = next(one for one, own in zip(sound, squares, strict=True) if own <= min(squares) * (1.0 + 1e-9) + 1e-24)
-    return _judged(shape, local, held, middle, spread)
+    return _with_covariance(shape, local, held, middle, spread)
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +234,7 @@ def _adjusted(shape: Shape, points: FloatArray, held: bool) -> Shape | None:
         return None
 
 
-def _judged(shape: Shape, local: FloatArray, held: bool, middle: FloatArray, spread: float) -> FittedBody:
+def _with_covariance(shape: Shape, local: FloatArray, held: bool, middle: FloatArray, spread: float) -> FittedBody:
     """Bring the body back to where the points are, with its covariance."""
     names = shape.names(axis_known=held)
     if shape.kind == "cylinder":  # its origin beside the middle of the points
