@@ -162,9 +162,9 @@ def test_a_project_is_run_in_no_less_than_it_takes(tell):
 
 
 def test_sizes_are_read():
-    from geomosaic.cli.values import size
+    from geomosaic.options.render import parse_size
 
-    assert [size(None, None, text) for text in ("512M", "2G", "1.5g", "100MiB", str(1 << 28))] == [
+    assert [parse_size(text) for text in ("512M", "2G", "1.5g", "100MiB", str(1 << 28))] == [
         512 << 20, 2 << 30, 3 << 29, 100 << 20, 1 << 28,
     ]  # fmt: skip
 

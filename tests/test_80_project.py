@@ -13,7 +13,6 @@ from geomosaic.inputs.control_points import read_control
 from geomosaic.inputs.exterior_orientation import check_units, read_exterior
 from geomosaic.inputs.frames import describe, named, undeclared
 from geomosaic.inputs.tables import find_by_name, read_table, stem
-from geomosaic.options.render import RenderOptions
 from geomosaic.project.load import load_project
 from geomosaic.surface.vertical_datum import undulation
 
@@ -202,7 +201,7 @@ def test_a_project_resolves_paths_against_its_folder(tmp_path, monkeypatch):
     assert inputs.heights == "egm96"
     assert project.output == tmp_path / "output"
     assert project.settings.output.creation == {"COMPRESS": "ZSTD", "LEVEL": 9}
-    assert project.mosaic_options(RenderOptions()).balanced
+    assert project.options.balanced
 
 
 def test_all_errors_of_a_project_come_at_once_with_lines(tmp_path):

@@ -8,7 +8,6 @@ import click
 
 from geomosaic.cli.process import keep_memory
 from geomosaic.cli.talk import say
-from geomosaic.cli.values import size
 
 MEGABYTE = 1 << 20
 SMALLEST = {
@@ -42,26 +41,23 @@ TOLERATED = 1.2
 """A limit is kept when the peak is at most so many times as large."""
 
 
-def memory_limit(ctx: click.Context, param: click.Parameter, value: str | None) -> int | None:
-    """Bytes of a size such as 512M or 2G, not below what the command takes for the smallest work."""
-    limit = size(ctx, param, value)
-    least = SMALLEST.get(ctx.info_name or "", 0)
-    if limit is not None and limit < least * MEGABYTE:
-        raise click.BadParameter(
-            f"'{value}' is too little memory: {ctx.info_name} takes at least {least}M, however small the work; "
-            "write 512M or 2G, or leave it out"
-        )
-    return limit
+def check_memory() -> None:
+    """Refuse a limit below what the running command takes for the smallest work; note one that may be exceeded.
 
-
-def note_memory(limit: int | None, threads: int | None) -> None:
-    """Say so where a limit is below what the command may need; it works all the same, with as little as it can.
-
-    Where none is asked for, time is what counts, and memory is kept from one block to the next.
+    A command that may exceed its limit works all the same, with as little as it can. Where none is asked for, time is
+    what counts, and memory is kept from one block to the next.
     """
+    context = click.get_current_context()
+    limit, threads = context.params["memory_limit"], context.params["threads"]
+    command = context.info_name or ""
+    if limit is not None and limit < SMALLEST[command] * MEGABYTE:
+        raise click.BadParameter(
+            f"{limit // MEGABYTE}M is too little memory: {command} takes at least {SMALLEST[command]}M, however small "
+            "the work; write 512M or 2G, or leave it out",
+            param_hint="--mem-limit",
+        )
     if limit is None:
         keep_memory()
-    command = click.get_current_context().info_name or ""
     many = threads or os.cpu_count() or 1
     need = LEAST[command] + PER_THREAD * many
     if limit is None or need * MEGABYTE <= TOLERATED * limit:

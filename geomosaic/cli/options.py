@@ -2,31 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any, TypeVar
-
 import click
 
-from geomosaic.cli.memory import memory_limit
-from geomosaic.cli.values import FilePath, band_numbers, box, map_crs, pairs, pixel
-
-Function = TypeVar("Function", bound=Callable[..., Any])
-
-RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average")
-FILE = FilePath(path_type=Path)
-
-
-def stack(*decorators: Callable[[Any], Any]) -> Callable[[Function], Function]:
-    """Apply decorators so that options appear in `--help` in the order given here."""
-
-    def apply(function: Function) -> Function:
-        for decorator in reversed(decorators):
-            function = decorator(function)
-        return function
-
-    return apply
-
+from geomosaic.cli.declared_options import FILE, stack
+from geomosaic.cli.values import band_names, band_numbers, box, map_crs, pairs, pixel
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 debug_option = click.option("--debug", is_flag=True, expose_value=False, help="Show the traceback of an error.")
@@ -34,18 +13,6 @@ debug_option = click.option("--debug", is_flag=True, expose_value=False, help="S
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 dem_heights_option = click.option(
     "--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it."
-)
-
-machine_options = stack(
-    click.option("--threads", type=click.IntRange(1), help="Worker threads.  [default: all processors]"),
-    click.option(
-        "--mem-limit",
-        callback=memory_limit,
-        metavar="SIZE",
-        help="Memory the run may hold, such as 512M or 2G.  [default: 2G]",
-    ),
-    json_option,
-    debug_option,
 )
 
 band_option = click.option(
@@ -58,20 +25,9 @@ band_option = click.option(
     help="Bands of the images to use, such as 1,2,3.  [default: all but alpha]",
 )
 
-true_ortho_option = click.option(
-    "--true-ortho", is_flag=True, help="Leave out what the surface model hides from an image; other images fill it."
-)
-
 image_options = stack(
-    band_option,
     click.option("--sensor", help="Sensor of the images; see `geomosaic sensors`."),
     click.option("--camera", type=FILE, help="Camera description, or calibration certificate (TOML)."),
-    click.option("--fiducials", type=FILE, help="Fiducials measured in scans of film: image, id, col, row."),
-    click.option(
-        "--corrections",
-        metavar="FILE",
-        help="Correction grid of image coordinates; {image} in the name takes each image's name.",
-    ),
     click.option("--exterior", type=FILE, help="Orientation table: image, x, y, z and angles."),
     click.option("--exterior-crs", "--crs", "crs", metavar="CRS", help="CRS of the positions, such as EPSG:32633."),
     click.option(
@@ -79,6 +35,10 @@ image_options = stack(
         metavar="DATUM",
         help="Vertical datum of the positions: ellipsoidal, egm96, an EPSG code or a geoid grid file.",
     ),
+    click.option("--dem", type=FILE, help="Digital elevation model."),
+    click.option("--height", type=float, metavar="METRES", help="One height for all the ground, instead of a DEM."),
+    click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM or of --height."),
+    band_option,
     click.option(
         "--angles",
         default="opk",
@@ -99,6 +59,12 @@ image_options = stack(
     click.option(
         "--matrix", type=click.Choice(["ground_to_image", "image_to_ground"]), help="Direction of rotation matrices."
     ),
+    click.option("--fiducials", type=FILE, help="Fiducials measured in scans of film: image, id, col, row."),
+    click.option(
+        "--corrections",
+        metavar="FILE",
+        help="Correction grid of image coordinates; {image} in the name takes each image's name.",
+    ),
     click.option(
         "--trust-orientation",
         "trusted",
@@ -113,12 +79,10 @@ image_options = stack(
         metavar="NAME=VALUE",
         help="Any other input of the sensor.",
     ),
-    click.option("--dem", type=FILE, help="Digital elevation model."),
-    click.option("--height", type=float, metavar="METRES", help="One height for all the ground, instead of a DEM."),
-    click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM or of --height."),
+    group="input",
 )
 
-output_options = stack(
+area_options = stack(
     click.option(
         "--dst-crs",
         callback=map_crs,
@@ -135,33 +99,31 @@ output_options = stack(
         metavar="LEFT BOTTOM RIGHT TOP",
         help="Area in map units.  [default: all images]",
     ),
+    group="geometry",
+)
+like_option = stack(
+    click.option("--like", type=FILE, metavar="RASTER", help="Take CRS, pixels and extent of this raster."),
+    group="geometry",
+)
+output_option = stack(click.option("-o", "--output", type=FILE, required=True, help="File to write."), group="output")
+running_options = stack(json_option, debug_option, group="running")
+
+band_names_option = stack(
     click.option(
-        "--resampling", type=click.Choice(RESAMPLING), default="bilinear", show_default=True, help="Resampling method."
+        "--bands",
+        "band_names",
+        callback=band_names,
+        metavar="NAMES",
+        help="Bands by description or colour, such as red,green,blue, wherever each file has them.",
     ),
-    click.option(
-        "--tolerance",
-        type=click.FloatRange(0),
-        default=0.02,
-        show_default=True,
-        help="Largest geometric error of the lattice, in image pixels; at 0 it has a node at every pixel.",
-    ),
-    click.option("--nodata", type=float, help="Value of unseen pixels.  [default: a mask]"),
-    click.option(
-        "-f", "--driver", type=click.Choice(["COG", "GTiff"]), default="COG", show_default=True, help="File format."
-    ),
-    click.option(
-        "--co",
-        "creation",
-        multiple=True,
-        callback=pairs,
-        metavar="NAME=VALUE",
-        help="Creation option of the format, as GDAL names it.",
-    ),
-    click.option("-o", "--output", type=FILE, required=True, help="File to write."),
-    overwrite_option,
+    group="input",
 )
 
 usable_options = stack(
     click.option("--margin", type=click.FloatRange(0), metavar="PIXELS", help="Border of every image not to be used."),
     click.option("--usable", type=FILE, help="Polygons beyond which images are not to be used: image, col, row."),
+    group="input",
 )
+
+NOT_BY_RULE = ("rule", "order", "base", "dtype", "convert", "water", "water_fill")
+"""Options that commands which place photos themselves do not have."""

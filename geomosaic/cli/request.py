@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geomosaic.types import Progress
+from geomosaic.cli.declared_options import json_value
 
 if TYPE_CHECKING:
     from geomosaic.inputs.area import Area
     from geomosaic.inputs.declarations import Block, PlanarInputs
-    from geomosaic.options.mosaic import MosaicOptions
-    from geomosaic.options.render import RenderOptions
 
 
 def block_inputs(
@@ -35,7 +32,7 @@ def block_inputs(
     return Block(
         images=images,
         sensor=flags["sensor"] or plane_sensor(),
-        options={name: value(text) for name, text in flags["sensor_options"].items()},
+        options={name: json_value(text) for name, text in flags["sensor_options"].items()},
         camera=flags["camera"],
         corrections=flags["corrections"],
         fiducials=flags["fiducials"],
@@ -98,49 +95,8 @@ def planar_inputs(flags: Mapping[str, Any]) -> PlanarInputs | None:
     return PlanarInputs(flags["kind"], flags["model"], flags["ties"], scale, azimuth, flags["rectify"], wrong)
 
 
-def value(text: str) -> Any:
-    """Value of --option NAME=VALUE: a JSON number, list or table where it is one, else text."""
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
-
-
 def area(flags: Mapping[str, Any]) -> Area:
     """Make the description of the output's place."""
     from geomosaic.inputs.area import Area
 
     return Area(flags["dst_crs"], flags["res"], flags["bounds"], like=flags.get("like"))
-
-
-def render_options(flags: Mapping[str, Any], progress: Progress | None) -> RenderOptions:
-    """Make the options of a raster product."""
-    from geomosaic.options.render import RenderOptions
-
-    machine = {"threads": flags["threads"], "memory_limit": flags["mem_limit"]}
-    return RenderOptions(
-        resampling=flags["resampling"],
-        tolerance=flags["tolerance"],
-        nodata=flags["nodata"],
-        driver=flags["driver"],
-        creation=flags["creation"],
-        overwrite=flags["overwrite"],
-        progress=progress,
-        true_ortho=flags.get("true_ortho", False),
-        **{name: number for name, number in machine.items() if number is not None},
-    )
-
-
-def mosaic_options(flags: Mapping[str, Any], progress: Progress | None) -> MosaicOptions:
-    """Make the options of a mosaic."""
-    from geomosaic.options.declaration import compose, declared
-    from geomosaic.options.mosaic import MosaicOptions, SeamWeights
-    from geomosaic.options.render import RenderOptions
-
-    weights = {name: value(text) for name, text in flags["seam_weights"].items()}
-    names = {one.name for one in declared(MosaicOptions) if one.owner is not RenderOptions} & flags.keys()
-    given = {name: flags[name] for name in names if flags[name] is not None}
-    given["seam_weights"] = compose(SeamWeights, weights)
-    if not given.get("reference"):
-        given.pop("reference", None)
-    return MosaicOptions.of(**{**given, "render": render_options(flags, progress)})

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import math
-import re
 from typing import Any
 
 import click
-
-UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 
 
 class FilePath(click.Path):
@@ -22,16 +19,6 @@ class FilePath(click.Path):
             shown = str(value).encode(errors="backslashreplace").decode()
             self.fail(f"the name '{shown}' has bytes that are not UTF-8; rename the file or folder", param, ctx)
         return super().convert(value, param, ctx)
-
-
-def size(ctx: click.Context, param: click.Parameter, value: str | None) -> int | None:
-    """Bytes of a size such as 512M or 2G."""
-    if value is None:
-        return None
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", value, re.IGNORECASE)
-    if not found:
-        raise click.BadParameter(f"'{value}' is not a size; write 512M or 2G")
-    return int(float(found[1]) * UNITS[found[2].upper()])
 
 
 def pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
@@ -51,6 +38,18 @@ def band_numbers(ctx: click.Context, param: click.Parameter, values: tuple[str, 
     if not all(word.isascii() and word.isdigit() and int(word) > 0 for word in words):
         raise click.BadParameter(f"'{','.join(values)}' are not band numbers; write 1,2,3, counted from 1")
     return tuple(map(int, words)) or None
+
+
+def band_names(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...] | None:
+    """Names separated by commas."""
+    if value is None:
+        return None
+    names = tuple(word.strip() for word in value.split(","))
+    if not all(names):
+        raise click.BadParameter(f"'{value}' has an empty name; write red,green,blue")
+    if ctx.params.get("bands") is not None:
+        raise click.BadParameter("bands are given by number too; leave out --bidx")
+    return names
 
 
 def map_crs(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:

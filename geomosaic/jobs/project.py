@@ -19,6 +19,7 @@ from geomosaic.jobs.steps.mosaic import mosaic, orthos
 from geomosaic.jobs.steps.orient import orient
 from geomosaic.jobs.steps.report import check, failure, report
 from geomosaic.mosaicking.blending.rules import LABELLED
+from geomosaic.options.declaration import paths_of
 from geomosaic.project.load import Project
 from geomosaic.types import Progress
 
@@ -31,11 +32,10 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     images, said_of_images = with_companions(project, project.images, inputs.bands)
     ground, said_of_ground = with_companions(project, inputs.ground)
     reference, said_of_reference = with_companions(project, (against,) if against is not None else ())
-    like = project.file(settings.mosaic.reference)
-    master, said_of_master = with_companions(project, (like,) if like is not None else ())
-    said = (settings.mosaic.cutlines, settings.mosaic.water, settings.mosaic.mask, settings.mosaic.region)
-    layers = project.files([*settings.mosaic.follow, *settings.mosaic.avoid])
-    drawn = (*(file for name in said if (file := project.file(name)) is not None), *layers)
+    options = project.options
+    reference_raster = options.colours.reference
+    master, said_of_master = with_companions(project, () if reference_raster is None else (reference_raster,))
+    drawn = tuple(path for path in paths_of(options) if path != reference_raster)
     usable = () if inputs.usable is None else (inputs.usable,)
     tables = tuple(dict.fromkeys((*inputs.tables, *sensor_files(settings.sensor.name, project.images))))
     orientation: dict[str, Any] = {
@@ -53,11 +53,11 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     }
     place: dict[str, Any] = {"output": settings.output.model_dump(mode="json", exclude={"folder", "orthos"})}
     blend: dict[str, Any] = {"mosaic": settings.mosaic.model_dump(mode="json"), **said_of_master}
-    by_rule = settings.mosaic.rule is not None and settings.mosaic.rule not in LABELLED
-    wants_labels = (layout.labels,) if settings.mosaic.labels and not by_rule else ()
+    by_rule = options.merge.rule is not None and options.merge.rule not in LABELLED
+    wants_labels = (layout.labels,) if options.records.labels and not by_rule else ()
     nowhere = settings.planar is not None and settings.planar.kind == "uncontrolled"
-    relief = settings.mosaic.displacement is not None
-    wants_views = (*((layout.views,) if settings.mosaic.views else ()), *((layout.displacement,) if relief else ()))
+    relief = options.records.displacement is not None
+    wants_views = (*((layout.views,) if options.records.views else ()), *((layout.displacement,) if relief else ()))
     rasters = (layout.mosaic, *wants_labels, *wants_views, layout.vectors, *(() if nowhere else (layout.item,)))
     every_ortho = layout.orthos if settings.output.orthos else ()
     oriented = (*layout.models, layout.facts("orient"))

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import sys
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin
 
 from geomosaic.errors import InputError, did_you_mean
@@ -155,7 +156,10 @@ def field_kind(kind: type, item: Field[Any]) -> tuple[Any, bool]:
     """Type of a field without None, and whether None may stand for it."""
     found = item.type
     if isinstance(found, str):
-        found = eval(found, vars(sys.modules[kind.__module__]).copy())  # an annotation in our own source
+        try:
+            found = eval(found, vars(sys.modules[kind.__module__]).copy())  # an annotation in our own source
+        except NameError:  # known to type checkers alone: not an option
+            return object, True
     if get_origin(found) in (Union, types.UnionType):
         own = [part for part in get_args(found) if part is not type(None)]
         return own[0], len(own) < len(get_args(found))
@@ -171,6 +175,21 @@ def flat_values(value: Any) -> Iterator[tuple[Declared, Any]]:
             yield from flat_values(inner)
         elif item.name in own:
             yield own[item.name], inner
+
+
+def paths_of(value: Any, stages: Collection[str] = STAGES) -> tuple[Path, ...]:
+    """Files that options of some stages name."""
+    found: list[Path] = []
+    for one, given in flat_values(value):
+        if one.option.stage in stages:
+            found += [path for path in (given if isinstance(given, tuple) else (given,)) if isinstance(path, Path)]
+    return tuple(found)
+
+
+def stage_values(value: Any, stage: str) -> dict[str, Any]:
+    """What options of a stage are set to, as text; files count by their content, see `paths_of`."""
+    named = ((one, given) for one, given in flat_values(value) if one.option.stage == stage)
+    return {one.name: repr(given) for one, given in named if not (one.kind is Path or one.kind == tuple[Path, ...])}
 
 
 def compose(kind: type[T], values: Mapping[str, Any]) -> T:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Self
 
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.options.check import check_idle, check_values
 from geomosaic.options.declaration import compose, option
 from geomosaic.options.render import SAMPLE_TYPES, RenderOptions
+
+if TYPE_CHECKING:
+    from geomosaic.types import Progress
 
 TERMS = ("gain", "vignetting", "trend", "hotspot", "haze", "gamma", "dodging")
 """What the balance can solve; gain and offset are always."""
@@ -401,7 +404,7 @@ class RecordOptions:
     )  # fmt: skip
     stac: bool = option(True, flag=None, stage="records", needs=("vectors",))
     views: bool = option(
-        False, "Write the raster of view angles and resolutions.",
+        False, "Write the raster of view angles and resolutions.", flag="--views/--no-views",
         stage="records", section="mosaic", needs=("labels",), idle_with=("rule",),
     )  # fmt: skip
     displacement: float | None = option(
@@ -409,7 +412,7 @@ class RecordOptions:
         metavar="HEIGHT", stage="records", section="mosaic", needs=("labels",), idle_with=("rule",),
     )  # fmt: skip
     seam_quality: bool | None = option(
-        None, "Judge seams piece by piece.", shown="in projects", group="seams", stage="records", section="mosaic",
+        None, "Judge seams piece by piece.", shown="in projects only", group="seams", stage="records", section="mosaic",
         idle_with=("rule",),
     )  # fmt: skip
 
@@ -457,6 +460,10 @@ class MosaicOptions:
         InputError
         """
         return compose(cls, values)
+
+    def with_progress(self, progress: Progress | None) -> Self:
+        """The same options with a progress callback."""
+        return replace(self, render=self.render.with_progress(progress))
 
     @property
     def balanced(self) -> bool:

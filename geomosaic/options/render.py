@@ -3,19 +3,37 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Self
 
 from geomosaic.errors import InputError
 from geomosaic.options.check import check_values
 from geomosaic.options.declaration import option
-from geomosaic.types import Progress
+
+if TYPE_CHECKING:
+    from geomosaic.types import Progress
 
 RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average")
 BLOCK_WIDTH, BLOCK_HEIGHT = 1024, 512
 """Pixels of the blocks that outputs are computed in."""
 SAMPLE_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
 GIGABYTE = 1 << 30
+SIZES = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+
+
+def parse_size(text: str) -> int:
+    """Bytes of a size such as 512M or 2G.
+
+    Raises
+    ------
+    InputError
+    """
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", str(text), re.IGNORECASE)
+    if not found:
+        raise InputError(f"'{text}' is not a size", hint="write 512M or 2G")
+    return int(float(found[1]) * SIZES[found[2].upper()])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +95,7 @@ class RenderOptions:
     )  # fmt: skip
     memory_limit: int = option(
         2 * GIGABYTE, "Memory the run may hold, such as 512M or 2G.", least=1, metavar="SIZE", shown="2G",
-        group="running", flag="--mem-limit",
+        parse=parse_size, group="running", flag="--mem-limit",
     )  # fmt: skip
     tile: int = option(2 * BLOCK_WIDTH, least=BLOCK_WIDTH, group="running", flag=None)
     progress: Progress | None = None
@@ -86,6 +104,10 @@ class RenderOptions:
         check_values(self)
         if self.tile % BLOCK_WIDTH:
             raise InputError(f"{self.tile} is not a multiple of {BLOCK_WIDTH}", where="`tile`")
+
+    def with_progress(self, progress: Progress | None) -> Self:
+        """The same options with a progress callback."""
+        return replace(self, progress=progress)
 
     def report(self, done: int, total: int, stage: str) -> None:
         """Call the progress callback, if there is one."""

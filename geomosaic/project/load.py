@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from geomosaic.errors import InputError, did_you_mean
+from geomosaic.errors import GeomosaicError, InputError, did_you_mean
 from geomosaic.inputs.camera import read_toml
 from geomosaic.inputs.declarations import Block, PlanarInputs, wrong_policy
 from geomosaic.inputs.printed_orientation import Printed
 from geomosaic.inputs.tables import read_text
-from geomosaic.options.declaration import compose, declared
-from geomosaic.options.mosaic import MosaicOptions, Retouch, SeamWeights
-from geomosaic.options.render import RenderOptions
+from geomosaic.options.declaration import Declared, compose, declared, is_part
+from geomosaic.options.mosaic import MosaicOptions, Retouch
 from geomosaic.project.schema import ProjectFile
 from geomosaic.types import PathLike
 
@@ -69,26 +70,37 @@ class Project:
         """Resolve paths of the project file."""
         return tuple(self.folder / path for path in paths)
 
-    def mosaic_options(self, render: RenderOptions) -> MosaicOptions:
-        """Options of the mosaic, from the section [mosaic]; `render` says how it is written."""
-        values: dict[str, Any] = {}
-        known = {one.name: one for one in declared(MosaicOptions) if one.option.section == "mosaic"}
-        written = self.settings.mosaic.model_dump(exclude_none=True)
-        for name, one in known.items():
-            value = written.get(one.key)
-            if value is None or one.owner is RenderOptions:
-                continue
-            if one.kind is Path:
-                value = self.file(value)
-            elif one.kind == tuple[Path, ...]:
-                value = self.files(value)
-            values[name] = value
-        values["seam_weights"] = compose(SeamWeights, written["seam_weights"])
-        values["retouch"] = {
-            image: Retouch(**own) for image, own in self.settings.mosaic.model_dump()["retouch"].items()
-        }
+    @cached_property
+    def options(self) -> MosaicOptions:
+        """Options of the mosaic, from the sections [output] and [mosaic]; files are resolved.
+
+        Raises
+        ------
+        InputError
+            An option would do nothing beside the others.
+        """
+        sections = {name: getattr(self.settings, name).model_dump() for name in ("output", "mosaic")}
+        values: dict[str, Any] = {"overwrite": True}  # outputs of a project are its own to replace
+        for one in declared(MosaicOptions):
+            value = sections.get(one.option.section or "", {}).get(one.key)
+            if value is not None:
+                values[one.name] = self._resolved(one, value)
         values.setdefault("seam_quality", None if values.get("rule") else True)
-        return MosaicOptions.of(render=render, **values)
+        return compose(MosaicOptions, values)
+
+    def _resolved(self, one: Declared, value: Any) -> Any:
+        """Value of an option from what the file says."""
+        if one.kind is Path:
+            return self.file(value)
+        if one.kind == tuple[Path, ...]:
+            return self.files(value)
+        if is_part(one.kind):
+            return compose(one.kind, value)
+        if one.kind == Mapping[str, str]:
+            return {name: str(text) for name, text in value.items()}
+        if one.kind == Mapping[str, Retouch]:
+            return {image: Retouch(**own) for image, own in value.items()}
+        return value
 
     @property
     def inputs(self) -> Block:
@@ -172,6 +184,8 @@ def load_project(path: PathLike) -> Project:
     except ValidationError as error:
         raise _all_errors(error, str(path), text) from None
     project = Project(file, settings, find_images(file.parent, settings.project.images, f"{path}, [project] images"))
+    with keys_in_errors(str(path)):
+        _ = project.options
     written = {(project.output / part).resolve() for part in ("", "orthos")}
     mixed = next((image for image in project.images if image.parent.resolve() in written), None)
     if mixed is not None:
@@ -181,6 +195,33 @@ def load_project(path: PathLike) -> Project:
             hint="give a folder of its own",
         )
     return project
+
+
+@contextmanager
+def keys_in_errors(path: str) -> Iterator[None]:
+    """Name options by their section and key in errors: `feather` becomes [mosaic] feather."""
+    known = {one.name: one for one in declared(MosaicOptions) if one.option.section}
+
+    def key(found: re.Match[str]) -> str:
+        one = known.get(found["name"])
+        if one is None:
+            return found[0]
+        value = found["value"]
+        text = "" if value is None else f" = {value.lower()}" if one.kind is bool else f' = "{value}"'
+        return f"[{one.option.section}] {one.key}{text}"
+
+    def written(text: str | None) -> str | None:
+        return text and re.sub(r"`(?P<name>[a-z_]+)(=(?P<value>[^`]*))?`", key, text)
+
+    try:
+        yield
+    except GeomosaicError as error:
+        error.what, error.hint = written(error.what) or "", written(error.hint)
+        error.where = (
+            f"{path}, {written(error.where)}" if error.where in map("`{}`".format, known) else error.where or path
+        )
+        error.args = (error.what,)
+        raise
 
 
 def is_pattern(name: str) -> bool:

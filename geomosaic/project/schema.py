@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, model_validator
+
+from geomosaic.options.declaration import Declared, Option, declared, is_part
+from geomosaic.options.mosaic import MosaicOptions, Width
 
 
 def _plain_path(text: str) -> str:
@@ -19,7 +25,6 @@ def _plain_path(text: str) -> str:
 def _width(text: str) -> str:
     """Refuse what is no width with a unit."""
     from geomosaic.errors import InputError
-    from geomosaic.options.mosaic import Width
 
     try:
         Width.parse(text)
@@ -134,80 +139,83 @@ class PlanarSection(Section):
     insist: bool = False
 
 
-class OutputSection(Section):
-    """[output]."""
+class OutputFields(Section):
+    """[output] without the options of rendering."""
 
     folder: FilePath = "output"
     crs: str | None = None
     resolution: Positive | None = None
     bounds: tuple[Finite, Finite, Finite, Finite] | None = None
-    resampling: Literal["nearest", "bilinear", "cubic", "lanczos", "average"] = "bilinear"
-    tolerance: Pixels = 0.02
-    driver: Literal["COG", "GTiff"] = "COG"
-    creation: dict[str, str | int] = Field(default_factory=dict)
-    nodata: float | None = None
     orthos: bool = False
 
 
-Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Part = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+def section_of(title: str, options: Iterable[Declared], base: type[Section] = Section) -> type[Any]:
+    """Section of the project file whose keys are declared options.
+
+    Parameters
+    ----------
+    title : str
+        As written, such as '[output]'.
+    options : iterable of Declared
+    base : type
+        Section with further keys.
+    """
+    keys: dict[str, Any] = {}
+    for one in options:
+        kind, default = _kind(one), _default(one)
+        if default is None:
+            kind = kind | None
+        keys[one.key] = (kind, Field(default_factory=type(default)) if isinstance(default, dict | list) else default)
+    made: type[Any] = create_model(title, __base__=base, **keys)
+    return made
 
 
-class SeamWeightsSection(Section):
-    """[mosaic.seam_weights]: what is not given has its default, see `seam.cost.SeamWeights`."""
-
-    length: Positive | None = None
-    colour: Weight | None = None
-    gradient: Weight | None = None
-    texture: Weight | None = None
-    angle: Weight | None = None
-    edge: Weight | None = None
-    heights: Weight | None = None
-    avoid: Weight | None = None
-    follow: Part | None = None
-    reach: Part | None = None
-
-
-class RetouchSection(Section):
-    """[mosaic.retouch."photo_07.jpg"]: a change of one photo's colour after the balance."""
-
-    gain: Positive = 1.0
-    offset: Finite = 0.0
+def _kind(one: Declared) -> Any:
+    """Type of an option in a project file."""
+    option, kind = one.option, one.kind
+    if kind is Width:
+        return Pixels | WidthText
+    if option.parse is not None or kind is str:
+        return Literal[option.choices] if option.choices else str
+    if is_part(kind):
+        return section_of(one.key, declared(kind))
+    if get_origin(kind) is tuple:
+        return list[_scalar(get_args(kind)[0], option)]  # type: ignore[misc]
+    if get_origin(kind) is Mapping:
+        value = get_args(kind)[1]
+        return dict[str, section_of(one.key, declared(value)) if is_part(value) else str | int]  # type: ignore[misc]
+    return _scalar(kind, option)
 
 
-class MosaicSection(Section):
-    """[mosaic]."""
+def _scalar(kind: Any, option: Option) -> Any:
+    """Type of one value, with its limits."""
+    if kind is Path:
+        return FilePath
+    if kind not in (int, float):
+        return kind
+    limits = {"gt": option.above, "ge": option.least, "le": option.most}
+    finite = {name: limit for name, limit in limits.items() if math.isfinite(limit)}
+    return Annotated[kind, Field(allow_inf_nan=False, **finite) if kind is float else Field(**finite)]
 
-    feather: Annotated[float, Field(ge=0, allow_inf_nan=False)] | WidthText | None = None
-    blend: Literal["feather", "overlap", "multiband", "none"] = "feather"
-    ramp: Literal["linear", "smooth"] = "linear"
-    limit: bool | None = None
-    order: Literal["list", "name", "resolution", "date"] = "list"
-    base: str | None = None
-    rule: Literal["first", "last", "min", "max", "mean", "median", "sum", "count"] | None = None
-    water: FilePath | None = None
-    water_fill: Literal["calmest", "tone"] = "calmest"
-    balance: bool | None = None
-    colour: str = "auto"
-    mask: FilePath | None = None
-    histogram: Literal["overlap", "whole", "sequence"] | None = None
-    region: FilePath | None = None
-    master: str | None = None
-    reference: FilePath | None = None
-    reference_bands: list[int] | None = None
-    stretch: str | None = None
-    labels: bool = True
-    seams: Literal["nearest", "halve", "alike", "order"] = "nearest"
-    seam_weights: SeamWeightsSection = Field(default_factory=lambda: SeamWeightsSection())
-    follow: list[FilePath] = Field(default_factory=list)
-    avoid: list[FilePath] = Field(default_factory=list)
-    cutlines: FilePath | None = None
-    seam_quality: bool | None = None
-    views: bool = False
-    displacement: Finite | None = None
-    exclude: list[str] = Field(default_factory=list)
-    retouch: dict[str, RetouchSection] = Field(default_factory=dict)
-    true_ortho: bool = False
+
+def _default(one: Declared) -> Any:
+    """Default of an option as a project file has it."""
+    if is_part(one.kind) or get_origin(one.kind) is Mapping:
+        return {}
+    if isinstance(one.default, tuple):
+        return ",".join(one.default) if one.option.parse is not None else []
+    return one.default
+
+
+def _options(section: str) -> list[Declared]:
+    return [one for one in declared(MosaicOptions) if one.option.section == section]
+
+
+if TYPE_CHECKING:
+    OutputSection, MosaicSection = OutputFields, Section
+else:
+    OutputSection = section_of("[output]", _options("output"), OutputFields)
+    MosaicSection = section_of("[mosaic]", _options("mosaic"))
 
 
 class QualitySection(Section):

@@ -6,17 +6,20 @@ from pathlib import Path
 
 import click
 
-from geomosaic.cli.memory import note_memory
-from geomosaic.cli.options import FILE, machine_options
+from geomosaic.cli.declared_options import FILE, options_of
+from geomosaic.cli.memory import check_memory
+from geomosaic.cli.options import running_options
 from geomosaic.cli.process import on_sigterm
 from geomosaic.cli.results import accuracy_words, verdict
 from geomosaic.cli.talk import answer, notes, progress, say
+from geomosaic.options.render import RenderOptions
 
 
 @click.command()
 @click.argument("folder", type=FILE, default="geomosaic-demo")
-@machine_options
-def command(folder: Path, threads: int | None, mem_limit: int | None, as_json: bool) -> int:
+@options_of(RenderOptions, only=("threads", "memory_limit"))
+@running_options
+def command(folder: Path, as_json: bool, options: RenderOptions) -> int:
     """Make a mosaic of the sample block in FOLDER, and compare it with the truth it was made from.
 
     Twelve raw photos with known orientation over relief: from the orientation table to one balanced mosaic with its
@@ -28,12 +31,12 @@ def command(folder: Path, threads: int | None, mem_limit: int | None, as_json: b
     from geomosaic.project.load import load_project
     from geomosaic.project.sample import copy_sample
 
+    check_memory()
     project = load_project(copy_sample(folder))
     say(f"sample block: {len(project.images)} photos in {folder}")
-    note_memory(mem_limit, threads)
-    stop = Stop()
+    machine, stop = Machine(options.threads, options.memory_limit), Stop()
     with notes(), progress(as_json) as report, on_sigterm(stop.ask):
-        done = run_project(project, machine=Machine(threads, mem_limit), progress=report, stop=stop)
+        done = run_project(project, machine=machine, progress=report, stop=stop)
     facts = done.facts
     seconds = sum(state.seconds or 0.0 for state in done.states if not state.fresh)
     lines = [

@@ -7,15 +7,18 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.memory import note_memory
-from geomosaic.cli.options import FILE, band_option, machine_options, output_options, stack
-from geomosaic.cli.request import area, render_options, value
+from geomosaic.cli.declared_options import FILE, json_value, options_of, stack
+from geomosaic.cli.declared_options import command as grouped_command
+from geomosaic.cli.memory import check_memory
+from geomosaic.cli.options import area_options, band_option, output_option, running_options
+from geomosaic.cli.request import area
 from geomosaic.cli.results import ortho_facts, ortho_words
 from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.values import pairs
+from geomosaic.options.render import RenderOptions
 
 
-@click.command()
+@grouped_command()
 @click.argument("image", type=FILE)
 @stack(
     band_option,
@@ -28,10 +31,12 @@ from geomosaic.cli.values import pairs
         help="Nominal numbers of the scanner; see `geomosaic sensors panoramic`.",
     ),
     click.option("--sensor", help="Sensor that makes models in relative metres; the installed one unless given."),
-    output_options,
-    machine_options,
+    area_options,
+    output_option,
+    options_of(RenderOptions, without=("true_ortho",)),
+    running_options,
 )
-def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
+def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **flags: Any) -> None:
     """Remove skew and tangential distortion of a scanned strip, without control.
 
     Nominal numbers of the flight are all it takes. The result is in relative metres, x across and y
@@ -52,9 +57,9 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
             "--dst-crs is given, but a strip without a place lies in no CRS",
             hint="leave it out, or use `geomosaic ortho` with a position",
         )
-    options = {name: value(text) for name, text in flags["sensor_options"].items()} | {"relative": True}
-    inputs = Block((image,), flags["sensor"] or relative_sensor(), options=options, bands=flags["bands"])
-    note_memory(flags["mem_limit"], flags["threads"])
+    nominal = {name: json_value(text) for name, text in flags["sensor_options"].items()} | {"relative": True}
+    inputs = Block((image,), flags["sensor"] or relative_sensor(), options=nominal, bands=flags["bands"])
+    check_memory()
     with notes(), progress(as_json) as report:
-        result = make_ortho(inputs, area(flags), output, render_options(flags, report))
+        result = make_ortho(inputs, area(flags), output, options.with_progress(report))
     answer(ortho_facts(result), ortho_words(result), as_json)

@@ -7,15 +7,24 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.memory import note_memory
-from geomosaic.cli.mosaic_flags import mosaic_flags
-from geomosaic.cli.options import FILE, image_options, machine_options, output_options, stack, usable_options
-from geomosaic.cli.request import area, block_inputs, mosaic_options
+from geomosaic.cli.declared_options import FILE, options_of, stack
+from geomosaic.cli.declared_options import command as grouped_command
+from geomosaic.cli.memory import check_memory
+from geomosaic.cli.options import (
+    NOT_BY_RULE,
+    area_options,
+    image_options,
+    output_option,
+    running_options,
+    usable_options,
+)
+from geomosaic.cli.request import area, block_inputs
 from geomosaic.cli.results import mosaic_facts, mosaic_words, ortho_facts, ortho_words
 from geomosaic.cli.talk import answer, notes, progress
+from geomosaic.options.mosaic import MosaicOptions
 
 
-@click.command()
+@grouped_command()
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
 @click.option("--surface", type=FILE, required=True, help="Surface: plane, cylinder, cone, sphere, ellipsoid (TOML).")
 @click.option("--gcps", type=FILE, help="Control points that place the photos: id, x, y, z, image, col, row.")
@@ -27,7 +36,14 @@ from geomosaic.cli.talk import answer, notes, progress
     metavar="DEGREES",
     help="Largest angle between line of sight and normal that is drawn.",
 )
-@stack(image_options, output_options, mosaic_flags, usable_options, machine_options)
+@stack(
+    image_options,
+    usable_options,
+    area_options,
+    output_option,
+    options_of(MosaicOptions, without=NOT_BY_RULE),
+    running_options,
+)
 def command(
     images: tuple[Path, ...],
     surface: Path,
@@ -35,6 +51,7 @@ def command(
     oblique: float,
     output: Path,
     as_json: bool,
+    options: MosaicOptions,
     **flags: Any,
 ) -> None:
     """Draw photos of a facade, a tower or a dome on its developed surface, in metres.
@@ -49,9 +66,9 @@ def command(
     """
     from geomosaic.developed.develop import make_developed
 
-    note_memory(flags["mem_limit"], flags["threads"])
+    check_memory()
     with notes(), progress(as_json) as report:
-        inputs, wanted = block_inputs(images, flags, gcps), mosaic_options(flags, report)
+        inputs, wanted = block_inputs(images, flags, gcps), options.with_progress(report)
         done = make_developed(inputs, surface, area(flags), output, wanted, oblique)
     told = list(done.notes)
     if done.ortho is not None:

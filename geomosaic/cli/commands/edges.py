@@ -7,20 +7,22 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.memory import note_memory
-from geomosaic.cli.mosaic_flags import mosaic_flags
-from geomosaic.cli.options import FILE, machine_options, output_options, stack
-from geomosaic.cli.request import area, mosaic_options
+from geomosaic.cli.declared_options import FILE, options_of, stack
+from geomosaic.cli.declared_options import command as grouped_command
+from geomosaic.cli.memory import check_memory
+from geomosaic.cli.options import NOT_BY_RULE, area_options, output_option, running_options
+from geomosaic.cli.request import area
 from geomosaic.cli.results import finite, mosaic_facts, mosaic_words
 from geomosaic.cli.sheet_flags import wrong_point_options
 from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.values import band_numbers
+from geomosaic.options.mosaic import MosaicOptions
 
 if TYPE_CHECKING:
     from geomosaic.orientation.edges import EdgeMatch, Misfit
 
 
-@click.command()
+@grouped_command()
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE IMAGE...")
 @click.option("--gcps", type=FILE, required=True, help="Control points: id, x, y, z, image, col, row.")
 @click.option("--common", type=FILE, required=True, help="Common points: id, image, col, row [, sigma_px].")
@@ -39,7 +41,9 @@ if TYPE_CHECKING:
     help="Where a correction has faded away.  [default: 3 gaps between common points]",
 )
 @click.option("-b", "--bidx", "bands", multiple=True, callback=band_numbers, metavar="NUMBERS", help="Bands to use.")
-@stack(wrong_point_options, output_options, mosaic_flags, machine_options)
+@stack(
+    wrong_point_options, area_options, output_option, options_of(MosaicOptions, without=NOT_BY_RULE), running_options
+)
 def command(
     images: tuple[Path, ...],
     gcps: Path,
@@ -50,6 +54,7 @@ def command(
     bands: tuple[int, ...] | None,
     output: Path,
     as_json: bool,
+    options: MosaicOptions,
     robust: bool,
     insist: bool,
     **flags: Any,
@@ -61,10 +66,10 @@ def command(
     from geomosaic.inputs.declarations import wrong_policy
     from geomosaic.products.edge_matching import EdgeInputs, make_edge_mosaic
 
-    note_memory(flags["mem_limit"], flags["threads"])
+    check_memory()
     inputs = EdgeInputs(images, gcps, common, crs, model, reach, bands, wrong_policy(robust, insist))
     with notes(), progress(as_json) as report:
-        matched, made = make_edge_mosaic(inputs, area(flags), output, mosaic_options(flags, report))
+        matched, made = make_edge_mosaic(inputs, area(flags), output, options.with_progress(report))
     facts = {**mosaic_facts(made), "edges": _facts(matched)}
     answer(facts, f"{_words(matched)}\n{mosaic_words(made)}", as_json)
 

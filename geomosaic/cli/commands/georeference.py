@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.memory import note_memory
-from geomosaic.cli.options import FILE, band_option, machine_options, output_options, stack
-from geomosaic.cli.request import render_options
+from geomosaic.cli.declared_options import FILE, options_of, stack
+from geomosaic.cli.declared_options import command as grouped_command
+from geomosaic.cli.memory import check_memory
+from geomosaic.cli.options import area_options, band_option, output_option, running_options
 from geomosaic.cli.sheet_flags import control_options, near_option
 from geomosaic.cli.talk import answer, notes, progress, say
+from geomosaic.options.render import RenderOptions
 
 if TYPE_CHECKING:
     from geomosaic.control.findings import Advice
@@ -49,13 +51,20 @@ georeference_options = stack(
     click.option("--robust", is_flag=True, help="Leave out the points that data snooping and M-estimator reject."),
     click.option("--report/--no-report", default=True, show_default=True, help="Write the control report beside it."),
     band_option,
+    group="input",
 )
 
 
-@click.command()
+@grouped_command()
 @click.argument("image", type=FILE)
-@stack(georeference_options, output_options, machine_options)
-def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
+@stack(
+    georeference_options,
+    area_options,
+    output_option,
+    options_of(RenderOptions, without=("true_ortho",)),
+    running_options,
+)
+def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **flags: Any) -> None:
     """Place an image on the map by control points, and draw it there.
 
     Beside the output stands the control report: NAME-control.html for people, .json for programs, .gpkg with the
@@ -72,7 +81,7 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
     from geomosaic.georeferencing.request import ControlInput, FitRequest, Place
     from geomosaic.georeferencing.run import georeference
 
-    note_memory(flags["mem_limit"], flags["threads"])
+    check_memory()
     given = ControlInput(
         flags["gcps"], flags["crs"], flags["rows"], flags["pixels"], tuple(flags["without"]), flags["near"]
     )
@@ -80,9 +89,15 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
     place = Place(flags["dst_crs"], flags["res"], flags["bounds"])
     try:
         with notes(), progress(as_json) as bars:
-            options = render_options(flags, bars)
             made = georeference(
-                image, output, given, request, place, options, bands=flags["bands"], report=flags["report"]
+                image,
+                output,
+                given,
+                request,
+                place,
+                options.with_progress(bars),
+                bands=flags["bands"],
+                report=flags["report"],
             )
     except BadControlError as error:
         tell(tuple(found for found in error.advice if found.severity != "error"))

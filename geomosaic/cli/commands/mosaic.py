@@ -7,20 +7,23 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.memory import note_memory
-from geomosaic.cli.mosaic_flags import merge_flags, mosaic_flags
+from geomosaic.cli.declared_options import FILE, options_of, stack
+from geomosaic.cli.declared_options import command as grouped_command
+from geomosaic.cli.memory import check_memory
 from geomosaic.cli.options import (
-    FILE,
+    area_options,
+    band_names_option,
     image_options,
-    machine_options,
-    output_options,
-    stack,
+    like_option,
+    output_option,
+    running_options,
     usable_options,
 )
-from geomosaic.cli.request import area, block_inputs, mosaic_options, planar_inputs
+from geomosaic.cli.request import area, block_inputs, planar_inputs
 from geomosaic.cli.results import mosaic_facts, mosaic_words
 from geomosaic.cli.sheet_flags import wrong_point_options
 from geomosaic.cli.talk import answer, notes, progress
+from geomosaic.options.mosaic import MosaicOptions
 
 planar_flags = stack(
     click.option(
@@ -53,13 +56,16 @@ planar_flags = stack(
         help="Controlled photos.  [default: singly where each has 4 control points]",
     ),
     wrong_point_options,
+    group="input",
 )
 
 
-@click.command()
+@grouped_command()
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
-@stack(image_options, planar_flags, output_options, merge_flags, mosaic_flags, usable_options, machine_options)
-def command(images: tuple[Path, ...], output: Path, as_json: bool, **flags: Any) -> None:
+@stack(image_options, band_names_option, usable_options, planar_flags, area_options, like_option, output_option)
+@options_of(MosaicOptions)
+@running_options
+def command(images: tuple[Path, ...], output: Path, as_json: bool, options: MosaicOptions, **flags: Any) -> None:
     """Make one mosaic from raw or georeferenced images, each pixel resampled once.
 
     Without --sensor the images must be georeferenced, and lie as their files say; or --kind says how
@@ -68,15 +74,15 @@ def command(images: tuple[Path, ...], output: Path, as_json: bool, **flags: Any)
     from geomosaic.products.from_inputs import make_mosaic, make_planar_mosaic
 
     planar = planar_inputs(flags)
-    note_memory(flags["mem_limit"], flags["threads"])
+    check_memory()
     with notes(), progress(as_json) as report:
         if planar is not None:
             inputs = block_inputs(images, flags, flags["gcps"], planar)
-            made, facts, path = make_planar_mosaic(inputs, planar, area(flags), output, mosaic_options(flags, report))
+            made, facts, path = make_planar_mosaic(inputs, planar, area(flags), output, options.with_progress(report))
             known = [(role, facts[f"rms_{role}_px"]) for role in ("control", "check")]
             told = [f"{role} points: {value:.2f} px RMS" for role, value in known if value is not None]
             words = "\n".join([*facts["summary"], *told, mosaic_words(made), f"placement: {path}"])
             answer({**mosaic_facts(made), "placement": facts}, words, as_json)
             return
-        result = make_mosaic(block_inputs(images, flags), area(flags), output, mosaic_options(flags, report))
+        result = make_mosaic(block_inputs(images, flags), area(flags), output, options.with_progress(report))
     answer(mosaic_facts(result), mosaic_words(result), as_json)

@@ -7,7 +7,8 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, image_options, json_option
+from geomosaic.cli.declared_options import FILE
+from geomosaic.cli.options import debug_option, image_options, json_option
 from geomosaic.cli.talk import answer, notes
 
 

@@ -7,25 +7,22 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.memory import note_memory
-from geomosaic.cli.options import (
-    FILE,
-    image_options,
-    machine_options,
-    output_options,
-    stack,
-    true_ortho_option,
-    usable_options,
-)
-from geomosaic.cli.request import area, block_inputs, render_options
+from geomosaic.cli.declared_options import FILE, options_of, stack
+from geomosaic.cli.declared_options import command as grouped_command
+from geomosaic.cli.memory import check_memory
+from geomosaic.cli.options import area_options, image_options, output_option, running_options, usable_options
+from geomosaic.cli.request import area, block_inputs
 from geomosaic.cli.results import ortho_facts, ortho_words
 from geomosaic.cli.talk import answer, notes, progress
+from geomosaic.options.render import RenderOptions
 
 
-@click.command()
+@grouped_command()
 @click.argument("image", type=FILE)
-@stack(image_options, true_ortho_option, usable_options, output_options, machine_options)
-def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
+@stack(image_options, usable_options, area_options, output_option)
+@options_of(RenderOptions)
+@running_options
+def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **flags: Any) -> None:
     """Rectify one image onto a DEM or a height.
 
     \b
@@ -36,7 +33,7 @@ def command(image: Path, output: Path, as_json: bool, **flags: Any) -> None:
     """
     from geomosaic.products.from_inputs import make_ortho
 
-    note_memory(flags["mem_limit"], flags["threads"])
+    check_memory()
     with notes(), progress(as_json) as report:
-        result = make_ortho(block_inputs((image,), flags), area(flags), output, render_options(flags, report))
+        result = make_ortho(block_inputs((image,), flags), area(flags), output, options.with_progress(report))
     answer(ortho_facts(result), ortho_words(result), as_json)

@@ -8,18 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.memory import note_memory
-from geomosaic.cli.options import FILE, machine_options, output_options, stack
-from geomosaic.cli.request import render_options
+from geomosaic.cli.declared_options import FILE, options_of, stack
+from geomosaic.cli.declared_options import command as grouped_command
+from geomosaic.cli.memory import check_memory
+from geomosaic.cli.options import area_options, output_option, running_options
 from geomosaic.cli.results import ortho_facts, ortho_words
 from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.options.render import RenderOptions
 
 if TYPE_CHECKING:
     from pyproj import CRS
 
 
-@click.command()
+@grouped_command()
 @click.argument("source", type=FILE, metavar="INPUT")
 @click.option("--src-crs", metavar="CRS", help="CRS of the input, instead of what the file says.")
 @click.option("--like", type=FILE, metavar="RASTER", help="Take CRS, pixels and extent of this raster.")
@@ -29,9 +31,18 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Widen --bounds to whole multiples of --res; without --bounds that is always done.",
 )
-@stack(output_options, machine_options)
+@stack(area_options, output_option)
+@options_of(RenderOptions, without=("true_ortho",))
+@running_options
 def command(
-    source: Path, src_crs: str | None, like: Path | None, snap: bool, output: Path, as_json: bool, **flags: Any
+    source: Path,
+    src_crs: str | None,
+    like: Path | None,
+    snap: bool,
+    output: Path,
+    as_json: bool,
+    options: RenderOptions,
+    **flags: Any,
 ) -> None:
     """Bring a georeferenced raster, or a file of vectors, to another CRS.
 
@@ -52,7 +63,7 @@ def command(
         raise click.UsageError("--like says where the pixels lie: leave out --target-aligned-pixels")
     if is_vector(source):
         _refuse_for_rasters()
-        _vectors(source, src_crs, like, output, as_json, flags)
+        _vectors(source, src_crs, like, output, as_json, options.overwrite, flags)
         return
     from geomosaic.geo.crs import horizontal, parse_map
     from geomosaic.geo.datum import doubt, operation_between
@@ -63,11 +74,11 @@ def command(
     from geomosaic.raster.info import inspect
     from geomosaic.sensor.registry import plane_sensor
 
-    note_memory(flags["mem_limit"], flags["threads"])
+    check_memory()
     with notes(), progress(as_json) as report:
         info = inspect(source)
         own = check_placed(info, parse_map(src_crs, "--src-crs") if src_crs else None)
-        if "palette" in info.colors and flags["resampling"] == "nearest":
+        if "palette" in info.colors and options.resampling == "nearest":
             warnings.warn(
                 "the numbers of the palette are kept, its colours are not carried over", GeomosaicWarning, stacklevel=1
             )
@@ -77,13 +88,13 @@ def command(
                 what, _, hint = suspicious.partition("; ")
                 raise InputError(f"{what}; no operation leads from it to '{target.name}'", where=info.path, hint=hint)
             warnings.warn(suspicious, GeomosaicWarning, stacklevel=1)
-        options: dict[str, Any] = {}
+        placed: dict[str, Any] = {}
         if src_crs is not None and info.transform is not None:
             t = info.transform
-            options["transform"] = [t.a, t.b, t.c, t.d, t.e, t.f]
-        inputs = Block((source,), plane_sensor(), options=options, crs=src_crs)
+            placed["transform"] = [t.a, t.b, t.c, t.d, t.e, t.f]
+        inputs = Block((source,), plane_sensor(), options=placed, crs=src_crs)
         area = Area(flags["dst_crs"], flags["res"], flags["bounds"], snap, like)
-        result = make_ortho(inputs, area, output, render_options(flags, report))
+        result = make_ortho(inputs, area, output, options.with_progress(report))
     words = _operation(own, result.grid.crs)
     answer({**ortho_facts(result), "operation": words}, f"{ortho_words(result)}\n{words}", as_json)
 
@@ -103,7 +114,13 @@ def _refuse_for_rasters() -> None:
 
 
 def _vectors(
-    source: Path, src_crs: str | None, like: Path | None, output: Path, as_json: bool, flags: dict[str, Any]
+    source: Path,
+    src_crs: str | None,
+    like: Path | None,
+    output: Path,
+    as_json: bool,
+    overwrite: bool,
+    flags: dict[str, Any],
 ) -> None:
     from geomosaic.geo.crs import parse_map
     from geomosaic.inputs.area import grid_of
@@ -112,7 +129,7 @@ def _vectors(
     with notes():
         crs = parse_map(flags["dst_crs"], "--dst-crs") if like is None else grid_of(like).crs
         own = parse_map(src_crs, "--src-crs") if src_crs else None
-        result = reproject_vectors(source, crs, output, source=own, overwrite=flags["overwrite"])
+        result = reproject_vectors(source, crs, output, source=own, overwrite=overwrite)
     words = "; ".join(_operation(found, crs) for found in result.sources)
     layers = ", ".join(f"{name}: {count} features" for name, count in result.layers.items())
     lost = f"; {result.lost} features have no place in {crs.name} and were left out" if result.lost else ""

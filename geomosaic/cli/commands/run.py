@@ -11,12 +11,14 @@ from typing import NoReturn
 
 import click
 
-from geomosaic.cli.memory import note_memory
-from geomosaic.cli.options import FILE, machine_options
+from geomosaic.cli.declared_options import FILE, options_of
+from geomosaic.cli.memory import check_memory
+from geomosaic.cli.options import running_options
 from geomosaic.cli.process import check_stopped, on_sigterm
 from geomosaic.cli.results import outcome_words, verdict
 from geomosaic.cli.talk import answer, notes, progress, say
 from geomosaic.errors import GeomosaicError, Interrupted
+from geomosaic.options.render import RenderOptions
 
 
 @click.command()
@@ -24,15 +26,15 @@ from geomosaic.errors import GeomosaicError, Interrupted
 @click.argument("steps", nargs=-1, metavar="[STEP...]")
 @click.option("--force", is_flag=True, help="Run the steps whether stale or not.")
 @click.option("--watch", is_flag=True, help="Stay, and run again when a file that the project reads has changed.")
-@machine_options
+@options_of(RenderOptions, only=("threads", "memory_limit"))
+@running_options
 def command(
     project: Path,
     steps: tuple[str, ...],
     force: bool,
     watch: bool,
-    threads: int | None,
-    mem_limit: int | None,
     as_json: bool,
+    options: RenderOptions,
 ) -> int:
     """Run what is stale in a project: orient, mosaic, orthos, check, report.
 
@@ -47,8 +49,8 @@ def command(
     from geomosaic.jobs.step import Machine
     from geomosaic.project.load import load_project
 
-    note_memory(mem_limit, threads)
-    machine = Machine(threads, mem_limit)
+    check_memory()
+    machine = Machine(options.threads, options.memory_limit)
 
     def once(force: bool) -> int:
         loaded = load_project(project)

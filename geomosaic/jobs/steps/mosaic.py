@@ -6,6 +6,7 @@ import math
 import shutil
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,21 +21,15 @@ from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.manifest import heard, read_json, tell, write_json
 from geomosaic.jobs.step import Context, Machine
 from geomosaic.jobs.step_keys import versions
-from geomosaic.jobs.steps.orient import area_of, render_options, restore_block
+from geomosaic.jobs.steps.orient import area_of, restore_block
 from geomosaic.mosaicking.colour.facts import colour_facts, picture
 from geomosaic.mosaicking.reruns.reuse import Memory
+from geomosaic.options.declaration import paths_of, stage_values
+from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.from_inputs import reference_of
 from geomosaic.project.draft.write import relative
 from geomosaic.project.load import Project
 from geomosaic.surface.model import Surface
-
-_SEAMS = ("seams", "seam_weights", "order", "base", "water_fill")
-_NO_COLOUR = (
-    *_SEAMS, "follow", "avoid", "cutlines", "seam_quality", "views", "labels", "exclude", "retouch", "stretch",
-    "feather", "blend", "ramp", "limit", "true_ortho",
-    "displacement",
-)  # fmt: skip
-"""What plays no part when colours are solved. New settings count until they are named here."""
 
 
 def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
@@ -44,13 +39,13 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     from geomosaic.report.figures import data_uri
     from geomosaic.report.report import place_pictures, seam_facts
 
-    layout, wanted = Layout(project), project.settings.mosaic
+    layout = Layout(project)
     started, spent = time.perf_counter(), time.process_time()
     layout.mosaic.parent.mkdir(parents=True, exist_ok=True)
     with heard() as notes:
-        block, memory = restore_block(project), _memory(project, context)
+        options = _options(project, machine, context)
+        block, memory = restore_block(project), _memory(project, options, context)
         grid, outlines = plan_mosaic(block.scenes, block.surface, area_of(project), _remembered(memory))
-        options = project.mosaic_options(render_options(project, machine, context.progress))
         result = make(
             block,
             grid,
@@ -77,12 +72,12 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         "lattice_error_px": result.lattice_error,
         "tolerance_px": result.tolerance,
         "scale": result.scale,
-        "resampling": project.settings.output.resampling,
-        "seams": wanted.seams,
+        "resampling": options.render.resampling,
+        "seams": options.seamlines.seams,
         "feather": result.feather,
-        "rule": wanted.rule,
-        "balanced": options.balanced or wanted.histogram is not None,
-        "histogram": wanted.histogram,
+        "rule": options.merge.rule,
+        "balanced": options.balanced or options.colours.histogram is not None,
+        "histogram": options.colours.histogram,
         "overlaps": result.balance.overlaps,
         "before": result.balance.before,
         "after": result.balance.after,
@@ -117,6 +112,12 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     return {"pixels": result.valid_pixels, "lattice_error_px": result.lattice_error}
 
 
+def _options(project: Project, machine: Machine, context: Context) -> MosaicOptions:
+    """Options of the project on this machine."""
+    render = replace(project.options.render, progress=context.progress, **machine.options)
+    return replace(project.options, render=render)
+
+
 def _about(project: Project, context: Context) -> dict[str, dict[str, Any]]:
     """Checksum of each image, and its residuals at control and check points."""
     points = read_json(Layout(project).facts("orient"))["control"]
@@ -131,39 +132,25 @@ def _about(project: Project, context: Context) -> dict[str, dict[str, Any]]:
     return about
 
 
-def _memory(project: Project, context: Context) -> Memory:
+def _memory(project: Project, options: MosaicOptions, context: Context) -> Memory:
     """Remember units by the digests of their images, models and heights."""
     layout, settings, digests = Layout(project), project.settings, context.digests
     scenes = [f"{digests[image]} {digests[model]}" for image, model in zip(project.images, layout.models, strict=True)]
     # Of all other files, those that only move seams or colours show in the seams and colours themselves.
-    own_files = (
-        settings.mosaic.cutlines,
-        settings.mosaic.water,
-        settings.mosaic.reference,
-        settings.mosaic.mask,
-        settings.mosaic.region,
-    )
-    elsewhere = {project.file(name) for name in own_files}
-    elsewhere |= {*project.files(settings.mosaic.follow), *project.files(settings.mosaic.avoid)}
-    own = {*project.images, *layout.models, *elsewhere}
+    own = {*project.images, *layout.models, *paths_of(options, ("colour", "seams", "edits"))}
     said = {
         "files": {relative(path, project.folder): digest for path, digest in digests.items() if path not in own},
         "dem": settings.dem.model_dump(mode="json") if settings.dem else None,
         "project": settings.project.model_dump(mode="json", include={"bands", "nodata", "margin"}),
         "versions": versions(),
     }
-    wanted = settings.mosaic.model_dump(mode="json")
-    colour = {
-        "files": [digests.get(path) for name in own_files[1:] if (path := project.file(name)) is not None],
-        "wanted": {name: value for name, value in wanted.items() if name not in _NO_COLOUR},
-    }
-    heeded = [*project.files(settings.mosaic.follow), *project.files(settings.mosaic.avoid)]
-    if (water := project.file(settings.mosaic.water)) is not None:
-        heeded.append(water)
-    seams = {
-        "files": [digests.get(path) for path in heeded],
-        "wanted": {name: wanted[name] for name in _SEAMS},
-    }
+    colour, seams = (
+        {
+            "files": [digests.get(path) for path in paths_of(options, (stage,))],
+            "options": stage_values(options, stage),
+        }
+        for stage in ("colour", "seams")
+    )
     remembered = project.state / "mosaic-units.json"
     if context.forced:
         remembered.unlink(missing_ok=True)
@@ -190,7 +177,7 @@ def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str,
     layout = Layout(project)
     block = restore_block(project)
     grid, outlines = plan_mosaic(block.scenes, block.surface, area_of(project))
-    options = render_options(project, machine, context.progress)
+    options = _options(project, machine, context).render
     (project.output / "orthos").mkdir(parents=True, exist_ok=True)
     errors = []
     for scene, outline, path in zip(block.scenes, outlines, layout.orthos, strict=True):

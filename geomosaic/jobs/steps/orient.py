@@ -22,11 +22,9 @@ from geomosaic.inputs.orientation_check.plausibility import FAR
 from geomosaic.inputs.usable_area import with_usable
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.manifest import heard, read_json, write_json
-from geomosaic.jobs.step import Context, Machine
-from geomosaic.options.render import RenderOptions
+from geomosaic.jobs.step import Context
 from geomosaic.project.load import Project
 from geomosaic.sensor.state import from_dict, to_dict
-from geomosaic.types import Progress
 
 
 def orient(project: Project, context: Context) -> Mapping[str, Any]:
@@ -124,19 +122,3 @@ def area_of(project: Project) -> Area:
     """Where the project's output lies."""
     output = project.settings.output
     return Area(output.crs, output.resolution, output.bounds)
-
-
-def render_options(project: Project, machine: Machine, progress: Progress) -> RenderOptions:
-    """How the project's rasters are written; they are ours to replace."""
-    output = project.settings.output
-    return RenderOptions(
-        resampling=output.resampling,
-        tolerance=output.tolerance,
-        nodata=output.nodata,
-        driver=output.driver,
-        creation={name: str(value) for name, value in output.creation.items()},
-        overwrite=True,
-        progress=progress,
-        true_ortho=project.settings.mosaic.true_ortho,
-        **machine.options,
-    )
