@@ -20,7 +20,7 @@ from geomosaic.jobs.steps.orient import orient
 from geomosaic.jobs.steps.report import check, failure, report
 from geomosaic.mosaicking.blending.rules import LABELLED
 from geomosaic.options.declaration import paths_of
-from geomosaic.project.load import Project
+from geomosaic.project.load import Project, keys_in_errors
 from geomosaic.types import Progress
 
 
@@ -156,7 +156,8 @@ def run_project(
 ) -> Outcome:
     """Run what is stale in a project, then judge its quality; see `engine.run`."""
     job = job_of(project, machine)
-    states = engine.run(job, only=only, force=force, progress=progress, executor=executor, stop=stop)
+    with keys_in_errors(project.path.name):
+        states = engine.run(job, only=only, force=force, progress=progress, executor=executor, stop=stop)
     judged = any(state.name in ("check", "report") for state in states)
     return Outcome(project, states, failure(project) if judged else None)
 

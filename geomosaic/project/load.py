@@ -216,10 +216,12 @@ def keys_in_errors(path: str) -> Iterator[None]:
     try:
         yield
     except GeomosaicError as error:
-        error.what, error.hint = written(error.what) or "", written(error.hint)
-        error.where = (
-            f"{path}, {written(error.where)}" if error.where in map("`{}`".format, known) else error.where or path
-        )
+        before, place = error.what, (error.where or "").strip("`")
+        error.what, error.hint = written(before) or "", written(error.hint)
+        if place in known:
+            error.where = f"{path}, {written(error.where)}"
+        elif error.what != before:
+            error.where = error.where or path
         error.args = (error.what,)
         raise
 

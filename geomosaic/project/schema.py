@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, model_validator
 
@@ -165,7 +165,10 @@ def section_of(title: str, options: Iterable[Declared], base: type[Section] = Se
         kind, default = _kind(one), _default(one)
         if default is None:
             kind = kind | None
-        keys[one.key] = (kind, Field(default_factory=type(default)) if isinstance(default, dict | list) else default)
+        if is_part(one.kind):
+            keys[one.key] = (kind, Field(default_factory=kind))
+        else:
+            keys[one.key] = (kind, Field(default_factory=type(default)) if default in ({}, []) else default)
     made: type[Any] = create_model(title, __base__=base, **keys)
     return made
 
@@ -194,13 +197,13 @@ def _scalar(kind: Any, option: Option) -> Any:
     if kind not in (int, float):
         return kind
     limits = {"gt": option.above, "ge": option.least, "le": option.most}
-    finite = {name: limit for name, limit in limits.items() if math.isfinite(limit)}
+    finite: dict[str, Any] = {name: limit for name, limit in limits.items() if math.isfinite(limit)}
     return Annotated[kind, Field(allow_inf_nan=False, **finite) if kind is float else Field(**finite)]
 
 
 def _default(one: Declared) -> Any:
     """Default of an option as a project file has it."""
-    if is_part(one.kind) or get_origin(one.kind) is Mapping:
+    if get_origin(one.kind) is Mapping:
         return {}
     if isinstance(one.default, tuple):
         return ",".join(one.default) if one.option.parse is not None else []
@@ -212,7 +215,8 @@ def _options(section: str) -> list[Declared]:
 
 
 if TYPE_CHECKING:
-    OutputSection, MosaicSection = OutputFields, Section
+    OutputSection: TypeAlias = OutputFields
+    MosaicSection: TypeAlias = Section
 else:
     OutputSection = section_of("[output]", _options("output"), OutputFields)
     MosaicSection = section_of("[mosaic]", _options("mosaic"))

@@ -114,7 +114,8 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
 
 def _options(project: Project, machine: Machine, context: Context) -> MosaicOptions:
     """Options of the project on this machine."""
-    render = replace(project.options.render, progress=context.progress, **machine.options)
+    given: dict[str, Any] = {"progress": context.progress, **machine.options}
+    render = replace(project.options.render, **given)
     return replace(project.options, render=render)
 
 
