@@ -176,7 +176,7 @@ def test_water_and_rules_are_keys_of_the_project(project):
         assert read_layer(layout.vectors, "footprints")["sha256"].str.len().tolist() == [64] * 3
         assert stale(project) == {}
     project.write_text(PROJECT + '[mosaic]\nrule = "mean"\nwater = "lake.gpkg"\n')
-    with pytest.raises(InputError, match="water would do nothing with .mosaic. rule"):
+    with pytest.raises(InputError, match=r"water would do nothing with .mosaic. rule"):
         run_project(load_project(project))
     project.write_text(PROJECT + '[mosaic]\nrule = "mena"\n')
     with pytest.raises(InputError, match="rule"):

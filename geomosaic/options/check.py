@@ -130,9 +130,8 @@ def check_idle(value: Any, effective: Mapping[str, Any] | None = None) -> None:
         for condition in one.option.idle_with:
             if _holds(condition, state):
                 other = _shown(condition, state)
-                raise InputError(
-                    f"{own} would do nothing with {other}", hint=f"leave out {own} or `{condition.partition('=')[0]}`"
-                )
+                hint = f"leave out {own} or `{condition.partition('=')[0]}`"
+                raise InputError(f"{own} would do nothing with {other}", hint=hint)
         if one.option.needs and not any(_holds(condition, state) for condition in one.option.needs):
             wanted = " or ".join(f"`{condition}`" for condition in one.option.needs)
             raise InputError(f"{own} would do nothing without {wanted}", hint=f"give {wanted}, or leave out {own}")
