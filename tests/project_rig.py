@@ -26,7 +26,8 @@ def make_project(folder: Path, sample: Path) -> Path:
         "--exterior", folder / "exterior.csv", "--crs", "EPSG:32633", "--heights", "egm96", "--dem", folder / "dem.tif",
     ]  # fmt: skip
     assert run([str(word) for word in words]) == 0
-    file.write_text(file.read_text().replace("# resolution = 0.5 ", "resolution = 0.7 "))
+    text = file.read_text().replace("# resolution = 0.5 ", "resolution = 0.7 ")
+    file.write_text(text.replace("[mosaic]\n", '[mosaic]\ncolour = "gain"\n'))  # reruns are not about colour models
     return file
 
 

@@ -132,8 +132,11 @@ def test_sixteen_bits_and_what_auto_chooses(shots, mosaic):
     assert off_truth(path, 1) < 0.01
 
 
-@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
-@pytest.mark.parametrize("method", ["overlap", "sequence", "whole"])
+PAIRS = [("overlap", "uint8"), ("overlap", "uint16"), ("sequence", "uint8"), ("whole", "uint16")]
+OTHER_PAIRS = [pytest.param(*pair, marks=pytest.mark.slow) for pair in (("sequence", "uint16"), ("whole", "uint8"))]
+
+
+@pytest.mark.parametrize(("method", "dtype"), PAIRS + OTHER_PAIRS)
 def test_histograms_to_a_master(shots, mosaic, tmp_path, method, dtype):
     """The master keeps its own values; over the overlap the others come to it, wherever what they show is alike."""
     images = shots({"bent": 0.25}, dtype)

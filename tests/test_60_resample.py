@@ -43,8 +43,14 @@ def image(dtype: str, bands: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("resampling", RESAMPLING)
-@pytest.mark.parametrize("dtype", ["uint8", "uint16", "int16", "float32"])
-@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize(
+    ("dtype", "masked"),
+    [
+        *((dtype, False) for dtype in ("uint8", "uint16", "int16", "float32")),
+        *((dtype, True) for dtype in ("uint8", "float32")),
+        *(pytest.param(dtype, True, marks=pytest.mark.slow) for dtype in ("uint16", "int16")),
+    ],
+)
 def test_twins_give_the_same_bytes(resampling: str, dtype: str, masked: bool) -> None:
     values = image(dtype, 1 if dtype == "uint16" else 3)
     valid = None
