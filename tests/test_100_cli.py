@@ -66,7 +66,7 @@ def test_sensors(tell):
     assert "did you mean 'frame'" in err
 
 
-def test_a_broken_sensor_is_listed_and_told_by_name_only(tell, monkeypatch):
+def test_a_broken_sensor_is_listed_and_reported_by_name_only(tell, monkeypatch):
     from geomosaic.sensor import registry
 
     broken = EntryPoint("broken", "no_such_module:plugin", registry.GROUP)
@@ -169,7 +169,7 @@ def test_sizes_are_read():
     ]  # fmt: skip
 
 
-def test_a_bug_is_told_as_one_and_ctrl_c_is_130(tell, monkeypatch):
+def test_a_bug_is_reported_as_one_and_ctrl_c_exits_with_130(tell, monkeypatch):
     import geomosaic.products.from_inputs as make
 
     def fail(*_: object) -> None:

@@ -50,7 +50,7 @@ def test_a_photo_without_control_starts_from_its_neighbour(files: Path, capsys: 
     assert json.loads(capsys.readouterr().out)["edges"]["joined"]["largest_px"] <= 0.02
 
 
-def test_what_is_wrong_is_told(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_input_is_reported(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (files / "common.csv").write_text("id,image,col,row\np,other.tif,1,1\n")
     assert run(words(files)) == 1
     assert "no point of these images" in capsys.readouterr().err

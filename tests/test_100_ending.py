@@ -35,7 +35,7 @@ def test_a_reader_that_has_gone_is_no_error(words):
     assert piped(*words) == (0, "")
 
 
-def test_the_exit_code_is_told_whether_anyone_reads_or_not():
+def test_the_exit_code_is_the_same_whether_anyone_reads_or_not():
     assert piped("sensors", "nope", "--json") == (1, "")
     assert piped("sensors", "nope", close="stderr") == (1, "")
     assert piped("nonsense", close="stderr") == (2, "")
@@ -128,7 +128,7 @@ def test_a_command_that_is_stopped_leaves_nothing_behind(sample, tmp_path, numbe
     assert list(tmp_path.iterdir()) == []
 
 
-def test_errors_of_the_system_are_told_as_such(tmp_path):
+def test_errors_of_the_system_are_reported_as_such(tmp_path):
     image = tmp_path / ("x" * 300)
     words = ["mosaic", str(image), "-o", str(tmp_path / "o.tif")]
     done = subprocess.run([*COMMAND, *words], check=False, capture_output=True, text=True)

@@ -151,7 +151,7 @@ def test_a_template_off_its_mark_is_moved_onto_it_or_refused(
         assert "looks the same upside down" in out + err
 
 
-def test_marks_that_are_not_there_are_told(film: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_marks_that_are_not_there_are_reported(film: Path, capsys: pytest.CaptureFixture[str]) -> None:
     certificate = film / "more.toml"
     certificate.write_text(CERTIFICATE.replace("4 = [106", "5 = [-112.006, 0.004]\n4 = [106"))
     col, row = rig.marks(**SCAN)["1"]

@@ -68,7 +68,7 @@ def empty(path: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("command", ["ortho", "mosaic"])
-def test_a_hole_is_told_with_its_pixels_and_its_place(made, folder, command) -> None:
+def test_a_dem_gap_is_reported_with_its_pixels_and_its_place(made, folder, command) -> None:
     whole, before = made(command, "dem.tif")
     assert not any("hole" in note for note in whole)
     notes, after = made(command, "holed.tif")
@@ -82,7 +82,7 @@ def test_a_hole_is_told_with_its_pixels_and_its_place(made, folder, command) -> 
     assert "gdal_fillnodata" in note
 
 
-def test_an_image_past_the_end_of_the_dem_is_told(made) -> None:
+def test_an_image_past_the_end_of_the_dem_is_reported(made) -> None:
     notes, _ = made("ortho", "ends.tif")
     assert any(note.startswith("the image reaches past the heights of the DEM") for note in notes)
     assert not any("holes" in note for note in notes)

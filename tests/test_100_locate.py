@@ -278,7 +278,9 @@ def test_pixels_outside_the_image_have_no_place(
     assert "would bring them into it" not in capsys.readouterr().err
 
 
-def test_vectors_of_another_place_are_told(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_vectors_of_another_place_are_reported(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     far = geopandas.GeoDataFrame(geometry=[shapely.Point(590000.0, 5500000.0)], crs=32633)
     far.to_file(tmp_path / "far.gpkg")
     drawn = [str(tmp_path / "far.gpkg"), "--inverse", "--rows", "down", "-o", str(tmp_path / "drawn.csv")]

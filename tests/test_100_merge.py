@@ -73,7 +73,7 @@ def test_widths_blends_and_depths(tmp_path: Path) -> None:
     assert (grid["width"], grid["height"], grid["resolution"]) == (30, 20, [2.0, 2.0])
 
 
-def test_what_cannot_be_meant_is_told(tmp_path: Path) -> None:
+def test_contradicting_input_is_reported(tmp_path: Path) -> None:
     files, out = flat(tmp_path), tmp_path / "out.tif"
     assert "write pixels as 20px" in failing(*files, "-o", out, "--feather", "wide")
     assert "no image is called 'x.tif'" in failing(*files, "-o", out, "--base", "x.tif")

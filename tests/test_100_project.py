@@ -14,7 +14,7 @@ import rasterio
 from cli_rig import elsewhere, flags, photos
 
 
-def test_new_says_what_it_understood_and_what_it_needs(tell, block, tmp_path):
+def test_new_reports_what_it_found_and_what_it_needs(tell, block, tmp_path):
     file = tmp_path / "p.toml"
     code, out, _ = tell(
         "new", file, photos(block)[0], "--sensor", "frame", "--exterior", block / "exterior.csv", "--json"
@@ -61,7 +61,7 @@ def test_new_marks_the_undeclared_datum_of_a_dem(tell, block, tmp_path):
     assert "NEEDED" in section
 
 
-def test_a_resolution_in_the_wrong_unit_is_told_as_such(tell, block, tmp_path):
+def test_a_resolution_in_the_wrong_unit_is_reported(tell, block, tmp_path):
     code, _, err = tell(
         "mosaic", *photos(block), *flags(block), "--dst-crs", "EPSG:4326", "--res", 0.7, "-o", tmp_path / "m.tif"
     )
@@ -82,7 +82,7 @@ def test_an_output_of_days_that_shows_no_more_than_the_images_is_refused(tell, b
     assert tell("ortho", photos(block)[0], *flags(block), *place, "-o", tmp_path / "m.tif")[0] == 0
 
 
-def test_an_output_crs_far_from_its_area_is_told(tell, block, tmp_path):
+def test_an_output_crs_far_from_its_area_is_reported(tell, block, tmp_path):
     code, _, err = tell(
         "ortho", photos(block)[0], *flags(block), "--dst-crs", "EPSG:2180", "--res", 20, "-o", tmp_path / "o.tif"
     )

@@ -126,7 +126,7 @@ def test_control_of_a_project_refines_the_scene(scene: Path, tmp_path: Path) -> 
     assert np.abs(left.ground_to_image(ground) - image).max() > 3.0
 
 
-def test_what_is_missing_is_told(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_input_is_reported(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     image = tmp_path / "IMAGERY.TIF"
     image.write_bytes((scene / "IMAGERY.TIF").read_bytes())
     alone = [str(image) if word.endswith("IMAGERY.TIF") else word for word in words(scene, tmp_path / "o.tif")]

@@ -157,7 +157,7 @@ def test_usage(tell, lambert, tmp_path, words, code, said):
     assert said in err
 
 
-def test_what_has_no_place_is_told(tell, tmp_path):
+def test_input_without_georeferencing_is_reported(tell, tmp_path):
     path = tmp_path / "p.geojson"
     shape = gpd.GeoDataFrame({"n": [1, 2]}, geometry=[shapely.Point(3.0, 45.0), shapely.Point(3.0, 95.0)], crs=4326)
     shape.to_file(path)
@@ -250,7 +250,7 @@ def test_options_of_pixels_do_nothing_for_vectors(tell, tmp_path):
     assert tell("reproject", path, "--like", path, "--target-aligned-pixels", "-o", tmp_path / "o.gpkg")[0] == 2
 
 
-def test_a_raster_without_a_place_is_told_how_to_get_one(tell, lambert, tmp_path):
+def test_a_raster_without_georeferencing_gets_a_hint(tell, lambert, tmp_path):
     """No CRS, no geotransform, control points instead, metres that call themselves degrees and the other way round."""
     with rasterio.open(lambert) as source:
         profile, values, transform = source.profile, source.read(), source.transform

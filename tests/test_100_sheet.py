@@ -315,7 +315,7 @@ def test_accuracy_comes_from_the_report(raster: Path, tmp_path: Path, capsys: py
         (["--scale", "1:100", "--paper", "A4", "--bounds", "399100", "5499800", "399900", "5500500"], "has room for"),
     ],
 )
-def test_bad_input_is_told_and_nothing_is_written(
+def test_bad_input_is_reported_and_nothing_is_written(
     raster: Path, roads: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
 ) -> None:
     bare = tmp_path / "bare.shp"

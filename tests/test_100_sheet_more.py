@@ -260,7 +260,7 @@ def test_a_track_of_a_receiver(raster: Path, tmp_path: Path, capsys: pytest.Capt
     assert "layer 'waypoints' is drawn; name one with FILE#LAYER for tracks" in told
 
 
-def test_an_empty_layer_is_told(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_layer_is_reported(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     empty = tmp_path / "none.geojson"
     empty.write_text('{"type": "FeatureCollection", "features": []}')
     made, told = sheet(capsys, raster, "--vector", empty, "-o", tmp_path / "a.pdf")
@@ -268,7 +268,7 @@ def test_an_empty_layer_is_told(raster: Path, tmp_path: Path, capsys: pytest.Cap
     assert "the layer is empty" in told
 
 
-def test_rules_of_foreign_styles_are_told(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rules_of_foreign_styles_are_reported(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A rule that is not understood is named in a note, and the sheet is made."""
     (tmp_path / "walk.gpx").write_text(GPX)
     (tmp_path / "walk.sld").write_text(

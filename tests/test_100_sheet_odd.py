@@ -56,7 +56,7 @@ LONG = (
 
 
 @pytest.mark.parametrize("paper", ["A3", "A4", "150x210"])
-def test_long_titles_are_made_smaller_then_cut_and_told(
+def test_long_titles_are_made_smaller_then_cut_and_reported(
     raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], paper: str
 ) -> None:
     layout = (
@@ -167,7 +167,9 @@ def test_a_map_beside_the_picture_is_refused(raster: Path, tmp_path: Path, capsy
     assert not out.exists()
 
 
-def test_what_small_paper_leaves_out_is_told(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_small_paper_leaves_out_is_reported(
+    raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     sheet, said = made(raster, tmp_path, '[sheet]\npaper = "100x120"\n', capsys)
     assert "too small for legend, north arrow and notes" in said
     check(sheet)
@@ -175,7 +177,7 @@ def test_what_small_paper_leaves_out_is_told(raster: Path, tmp_path: Path, capsy
     assert "too small" not in said
 
 
-def test_a_dem_with_gaps_is_told(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_dem_with_gaps_is_reported(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     x, y = np.meshgrid(np.arange(60) * 10.0, np.arange(90) * 10.0)
     dem = write(tmp_path / "half.tif", (300 + 0.1 * x + 0.05 * y).astype(np.float32), "EPSG:32633+5773", 10.0)
     _, said = made(raster, tmp_path, "", capsys, "--contours", dem)
@@ -248,7 +250,7 @@ def test_names_that_fit_nowhere_are_counted(raster: Path, tmp_path: Path, capsys
         ),
     ],
 )
-def test_what_does_not_fit_is_told(
+def test_what_does_not_fit_is_reported(
     layout: str, words: tuple[str, ...], told: str, raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Each by its own name, and nothing is written."""
@@ -261,7 +263,7 @@ def test_what_does_not_fit_is_told(
     assert not (tmp_path / "x.pdf").exists()
 
 
-def test_a_picture_that_is_cut_is_told(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_picture_that_is_cut_is_reported(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "of the picture's width" in made(raster, tmp_path, "", capsys, "--scale", "1:2500", "--paper", "A4")[1]
 
 

@@ -102,7 +102,7 @@ def test_radar_errors_by_order(radar):
 # rasterio's fixtures: points that belong to another image, and three points of a hand-held photo.
 
 
-def test_points_of_another_image_are_told(real_data, tmp_path):
+def test_points_of_another_image_are_reported(real_data, tmp_path):
     with pytest.raises(BadControlError, match="3 of 4 points lie outside the image of 791 × 718"):
         georeference(real_data("rasterio-fixtures") / "RGB.byte.gcp.vrt", tmp_path / "map.tif", options=PLAIN)
     assert not list(tmp_path.iterdir())

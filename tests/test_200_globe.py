@@ -80,7 +80,7 @@ def test_the_whole_globe(code: str, globe: Path, tmp_path: Path, capsys: pytest.
     assert np.abs(turned).max() < 0.04 * STEP
 
 
-def test_the_end_of_the_map_is_told(globe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_end_of_the_map_is_reported(globe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A note says where the output ends; with --bounds it goes on."""
     words = ["reproject", str(globe), "--dst-crs", "EPSG:3857", "--res", "100000", "-o", str(tmp_path / "a.tif")]
     assert run(words) == 0

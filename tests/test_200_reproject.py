@@ -62,7 +62,7 @@ def test_values_are_those_of_every_pixel_computed(real_data, tmp_path, folder, n
     assert np.abs(shown - np.floor(true + 0.5))[:, both].max() <= 1
 
 
-def test_the_malformed_tags_of_the_ortho_are_told(real_data, tmp_path, capsys):
+def test_the_malformed_tags_of_the_ortho_are_reported(real_data, tmp_path, capsys):
     path = real_data("ign-lambert93-ortho") / "test_data_rgb.tif"
     assert run(["reproject", str(path), "--dst-crs", UTM, "-o", str(tmp_path / "o.tif")]) == 1
     said = capsys.readouterr().err

@@ -104,7 +104,7 @@ GDAL = (
 
 
 @pytest.mark.parametrize("name", GDAL)
-def test_gdal_as_second_opinion(real_data: RealData, name: str) -> None:
+def test_gdal_agrees(real_data: RealData, name: str) -> None:
     folder, _, rest = name.partition("/")
     path = real_data(folder) / rest
     with rasterio.open(path) as file:

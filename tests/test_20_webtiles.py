@@ -41,7 +41,7 @@ except OutputError as error:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the limit of a file's size is POSIX")
 @pytest.mark.parametrize("suffix", ["mbtiles", "kmz"])
-def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path, suffix: str) -> None:
+def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path: Path, suffix: str) -> None:
     """No file may grow beyond 100 kB: an error, not an empty map."""
     words = [sys.executable, "-c", FULL, str(tmp_path / f"map.{suffix}")]
     done = subprocess.run(words, capture_output=True, text=True, check=False)

@@ -91,7 +91,7 @@ class TestPolynomial(TestFilm):
         return build(camera=rig.CERTIFICATE | {"distortion": lens})
 
 
-def test_the_door() -> None:
+def test_the_plugin_passes_the_check() -> None:
     check_plugin(plugin, request(angle_unit="deg", interior="affine"))
 
 
@@ -227,14 +227,14 @@ def said(**changes: Any) -> list[str]:
     return [note for note in build(**changes).notes if "interior" in note or "fiducial" in note]
 
 
-def test_residuals_pixel_and_turn_are_told() -> None:
+def test_residuals_pixel_size_and_rotation_are_reported() -> None:
     (note,) = said()
     assert re.search(
         r"affine, 8 fiducials, residuals 0\.0 µm RMS.*pixels of 49\.99\d x 50\.00\d µm, turned by 0\.4\d°", note
     )
 
 
-def test_missing_marks_are_told() -> None:
+def test_missing_marks_are_reported() -> None:
     notes = said(fiducials=rig.marks(["1", "2", "4", "7"]))
     assert "fiducials not measured: 3, 5, 6, 8" in notes
     notes = said(fiducials=rig.marks(["1", "2"]))

@@ -101,7 +101,7 @@ class TestOblique(TestBrown):
         return build(orientation=gimbal)
 
 
-def test_the_door() -> None:
+def test_the_plugin_passes_the_check() -> None:
     check_plugin(plugin, SensorRequest("an image", SIZE, options(angle_unit="deg"), UTM))
 
 

@@ -192,7 +192,7 @@ def test_radius_of_the_earth() -> None:
     assert earth_radius(place, np.array([0.0, 90.0, 0.0])) == pytest.approx(6399593.626, abs=0.01)
 
 
-def test_corrections_are_told_and_missing_ones_too() -> None:
+def test_applied_and_missing_corrections_are_reported() -> None:
     assert any("refraction of the standard atmosphere: 8" in note for note in photo(LOCAL, 0, 0, refraction=True).notes)
     notes = photo(LOCAL, 0.0, 0.0, treatment="planar").notes
     assert any("refraction is not corrected; it moves the corners by" in note for note in notes)

@@ -185,7 +185,7 @@ def test_colmap_in_map_coordinates_less_an_offset(tmp_path: Path) -> None:
     assert np.abs(model.ground_to_image(xyz + np.array(corner)) - expected).max() < CLOSE
 
 
-def test_colmap_must_be_told_its_world(tmp_path: Path) -> None:
+def test_colmap_needs_a_declared_world(tmp_path: Path) -> None:
     file = write_colmap(tmp_path, "PINHOLE", lambda p: p, np.eye(3))
     with pytest.raises(InputError, match="do not say what their world is"):
         build(file, "colmap", "one.jpg", MAP)
@@ -229,14 +229,14 @@ def test_pix4d(tmp_path: Path) -> None:
         assert np.abs(model.ground_to_image(xyz + corner) - np.column_stack([F * u + CX, F * v + CY])).max() < CLOSE
 
 
-def test_pix4d_without_its_offset_is_told(tmp_path: Path) -> None:
+def test_pix4d_without_its_offset_is_reported(tmp_path: Path) -> None:
     file = write_pix4d(tmp_path)
     (tmp_path / "flight_offset.xyz").unlink()
     with pytest.warns(GeomosaicWarning, match="no PROJECT_offset.xyz beside it"):
         build(file, "pix4d", "one.jpg", MAP, treatment="planar")
 
 
-def test_colmap_binary_model_is_told(tmp_path: Path) -> None:
+def test_colmap_binary_model_is_reported(tmp_path: Path) -> None:
     (tmp_path / "images.bin").write_bytes(b"\0\1")
     with pytest.raises(InputError, match="binary model") as caught:
         build(tmp_path / "images.bin", "colmap", "one.jpg", MAP, world="map")
@@ -346,7 +346,7 @@ def test_metashape_xml(tmp_path: Path, kind: str, component: bool, crs: CRS | No
         assert np.array_equal(again.ground_to_image(xyz @ axes + origin), model.ground_to_image(xyz @ axes + origin))
 
 
-def test_metashape_in_local_coordinates_must_be_told(tmp_path: Path) -> None:
+def test_metashape_in_local_coordinates_must_be_declared(tmp_path: Path) -> None:
     file = write_metashape(tmp_path, wkt='LOCAL_CS["Local Coordinates (m)"]')
     with pytest.raises(InputError, match="does not say where these are"):
         build(file, "metashape", "one.jpg", MAP)

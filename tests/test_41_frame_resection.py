@@ -246,7 +246,7 @@ def worst_sigma(notes: tuple[str, ...]) -> float:
     return max(float(v) for v in said.split(":")[1].split(" m;")[0].split(","))
 
 
-def test_the_dangerous_cylinder_is_told_of_three_points() -> None:
+def test_the_dangerous_cylinder_of_three_points_is_reported() -> None:
     """Three points near it fit two places close together, each uncertain; four points of the circle are sound."""
     with pytest.raises(InputError, match="three points fit 4 places"):
         build(points=on_the_cylinder(0.02, 3), treatment="planar")
@@ -260,7 +260,7 @@ def test_the_dangerous_cylinder_is_told_of_three_points() -> None:
     assert worst_sigma(near) > 10.0 * worst_sigma(far)
 
 
-def test_points_close_together_are_told() -> None:
+def test_points_close_together_are_reported() -> None:
     """Four points in a twentieth of the photo: the centre is uncertain by hundreds of pixels."""
     truth, _, _ = case(2, 4, "planar", flat=True)
     pixels = np.array([[2000.0, 1500.0], [2150.0, 1510.0], [2010.0, 1640.0], [2140.0, 1650.0]])

@@ -207,7 +207,7 @@ def test_what_is_wrong_is_said(change: dict[str, Any], said: str) -> None:
     assert said in str(caught.value)
 
 
-def test_cells_far_from_square_are_doubted() -> None:
+def test_cells_far_from_square_are_reported() -> None:
     """A field of 90 degrees given in radians: pixels of 8 cm by 4 m."""
     with pytest.warns(GeomosaicWarning, match=r"a pixel is 0\.0\d+ m across and 4 m along .*field_of_view in degrees"):
         made({**SCANNER, "field_of_view": 1.5708})

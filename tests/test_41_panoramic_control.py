@@ -72,7 +72,7 @@ def rms(model: PanoramicModel, truth: PanoramicModel, ground: FloatArray) -> flo
 
 @pytest.mark.parametrize(("count", "most"), [(1, 20.0), (4, 3.0), (9, 0.5)])
 @pytest.mark.parametrize("true", [SCANNER, CAMERA], ids=["scanner", "camera"])
-def test_a_flight_told_by_a_plan_is_corrected(true: dict[str, Any], count: int, most: float) -> None:
+def test_a_flight_known_from_a_plan_is_corrected(true: dict[str, Any], count: int, most: float) -> None:
     """Relief of 300 m under 3000 m, 0.3 px of noise: RMS of 200 check points."""
     truth, told = made(true), true | WRONG[true["kind"]]
     ground = control(truth, 200, relief=150.0)
@@ -112,7 +112,7 @@ def test_what_is_fixed_stays_and_the_state_keeps_what_was_done() -> None:
     np.testing.assert_array_equal(left.parameters.values, as_told)
 
 
-def test_the_door() -> None:
+def test_the_plugin_passes_the_check() -> None:
     options = SCANNER | {"points": points_of(made(SCANNER), 4, 0.3, 0), "sigmas": {"roll": 1.0}, "refine": "points"}
     check_plugin(registry.plugin("panoramic"), SensorRequest("strip", SIZE, options, MAP))
 

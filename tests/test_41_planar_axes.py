@@ -54,7 +54,7 @@ class TestMirroredConformal(SensorModelTests):
 
 @pytest.mark.parametrize("flip", list(FLIPS))
 @pytest.mark.parametrize(("kind", "order"), KINDS)
-def test_both_hands_fit_exactly_and_are_told(kind: str, order: int, flip: str) -> None:
+def test_both_hands_fit_exactly_and_are_reported(kind: str, order: int, flip: str) -> None:
     xy, colrow = conformal_photo()
     seen = FLIPS[flip](colrow)
     request = SensorRequest("scan", SIZE, {"kind": kind, "order": order, "points": points_of(xy, seen)}, UTM)
@@ -104,7 +104,7 @@ def test_points_that_tell_no_hand_are_taken_for_left() -> None:
         assert fit_planar("conformal", line, (line - line[0]) * [2.0, -2.0] + noise).axes == "left"
 
 
-def test_declared_axes_at_the_door() -> None:
+def test_declared_axes_of_the_plugin() -> None:
     xy, colrow = conformal_photo()
     options: dict[str, Any] = {"kind": "conformal", "points": points_of(xy, FLIPS["right"](colrow))}
     model = plugin.build(SensorRequest("scan", SIZE, {**options, "axes": "right"}, UTM))

@@ -121,7 +121,7 @@ def test_what_determines_no_spline_is_refused(xy: list[list[float]], says: str) 
     assert caught.value.hint
 
 
-def test_at_the_door() -> None:
+def test_a_spline_by_the_plugin() -> None:
     xy, colrow = warped(10)
     points = [{"x": x, "y": y, "col": c, "row": r} for (x, y), (c, r) in zip(xy, colrow, strict=True)]
     options: dict[str, Any] = {"kind": "tps", "points": points}

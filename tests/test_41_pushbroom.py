@@ -70,7 +70,7 @@ class TestShifts(TestAngles):
         return build(folder, sigmas=sigmas)
 
 
-def test_the_door(folder: Path) -> None:
+def test_the_plugin_passes_the_check(folder: Path) -> None:
     options = {"metadata": "SPEEDS.DIM", "band": 1, "sigmas": {"time": 1e-3}, "ground_height": 400.0, "offset": [0, 0]}
     check_plugin(registry.plugin("pushbroom"), request(folder, **options))
 
@@ -136,7 +136,7 @@ def test_what_cannot_be_seen(folder: Path) -> None:
 
 # A seeded share by default; the whole table is in test_41_pushbroom_table.py.
 @pytest.mark.parametrize(("count", "most"), [(1, 1.2), (3, 0.7), (4, 0.6), (6, 0.5), (9, 0.4)])
-def test_refined_by_few_points(folder: Path, count: int, most: float) -> None:
+def test_refined_by_a_small_number_of_points(folder: Path, count: int, most: float) -> None:
     """Roll, pitch and yaw off by 20" to 100" and drifting, 800 m of relief, 0.3 px noise: RMS of 80 check points."""
     check, truth = BIASED.points(80, 800.0, 9)
     assert np.hypot(*(build(folder).ground_to_image(check) - truth).T).min() > 3.0

@@ -83,7 +83,7 @@ def solve(xyz: FloatArray, image: FloatArray, crs: CRS, size: tuple[int, int], *
     return model
 
 
-def test_the_door() -> None:
+def test_the_plugin_passes_the_check() -> None:
     truth = strip()
     ground = ground_of(truth, 12)
     xyz = Transform(ECEF, MAP)(ground)
@@ -186,7 +186,7 @@ def test_flat_ground_still_gives_a_model() -> None:
     assert np.abs(model.ground_to_image(check) - truth).max() < 0.3
 
 
-def test_few_points_keep_to_the_ideal_flight() -> None:
+def test_nine_points_keep_to_the_ideal_flight() -> None:
     ground, image = SATELLITE.points(9, 800.0, 100, with_places(9))
     model = solve(ground, image, ECEF, SIZE, flying_height=832_000.0)
     np.testing.assert_array_equal(model.parameters.values[9:], 0.0)
@@ -208,7 +208,7 @@ def test_a_gross_point_is_named(off: float) -> None:
     assert float(found[1]) == pytest.approx(abs(off), rel=0.1)
 
 
-def test_what_is_told() -> None:
+def test_wrong_input_of_control_points_is_reported() -> None:
     ground, image = SATELLITE.points(16, 800.0, 100, with_places(16))
     good = {"flying_height": 832_000.0}
     for count, options, words in (

@@ -31,7 +31,7 @@ TABLE: list[tuple[int, dict[str, Any], tuple[float, float]]] = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("count", "options", "told"), TABLE)
-def test_table(tmp_path: Path, count: int, options: dict[str, Any], told: tuple[float, float]) -> None:
+def test_the_published_table(tmp_path: Path, count: int, options: dict[str, Any], told: tuple[float, float]) -> None:
     """Twenty trials of 0.3 px noise; the mean RMS of 200 check points is what the page says, within a quarter."""
     (tmp_path / "METADATA.DIM").write_text(TOLD.dimap())
     check, truth = BIASED.points(200, 800.0, 9)

@@ -126,7 +126,7 @@ class TestTrack(SensorModelTests):
         return truth()[0]
 
 
-def test_the_door(folder: Path) -> None:
+def test_the_plugin_passes_the_check(folder: Path) -> None:
     options = {"angle_unit": "deg", "principal_col": 400.0, "sigmas": {"time": 0.01}}
     check_plugin(registry.plugin("pushbroom"), request(folder, **options))
 
@@ -158,7 +158,7 @@ def test_boresight_by_control_points(folder: Path) -> None:
     assert np.abs(askew.ground_to_image(ground) - image).max() > 5.0
 
 
-def test_gons_are_told(folder: Path, tmp_path: Path) -> None:
+def test_angles_in_gons_are_read(folder: Path, tmp_path: Path) -> None:
     rows = (folder / "track.csv").read_text().splitlines()
     head, *body = rows
     turned = [",".join([*row.split(",")[:4], *(f"{float(v) / 0.9:.10f}" for v in row.split(",")[4:])]) for row in body]

@@ -110,7 +110,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("case", BROKEN)
-def test_broken_files_are_told(case: str) -> None:
+def test_broken_files_are_reported(case: str) -> None:
     text, words = BROKEN[case]
     with pytest.raises(InputError, match=words) as caught:
         recognise(text.encode(), "scene.rpc").rpc("scene.rpc")
@@ -253,7 +253,7 @@ def test_an_rpc_of_another_image(tmp_path: Path) -> None:
         build(image, offset=[200_000, 0])
 
 
-def test_the_door(tmp_path: Path) -> None:
+def test_the_plugin_passes_the_check(tmp_path: Path) -> None:
     image = picture(tmp_path / "scene.tif")
     write_text(rig.model(), image)
     made = request(image, rpc=str(tmp_path / "scene_RPC.TXT"), first_pixel=0, offset=[0, 0], refine="shift")

@@ -66,7 +66,7 @@ def test_a_frame_photo(distortion: dict[str, Any], heights: tuple[float, float],
         assert apart < 1e-3
 
 
-def test_a_lens_beyond_cubics_is_told() -> None:
+def test_a_lens_beyond_cubics_is_reported() -> None:
     model = frame(STRONG)
     fitted = fit_rpc(model, (200.0, 900.0))
     assert 0.02 < fitted.worst < 0.05

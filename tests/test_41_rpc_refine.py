@@ -145,7 +145,7 @@ def door(points: np.ndarray, image: np.ndarray, tmp_path: object, **more: object
     return made
 
 
-def test_points_through_the_door(tmp_path: object) -> None:
+def test_points_given_to_the_plugin(tmp_path: object) -> None:
     points, image = measured("shift", 10, 0.2)
     image[4] += 60.0
     with pytest.warns(GeomosaicWarning, match=r"left out: p4 \(8\d\.\d px\)"):

@@ -85,7 +85,7 @@ def test_closed_derivatives(lens: str, treatment: str) -> None:
         np.testing.assert_allclose(closed, measured, atol=1e-6 * np.abs(measured).max(axis=(0, 1)).max())
 
 
-def test_resection_through_the_door() -> None:
+def test_resection_by_the_plugin() -> None:
     model = frame("opencv")
     ground = control(model, 20)
     steps = model.parameters.steps

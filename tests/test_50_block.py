@@ -184,7 +184,7 @@ def test_a_hole_of_the_dem_under_the_camera_is_no_dem_elsewhere(monkeypatch: pyt
             footprint(scene("stray"), surface, MAP)
 
 
-def test_a_dem_elsewhere_is_told_with_its_extent(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_dem_elsewhere_is_reported_with_its_extent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Degrees that pass for metres show themselves."""
     monkeypatch.setattr("geomosaic.block.footprint._nadir", lambda scene, crs: (X, Y))
     surface = _at((X + 5000, Y))

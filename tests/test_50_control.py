@@ -97,7 +97,7 @@ TABLES = {
 
 
 @pytest.mark.parametrize("text", TABLES.values(), ids=TABLES.keys())
-def test_table(write: Write, text: str) -> None:
+def test_the_published_table(write: Write, text: str) -> None:
     reading = read_control(write(text), crs=UTM)
     assert reading.format == "csv"
     points = reading.control

@@ -95,12 +95,12 @@ def test_words_only_where_there_are_points_enough(count: int, nssda: bool, asprs
         assert said or f"there are {count}" in statement
 
 
-def test_unequal_axes_are_told() -> None:
+def test_unequal_axes_are_reported() -> None:
     errors = np.random.default_rng(3).normal(0.0, [1.0, 0.2], (40, 2))
     assert "differ too much" in check_errors(names(40), errors, "m").nssda_statement
 
 
-def test_a_shift_is_told_from_chance() -> None:
+def test_a_shift_is_distinguished_from_chance() -> None:
     random = np.random.default_rng(5)
     alarms = [check_errors(names(10), random.normal(0.0, 1.0, (10, 2)), "m").shifted for _ in range(1000)]
     assert 0.002 < np.mean(alarms) < 0.02  # alpha is 1 %
@@ -168,7 +168,7 @@ def test_richer_kinds_do_not_win_by_chance() -> None:
     assert plain < chosen
 
 
-def test_few_points_and_none_to_choose_by() -> None:
+def test_too_few_points_for_a_choice_of_model() -> None:
     xy, colrow = noisy("affine", 5, 2)
     choice = choose_model(planar_builds(SensorRequest("scan", SIZE, {}, UTM), xy, colrow), names(5), xy, colrow)
     assert choice.name in ("conformal", "affine")

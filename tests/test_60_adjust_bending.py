@@ -71,7 +71,7 @@ def test_what_was_measured_elsewhere_is_not():
     assert np.mean(pardoned) > 0.9
 
 
-def test_few_points_explain_nothing():
+def test_too_few_points_explain_nothing():
     xy, colrow = lens(4, 3, 0.05, 2)
     assert not explained_by_distortion(xy, colrow, corners(4, 3)).any()
     nobody = np.zeros(12, dtype=bool)

@@ -90,7 +90,7 @@ def test_every_choice_is_fitted_as_the_plugin_fits_it(kind):
         assert free == 2 * kept[i].sum() - own.redundancy
 
 
-def test_one_of_few_is_named_and_of_good_ones_none():
+def test_a_blunder_in_a_small_set_is_named_and_none_in_a_good_one():
     """The more points, the surer: of 8 nearly all, of good ones none is ever held for wrong."""
     least = {("conformal", 6): 0.95, ("affine", 7): 0.9, ("projective", 8): 0.9, ("poly2", 10): 0.9}
     for (kind, count), share in least.items():
@@ -108,7 +108,7 @@ def test_one_of_few_is_named_and_of_good_ones_none():
         assert hits >= share * 40, (kind, count, hits)
 
 
-def test_what_cannot_be_told_is_said_to_be_uncertain():
+def test_an_undecidable_blunder_is_reported_as_uncertain():
     """Four points, one of them wrong: an affine image or a conformal one with a blunder."""
     xy = spread(4, 0)
     colrow = truth("conformal", xy)

@@ -232,7 +232,7 @@ def test_no_redundancy_says_nothing() -> None:
     assert np.isnan(fit.leave_one_out_rms)
 
 
-def test_mirrored_control_is_told() -> None:
+def test_mirrored_control_is_reported() -> None:
     xy, colrow = noisy("conformal", 12, 1)
     colrow[:, 1] = SIZE[1] - colrow[:, 1]
     fit = fit_control(builder("conformal", xy, colrow), names(12), xy, colrow)

@@ -64,7 +64,7 @@ def beside(point: FloatArray, along: FloatArray) -> FloatArray:
 
 @pytest.mark.parametrize("count", ["least", 12, 200])
 @pytest.mark.parametrize("name", CASES)
-def test_known_bodies_come_back(name: str, count: int | str) -> None:
+def test_known_quadrics_come_back(name: str, count: int | str) -> None:
     """Noise-free, with no initial values, from few points and many: to a nanometre of metres."""
     kind, axis, sizes = CASES[name]
     number = LEAST[kind] + 1 if count == "least" else int(count)  # one more: several bodies may pass through the least

@@ -237,7 +237,7 @@ def test_layouts_that_do_not_fit(layout: Layout, crs: str, words: str) -> None:
         ({"grid": {"labels": 1}}, "not true or false", "true or false"),
     ],
 )
-def test_wrong_layouts_are_told_kindly(values: dict[str, object], words: str, hint: str) -> None:
+def test_wrong_layouts_are_reported_with_a_hint(values: dict[str, object], words: str, hint: str) -> None:
     with pytest.raises(InputError) as failed:
         build(Layout, values, "layout.toml")
     assert words in failed.value.what
@@ -367,7 +367,7 @@ def test_graduated_classes() -> None:
         ({"column": "c", "class": [{"title": "x"}]}, "no limits"),
     ],
 )
-def test_wrong_styles_are_told_kindly(values: dict[str, object], words: str) -> None:
+def test_wrong_styles_are_reported_with_a_hint(values: dict[str, object], words: str) -> None:
     with pytest.raises(InputError, match=words):
         parse_style(values, "style.toml")
 
@@ -391,7 +391,7 @@ def test_long_sides_bend_with_the_map() -> None:
     assert line.hausdorff_distance(chord) > 500.0
 
 
-def test_what_lies_beside_the_sheet_is_left_out() -> None:
+def test_what_lies_outside_the_sheet_is_left_out() -> None:
     here, beside = shapely.Point(5, 5), shapely.Point(500, 5)
     made = overlay(
         [beside, here, None], {}, UTM33, Style(symbol=Symbol(line=Line())), "P", UTM33, (0, 0, 10, 10), straight=9.0,

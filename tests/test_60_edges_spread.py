@@ -59,7 +59,7 @@ def test_dense_points_of_a_smooth_misfit() -> None:
     assert np.sqrt(((grid.at(between) - truth(between)) ** 2).mean()) < 0.01
 
 
-def test_contradiction_is_met_in_the_mean_and_told() -> None:
+def test_contradictions_meet_in_the_mean_and_are_reported() -> None:
     points = np.array([[500.0, 500.0], [500.3, 500.0], [900.0, 900.0]])
     values = np.array([[1.0, 0.0], [0.0, 0.0], [0.5, 0.5]])
     with pytest.warns(GeomosaicWarning, match=r"2 of 3 points .* 'p0' and 'p1'"):

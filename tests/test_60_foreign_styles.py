@@ -271,7 +271,7 @@ def test_sld_literals_expressions_and_solid_lines() -> None:
     assert any("drawn whole" in remark for remark in foreign_style(negative, "x.sld")[1])
 
 
-def test_qml_layers_that_are_left_out_are_told() -> None:
+def test_qml_layers_that_are_left_out_are_reported() -> None:
     """A second fill, a third stroke, and what labels have beyond their font."""
     fill = (
         '<layer class="SimpleFill" enabled="1"><prop k="color" v="{},0,0,255"/><prop k="outline_color" v="1,2,3,255"/>'

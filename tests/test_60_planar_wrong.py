@@ -114,7 +114,7 @@ def adjust_quietly(block: PlanarBlock, kind: str):
         return adjust(block, kind)
 
 
-def test_wrong_coordinates_are_told_from_wrong_measurements() -> None:
+def test_wrong_coordinates_are_distinguished_from_wrong_measurements() -> None:
     """Control in three photos whose coordinates are off by 4 m: not its measurements, its place."""
     truth, block = textbook_block("conformal", 0.5, 3)
     place = {tie.id: tie for tie in block.ties if tie.id == "25"}

@@ -35,7 +35,7 @@ def gamma(v: np.ndarray) -> np.ndarray:
     return 255 * (np.clip(v, 0, 255) / 255) ** 0.7 + 4
 
 
-def test_a_known_curve_is_undone_over_the_overlap_though_the_images_show_other_things():
+def test_a_known_curve_is_undone_by_the_overlap_of_different_images():
     master, bent = piece(0, 0), piece(60, 20, gamma)
     curves, alone = match_overlaps([master, bent], master)
     assert alone == []

@@ -47,7 +47,7 @@ def test_cells_that_one_does_not_show_are_left_out() -> None:
     assert compare(0, 1, place(window), place(window, valid=valid)) is None
 
 
-def test_few_cells_of_a_large_overlap_are_kept_and_cover_it() -> None:
+def test_a_share_of_the_cells_of_a_large_overlap_covers_it() -> None:
     """Whatever the width: a stride that equals it would see a single column."""
     for width in range(30, 97):
         window = Window(0, 0, width, 96)

@@ -51,7 +51,7 @@ def image(dtype: str, bands: int) -> np.ndarray:
         *(pytest.param(dtype, True, marks=pytest.mark.slow) for dtype in ("uint16", "int16")),
     ],
 )
-def test_twins_give_the_same_bytes(resampling: str, dtype: str, masked: bool) -> None:
+def test_both_engines_give_the_same_bytes(resampling: str, dtype: str, masked: bool) -> None:
     values = image(dtype, 1 if dtype == "uint16" else 3)
     valid = None
     if masked:
@@ -72,7 +72,7 @@ def test_twins_give_the_same_bytes(resampling: str, dtype: str, masked: bool) ->
 @pytest.mark.parametrize("resampling", RESAMPLING)
 @pytest.mark.parametrize(("dtype", "bands"), [("uint8", 3), ("uint8", 1), ("float32", 2)])
 @pytest.mark.parametrize("flat", [False, True])
-def test_few_pixels_have_the_bytes_of_the_whole(resampling: str, dtype: str, bands: int, flat: bool) -> None:
+def test_single_pixels_have_the_bytes_of_the_whole(resampling: str, dtype: str, bands: int, flat: bool) -> None:
     """Placed one by one; the others stay as they were."""
     values, surface = image(dtype, bands), Hills(amplitude=0.0) if flat else Hills()
     valid = None if bands == 3 else (np.random.default_rng(5).random(values.shape[:2]) > 0.02).astype(np.uint8)
@@ -229,7 +229,7 @@ def test_supersampling_rule() -> None:
 
 @pytest.mark.parametrize("resampling", ["bilinear", "cubic"])
 @pytest.mark.parametrize("dtype", ["uint8", "float32"])
-def test_colour_and_float_output_of_the_twins(resampling: str, dtype: str) -> None:
+def test_both_engines_give_the_same_colour_and_float_output(resampling: str, dtype: str) -> None:
     """Blending takes corrected values unrounded; the quick kernels must agree there as well."""
     values = image("uint8", 3)
     grid = grid_of(4.0)

@@ -34,7 +34,7 @@ def lattice_of(turn: float, scale: float, window: Window, bend: float = 0.0) -> 
 
 @pytest.mark.parametrize("turn", [0.0, 0.0007, -0.02, 0.12])
 @pytest.mark.parametrize("scale", [1.0, 1.0003, 0.97, 0.61])
-def test_the_same_bytes_as_the_twin(turn: float, scale: float) -> None:
+def test_the_same_bytes_as_the_reference_engine(turn: float, scale: float) -> None:
     image = np.random.default_rng(3).integers(0, 256, (SIZE[1], SIZE[0], 3), dtype=np.uint8)
     lattice = lattice_of(turn, scale, Window(0, 0, 640, 512), bend=2.0)
     ways, taken = [], []

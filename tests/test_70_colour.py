@@ -225,7 +225,7 @@ def test_masked_areas_say_nothing(shots, tmp_path):
     assert masked < 0.06, f"{masked:.3f}, {seen:.3f} without mask"
 
 
-def test_the_last_stretch_goes_to_eight_bits_and_is_told(shots, tmp_path):
+def test_the_last_stretch_goes_to_eight_bits_and_is_reported(shots, tmp_path):
     made = make(shots(0.35, "uint16"), tmp_path / "s.tif", stretch="2,98")
     assert made.stretch is not None
     with rasterio.open(made.path) as file:

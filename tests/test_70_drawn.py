@@ -76,7 +76,7 @@ def test_areas_of_another_block(files: list[Path], tmp_path: Path, way: str) -> 
             rig.run(files, tmp_path / "out.tif", **given(way, path))
 
 
-def test_images_that_share_nothing_are_told(files: list[Path], tmp_path: Path) -> None:
+def test_images_that_share_nothing_are_reported(files: list[Path], tmp_path: Path) -> None:
     ground = rig.scene(100, 120, 3).astype(np.uint8)
     apart = rig.write(tmp_path / "apart.tif", ground, 200)
     made = rig.run([files[0], apart], tmp_path / "out.tif", balance=True)
@@ -88,7 +88,7 @@ def test_images_that_share_nothing_are_told(files: list[Path], tmp_path: Path) -
 
 
 @pytest.mark.parametrize("way", ["both", "one over the other", "one away from the other"])
-def test_a_border_moved_on_one_side_only_is_told(files: list[Path], tmp_path: Path, way: str) -> None:
+def test_a_border_moved_on_one_side_only_is_reported(files: list[Path], tmp_path: Path, way: str) -> None:
     """Layers of shares: a to column 90 and b beyond; b moved over a without a, or away from it."""
     ends = {"both": (110, 110), "one over the other": (90, 85), "one away from the other": (90, 110)}[way]
     a, b = shapely.box(L, T - 100, L + ends[0], T), shapely.box(L + ends[1], T - 100, L + 200, T)

@@ -244,7 +244,7 @@ def test_deletion_with_a_chosen_model_takes_only_the_blunder() -> None:
     assert done.model == "poly2"
 
 
-def test_errors_that_are_large_for_the_image_are_told() -> None:
+def test_errors_that_are_large_for_the_image_are_reported() -> None:
     points = control(4, 3)
     random = np.random.default_rng(3)
     points = replace(points, colrow=points.colrow + random.normal(0.0, 120.0, points.colrow.shape))
@@ -277,7 +277,7 @@ def test_auto_chooses_as_if_blunders_were_not_there() -> None:
 
 
 @pytest.mark.parametrize("count", [4, 5, 6, 7, 8])
-def test_of_few_good_points_nothing_wrong_is_said(count: int) -> None:
+def test_no_blunder_is_named_in_a_small_set_of_good_points(count: int) -> None:
     for tilt in (0.0, 1e-6, 2e-5, 1e-4):
         for model in ("auto", "conformal", "affine")[: 1 + 2 * (tilt == 0.0)]:
             told = solved(few(count, {}, tilt), model=model).advice

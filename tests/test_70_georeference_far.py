@@ -20,7 +20,7 @@ from geomosaic.georeferencing.run import georeference
 
 
 @pytest.mark.parametrize("crs", ["EPSG:2193", "EPSG:3031", "EPSG:32601"])
-def test_a_far_output_crs_is_told_and_drawn_rightly(tmp_path: Path, crs: str) -> None:
+def test_a_far_output_crs_is_reported_and_drawn_rightly(tmp_path: Path, crs: str) -> None:
     """Every pixel shows the ground that PROJ says it lies on, however distorted the map is there."""
     colrow = places()
     given = ControlInput(table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), CRS)

@@ -84,7 +84,7 @@ def test_alpha_is_respected(tmp_path: Path) -> None:
     assert np.array_equal(made, np.where(hidden[..., None], 7, values))
 
 
-def test_what_lies_far_apart_is_told(tmp_path: Path) -> None:
+def test_what_lies_far_apart_is_reported(tmp_path: Path) -> None:
     values = np.full((40, 40, 1), 9, dtype=np.uint8)
     files = [rig.write(tmp_path / "a.tif", values), rig.write(tmp_path / "b.tif", values, 3000, 500)]
     with pytest.warns(GeomosaicWarning, match=r"'b.tif' lies 3\d\d\d.* map units from the others"):

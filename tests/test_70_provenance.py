@@ -63,7 +63,7 @@ def test_view_angles_are_those_of_the_cameras(made, sample):
     assert np.median(size) == pytest.approx(1.0, abs=0.05)
 
 
-def test_the_sources_are_told_in_geopackage_and_stac(made, sample):
+def test_the_sources_stand_in_geopackage_and_stac(made, sample):
     prints = read_layer(made / "p.gpkg", "footprints")
     item = json.loads((made / "p.stac.json").read_text())
     assert "views" in item["assets"]

@@ -44,7 +44,7 @@ def test_a_balance_comes_back_to_the_bit(curves):
         assert (other.curves[0](values, *places) == curves[0](values, *places)).all()
 
 
-def test_only_known_things_are_kept():
+def test_only_known_results_are_kept():
     @dataclass(frozen=True)
     class Balance:  # of the same name
         gain: float

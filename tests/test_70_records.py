@@ -204,7 +204,7 @@ def test_what_a_killed_run_left_goes_and_what_a_living_one_writes_stays(tmp_path
     assert sorted(tmp_path.iterdir()) == sorted([*others, Path(f"{own}9")])
 
 
-def test_many_facts_are_gathered_quickly() -> None:
+def test_many_records_are_gathered_in_little_time() -> None:
     record = GeometryRecord()
     for i in range(200_000):
         record.add(0.001 * (i % 7), float(i % 3))

@@ -69,7 +69,7 @@ SLIPS: dict[str, tuple[Callable[[Row], dict[str, object]], str]] = {
 
 
 @pytest.mark.parametrize("slip", SLIPS)
-def test_slips_are_told_with_their_mend(tmp_path: Path, slip: str) -> None:
+def test_control_mistakes_are_reported_with_their_correction(tmp_path: Path, slip: str) -> None:
     change, hint = SLIPS[slip]
     inputs = sample(changed(tmp_path / "gcps.csv", change))
     control, check = control_discrepancies(inputs, build_block(inputs))
@@ -156,7 +156,7 @@ def test_a_scene_whose_control_counts_from_the_geoid(tmp_path: Path) -> None:
     assert "their heights counted from the geoid" in found[0].cause
 
 
-def test_new_says_it_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_new_reports_it_as_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     inputs = sample(changed(tmp_path / "gcps.csv", SLIPS["col and row"][0]))
     flags = ["--sensor", "frame", "--camera", inputs.camera, "--exterior", inputs.exterior, "--crs", "EPSG:32633",
              "--heights", "egm96", "--dem", inputs.dem, "--gcps", tmp_path / "gcps.csv"]  # fmt: skip
@@ -166,7 +166,7 @@ def test_new_says_it_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "exchange the names col and row" in told
 
 
-def test_a_run_does_not_succeed_and_says_it_everywhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_fails_and_every_output_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Console, JSON, report and exit code; a limit of the user's own takes its place."""
     base = sample_folder()
     changed(tmp_path / "gcps.csv", SLIPS["rows up"][0])

@@ -172,7 +172,7 @@ def test_what_undeclared_positions_cost_is_counted_above_the_dem(sample: Path, t
     assert said != pytest.approx(pixels * (z - ground) / z, rel=0.1)
 
 
-def test_a_sensor_is_told_the_height_of_the_ground(sample: Path) -> None:
+def test_a_sensor_gets_the_height_of_the_ground(sample: Path) -> None:
     """Seed on the DEM, and steps of one pixel there; what the user says comes first."""
     told = build_block(inputs(sample))
     surface, model = told.surface, told.scenes[0].model
@@ -189,7 +189,7 @@ def test_a_sensor_is_told_the_height_of_the_ground(sample: Path) -> None:
     assert Transform(flat.crs, surface.crs)(np.array([flat.seed]))[0, 2] == pytest.approx(700.0, abs=0.1)
 
 
-def test_a_sensor_with_a_position_of_its_own_is_told_too(sample: Path, tmp_path: Path) -> None:
+def test_a_sensor_with_a_position_of_its_own_gets_the_height_of_the_ground(sample: Path, tmp_path: Path) -> None:
     given = inputs(
         sample,
         camera=None,
@@ -283,7 +283,7 @@ def test_a_table_that_a_sensor_cannot_use_is_no_secret(sample: Path) -> None:
         build_block(inputs(sample, sensor="planar", camera=None, options={"transform": [1, 0, 4e5, 0, -1, 55e5]}))
 
 
-def test_film_of_which_nothing_is_left_out_is_told() -> None:
+def test_film_of_which_nothing_is_left_out_is_reported() -> None:
     scene = OrientedImage("film.tif", "film.tif", "frame", PinholeOverMap())
     film = Block((Path("film.tif"),), "frame", fiducials=Path("marks.csv"))
     with pytest.warns(GeomosaicWarning, match=r"borders of the film are shown like the ground \(film.tif\)"):

@@ -52,7 +52,7 @@ def test_a_table_written_by_hand(tmp_path: Path) -> None:
         ("col,row,d_col,d_row\n0,0,1,1\n9,0,8,1\n", "fold"),
     ],
 )
-def test_wrong_tables_are_told(tmp_path: Path, text: str, words: str) -> None:
+def test_wrong_tables_are_reported(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "grid.csv").write_text(text)
     with pytest.raises(InputError, match=words) as told:
         read_corrections(tmp_path / "grid.csv")

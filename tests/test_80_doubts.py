@@ -106,7 +106,7 @@ SEEN = ("exchanged", "about", "all senses", "gons for degrees", "matrix turned")
 @pytest.mark.parametrize(
     ("case", "witness"), [*((case, "control") for case in WRONG), *((case, "pictures") for case in SEEN)]
 )
-def test_a_wrong_reading_is_found_with_its_mend(tmp_path: Path, case: str, witness: str) -> None:
+def test_a_wrong_reading_is_found_with_its_correction(tmp_path: Path, case: str, witness: str) -> None:
     table, more, hint = WRONG[case]
     control = {"control": sample_folder() / "gcps.csv"} if witness == "control" else {}
     inputs = sample(exterior=write(tmp_path / "table.csv", table), **more, **control)

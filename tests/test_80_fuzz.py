@@ -221,7 +221,7 @@ PIECES = st.one_of(
 @pytest.mark.parametrize("kind", KINDS)
 @SETTINGS
 @given(cuts=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 30), PIECES), min_size=1, max_size=3))
-def test_pieces_replaced(kind: str, cuts: list[tuple[float, int, str]]) -> None:
+def test_a_replaced_piece_is_read_or_refused(kind: str, cuts: list[tuple[float, int, str]]) -> None:
     text = KINDS[kind][1]
     for place, length, piece in cuts:
         at = math.floor(place * len(text))

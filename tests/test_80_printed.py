@@ -50,7 +50,9 @@ ANGLES = ("image", "x", "y", "z", "omega", "phi", "kappa")
         (("kappa", "phi", "omega"), about(0, W) @ about(1, P) @ about(2, K)),
     ],
 )
-def test_the_sequence_is_that_which_is_told(tmp_path: Path, sequence: tuple[str, ...], truth: FloatArray) -> None:
+def test_the_sequence_of_rotations_is_that_declared(
+    tmp_path: Path, sequence: tuple[str, ...], truth: FloatArray
+) -> None:
     line = f"101 1000.0 2000.0 3000.0 {W / 0.9!r} {P / 0.9!r} {K / 0.9!r}\n"
     found = read(tmp_path / "list", f"PROTOCOL 7\n\n{line}", columns=ANGLES, sequence=sequence, skip=1)
     assert np.abs(found - truth).max() < 1e-14
@@ -66,7 +68,7 @@ def test_the_sequence_is_that_which_is_told(tmp_path: Path, sequence: tuple[str,
         ("down right", np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])),
     ],
 )
-def test_the_axes_are_those_which_are_told(tmp_path: Path, axes: str, to_image: FloatArray) -> None:
+def test_the_axes_are_those_declared(tmp_path: Path, axes: str, to_image: FloatArray) -> None:
     """A matrix to other axes, four decimals and over three lines, as lists print it."""
     m = omega_phi_kappa(*np.radians([W, P, K]))
     rows = "\n".join(" ".join(f"{v:.7f}" for v in row) for row in (to_image @ m).T)
@@ -122,7 +124,7 @@ def test_angles_are_held_against_the_matrix(tmp_path: Path) -> None:
         ({"columns": ANGLES, "sequence": ("omega", "phi", "kappa"), "skip": 9}, "deg", None, "no record"),
     ],
 )
-def test_what_is_not_told_is_asked_for(
+def test_what_is_not_declared_is_asked_for(
     tmp_path: Path, how: dict[str, Any], unit: str | None, direction: str | None, words: str
 ) -> None:
     with pytest.raises(InputError, match=words):

@@ -155,7 +155,7 @@ def test_deviations_of_control_points_can_be(tmp_path):
     assert (point.sigma_xy, point.sigma_px) == (0.0, 1.0)
 
 
-def test_control_that_is_measured_elsewhere_only_is_told(tmp_path):
+def test_control_measured_in_other_photos_only_is_reported(tmp_path):
     """As if there were none; a table whose names are spelt otherwise would judge nothing in silence."""
     file = write(tmp_path / "g.csv", "id,x,y,z,image,col,row\nP1,1,2,3,scan_1.tif,1,1\n")
     with pytest.warns(GeomosaicWarning, match=r"g.csv: no point is measured in an image.*'scan_1.tif'"):
