@@ -12,6 +12,7 @@ from collections.abc import Collection
 
 import numpy as np
 
+from geomosaic.interpolation import interval
 from geomosaic.types import FloatArray, IntArray
 
 RADIAL = 3
@@ -108,9 +109,7 @@ def _square(count: int, order: int) -> FloatArray:
 
 def _splines(t: FloatArray) -> FloatArray:
     """Uniform cubic B-splines (N, NODES) over −1 … 1; places beyond count as the ends."""
-    at = np.clip((t + 1) / 2, 0.0, 1.0) * SPANS
-    first = np.minimum(at.astype(np.int64), SPANS - 1)
-    u = at - first
+    first, u = interval((t + 1) / 2 * SPANS, SPANS + 1)
     weights = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]) / 6
     out = np.zeros((len(t), NODES))
     rows = np.arange(len(t))
@@ -121,9 +120,7 @@ def _splines(t: FloatArray) -> FloatArray:
 
 def hats(image: FloatArray, nodes: int) -> tuple[IntArray, FloatArray]:
     """Numbers (N, 4) and weights (N, 4) of the nodes of a net of nodes × nodes over −1 … 1 that places lie between."""
-    at = np.clip((image + 1) / 2, 0.0, 1.0) * (nodes - 1)
-    first = np.minimum(at.astype(np.int64), nodes - 2)
-    (u, v), (col, row) = (at - first).T, first.T
+    (col, row), (u, v) = (part.T for part in interval((image + 1) / 2 * (nodes - 1), nodes))
     number = np.stack([row * nodes + col, row * nodes + col + 1, (row + 1) * nodes + col, (row + 1) * nodes + col + 1])
     weight = np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v])
     return number.T, weight.T

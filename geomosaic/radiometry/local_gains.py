@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from geomosaic.interpolation import interval
 from geomosaic.radiometry import bases
 from geomosaic.radiometry.fields import Fields
 from geomosaic.radiometry.normal_equations import LEAST_SIGMA
@@ -82,8 +83,8 @@ class Shade:
 
     def __call__(self, values: AnyArray, cols: FloatArray, rows: FloatArray) -> FloatArray:
         """Correct values (R, C, bands) of a raster whose columns (C,) and rows (R,) lie there in output pixels."""
-        i, u = between((cols - self.origin[0]) / self.spacing[0], self.net.shape[1])
-        j, v = between((rows - self.origin[1]) / self.spacing[1], self.net.shape[0])
+        i, u = interval((cols - self.origin[0]) / self.spacing[0], self.net.shape[1])
+        j, v = interval((rows - self.origin[1]) / self.spacing[1], self.net.shape[0])
         lines = self.net[j] + (self.net[j + 1] - self.net[j]) * v[:, None, None]
         gain = lines[:, i] + (lines[:, i + 1] - lines[:, i]) * u[None, :, None]
         clear = np.asarray(values, dtype=np.float64)
@@ -118,13 +119,6 @@ class Shade:
         return b"".join(
             part.tobytes() for part in (self.net, numbers, self.dark, self.offset, self.curve, self.path, self.haze)
         )
-
-
-def between(at: FloatArray, count: int) -> tuple[AnyArray, FloatArray]:
-    """Node before each place and the part of the way to the next, within the net."""
-    inside = np.minimum(np.maximum(at, 0.0), count - 1.0)
-    node = np.minimum(inside.astype(np.int64), count - 2)
-    return node, inside - node
 
 
 NODES = 6

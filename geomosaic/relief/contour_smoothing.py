@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomosaic.interpolation import bilinear, interval
 from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
 
 PASSES = 12
@@ -25,16 +26,11 @@ def bilinear_at(values: AnyArray, col: FloatArray, row: FloatArray) -> FloatArra
     rows, cols = values.shape
     hair = 1e-6
     inside = (col >= -hair) & (row >= -hair) & (col <= cols - 1 + hair) & (row <= rows - 1 + hair)
-    c, r = np.clip(np.nan_to_num(col), 0, cols - 1), np.clip(np.nan_to_num(row), 0, rows - 1)
-    i, j = np.minimum(c.astype(np.int64), cols - 2), np.minimum(r.astype(np.int64), rows - 2)
-    u, v = c - i, r - j
-    total = np.zeros(col.shape)
-    for du, across in ((0, 1 - u), (1, u)):
-        for dv, down in ((0, 1 - v), (1, v)):
-            weight = across * down
-            # A node without weight does not count, known or not. Weights are float64, whatever the heights are.
-            total += np.where(weight > 1e-9, weight * values[j + dv, i + du], 0.0)
-    return np.where(inside, total, np.nan)
+    c, r = np.nan_to_num(col), np.nan_to_num(row)
+    (i, u), (j, v) = interval(c, cols), interval(r, rows)
+    # A vertex on the side of a cell lies beside it by rounding; what the neighbour is worth there does not count.
+    found = bilinear(values, np.column_stack([i, j]), np.column_stack([u, v]), least=1e-9)
+    return np.where(inside, found, np.nan)
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ import numpy as np
 
 from geomosaic.block.footprint import Footprint
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.interpolation import bilinear
 from geomosaic.sensor.lattice import blocks
 from geomosaic.sensor.map_to_image import BlockGround, Ground
-from geomosaic.surface.dem import bilinear
 from geomosaic.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:

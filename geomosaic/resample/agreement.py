@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from geomosaic.interpolation import interval, lerp
 from geomosaic.resample.pyramid import Steps, ascend, descend, filled
 from geomosaic.types import AnyArray, ByteArray, Float32Array, FloatArray
 
@@ -190,44 +191,27 @@ def withdraw(
     here = (first | (label == indices[1])) & (seen_a != 0) & (seen_b != 0)
     here &= np.kron(cells > 0, np.ones((CELL, CELL), dtype=bool))[:height, :width]
     k, c = np.nonzero(here)
-    place, fv, fu = _samples(k, c, corner, doubt.share.shape)
-    s = _between(doubt.share, place, fv, fu)
+    (j, fv), (i, fu) = (
+        interval((at + 0.5) / SAMPLE - 0.5 - corner[axis], doubt.share.shape[axis]) for axis, at in enumerate((k, c))
+    )
+    s = lerp(doubt.share, j, i, fv, fu)
     w = np.where(first[k, c], _weights(weight_b, k, c, factor, margin), _weights(weight_a, k, c, factor, margin))
     some = (s > 0) & (w > 0)
     k, c, s, w, fv, fu = k[some], c[some], s[some], w[some], fv[some], fu[some]
-    place = place[0][some], place[1][some]
+    j, i = j[some], i[some]
     one = first[k, c]
     for m in range(a.shape[2]):
         x, y = a[k, c, m].astype(np.float64), b[k, c, m].astype(np.float64)
         half = np.where(one, doubt.slope[m] * 0.5, -doubt.slope[m] * 0.5)
         own = np.where(one, x, y)
-        mean = _between(doubt.mean[m], place, fv, fu)
+        mean = lerp(doubt.mean[m], j, i, fv, fu)
         off = (x - y) - (mean + doubt.slope[m] * (own - doubt.level[m])) / (1.0 + half)
         total[k, c, m] = total[k, c, m] + (w * s) * np.where(one, off, -off)
-
-
-def _samples(
-    k: AnyArray, c: AnyArray, corner: tuple[int, int], shape: tuple[int, ...]
-) -> tuple[tuple[AnyArray, AnyArray], FloatArray, FloatArray]:
-    v = np.minimum(np.maximum((k + 0.5) / SAMPLE - 0.5 - corner[0], 0.0), shape[0] - 1.0)
-    u = np.minimum(np.maximum((c + 0.5) / SAMPLE - 0.5 - corner[1], 0.0), shape[1] - 1.0)
-    j, i = np.minimum(v.astype(np.int64), shape[0] - 2), np.minimum(u.astype(np.int64), shape[1] - 2)
-    return (j, i), v - j, u - i
-
-
-def _between(values: FloatArray, place: tuple[AnyArray, AnyArray], fv: FloatArray, fu: FloatArray) -> FloatArray:
-    j, i = place
-    upper = values[j, i] + (values[j, i + 1] - values[j, i]) * fu
-    lower = values[j + 1, i] + (values[j + 1, i + 1] - values[j + 1, i]) * fu
-    found: FloatArray = upper + (lower - upper) * fv
-    return found
 
 
 def _weights(weight: Float32Array, k: AnyArray, c: AnyArray, factor: int, margin: int) -> FloatArray:
     v, u = (k + 0.5) / factor - 0.5 + margin, (c + 0.5) / factor - 0.5 + margin
     j, i = v.astype(np.int64), u.astype(np.int64)
     fv, fu = (v - j).astype(np.float32), (u - i).astype(np.float32)
-    top = weight[j, i] + (weight[j, i + 1] - weight[j, i]) * fu
-    low = weight[j + 1, i] + (weight[j + 1, i + 1] - weight[j + 1, i]) * fu
-    found: FloatArray = (top + (low - top) * fv).astype(np.float64)
+    found: FloatArray = lerp(weight, j, i, fv, fu).astype(np.float64)
     return found

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomosaic.interpolation import lerp
 from geomosaic.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 STEP = 64
@@ -195,10 +196,7 @@ def _lines(field: Field, heights: Float32Array, rows: IntArray, cols: IntArray) 
     v, u = (rows + 0.5) / STEP, (cols + 0.5) / STEP
     i, j = v.astype(np.int64), u.astype(np.int64)
     v, u = v - i, u - j
-    n = field.nodes
-    left = n[i, j] + (n[i + 1, j] - n[i, j]) * v[:, None]
-    right = n[i, j + 1] + (n[i + 1, j + 1] - n[i, j + 1]) * v[:, None]
-    at = left + (right - left) * u[:, None]
+    at = lerp(field.nodes.swapaxes(0, 1), j, i, u[:, None], v[:, None])  # down first, as the kernel
     z = _bilinear(heights, at[:, 0], at[:, 1])
     t = (z - field.z_middle) * field.z_inverse
     sx = at[:, 2] + t * (at[:, 3] + t * at[:, 4])
@@ -240,7 +238,7 @@ def _shut(
 
 
 def _bilinear(heights: Float32Array, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Heights between nodes; NaN beyond them, or where one of the four is unknown."""
+    """Bilinear heights in the kernel's order of operations; NaN beyond the nodes, or where one of four is unknown."""
     inside = (x >= 0.0) & (y >= 0.0) & (x < heights.shape[1] - 1) & (y < heights.shape[0] - 1)
     i, j = np.where(inside, y, 0.0).astype(np.int64), np.where(inside, x, 0.0).astype(np.int64)
     u, v = x - j, y - i

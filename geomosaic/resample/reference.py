@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from geomosaic.interpolation import interval, lerp
 from geomosaic.resample.taps import VALUES, bilinear_bytes
 from geomosaic.types import AnyArray, FloatArray
 
@@ -173,9 +174,8 @@ def accumulate(
     u = (np.arange(width) + 0.5) / factor - 0.5 + margin
     j, i = v.astype(np.int64)[:, None], u.astype(np.int64)[None, :]
     fv, fu = (v[:, None] - j).astype(np.float32), (u[None, :] - i).astype(np.float32)
-    top = weight[j, i] + (weight[j, i + 1] - weight[j, i]) * fu
-    low = weight[j + 1, i] + (weight[j + 1, i + 1] - weight[j + 1, i]) * fu
-    w = np.where((valid > 0) & _pixels(cells, valid.shape), top + (low - top) * fv, np.float32(0.0)).astype(np.float32)
+    seen = (valid > 0) & _pixels(cells, valid.shape)
+    w = np.where(seen, lerp(weight, j, i, fv, fu), np.float32(0.0)).astype(np.float32)
     seen = w > 0.0
     total[seen] += w[seen][:, None] * values[seen]
     sums[seen] += w[seen]
@@ -227,15 +227,14 @@ def shade(
 ) -> None:
     """Correct the pixels that are seen by gains on a coarse net; see `kernels.shade`."""
     height, width, bands = values.shape
-    v = np.minimum(np.maximum(place[1] + np.arange(height) * place[3], 0.0), net.shape[0] - 1.0)
-    u = np.minimum(np.maximum(place[0] + np.arange(width) * place[2], 0.0), net.shape[1] - 1.0)
-    j, i = np.minimum(v.astype(np.int64), net.shape[0] - 2), np.minimum(u.astype(np.int64), net.shape[1] - 2)
-    lines = net[j] + (net[j + 1] - net[j]) * (v - j)[:, None, None]
-    gain = lines[:, i] + (lines[:, i + 1] - lines[:, i]) * (u - i)[None, :, None]
+    j, v = interval(place[1] + np.arange(height) * place[3], net.shape[0])
+    i, u = interval(place[0] + np.arange(width) * place[2], net.shape[1])
+    lines = net[j] + (net[j + 1] - net[j]) * v[:, None, None]
+    gain = lines[:, i] + (lines[:, i + 1] - lines[:, i]) * u[None, :, None]
     plain = values.astype(np.float64) + dark
     if path.size:
-        ways = path[j] + (path[j + 1] - path[j]) * (v - j)[:, None]
-        plain = plain - haze * (ways[:, i] + (ways[:, i + 1] - ways[:, i]) * (u - i)[None, :])[..., None]
+        ways = path[j] + (path[j + 1] - path[j]) * v[:, None]
+        plain = plain - haze * (ways[:, i] + (ways[:, i + 1] - ways[:, i]) * u[None, :])[..., None]
     steps = curve.shape[1] - 1
     if steps > 0:
         at = np.maximum(plain * (steps / reach), 0.0)

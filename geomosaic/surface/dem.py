@@ -10,11 +10,12 @@ from pyproj import CRS
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import has_heights, height_name, horizontal, parse_crs, with_heights
 from geomosaic.geo.grid import Bounds, Grid, Window
+from geomosaic.interpolation import bilinear
 from geomosaic.raster.source import Source
 from geomosaic.surface.dem_nodes import BLOCK, ArraySource, Nodes
 from geomosaic.surface.model import HeightPatch
 from geomosaic.surface.vertical_datum import undeclared_heights
-from geomosaic.types import BoolArray, Float32Array, FloatArray, IntArray, PathLike
+from geomosaic.types import FloatArray, PathLike
 
 _UNITS = {
     "m": 1.0,
@@ -249,38 +250,6 @@ class Dem:
             local = first[part] - np.array([block_col, block_row]) * BLOCK
             heights[inside[part]] = bilinear(nodes, local, weight[part])
         return heights
-
-
-def bilinear(nodes: Float32Array, first: IntArray, weight: FloatArray) -> FloatArray:
-    """Interpolate between nodes.
-
-    Parameters
-    ----------
-    nodes : array (rows, cols)
-        NaN where unknown.
-    first : int array (N, 2)
-        Column and row of the upper-left of the four nodes.
-    weight : array (N, 2)
-        Of the right and the lower nodes, 0 to below 1; a node of weight 0 does not count, known or not.
-
-    Returns
-    -------
-    array (N,)
-    """
-    rows, cols = nodes.shape
-    col, row = first[:, 0], first[:, 1]
-    right, lower = np.minimum(col + 1, cols - 1), np.minimum(row + 1, rows - 1)
-    u, v = weight[:, 0], weight[:, 1]
-    total: FloatArray = np.zeros(len(first))
-    for r, c, share in (
-        (row, col, (1 - u) * (1 - v)),
-        (row, right, u * (1 - v)),
-        (lower, col, (1 - u) * v),
-        (lower, right, u * v),
-    ):
-        counts: BoolArray = share > 0.0
-        total += np.where(counts, nodes[r, c] * share, 0.0)
-    return total
 
 
 def _metres(source: Source, band: int, crs: CRS, where: str) -> tuple[float, float, tuple[str, ...]]:
