@@ -23,7 +23,7 @@ CHUNK = 512
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """N image positions of S points, U parameters of photos.
+    """Linearised network of N image positions of S points, with U parameters of photos.
 
     Attributes
     ----------

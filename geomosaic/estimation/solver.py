@@ -99,7 +99,7 @@ class Solution(Generic[State]):
 
 
 def solve(problem: Problem[State], start: State, rules: Stopping | None = None) -> Solution[State]:
-    """Minimise a weighted sum of squares.
+    """Minimum of a weighted sum of squares.
 
     Parameters
     ----------

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.errors import SolveError
+from geomosaic.estimation.equations import Equations
+from geomosaic.estimation.problem import Unknowns
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import BoolArray, FloatArray, IntArray
 from geomosaic_rpc.model import KINDS, NAMES, WGS84, RpcModel
@@ -106,7 +108,7 @@ def _start(models: Sequence[RpcModel], sights: Sights, height: float) -> FloatAr
     return ground
 
 
-_ROUNDS_relate, _CALMER = 40, 12
+_ROUNDS_relate, _ROBUST_ROUNDS = 40, 12
 _CUT = 3.5
 
 
@@ -188,9 +190,9 @@ def relate(
     weights, good = used.astype(np.float64), used
     for number in range(_ROUNDS_relate):
         misfit, design = _freed(scenes, sights, ground, sigma_px, sigma_height)
-        if number < _CALMER:  # nearly least absolute residuals: wrong points do not pull harder than good ones
+        if number < _ROBUST_ROUNDS:  # nearly least absolute residuals: wrong points do not pull harder than good ones
             weights = np.where(used, 1.0 / np.maximum(_sizes(misfit), 0.05 * np.median(_sizes(misfit)[used])), 0.0)
-        elif number == _CALMER:
+        elif number == _ROBUST_ROUNDS:
             size = _sizes(misfit)
             scatter = 1.4826 * float(np.median(size[used]))
             good = used & (size <= _CUT * max(scatter, 1e-6 / sigma_px))
@@ -199,7 +201,7 @@ def relate(
         values[free, :count] += step
         scenes = [scene.with_values(row) for scene, row in zip(scenes, values, strict=True)]
         ground = intersect(scenes, sights, sigma_px, sigma_height, ground)
-        if number > _CALMER and np.abs(step).max() < 1e-8:
+        if number > _ROBUST_ROUNDS and np.abs(step).max() < 1e-8:
             break
     residuals = sights.seen_by(scenes, ground)[0]
     sigmas = np.zeros_like(values)
@@ -250,11 +252,11 @@ def _solve(
     root = np.sqrt(weights)
     rows = np.vstack([w * each[:, free, :count].reshape(len(each), -1) for w, each in zip(root, design, strict=True)])
     right = np.concatenate([w * each for w, each in zip(root, misfit, strict=True)])
-    prior = np.eye(rows.shape[1]) / sigma
-    matrix = np.vstack([rows, prior])
-    target = np.concatenate([right, -moved[free, :count].ravel() / sigma])
-    inverse = np.linalg.pinv(matrix)
-    return (inverse @ target).reshape(len(free), count), inverse @ inverse.T
+    size = rows.shape[1]
+    names, sigmas = ("",) * size, np.full(size, sigma)
+    priors = Unknowns(names, np.zeros(size), np.ones(size), sigmas).a_priori(moved[free, :count].ravel())
+    equations = Equations.stacked(Equations(rows, right), priors)
+    return equations.step().reshape(len(free), count), equations.singular_values.cofactors()
 
 
 def _length(sights: Sights, residuals: FloatArray, used: BoolArray) -> float:

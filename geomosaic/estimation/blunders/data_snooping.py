@@ -13,23 +13,23 @@ from geomosaic.estimation.blunders.refit import Fit, Refit, error_probabilities
 from geomosaic.types import BoolArray, FloatArray
 
 ALPHA = 0.001
-"""Baarda's usual probability of putting out a good point, for one test."""
+"""Baarda's usual probability of rejecting a good point, for one test."""
 
 
 @dataclass(frozen=True, eq=False)
 class Snooping(Generic[Fit]):
-    """Blunders by data snooping.
+    """Result of data snooping.
 
     Attributes
     ----------
     blunders : tuple of str
-        In the order they were put out.
+        In the order of their rejection.
     readmitted : tuple of str
-        Put out on the way, let in again: errors of others had been laid to them.
+        Rejected on the way and readmitted: errors of others had shown in them.
     probability : array (N,)
         Of the error of each point under the last fit, by chance alone.
     alpha : float
-        Probability below which a point is put out.
+        Probability below which a point is rejected.
     scale : float
         Standard deviation of unit weight that the tests used.
     freedom : float
@@ -48,7 +48,7 @@ class Snooping(Generic[Fit]):
 
 
 def snoop(problem: Refit[Fit], *, alpha: float = ALPHA, sigma0: float | None = None, seed: int = 0) -> Snooping[Fit]:
-    """Put out the point whose error is least probable, fit again, until every error may be chance.
+    """Data snooping: the point of least probable error is rejected and the rest fitted again, until all may be chance.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def _fits(problem: Refit[Fit]) -> bool:
 def snoop_problem(
     problem: Refit[Fit], start: RobustStart, alpha: float = ALPHA, sigma0: float | None = None
 ) -> Snooping[Fit]:
-    """Snoop with a robust start at hand; see `snoop`."""
+    """Data snooping from a robust start; see `snoop`."""
     if not 0.0 < alpha < 1.0:
         raise InputError(f"a probability of {alpha} is not between 0 and 1")
     if sigma0 is not None and not (np.isfinite(sigma0) and sigma0 > 0.0):
@@ -121,7 +121,7 @@ def snoop_problem(
 def _readmit(
     problem: Refit[Fit], kept: BoolArray, probability: FloatArray, alpha: float, scale: float, freedom: float
 ) -> tuple[BoolArray, FloatArray, list[int]]:
-    """Let points in again, the best first, as long as no point that takes part fails for it."""
+    """Readmission of rejected points, the best first, as long as no point that takes part fails for it."""
     back: list[int] = []
     while not kept.all():
         best = int(np.argmax(np.where(kept, -1.0, probability)))

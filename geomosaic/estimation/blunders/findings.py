@@ -25,7 +25,7 @@ POLICIES = ("stop", "leave", "keep")
 
 @dataclass(frozen=True)
 class MeasurementLabel:
-    """What one shift of a network belongs to.
+    """Label of a measurement that may be a blunder.
 
     Attributes
     ----------
@@ -52,11 +52,11 @@ class MeasurementLabel:
 
 @dataclass(frozen=True)
 class Blunder:
-    """A measurement that contradicts the others.
+    """Measurement that contradicts the others.
 
     Attributes
     ----------
-    label : Label
+    label : MeasurementLabel
     shift : int
         Its number in the network.
     size : float
@@ -83,14 +83,14 @@ class Blunder:
 
 @dataclass(frozen=True)
 class BlunderReport:
-    """What the search says of a block.
+    """Report of a search for blunders in a block.
 
     Attributes
     ----------
     blunders : tuple of Blunder
         The largest first.
     measurements : int
-        That were looked at.
+        Number of measurements tested.
     unchecked : tuple of str
         Names of those that no others check: an error in them cannot be seen.
     redundancy : int
@@ -114,7 +114,7 @@ class BlunderReport:
     policy: str = field(default="stop")
 
     def enforce(self, where: str, policy: str) -> None:
-        """Stop, or tell.
+        """Error or warning that names the blunders.
 
         Parameters
         ----------
@@ -148,7 +148,7 @@ class BlunderReport:
 def report_of(
     shifts: MeanShifts, found: ShiftSearch, labels: Sequence[MeasurementLabel], *, bent: bool = False
 ) -> BlunderReport:
-    """Name what a search found.
+    """Report of what a search found, by name.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def report_of(
 
 
 def combined(parts: Sequence[BlunderReport]) -> BlunderReport:
-    """Findings of blocks that were looked at one by one."""
+    """Report of blocks that were searched one by one."""
     agree = [part.precision for part in parts if np.isfinite(part.precision)]
     return BlunderReport(
         tuple(sorted((each for part in parts for each in part.blunders), key=lambda each: -each.size)),

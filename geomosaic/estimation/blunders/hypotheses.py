@@ -39,7 +39,7 @@ WORST = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Hypotheses:
-    """How probable it is that points are wrong.
+    """Probabilities of points to be blunders.
 
     Attributes
     ----------
@@ -65,12 +65,12 @@ class Hypotheses:
 
     @property
     def blunders(self) -> tuple[str, ...]:
-        """Points that are wrong, as far as can be told."""
+        """Points that are almost certainly blunders."""
         return tuple(name for name, p in zip(self.ids, self.probability, strict=True) if p > SURE)
 
     @property
     def suspicious(self) -> tuple[str, ...]:
-        """Points of which some are wrong, without telling which; the most probable first."""
+        """Points of which some are blunders, the most probable first, where it is not certain which."""
         if self.fault <= LIKELY or self.blunders:
             return ()
         order = np.argsort(-self.probability, kind="stable")
@@ -80,7 +80,7 @@ class Hypotheses:
 def weigh_hypotheses(
     ids: Sequence[str], ground: AnyArray, colrow: AnyArray, sigma: AnyArray | None = None
 ) -> Hypotheses:
-    """Weigh kinds of fit and choices of good points against each other.
+    """Evidence of kinds of fit and choices of good points, weighed against each other.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def _evidence(
 
 
 def _fit(kind: str, places: FloatArray, target: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray, int]:
-    """What all choices (C, N) leave (C, N, 2), the logarithms of |AᵀA| (C,), inf where singular, and the parameters."""
+    """Residuals (C, N, 2) of choices (C, N), log |AᵀA| (C,), inf where singular, and the number of parameters."""
     if kind == "projective":
         return _fit_projective(places, target, weight)
     design = _design(kind, places)
@@ -159,7 +159,7 @@ def _fit(kind: str, places: FloatArray, target: FloatArray, weight: FloatArray) 
 
 
 def _fit_projective(places: FloatArray, target: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray, int]:
-    """By least squares of the linearised equations, started from the affine fit."""
+    """Least squares of the linearised equations, started from the affine fit; as `_fit`."""
     plane = _design("affine", places)
     flat = np.broadcast_to(plane, (len(weight), *plane.shape))
     values = np.zeros((len(weight), 8))

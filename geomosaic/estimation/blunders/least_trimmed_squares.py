@@ -1,4 +1,4 @@
-"""A start that blunders do not pull: least trimmed squares from many small samples (Rousseeuw & van Driessen 2006)."""
+"""Least trimmed squares from many small samples: a start that blunders do not pull (Rousseeuw & van Driessen 2006)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ REJECTED = 0.001
 
 @dataclass(frozen=True, eq=False)
 class RobustStart:
-    """Points that agree with each other, and how well.
+    """Set of points that agree with each other, and how well.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ def check_count(problem: Refit[Fit], seed: int = 0) -> int:
 
 
 def trimmed_start(problem: Refit[Fit], seed: int = 0) -> RobustStart:
-    """Find the points that agree: small samples are fitted, concentrated on the better half, and the best is kept.
+    """Points that agree: small samples are fitted and concentrated on the better half, and the best is kept.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def _samples(count: int, size: int, seed: int) -> list[IntArray]:
 
 
 def _best(problem: Refit[Fit], samples: list[IntArray], half: int) -> list[tuple[float, IntArray]]:
-    """Concentrate samples; the best first."""
+    """Samples after concentration; the best first."""
     found = (_concentrate(problem, sample, half, 0) for sample in samples)
     return sorted((each for each in found if each is not None), key=lambda each: each[0])
 
@@ -157,7 +157,7 @@ def _lengths(problem: Refit[Fit], model: Any) -> FloatArray:
 
 
 def _concentrate(problem: Refit[Fit], chosen: IntArray, half: int, steps: int) -> tuple[float, IntArray] | None:
-    """Fit, take the better half, fit that, ...: the sum of its squares never grows. The sum and the half."""
+    """Sum of squares and the better half after steps of fitting the better half; the sum never grows."""
     best: tuple[float, IntArray] | None = None
     for _ in range(steps + 1):
         model = _fit(problem, chosen)
@@ -173,7 +173,7 @@ def _concentrate(problem: Refit[Fit], chosen: IntArray, half: int, steps: int) -
 
 
 def _forward_search(problem: Refit[Fit], half: IntArray) -> tuple[BoolArray, float, int]:
-    """Let in the points outside, the best first, while their errors of prediction may be chance (a forward search).
+    """Forward search: points outside are let in, the best first, while their errors of prediction may be chance.
 
     The errors of the best m of N points are smaller than those of all: for normal errors in two axes the mean square
     of the best share p is 1 + (1 − p) ln(1 − p) / p of the true one. The scale is corrected by it while points are let

@@ -78,7 +78,7 @@ STEPS = 10
 
 
 def without_perspective(places: FloatArray, image: FloatArray) -> FloatArray:
-    """Take the projective transformation off that most points agree with (least trimmed squares from small samples).
+    """Image less the projective transformation that most points agree with (least trimmed squares from small samples).
 
     Parameters
     ----------

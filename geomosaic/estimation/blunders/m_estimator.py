@@ -1,4 +1,4 @@
-"""Blunders in control, looked for in two ways that must agree: data snooping and an M-estimator."""
+"""M-estimator of Tukey's weights, compared with data snooping: two ways that should find the same blunders."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SETTLED = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class MEstimate(Generic[Fit]):
-    """A fit by iterated weights.
+    """Result of iteratively reweighted least squares.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class MEstimate(Generic[Fit]):
 
 @dataclass(frozen=True, eq=False)
 class BlunderSearch(Generic[Fit]):
-    """What both methods found.
+    """Result of both methods.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class BlunderSearch(Generic[Fit]):
     said : str
         In a sentence or two.
     bent : tuple of str
-        Found by one or both, and pardoned since: a smooth bend of the image explains them.
+        Rejected by one or both, but explained by a smooth distortion of the image.
     """
 
     snooping: Snooping[Fit]
@@ -82,14 +82,14 @@ class BlunderSearch(Generic[Fit]):
 
     @property
     def accused(self) -> tuple[str, ...]:
-        """Points that any of the two methods finds wrong."""
+        """Points that at least one of the two methods rejects."""
         return tuple(dict.fromkeys((*self.snooping.blunders, *self.estimate.blunders)))
 
 
 def search_blunders(
     problem: Refit[Fit], *, alpha: float = ALPHA, sigma0: float | None = None, seed: int = 0
 ) -> BlunderSearch[Fit]:
-    """Look for blunders by data snooping and by an M-estimator, and say whether they agree.
+    """Blunders by data snooping and by an M-estimator, and whether the two agree.
 
     Parameters are those of `data_snooping.snoop`.
 
@@ -113,7 +113,7 @@ def search_blunders(
 def m_estimate(
     problem: Refit[Fit], *, alpha: float = ALPHA, sigma0: float | None = None, seed: int = 0
 ) -> MEstimate[Fit]:
-    """Fit by Tukey's weights from a robust start, its scale held (MM-estimator, Yohai 1987).
+    """MM-estimate (Yohai 1987): Tukey's weights from a robust start, whose scale is held.
 
     Parameters and errors are those of `data_snooping.snoop`.
     """
@@ -123,7 +123,7 @@ def m_estimate(
 def estimate_problem(
     problem: Refit[Fit], start: RobustStart, alpha: float = ALPHA, sigma0: float | None = None
 ) -> MEstimate[Fit]:
-    """Estimate with a robust start at hand; see `m_estimate`."""
+    """MM-estimate from a robust start; see `m_estimate`."""
     scale, freedom = (start.scale, float(start.freedom)) if sigma0 is None else (sigma0, float("inf"))
     weights, errors = start.inliers.astype(np.float64), problem.errors(problem.model(start.inliers))
     settled, rounds = False, 0

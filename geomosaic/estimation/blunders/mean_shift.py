@@ -27,7 +27,7 @@ UNCHECKED = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ShiftState:
-    """With some shifts let in.
+    """Adjustment with some shifts as unknowns.
 
     Attributes
     ----------
@@ -49,13 +49,13 @@ class ShiftState:
 
 @dataclass(frozen=True, eq=False)
 class MeanShifts:
-    """All shifts of a network: of each view, then of given coordinates.
+    """Mean shifts of a network: of each view, then of given coordinates.
 
     Attributes
     ----------
     network : Network
     views : int array (V,)
-        Views that can be wrong.
+        Views that can be blunders.
     given : int array (G,)
         Points whose given coordinates can be.
     """
@@ -120,7 +120,7 @@ class MeanShifts:
         return self._cache[shift]
 
     def state(self, taken: Sequence[int]) -> ShiftState | None:
-        """Let some shifts in; None where they cannot be told from each other or from the unknowns."""
+        """State with some shifts as unknowns; None where they are not separable from each other or the others."""
         z, blocks, own, squares = self._base
         chosen = np.array(taken, dtype=np.int64)
         statistic, shifts = np.full(len(self), np.nan), np.full((len(self), 2), np.nan)
@@ -149,7 +149,7 @@ class MeanShifts:
         return ShiftState(statistic, shifts, max(squares, 0.0), self.network.equations.redundancy - 2 * len(chosen))
 
     def unknowns(self, taken: Sequence[int]) -> FloatArray:
-        """Unknowns (U,) of the photos with some shifts let in; they must be told apart."""
+        """Unknowns (U,) of the photos with some shifts as unknowns, which must be separable."""
         n, right = self.network, self.network.equations.misclosure
         if len(taken):
             at = self.state(taken)

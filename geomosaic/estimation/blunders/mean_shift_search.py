@@ -26,14 +26,14 @@ MEDIAN = 2.0 * np.log(2.0)
 ALTERNATIVE = 2.0 * np.log(100.0)
 """Differences of the sum of squares, over the variance, that make one shift at most a hundred times likelier."""
 EXCHANGES = 3
-"""Shifts tried in the place of each that was included."""
+"""Shifts tried in the place of each that is included."""
 LEAST = 3
 """Redundancy from which on a single shift can be tested with a scale that is not known."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShiftSearch:
-    """What was found.
+    """Result of a search for mean shifts.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class ShiftSearch:
 
 
 def search_shifts(shifts: MeanShifts, start: Sequence[int] = ()) -> ShiftSearch:
-    """Find the shifts that measurements need.
+    """Shifts that measurements need: forward selection, backward elimination, exchanges.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def search_shifts(shifts: MeanShifts, start: Sequence[int] = ()) -> ShiftSearch:
 
 
 def _forward(shifts: MeanShifts, included: list[int], floor: float, limit: float) -> list[int]:
-    """Let shifts in, the one that is needed most first."""
+    """Forward selection: shifts are let in, the one that is needed most first."""
     at: ShiftState | None = _known(shifts, included)
     most = max(1, shifts.network.equations.redundancy // 4)
     while at is not None and len(included) < most:
@@ -89,7 +89,7 @@ def _forward(shifts: MeanShifts, included: list[int], floor: float, limit: float
 
 
 def _backward(shifts: MeanShifts, included: list[int], floor: float, limit: float) -> list[int]:
-    """Put out again those that chance accounts for."""
+    """Backward elimination of shifts that chance accounts for."""
     while included:
         at = _known(shifts, included)
         chance = _log_chance(at.statistic[included], _scale(at, floor), at.redundancy)
@@ -101,7 +101,7 @@ def _backward(shifts: MeanShifts, included: list[int], floor: float, limit: floa
 
 
 def _exchanged(shifts: MeanShifts, included: list[int], floor: float, limit: float) -> list[int]:
-    """Take others in the place of some, where fewer then do: several blunders can be laid to their neighbours."""
+    """Exchange of shifts for others, where fewer then suffice: several blunders can show in their neighbours."""
     while len(included) > 1:
         scale = _scale(_known(shifts, included), floor)
         others_of = [_alternatives(shifts, included, k, scale)[:EXCHANGES] for k in range(len(included))]
@@ -123,7 +123,7 @@ def _closed(shifts: MeanShifts, trial: list[int], floor: float, limit: float, mo
 
 
 def _known(shifts: MeanShifts, included: Sequence[int]) -> ShiftState:
-    """State of shifts that can be told apart; any part of them can be, too."""
+    """State of shifts that are separable; any part of them is, too."""
     at = shifts.state(included)
     if at is None:
         raise RuntimeError("shifts that cannot be told apart")
@@ -154,7 +154,7 @@ def _log_chance(statistic: FloatArray, scale: float, freedom: int) -> FloatArray
 
 
 def minimal_detectable(shifts: MeanShifts, found: ShiftSearch) -> float:
-    """Pixels of an error that brings the statistic of a measurement to the limit; median over the views; or inf."""
+    """Error in pixels that brings a measurement to the limit (inner reliability), median over the views."""
     limit, freedom = float(np.log(ALPHA / max(1, len(shifts)))), found.state.redundancy - 2
     if freedom < 1:
         return float("inf")
@@ -164,7 +164,7 @@ def minimal_detectable(shifts: MeanShifts, found: ShiftSearch) -> float:
 
 
 def _alternatives(shifts: MeanShifts, included: Sequence[int], index: int, scale: float) -> tuple[int, ...]:
-    """Shifts that explain nearly as much as one of those that were included."""
+    """Alternatives to an included shift: others that explain nearly as much."""
     others = [*included[:index], *included[index + 1 :]]
     here = _known(shifts, others).statistic.copy()
     here[others] = np.nan

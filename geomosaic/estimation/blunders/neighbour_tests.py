@@ -41,7 +41,7 @@ BLOCK = 512
 
 @dataclass(frozen=True, eq=False)
 class NeighbourSearch:
-    """Points that contradict those around them.
+    """Result of a search for points that contradict those around them.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class NeighbourSearch:
 
     @property
     def said(self) -> str:
-        """What was found, in a sentence."""
+        """Summary of the result in a sentence."""
         how = "each point held against a spline through the others: "
         if not self.blunders:
             return f"{how}none contradicts its neighbours ({self.rms:.3g} px RMS)"
@@ -70,7 +70,7 @@ class NeighbourSearch:
 
 
 def search_neighbours(ids: Sequence[str], ground: AnyArray, colrow: AnyArray) -> NeighbourSearch:
-    """Look for points that contradict those around them, whatever smooth bend the image has.
+    """Points that contradict those around them, whatever smooth distortion the image has.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def _by_planes(places: FloatArray, image: FloatArray, near: IntArray) -> tuple[F
 
 
 def _by_spline(places: FloatArray, image: FloatArray, near: IntArray, kept: BoolArray) -> tuple[BoolArray, FloatArray]:
-    """Put out points that the spline through the others misses most, let in those it meets, until none changes."""
+    """Points kept and errors, by a spline through the others: what it misses most goes, what it meets returns."""
     errors = np.zeros_like(image)
     for _ in range(NEIGHBOUR_ROUNDS):
         errors, variance = predictions(places, image, kept, SMOOTH / len(places))
@@ -181,7 +181,7 @@ ROUNDS = 10
 
 
 def explained_by_distortion(ground: AnyArray, colrow: AnyArray, accused: BoolArray) -> BoolArray:
-    """Which of the accused a smooth bend explains, as the points around them have it.
+    """Suspected points that a smooth distortion explains, as the points around them have it.
 
     Those that are explained help to explain the next ones, from the inside outwards.
 

@@ -76,7 +76,7 @@ class EdgeProblem(Problem[State]):
 
     @classmethod
     def of(cls, photos: tuple[str, ...], models: list[SensorModel], stations: Stations, crs: CRS) -> EdgeProblem:
-        """Put the parameters of all photos into one vector."""
+        """Problem with the parameters of all photos in one vector."""
         parameters = [model.parameters for model in models]
         groups = [
             Unknowns(tuple(f"{photo}: {name}" for name in p.names), p.values, p.steps, p.sigmas)
@@ -101,7 +101,7 @@ class EdgeProblem(Problem[State]):
         return self.unknowns.movement(step[: int(self.unknowns.free.sum())])
 
     def linearise(self, state: State) -> Equations:
-        """Refuse a design whose columns depend on each other, and name the parameters."""
+        """Equations at a state, refused where they do not determine the parameters, which are named."""
         network = self.network(state)
         condition, direction = network.equations.condition()
         if network.equations.redundancy < 0 or not condition < WORST_CONDITION:
@@ -152,7 +152,7 @@ class EdgeProblem(Problem[State]):
         )
 
     def _derivatives(self, index: int, model: SensorModel, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of image coordinates by the photo's parameters (n, 2, P) and by map x, y (n, 2, 2)."""
+        """Derivatives of image coordinates by the photo's parameters (n, 2, P) and by map x, y (n, 2, 2)."""
         way = self.to_model[index]
         by_values, by_model = jacobian(model, way(ground))
         if self.crs == model.crs:

@@ -34,7 +34,7 @@ def finest_spacing(places: FloatArray, reach: float, most_nodes: int) -> float:
 
 
 def correction_through(places: FloatArray, values: FloatArray, reach: float, most_nodes: int) -> CorrectionGrid | None:
-    """Make a grid through corrections (K, 2) at places (K, 2), no two of which are the same.
+    """Correction grid through corrections (K, 2) at places (K, 2), no two of which are the same.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def correction_through(places: FloatArray, values: FloatArray, reach: float, mos
 
 
 def _layer(places: FloatArray, values: FloatArray, radius: float, low: FloatArray, high: FloatArray) -> CorrectionGrid:
-    """One scale: bumps with a ridge, on a grid of its own."""
+    """Grid of one scale: bumps with a ridge."""
     from scipy.sparse import identity
     from scipy.sparse.linalg import splu
 
@@ -133,7 +133,7 @@ EXACT = 0.02
 
 
 def spread(points: FloatArray, corrections: FloatArray, reach: float, names: tuple[str, ...]) -> CorrectionGrid:
-    """Make a correction grid that meets given corrections at points.
+    """Correction grid that meets given corrections at points.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ class _Wanted:
     names: tuple[str, ...]
 
     def together(self, within: float) -> _Wanted:
-        """Put the means in place of points that stand closer than some pixels."""
+        """Points with means in place of those closer than some pixels."""
         from scipy.spatial import cKDTree
 
         group = np.arange(len(self.places))

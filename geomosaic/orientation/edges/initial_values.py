@@ -14,7 +14,7 @@ from geomosaic.types import BoolArray, FloatArray
 
 
 def own_fits(problem: EdgeProblem, models: list[SensorModel]) -> tuple[list[SensorModel], BoolArray]:
-    """Fit every photo to its own control points alone: the photos as they are with no edge matching.
+    """Models fitted to each photo's own control points alone: the photos without edge matching.
 
     Returns
     -------
@@ -29,7 +29,7 @@ def own_fits(problem: EdgeProblem, models: list[SensorModel]) -> tuple[list[Sens
 
 
 def extended_to_neighbours(problem: EdgeProblem, models: list[SensorModel], fitted: BoolArray) -> list[SensorModel]:
-    """Fit the photos that are not fitted yet to what their neighbours say of the common points, round by round.
+    """Models of photos without enough control, fitted to common points as their neighbours place them, round by round.
 
     A photo that is not reached keeps the values it came with: they are its start.
     """
@@ -58,7 +58,7 @@ def common_ground(problem: EdgeProblem, models: list[SensorModel], from_photos: 
 
 
 def ground_of(problem: EdgeProblem, models: list[SensorModel]) -> FloatArray:
-    """Where each measurement (N, 3) lies on the map by its own photo, at the height of its station."""
+    """Places (N, 3) on the map of each measurement by its own photo, at the height of its station."""
     s = problem.stations
     places = np.full((len(s.photo), 3), np.nan)
     for index, model in enumerate(models):
@@ -71,7 +71,7 @@ def ground_of(problem: EdgeProblem, models: list[SensorModel]) -> FloatArray:
 def _fitted(
     problem: EdgeProblem, models: list[SensorModel], ground: FloatArray, known: BoolArray, done: BoolArray
 ) -> tuple[list[SensorModel], BoolArray]:
-    """Fit the photos that are not done and whose known measurements (N,) suffice."""
+    """Models fitted where they are not yet and known measurements (N,) suffice, and which are fitted."""
     s, out, fitted = problem.stations, list(models), done.copy()
     for index in np.flatnonzero(~done):
         parameters, mine = models[index].parameters, known & (s.photo == index)
@@ -89,7 +89,7 @@ def _fitted(
 
 @dataclass(frozen=True)
 class Misfit:
-    """Where one photo puts what another shows: for each shared point and each pair of photos that show it.
+    """Misfit at shared points: where one photo puts what another shows, for each pair of photos.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class Misfit:
 
 
 def misfit(problem: EdgeProblem, models: list[SensorModel], placed: BoolArray | None = None) -> Misfit:
-    """Measure the misfit of photos at their shared points.
+    """Misfit of photos at their shared points.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ from geomosaic.types import BoolArray, FloatArray
 
 
 def search_blunders(problem: EdgeProblem, solution: EdgeSolution) -> tuple[BlunderReport, list[MeasurementKey]]:
-    """Look for wrong points in a solution; what is found as (point, photo), None for coordinates."""
+    """Blunders in a solution, and their keys (point, photo), None for coordinates."""
     s = problem.stations
     images = [problem.photos[k] for k in s.photo]
     shifts, labels, keys = candidate_shifts(solution.network, s.ids, images, s.where, "common point")
@@ -35,7 +35,7 @@ def search_blunders(problem: EdgeProblem, solution: EdgeSolution) -> tuple[Blund
 def without_measurements(
     control: Sequence[ControlPoint], common: Sequence[CommonPoint], left: Sequence[MeasurementKey]
 ) -> tuple[list[ControlPoint], list[CommonPoint]]:
-    """Points that are kept; control whose coordinates are wrong becomes common, a common point alone goes too."""
+    """Points without blunders; control with rejected coordinates becomes common, a lone common point goes too."""
     out, places = set(left), {name for name, image in left if image is None}
     points = [p for p in control if (p.id, p.image) not in out]
     shared = [p for p in common if (p.id, p.image) not in out]
@@ -56,7 +56,7 @@ ALONE = 0.125
 
 @dataclass(frozen=True)
 class EdgeMatch:
-    """Photos that meet.
+    """Photos joined at their edges.
 
     Attributes
     ----------
@@ -91,8 +91,7 @@ class EdgeMatch:
         Map of ground and misfits.
     iterations : int
     condition : float
-    findings : Findings
-        Of the search for wrong points.
+    findings : BlunderReport
     """
 
     photos: tuple[OrientedImage, ...]
@@ -126,7 +125,7 @@ def match_edges(
     policy: str = "stop",
     tables: str = "control and common points",
 ) -> EdgeMatch:
-    """Adjust two photos or a block to control and common points together, and join them exactly at shared points.
+    """Edge matching: photos adjusted to control and common points together, and joined exactly at shared points.
 
     The adjustment is the combined least squares of Bellman, Deakin and Rollings: residuals on the image coordinates,
     weighted by their sigmas, control and common points together, for any sensor model with its Jacobian. Each photo
@@ -151,7 +150,7 @@ def match_edges(
         between neighbouring points of an edge (an eighth of the photo's width where an edge has one point), but at
         least ten times the largest correction.
     policy : str
-        What is done with wrong points: 'stop' where one is gross, 'leave' all of them out, or 'keep' them.
+        What is done with blunders: 'stop' where one is gross, 'leave' all of them out, or 'keep' them.
     tables : str
         What messages call the tables.
 
@@ -209,7 +208,7 @@ def match_edges(
 def _solved(
     photos: Sequence[OrientedImage], control: Sequence[ControlPoint], common: Sequence[CommonPoint], crs: CRS
 ) -> tuple[EdgeProblem, list[SensorModel], BoolArray, EdgeSolution]:
-    """Adjust; with the photos fitted to their own control alone, and which of them that determines."""
+    """Adjustment, with the photos fitted to their own control alone, and which of them that determines."""
     given = [photo.model for photo in photos]
     names = tuple(photo.name for photo in photos)
     problem = EdgeProblem.of(names, given, Stations.of(photos, control, common), crs)
@@ -220,7 +219,7 @@ def _solved(
 
 
 def _grids(problem: EdgeProblem, solution: EdgeSolution, reach: float | None) -> list[CorrectionGrid | None]:
-    """Spread each photo's residuals at shared stations."""
+    """Correction grids of each photo's residuals at shared stations."""
     s, grids = problem.stations, list[CorrectionGrid | None]()
     at_shared = s.shared[s.station]
     for index, model in enumerate(solution.models):

@@ -1,4 +1,4 @@
-"""What is measured, as arrays: stations on the ground and their places in the photos."""
+"""Observations of edge matching as arrays: stations on the ground and their places in the photos."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True)
 class CommonPoint:
-    """One image measurement of a point that several photos show and whose place on the ground is not known.
+    """Image measurement of a point that several photos show and whose place on the ground is not known.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class CommonPoint:
 
 @dataclass(frozen=True)
 class Stations:
-    """S points on the ground, measured N times in photos.
+    """Stations: S points on the ground, measured N times in photos.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Stations:
     def of(
         cls, photos: Sequence[OrientedImage], control: Sequence[ControlPoint], common: Sequence[CommonPoint]
     ) -> Stations:
-        """Gather control points (those of role 'check' are left out) and common points.
+        """Stations of control points (those of role 'check' are left out) and common points.
 
         Raises
         ------

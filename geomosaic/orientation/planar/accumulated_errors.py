@@ -55,7 +55,7 @@ class Accumulated:
 
 
 def reference(block: PlanarBlock, made: Chain, kind: str) -> tuple[PlanarSolution, str]:
-    """Adjust all photos together: on control where it suffices, else about the start photo of the chain.
+    """Simultaneous adjustment to compare with: on control where it suffices, else about the start photo.
 
     A kind that the whole block does not hold gives way to the conformal one.
 
@@ -79,7 +79,7 @@ def reference(block: PlanarBlock, made: Chain, kind: str) -> tuple[PlanarSolutio
 def compare(
     block: PlanarBlock, made: Chain, adjusted: Mapping[str, PlanarTransform], against: str, model: str
 ) -> Accumulated:
-    """Hold a chain against the simultaneous solution of the same photos."""
+    """Comparison of a chain with the simultaneous solution of the same photos."""
     at = {photo.name: _places(photo.size) for photo in block.photos}
     ours = {name: made.transforms[name].to_ground(at[name]) for name in at}
     theirs = {name: adjusted[name].to_ground(at[name]) for name in at}

@@ -45,7 +45,7 @@ def mean_shifts_of(
     left: Sequence[MeasurementKey] = (),
     tilted: frozenset[str] = frozenset(),
 ) -> tuple[MeanShifts, list[MeasurementLabel], list[MeasurementKey]]:
-    """The block at a solution of most of it, what may be wrong in it, and the names of that.
+    """Mean shifts of a block at a solution of most of it, with their labels and keys.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ ROUNDS = 8
 
 @dataclass(frozen=True, eq=False)
 class SearchedBlock:
-    """A block after the search.
+    """Block after a search for blunders.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ class SearchedBlock:
     solved: tuple[PlanarSolution, PlanarSolution | None] | None = None
 
     def enforced(self, where: str, policy: str) -> tuple[PlanarBlock, BlunderReport]:
-        """Stop or tell, see `BlunderReport.enforce`; the block to go on with, and the findings with what was done."""
+        """Block to go on with and report under a policy; see `BlunderReport.enforce`."""
         self.findings.enforce(where, policy)
         return self.block if policy == "leave" else self.whole, replace(self.findings, policy=policy)
 
@@ -169,7 +169,7 @@ class SearchedBlock:
 def adjust_checked(
     block: PlanarBlock, kind: str, *, policy: str = "stop", where: str = "tie and control points"
 ) -> tuple[PlanarSolution, BlunderReport]:
-    """Adjust all photos together after a look for wrong points; see `simultaneous.adjust` and `BlunderReport.enforce`.
+    """Simultaneous adjustment after a search for blunders; see `simultaneous.adjust` and `BlunderReport.enforce`.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def adjust_checked(
 
 
 def search_block(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | None = None) -> SearchedBlock:
-    """Look for wrong points.
+    """Search for blunders in a simultaneous adjustment.
 
     Where a projective adjustment fails, a wrong point may be why: it is then looked for in the affine one.
 
@@ -220,7 +220,7 @@ def search_block(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransf
 
 
 def search_any_adjustment(block: PlanarBlock, kind: str, uncontrolled: bool) -> SearchedBlock:
-    """Look in the adjustment of all photos together that the points allow: `kind` or conformal, on control or on ties.
+    """Search in the first simultaneous adjustment that is possible: `kind` or conformal, on control or on ties.
 
     On ties alone the photo in the middle is held. Where no adjustment is possible, nothing is found: what needs the
     points will say why.
@@ -245,7 +245,7 @@ def search_any_adjustment(block: PlanarBlock, kind: str, uncontrolled: bool) -> 
 
 
 def search_each_photo(block: PlanarBlock, kind: str) -> SearchedBlock:
-    """Look in each photo by itself, which its control points alone hold."""
+    """Search in each photo by itself, adjusted to its own control."""
     report, left = list[BlunderReport](), list[MeasurementKey]()
     for photo in block.photos:
         own = PlanarBlock((photo,), (), tuple(point for point in block.control if point.photo == photo.name))
@@ -263,7 +263,7 @@ def search_each_photo(block: PlanarBlock, kind: str) -> SearchedBlock:
 
 
 def without_measurements(block: PlanarBlock, left: Sequence[MeasurementKey]) -> PlanarBlock:
-    """Return the block without measurements; points whose coordinates are left out become tie points."""
+    """Block without some measurements; points whose coordinates are left out become tie points."""
     out, places = set(left), {name for name, photo in left if photo is None}
     ties = [tie for tie in block.ties if (tie.id, tie.photo) not in out]
     control = [point for point in block.control if (point.id, point.photo) not in out]

@@ -22,11 +22,11 @@ STEEPEST = 0.5
 WELL = 1e3
 """Condition number below which it is not the geometry that an adjustment fails of."""
 BAD_FIT = 3.0
-"""Standard deviation of unit weight from which relief, blunders or too small sigmas are told."""
+"""Standard deviation of unit weight from which a warning names relief, blunders or too small sigmas."""
 
 
 def check_determined(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform], where: str | None) -> None:
-    """Refuse what counting can refuse: photos with too few points, pieces with too little control.
+    """Check by counting: photos with too few points and pieces with too little control are refused.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def check_determined(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTr
 
 
 def pieces(block: PlanarBlock) -> list[set[str]]:
-    """Photos that hang together by common points, in the order of the block."""
+    """Connected pieces of a block: photos that hang together by common points, in its order."""
     points: dict[str, list[str]] = {}
     for measured in block.measurements:
         points.setdefault(measured.id, []).append(measured.photo)
@@ -98,7 +98,7 @@ def elongation(size: tuple[int, int], colrow: FloatArray) -> float:
 
 
 def ill_conditioned(block: PlanarBlock, kind: str, condition: float, photo: str, where: str | None) -> SolveError:
-    """Make the error of an adjustment whose equations do not hold its unknowns."""
+    """Error of an adjustment whose equations do not determine its unknowns."""
     number = "infinite" if not np.isfinite(condition) else f"{condition:.1e}"
     several = len(block.photos) > 1
     advice = {
@@ -124,7 +124,7 @@ def ill_conditioned(block: PlanarBlock, kind: str, condition: float, photo: str,
 
 
 def check_plausible(solution: PlanarSolution, start: PlanarSolution | None, where: str | None) -> None:
-    """Refuse a projective solution that relief has spoilt, and tell of residuals far beyond their sigmas.
+    """Check of a projective solution for the effect of relief, and warning of residuals far beyond their sigmas.
 
     Points above and below a plane make residuals, and the perspective terms follow them. In a block they are held by
     little, so errors grow from the points to the corners of the photos. Where they come to more than those of the

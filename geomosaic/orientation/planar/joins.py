@@ -1,4 +1,4 @@
-"""Joins of photos: gaps at common points, and accumulated errors against the simultaneous adjustment."""
+"""Joins of photos: gaps at common points, along the seam and across it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from geomosaic.types import FloatArray
 
 @dataclass(frozen=True)
 class Join:
-    """Two photos that meet.
+    """Join of two photos.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Join:
 
 
 def joins(block: PlanarBlock, transforms: Mapping[str, PlanarTransform]) -> list[Join]:
-    """Check all pairs of placed photos that show common points, in the order of the block."""
+    """Joins of all pairs of placed photos that show common points, in the order of the block."""
     places = positions(block, transforms)
     names = [photo.name for photo in block.photos if photo.name in transforms]
     found = [join(a, b, transforms, places) for i, a in enumerate(names) for b in names[i + 1 :]]
@@ -65,7 +65,7 @@ def join(
     transforms: Mapping[str, PlanarTransform],
     places: Mapping[str, Mapping[str, FloatArray]],
 ) -> Join | None:
-    """Check one pair of photos; None where they share no point."""
+    """Join of one pair of photos; None where they share no point."""
     shared = [point for point in places[first] if point in places[second]]
     if not shared:
         return None

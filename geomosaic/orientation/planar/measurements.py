@@ -1,4 +1,4 @@
-"""What is measured in a block of photos of flat ground."""
+"""Measurements in a block of photos of flat ground: tie points and control points."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from geomosaic.errors import InputError, did_you_mean
 
 @dataclass(frozen=True)
 class PlanarPhoto:
-    """A photo: its name, unique in its block, and its width and height in pixels."""
+    """Photo of a block: its name, unique there, and its width and height in pixels."""
 
     name: str
     size: tuple[int, int]
@@ -21,7 +21,7 @@ class PlanarPhoto:
 
 @dataclass(frozen=True)
 class Tie:
-    """A point without known ground coordinates, as measured in one photo.
+    """Tie point, without known ground coordinates, as measured in one photo.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Tie:
 
 @dataclass(frozen=True)
 class Control:
-    """A point known on the ground, as measured in one photo.
+    """Control point, known on the ground, as measured in one photo.
 
     Attributes
     ----------
@@ -147,11 +147,11 @@ class PlanarBlock:
         return {photo.name: i for i, photo in enumerate(self.photos)}
 
     def photo(self, name: str) -> PlanarPhoto:
-        """Return the photo of that name."""
+        """Photo of a name."""
         return self.photos[self.index[name]]
 
     def part(self, names: Iterable[str]) -> PlanarBlock:
-        """Return some of the photos, with what is measured in them."""
+        """Block of some of the photos, with what is measured in them."""
         wanted = set(names)
         return PlanarBlock(
             tuple(photo for photo in self.photos if photo.name in wanted),

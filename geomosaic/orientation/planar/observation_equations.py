@@ -88,7 +88,7 @@ class Views:
 
 
 def views_of(block: PlanarBlock) -> Views:
-    """Gather the measurements; points with one view only stay, and give no equation."""
+    """Views of a block; points with one view only stay, and give no equation."""
     index = block.index
     found: dict[str, list[tuple[int, FloatArray, FloatArray, float]]] = {}
     ground: dict[str, tuple[FloatArray, float]] = {}
@@ -148,7 +148,7 @@ def mean_positions(views: Views, position: FloatArray, sigma_ground: FloatArray)
 
 
 class PlanarProblem:
-    """A block in normalised coordinates, with what does not change from round to round."""
+    """Planar block in normalised coordinates, with what does not change from round to round."""
 
     def __init__(
         self, block: PlanarBlock, kind: str, views: Views, frame: Frame, fixed: Mapping[str, PlanarTransform]

@@ -32,7 +32,7 @@ LONGEST_OF_CONTROL = {"conformal": np.inf, "affine": 20.0, "projective": 12.0}
 
 @dataclass(frozen=True)
 class Attachment:
-    """How one photo was joined to the others.
+    """Attachment of one photo to those placed before.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Attachment:
 def fit_single(
     photo: PlanarPhoto, points: Sequence[Control], kind: str, longest: Mapping[str, float] = LONGEST
 ) -> PlanarSolution:
-    """Fit one photo to points with known places.
+    """Fit of one photo to points with known places.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def fit_single(
 
 
 def fit_best(photo: PlanarPhoto, points: Sequence[Control], kind: str) -> tuple[PlanarSolution, str]:
-    """Fit the kind asked for, or conformal where the points do not hold it; and what was said against it."""
+    """Fit of the kind asked for, or conformal where the points do not hold it; and why."""
     if kind == "conformal":
         return fit_single(photo, points, kind), ""
     try:
@@ -139,7 +139,7 @@ ACCEPTED = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """A mosaic grown photo by photo.
+    """Sequential mosaic, placed photo by photo.
 
     Attributes
     ----------
@@ -165,7 +165,7 @@ class Growth:
 
 
 def grow(block: PlanarBlock, kind: str = "affine", *, start: str | None = None, accepted: float = ACCEPTED) -> Growth:
-    """Place photo after photo.
+    """Sequential mosaic: photo after photo is placed on the map and on those before.
 
     Parameters
     ----------

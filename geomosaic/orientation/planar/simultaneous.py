@@ -1,4 +1,4 @@
-"""All photos of a block in one least squares adjustment; Wolf & Dewitt, sections 9-8 and 9-9.
+"""Simultaneous least squares adjustment of all photos of a block; Wolf & Dewitt, sections 9-8 and 9-9.
 
 The equations (9-3) and (9-4) are linear for conformal and affine transformations. Projective ones are linearised by
 Taylor's series, started from the affine solution. What is measured, and errs, are image coordinates, which stand in the
@@ -42,7 +42,7 @@ WORST_CONDITION = 1e7
 def adjust(
     block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | None = None, where: str | None = None
 ) -> PlanarSolution:
-    """Adjust all photos together.
+    """Simultaneous adjustment of all photos of a block.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def adjust(
 def adjust_unchecked(
     block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform], where: str | None
 ) -> tuple[PlanarSolution, PlanarSolution | None]:
-    """Adjust without a look at what comes out; and the affine adjustment that a projective one started from."""
+    """Simultaneous adjustment, unchecked, and the affine one that a projective one started from."""
     if kind != "projective":
         return _solve(block, kind, fixed, None, where), None
     check_determined(block, kind, fixed, where)

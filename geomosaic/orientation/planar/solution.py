@@ -25,7 +25,7 @@ from geomosaic.types import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class PlanarSolution:
-    """An adjusted block.
+    """Solution of a planar block.
 
     Attributes
     ----------

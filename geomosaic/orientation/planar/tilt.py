@@ -1,4 +1,4 @@
-"""Photos that are tilted more than the model of a block follows, told from wrong points.
+"""Tilt of photos beyond the model of a block, distinguished from blunders.
 
 A conformal or affine adjustment lays the tilt of a photo to its points, and the search for wrong points would blame
 those. So each photo may have what the model lacks as unknowns of its own, in its image and to the first order:
@@ -34,7 +34,7 @@ WORST_CONDITION = 1e6
 
 @dataclass(frozen=True, eq=False)
 class TiltTrial:
-    """A search with some photos taken as tilted.
+    """Search for blunders with some photos taken as tilted.
 
     Attributes
     ----------
@@ -60,12 +60,12 @@ class TiltTrial:
         return frozenset(self.sizes)
 
     def report(self) -> BlunderReport:
-        """What there is to say of it."""
+        """Report of the blunders and of the tilted photos."""
         tilted = sorted(self.sizes.items(), key=lambda each: -each[1])
         return replace(report_of(self.shifts, self.found, self.labels), tilted=tuple(tilted))
 
     def gain(self, other: TiltTrial, kind: str, photos: int) -> float:
-        """How much likelier this explanation is than another, as twice a logarithm; above 0 it is the better one.
+        """Twice the logarithm of how much likelier this explanation is than another; above 0 it is the better one.
 
         The sums of squares are compared as the search compares them (the scale is not known), and each shift and each
         tilt is charged what chance would gain by picking the best of as many, times a hundred.
@@ -81,7 +81,7 @@ class TiltTrial:
 def likeliest_tilts(
     search: Callable[[frozenset[str]], TiltTrial | None], kind: str, tilted: frozenset[str], photos: frozenset[str]
 ) -> TiltTrial:
-    """Search, with those photos taken as tilted where that is likelier than that so many of their points are wrong.
+    """Search with those photos taken as tilted for which that is likelier than so many blunders.
 
     Parameters
     ----------

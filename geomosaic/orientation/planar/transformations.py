@@ -160,7 +160,7 @@ def photo_coordinates(size: tuple[int, int], colrow: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class PlanarTransform:
-    """A photo's transformation.
+    """Plane transformation of a photo.
 
     Attributes
     ----------

@@ -20,7 +20,7 @@ from geomosaic.orientation.planar.transformations import LEAST, Frame, PlanarTra
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """Photos joined one after the other.
+    """Uncontrolled mosaic: photos joined one after the other.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Chain:
 def chain(
     block: PlanarBlock, kind: str = "conformal", *, scale: float = 1.0, azimuth: float = 0.0, start: str | None = None
 ) -> Chain:
-    """Join the photos of a block by their tie points.
+    """Uncontrolled mosaic of a block, joined by tie points from its middle outwards.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def chain(
 
 
 def middle(block: PlanarBlock) -> str:
-    """The photo from which the farthest is the fewest joins away; of several, the one nearest to all."""
+    """Name of the photo from which the farthest is the fewest joins away; of several, the one nearest to all."""
     near = neighbours(block)
     best: tuple[int, int, int, int] | None = None
     found = block.photos[0].name
@@ -145,7 +145,7 @@ def neighbours(block: PlanarBlock) -> dict[str, list[str]]:
 
 
 def rectify_singly(block: PlanarBlock, kind: str = "projective") -> dict[str, PlanarSolution]:
-    """Fit each photo to the control points in it; tie points take no part.
+    """Single rectification: each photo fitted to the control points in it; tie points take no part.
 
     Returns
     -------

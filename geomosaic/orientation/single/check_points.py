@@ -1,4 +1,4 @@
-"""Check point statistics, and check points that are wrong themselves."""
+"""Check point statistics, and outliers among the check points themselves."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SHIFT_ALPHA = 0.01
 
 @dataclass(frozen=True, eq=False)
 class CheckStatistics:
-    """Errors of check points, found minus true.
+    """Statistics of check point errors, found minus true.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class CheckStatistics:
 
     @property
     def figure95(self) -> float:
-        """The textbook's 95 % radius, 2.5 × RMS of one axis."""
+        """Radius of 95 % after the textbook, 2.5 × RMS of one axis."""
         return textbook95(self.errors)
 
     @property
@@ -97,7 +97,7 @@ class CheckStatistics:
 
     @property
     def shift_statement(self) -> str:
-        """What the mean shift says, in a sentence."""
+        """Statement on the mean shift, in a sentence."""
         x, y = self.mean
         length = f"{np.hypot(x, y):.3g} {self.unit} (x {x:+.3g}, y {y:+.3g})"
         if np.isnan(self.shift_probability):
@@ -112,7 +112,7 @@ class CheckStatistics:
 
     @property
     def nssda_statement(self) -> str:
-        """The sentence the NSSDA has for it, or why it may not be said."""
+        """Statement of the NSSDA, or why it may not be made."""
         if len(self) < NSSDA_POINTS:
             return f"not tested after the NSSDA: it asks for {NSSDA_POINTS} check points, there are {len(self)}"
         text = f"Tested {self.nssda:.3g} {self.unit} horizontal accuracy at 95% confidence level (NSSDA)"
@@ -123,7 +123,7 @@ class CheckStatistics:
 
     @property
     def asprs_statement(self) -> str:
-        """What ASPRS Edition 2 lets one say, or why it may not be said."""
+        """Statement of ASPRS Edition 2, or why it may not be made."""
         if len(self) < ASPRS_POINTS:
             return f"not tested after ASPRS Edition 2: it asks for {ASPRS_POINTS} check points, there are {len(self)}"
         survey = "" if self.survey_rms > 0.0 else ", the survey of the check points taken as free of errors"
@@ -203,7 +203,7 @@ MOST = 0.4
 
 @dataclass(frozen=True, eq=False)
 class CheckPointOutliers:
-    """Which check points contradict the others.
+    """Outliers among check points.
 
     Attributes
     ----------
@@ -220,10 +220,10 @@ class CheckPointOutliers:
 
 
 def check_point_outliers(errors: FloatArray, expected: float = 0.0) -> CheckPointOutliers:
-    """Find check points whose errors are far from the median error.
+    """Check points whose errors are far from the median error.
 
-    A shift of the whole map moves the median and makes none of them odd. With normal errors in both axes a good point
-    is named in less than one of 200 sets of four points or more.
+    A shift of the whole map moves the median and makes none of them an outlier. With normal errors in both axes a good
+    point is named in less than one of 200 sets of four points or more.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The fit of an image to its control points, with all its errors told."""
+"""Fit of an image to its control points, with residuals, leave-one-out errors and cofactors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NINETY_FIVE = 2.5
 
 @dataclass(frozen=True, eq=False)
 class ControlFit:
-    """A model fitted to control points.
+    """Sensor model fitted to control points, with its errors.
 
     Residuals and errors are measured minus computed. Map values are in the units of x and y of `model.crs`, or in
     metres east and north where that is geocentric.
@@ -112,7 +112,7 @@ def fit_control(
     *,
     omission: bool = True,
 ) -> ControlFit:
-    """Fit a model to all points and tell its errors.
+    """Fit of a model to all points, with its errors.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def fit_control(
 
 
 def fit_problem(problem: ControlProblem, *, omission: bool = False) -> ControlFit:
-    """Fit a model to the points of a problem; see `fit_control`."""
+    """Fit of a model to the points of a problem; see `fit_control`."""
     model = problem.model()
     residuals = problem.errors(model)
     problem.need_seen(residuals)
@@ -181,7 +181,7 @@ def _moved(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
 
 
 def textbook95(errors: FloatArray) -> float:
-    """2.5 × RMS of one axis (mean of both): with normal errors 95.6 % lie within it, and 39 % within 1 × RMS.
+    """Radius of 95 %, 2.5 × RMS of one axis: of normal errors 95.6 % lie within it, and 39 % within 1 × RMS.
 
     The textbook's 40 % within the RMS and 95 % within 2.5 of it are those of the RMS of one axis. Of the total RMS,
     which is √2 larger, the 95 % factor is 1.73.

@@ -33,7 +33,7 @@ OUTLYING = 6.0
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One row of the table.
+    """Candidate of the selection: one row of its table.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class ModelChoice:
-    """The kind chosen.
+    """Choice of a kind of fit.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class ModelChoice:
 
 
 def planar_builds(request: SensorRequest, ground: AnyArray, colrow: AnyArray) -> dict[str, Build]:
-    """Functions for every kind of `PLANAR`; see `problem.registry_build`."""
+    """Fitting functions of every kind of `PLANAR`; see `problem.registry_build`."""
     return {
         name: registry_build(
             plane_sensor(),
@@ -105,7 +105,7 @@ def choose_model(
     colrow: AnyArray,
     sigma: AnyArray | float | None = None,
 ) -> ModelChoice:
-    """Choose among kinds by their leave-one-out errors.
+    """Choice among kinds of fit by their leave-one-out errors.
 
     The kinds are gone through from the simplest. A kind takes the place of the one preferred so far if its
     leave-one-out RMS is smaller, and the errors of the same points are smaller beyond chance (Wilcoxon's signed-rank
@@ -157,7 +157,7 @@ def choose_model(
 
 
 def _outliers(lengths: Sequence[FloatArray]) -> BoolArray:
-    """Points (N,) that the better half of the kinds miss by far more than they miss others.
+    """Outliers (N,): points that the better half of the kinds miss by far more than they miss others.
 
     The worse half may miss all points: a blunder bends kinds of many parameters everywhere.
     """

@@ -15,7 +15,7 @@ from geomosaic.types import AnyArray
 
 @dataclass(frozen=True)
 class DeletedPoint:
-    """One row of the table of deletions.
+    """Deleted point: one row of the table of deletions.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class DeletedPoint:
 
 @dataclass(frozen=True, eq=False)
 class Deletion:
-    """What deleting points came to.
+    """Result of point deletion.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ def delete_points(
     *,
     threshold: float,
 ) -> Deletion:
-    """Delete the point of largest residual and fit again, until the total RMS is below a threshold.
+    """Deletion of the point of largest residual, fit after fit, until the total RMS is below a threshold.
 
     The RMS falls with every deletion whether or not the fit gets better, so deletion ends while one point more than
     the kind needs is left: see the leave-one-out errors of the fit, and compare with data snooping.
@@ -124,7 +124,7 @@ def least_points(fit: ControlFit) -> int:
 
 
 def need_residuals(fit: ControlFit) -> None:
-    """Refuse a fit without redundancy: its residuals are 0 and tell nothing.
+    """Check of the redundancy: residuals of a fit without any are 0 and tell nothing.
 
     Raises
     ------

@@ -20,10 +20,10 @@ from geomosaic.types import AnyArray, FloatArray, IntArray
 
 
 class Build(Protocol):
-    """A function that fits a sensor model to some of the control points."""
+    """Function that fits a sensor model to some of the control points."""
 
     def __call__(self, selection: IntArray, sigma: FloatArray, /) -> SensorModel:
-        """Fit.
+        """Model fitted to the points chosen.
 
         Parameters
         ----------
@@ -40,7 +40,7 @@ class Build(Protocol):
 
 
 def registry_build(sensor: str, request: SensorRequest, ground: FloatArray, colrow: FloatArray) -> Build:
-    """Make the function for a sensor of the registry that takes the input 'points' (x, y, col, row, sigma).
+    """Fitting function of a sensor of the registry that takes the input 'points' (x, y, col, row, sigma).
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def registry_build(sensor: str, request: SensorRequest, ground: FloatArray, colr
 
 @dataclass(frozen=True, eq=False)
 class ControlProblem:
-    """Control points with the function that fits them.
+    """Control points of one image, with the function that fits a model to them.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class ControlProblem:
         colrow: AnyArray,
         sigma: AnyArray | float | None = None,
     ) -> Self:
-        """Check shapes and values.
+        """Problem with shapes and values checked.
 
         Raises
         ------
@@ -133,7 +133,7 @@ class ControlProblem:
         return float(np.abs(self.colrow).max())
 
     def model(self, selection: AnyArray | None = None, sigma: FloatArray | None = None) -> SensorModel:
-        """Fit to the points of a bool (N,) or int (K,) selection; `sigma` (N,) replaces that of all points."""
+        """Model fitted to the points of a bool (N,) or int (K,) selection; `sigma` (N,) replaces that of all points."""
         chosen = np.arange(len(self)) if selection is None else np.asarray(selection)
         if chosen.dtype == np.bool_:
             chosen = np.flatnonzero(chosen)
@@ -149,7 +149,7 @@ class ControlProblem:
         return self.colrow - model.ground_to_image(self.xyz)
 
     def need_seen(self, errors: FloatArray) -> None:
-        """Refuse a fit that does not see one of its own points."""
+        """Check that a fit sees its own points."""
         lost = ~np.isfinite(errors).all(axis=1)
         if lost.any():
             names = ", ".join(np.array(self.ids)[lost][:6])
@@ -185,5 +185,5 @@ def map_by_image(model: SensorModel, xyz: FloatArray) -> FloatArray:
 
 
 def is_mirrored(model: SensorModel, xyz: FloatArray) -> bool:
-    """Say whether ground and image (rows downwards) run the same way round: the image axes are right-handed then."""
+    """Whether ground and image (rows downwards) run the same way round: the image axes are right-handed then."""
     return bool(np.nanmedian(np.sign(np.linalg.det(image_by_map(model, xyz)))) > 0.0)

@@ -1,4 +1,4 @@
-"""Parameters of one sensor model from control points, by least squares."""
+"""Resection: parameters of one sensor model from control points, by least squares."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WORST_CONDITION = 1e9
 
 @dataclass(frozen=True)
 class Resection(Generic[Model]):
-    """A model fitted to control points.
+    """Sensor model fitted to control points.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ def resect(
     *,
     priors: FloatArray | None = None,
 ) -> Resection[Model]:
-    """Estimate a model's parameters from control points.
+    """Resection of a model: its parameters from control points.
 
     Minimises Σ ((measured − computed) / σ_px)² + Σ ((p − p₀) / σ_p)², the second sum over parameters with a finite
     a-priori sigma, p₀ being the values `model` comes with. Gauss-Newton steps on columns scaled to length one, damped
@@ -102,7 +102,7 @@ def resect(
 def fit(
     model: Model, xyz: FloatArray, colrow: FloatArray, sigmas_px: FloatArray | float | None = None
 ) -> Resection[Model]:
-    """Like `resect`, but every parameter that is not held fixed is free: a-priori values are a start and nothing more.
+    """Resection in which a-priori values are a start and nothing more: what is not held fixed is free.
 
     For models that are linear in their parameters (polynomials, affine) one step from any start is the solution.
     """
@@ -183,7 +183,7 @@ class _Problem(Problem[_State[Model]]):
         return Equations.stacked(image, self.unknowns.a_priori(state.model.parameters.values))
 
     def linearise(self, state: _State[Model]) -> Equations:
-        """Refuse a design whose columns depend on each other, and name the parameters concerned."""
+        """Equations at a state, refused where columns depend on each other; the parameters concerned are named."""
         equations = self.equations(state)
         names = np.array(self.unknowns.names)[self.unknowns.free]
         # Steps move the image by about a pixel, so the effect of a step says whether a parameter acts at all.

@@ -24,7 +24,7 @@ MOST_POINTS = 300
 
 
 def initial_shapes(kind: str, points: FloatArray, axis: FloatArray | None) -> list[Shape]:
-    """Bodies to start from, best first; points (N, 3) about the origin, axis a unit vector where it is known."""
+    """Initial shapes, best first; points (N, 3) about the origin, axis a unit vector where it is known."""
     if kind == "plane":
         return [Shape(kind, points.mean(axis=0), basis(_least(points)), np.array([]))]
     if kind == "sphere":
@@ -113,7 +113,7 @@ SMALLEST = 1e-8
 
 @dataclass(frozen=True)
 class FittedBody:
-    """A body and how well its points determine it.
+    """Body fitted to points, and how well they determine it.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class FittedBody:
 
     @property
     def redundancy(self) -> int:
-        """Points more than unknowns."""
+        """Redundancy: points more than unknowns."""
         return len(self.residuals) - len(self.names)
 
     @property
@@ -158,7 +158,7 @@ class FittedBody:
 
 
 def fit_body(kind: str, points: FloatArray, axis: FloatArray | None = None) -> FittedBody:
-    """Fit a body to points.
+    """Geometric fit of a body to points.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def _adjusted(shape: Shape, points: FloatArray, held: bool) -> Shape | None:
 
 
 def _with_covariance(shape: Shape, local: FloatArray, held: bool, middle: FloatArray, spread: float) -> FittedBody:
-    """Bring the body back to where the points are, with its covariance."""
+    """Body at the place of its points, with its covariance."""
     names = shape.names(axis_known=held)
     if shape.kind == "cylinder":  # its origin beside the middle of the points
         along = shape.rotation[2]

@@ -1,4 +1,4 @@
-"""Bodies as an adjustment sees them: place, axis and sizes, and the distances of points with their derivatives.
+"""Shapes of bodies for a fit: place, axis and sizes, and the distances of points with their derivatives.
 
 The derivative of a distance by anything that moves the body is −n · (the movement of the foot), n being the normal
 there. A body that turns by a small ω about its origin o moves a foot x by ω × (x − o).
@@ -21,7 +21,7 @@ SIZES = {"plane": (), "sphere": ("radius",), "cylinder": ("radius",), "cone": ("
 
 @dataclass(frozen=True)
 class Shape:
-    """A body.
+    """Body with its place, axis and sizes.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Shape:
     sizes: FloatArray
 
     def names(self, *, axis_known: bool) -> tuple[str, ...]:
-        """What is unknown: shifts along x', y', z' of the origin, turns about x' and y', sizes."""
+        """Names of the unknowns: shifts along x', y', z' of the origin, turns about x' and y', sizes."""
         shifts = {"plane": ("z'",), "cylinder": ("x'", "y'")}.get(self.kind, ("x'", "y'", "z'"))
         turns = () if axis_known or self.kind == "sphere" else ("about x'", "about y'")
         return (*shifts, *turns, *SIZES[self.kind])
@@ -79,7 +79,7 @@ class Shape:
         return away, normal, (-across, -foot[:, 2] * normal[:, 2] / self.sizes[1])
 
     def moved(self, names: tuple[str, ...], step: FloatArray) -> Shape:
-        """Apply a step (P,) of the unknowns."""
+        """Shape after a step (P,) of the unknowns."""
         change = dict(zip(names, step, strict=True))
         shift = np.array([change.get(f"{axis}'", 0.0) for axis in "xyz"])
         turn = angle_axis(np.array([change.get("about x'", 0.0), change.get("about y'", 0.0), 0.0]))
