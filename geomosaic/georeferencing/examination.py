@@ -81,7 +81,7 @@ def blunder_advice(search: ControlBlunders, searched: Sequence[str], fit: Contro
         That is to be drawn.
     """
     names = tuple(name for name in fit.ids if name in set(search.blunders))
-    alone = tuple(n for n in fit.ids if n in set(search.accused) - {*search.blunders, *search.bent})
+    alone = tuple(n for n in fit.ids if n in set(search.suspected) - {*search.blunders, *search.distorted})
     typical = search.estimate.fit.rms_total
     if len(names) + len(alone) > UNFIT * len(fit.ids):
         what = f"{len(names) + len(alone)} of {len(fit.ids)} points stand out against the rest, which agrees within "
@@ -106,7 +106,7 @@ def blunder_advice(search: ControlBlunders, searched: Sequence[str], fit: Contro
 
 def bent_advice(search: ControlBlunders, fit: ControlFit, model: str) -> list[Advice]:
     """Say so where the fit misses points, or rejects them, that a smooth bend of the image explains."""
-    bent = [name for name in search.bent if name in fit.ids]
+    bent = [name for name in search.distorted if name in fit.ids]
     if not bent:
         return []
     lengths = dict(zip(fit.ids, np.hypot(*fit.residuals.T).tolist(), strict=True))

@@ -154,7 +154,7 @@ def pardoned(search: ControlBlunders, points: ControlPoints, model: str) -> Cont
     model : str
         That suits the points best: of an image that is not bent none is pardoned.
     """
-    accused = np.array([name in search.accused for name in points.names])
+    accused = np.array([name in search.suspected for name in points.names])
     if model not in BENT or not accused.any():
         return search
     agree = explained_by_distortion(points.xy, points.colrow, accused)
@@ -162,7 +162,7 @@ def pardoned(search: ControlBlunders, points: ControlPoints, model: str) -> Cont
     if not bent:
         return search
     left = tuple(name for name in search.blunders if name not in bent)
-    return replace(search, blunders=left, bent=bent, said=f"{search.said}; a smooth bend explains {listed(bent)}")
+    return replace(search, blunders=left, distorted=bent, said=f"{search.said}; a smooth bend explains {listed(bent)}")
 
 
 def unbent(choice: ModelChoice, points: ControlPoints) -> ModelChoice:

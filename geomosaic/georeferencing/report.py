@@ -174,7 +174,7 @@ def _search(found: ControlBlunders | None, said: str) -> dict[str, Any]:
         "said": said,
         "agree": found.agree,
         "blunders": list(found.blunders),
-        "bearable": found.bearable,
+        "bearable": found.breakdown_point,
         "snooping": {
             "blunders": list(found.snooping.blunders),
             "readmitted": list(found.snooping.readmitted),

@@ -207,7 +207,7 @@ def candidate_shifts(
     """Shifts of a network: each measurement, and given coordinates that several photos see.
 
     Of a point in two photos whose place nobody gave, one measurement stands for both: nothing tells which is wrong.
-    Coordinates that one photo sees are not told from its measurement.
+    Coordinates that one photo sees are not separable from its measurement.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ class RobustStart:
         Redundancy it rests on.
     needed : int
         Fewest points the model needs.
-    bearable : float
+    breakdown_point : float
         Share of blunders up to which three of the samples may be expected to be free of them.
     """
 
@@ -46,7 +46,7 @@ class RobustStart:
     scale: float
     freedom: int
     needed: int
-    bearable: float
+    breakdown_point: float
 
 
 def points_needed(problem: Refit[Fit], seed: int = 0) -> int:
@@ -133,8 +133,8 @@ def trimmed_start(problem: Refit[Fit], seed: int = 0) -> RobustStart:
     finished = [_concentrate(problem, each[1], half, STEPS) or each for each in tried[:BEST]]
     best = min(finished, key=lambda each: each[0])
     inliers, scale, freedom = _forward_search(problem, best[1])
-    bearable = 1.0 - min(1.0, 3.0 / len(samples)) ** (1.0 / size)
-    return RobustStart(inliers, scale, freedom, needed, 0.5 if comb(count, size) <= len(samples) else bearable)
+    breakdown_point = 1.0 - min(1.0, 3.0 / len(samples)) ** (1.0 / size)
+    return RobustStart(inliers, scale, freedom, needed, 0.5 if comb(count, size) <= len(samples) else breakdown_point)
 
 
 def _samples(count: int, size: int, seed: int) -> list[IntArray]:

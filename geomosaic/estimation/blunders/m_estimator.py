@@ -64,11 +64,11 @@ class BlunderSearch(Generic[Fit]):
     agree : bool
     blunders : tuple of str
         Found by both.
-    bearable : float
+    breakdown_point : float
         Share of blunders that the samples of the start can bear; 0.5 where all samples were tried.
     said : str
         In a sentence or two.
-    bent : tuple of str
+    distorted : tuple of str
         Rejected by one or both, but explained by a smooth distortion of the image.
     """
 
@@ -76,12 +76,12 @@ class BlunderSearch(Generic[Fit]):
     estimate: MEstimate[Fit]
     agree: bool
     blunders: tuple[str, ...]
-    bearable: float
+    breakdown_point: float
     said: str
-    bent: tuple[str, ...] = ()
+    distorted: tuple[str, ...] = ()
 
     @property
-    def accused(self) -> tuple[str, ...]:
+    def suspected(self) -> tuple[str, ...]:
         """Points that at least one of the two methods rejects."""
         return tuple(dict.fromkeys((*self.snooping.blunders, *self.estimate.blunders)))
 
@@ -106,7 +106,7 @@ def search_blunders(
     first, second = set(snooping.blunders), set(estimate.blunders)
     both = tuple(name for name in problem.ids if name in first & second)
     return BlunderSearch(
-        snooping, estimate, first == second, both, start.bearable, _said(problem, first, second, both, start)
+        snooping, estimate, first == second, both, start.breakdown_point, _said(problem, first, second, both, start)
     )
 
 
@@ -177,6 +177,6 @@ def _said(problem: Refit[Fit], first: set[str], second: set[str], both: tuple[st
             f"the methods disagree: data snooping alone rejects {names(first - second) or 'nothing'}, the M-estimator "
             f"alone {names(second - first) or 'nothing'}, both {names(first & second) or 'nothing'}; look at them"
         )
-    if len(first | second) > start.bearable * len(problem):
-        text += f"; samples of this kind are sure to show only up to {start.bearable:.0%} of blunders"
+    if len(first | second) > start.breakdown_point * len(problem):
+        text += f"; samples of this kind are sure to show only up to {start.breakdown_point:.0%} of blunders"
     return text

@@ -154,7 +154,7 @@ class MeanShifts:
         if len(taken):
             at = self.state(taken)
             if at is None:
-                raise RuntimeError("shifts that cannot be told apart")
+                raise RuntimeError("shifts that are not separable")
             chosen = np.array(taken, dtype=np.int64)
             columns = self._columns[:, (2 * chosen[:, None] + [0, 1]).ravel()]
             right = right - columns @ at.shifts[chosen].ravel()

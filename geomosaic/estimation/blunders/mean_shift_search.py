@@ -126,7 +126,7 @@ def _known(shifts: MeanShifts, included: Sequence[int]) -> ShiftState:
     """State of shifts that are separable; any part of them is, too."""
     at = shifts.state(included)
     if at is None:
-        raise RuntimeError("shifts that cannot be told apart")
+        raise RuntimeError("shifts that are not separable")
     return at
 
 

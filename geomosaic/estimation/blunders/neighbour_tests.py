@@ -28,7 +28,7 @@ AGREE = 5
 FEWEST = 12
 """Points from which on neighbours tell."""
 MOST = 1500
-"""Points up to which the spline of all the others is tried; beyond, neighbours alone judge."""
+"""Points up to which the spline of all the others is tried; beyond, neighbours alone decide."""
 OUT, BACK = 8.0, 6.0
 """Median errors from which on a point is put out, and within which it is let in again."""
 BETTER = 0.4
@@ -180,7 +180,7 @@ COMPARABLE = 2.0
 ROUNDS = 10
 
 
-def explained_by_distortion(ground: AnyArray, colrow: AnyArray, accused: BoolArray) -> BoolArray:
+def explained_by_distortion(ground: AnyArray, colrow: AnyArray, suspected: BoolArray) -> BoolArray:
     """Suspected points that a smooth distortion explains, as the points around them have it.
 
     Those that are explained help to explain the next ones, from the inside outwards.
@@ -191,7 +191,7 @@ def explained_by_distortion(ground: AnyArray, colrow: AnyArray, accused: BoolArr
         Places on the map; x and y count.
     colrow : array (N, 2)
         Measured pixels.
-    accused : bool array (N,)
+    suspected : bool array (N,)
 
     Returns
     -------
@@ -199,7 +199,7 @@ def explained_by_distortion(ground: AnyArray, colrow: AnyArray, accused: BoolArr
         None where fewer than 12 others are left.
     """
     places, image = np.array(ground, dtype=np.float64)[:, :2], np.array(colrow, dtype=np.float64)
-    kept = ~accused
+    kept = ~suspected
     for _ in range(ROUNDS):
         if kept.sum() < FEWEST:
             break
@@ -208,7 +208,7 @@ def explained_by_distortion(ground: AnyArray, colrow: AnyArray, accused: BoolArr
             break
         kept = kept.copy()
         kept[agree] = True
-    found: BoolArray = kept & accused
+    found: BoolArray = kept & suspected
     return found
 
 
@@ -232,4 +232,4 @@ def _agrees(places: FloatArray, image: FloatArray, kept: BoolArray, index: int) 
         medians.append(float(np.median(lengths[others])))
         agree.append(expected <= TELLING and bool(lengths[-1] <= WITHIN * expected))
     least = min(medians, default=0.0)
-    return any(told and m <= COMPARABLE * least for told, m in zip(agree, medians, strict=True))
+    return any(agrees and m <= COMPARABLE * least for agrees, m in zip(agree, medians, strict=True))

@@ -254,7 +254,7 @@ def search_each_photo(block: PlanarBlock, kind: str) -> SearchedBlock:
             report.append(found.findings)
             kept = {point.id for point in found.block.control}
             left += [(point.id, photo.name) for point in own.control if point.id not in kept]
-    with suppress(SolveError):  # ties take no part, but gaps at them are told: a wrong one is worth a word
+    with suppress(SolveError):  # ties take no part, but gaps at them are reported, so blunders are named
         of_ties = [
             each for each in search_block(block, kind).findings.blunders if each.label.name.startswith("tie point")
         ]

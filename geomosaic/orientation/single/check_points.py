@@ -101,8 +101,9 @@ class CheckStatistics:
         x, y = self.mean
         length = f"{np.hypot(x, y):.3g} {self.unit} (x {x:+.3g}, y {y:+.3g})"
         if np.isnan(self.shift_probability):
-            few = "one check point is" if len(self) == 1 else f"{len(self)} check points are"
-            return f"the {'mean ' * (len(self) > 1)}shift is {length}; {few} too few to tell whether it is systematic"
+            points = "one check point is" if len(self) == 1 else f"{len(self)} check points are"
+            mean = "mean " * (len(self) > 1)
+            return f"the {mean}shift is {length}; {points} too few to tell whether it is systematic"
         if self.shifted:
             return (
                 f"the map is shifted by {length}, which chance would bring with a probability of "
@@ -231,16 +232,16 @@ def check_point_outliers(errors: FloatArray, expected: float = 0.0) -> CheckPoin
         Pixels.
     expected : float
         RMS length of the errors to be expected of the map, pixels, where the fit tells (leave-one-out); with it fewer
-        than three points can be judged, too.
+        than three points can be tested, too.
     """
     count = len(errors)
     centre: FloatArray = np.median(errors, axis=0) if count >= 3 else np.zeros(2)
     apart = np.hypot(*(errors - centre).T)
     if count >= 3:
         limit = TIMES * (1.0 + 12.0 / count**2) * max(float(np.median(apart)), expected)
-        odd = apart > max(limit, SEEN if count > 3 else FEW_SEEN)
+        outliers = apart > max(limit, SEEN if count > 3 else FEW_SEEN)
     else:
-        odd = (apart > max(TIMES * expected, FEW_SEEN)) & (expected > 0.0)
-    if count >= 3 and odd.mean() > MOST:
-        odd = np.zeros(count, dtype=np.bool_)
-    return CheckPointOutliers(odd, centre, total_rms(errors[~odd]))
+        outliers = (apart > max(TIMES * expected, FEW_SEEN)) & (expected > 0.0)
+    if count >= 3 and outliers.mean() > MOST:
+        outliers = np.zeros(count, dtype=np.bool_)
+    return CheckPointOutliers(outliers, centre, total_rms(errors[~outliers]))

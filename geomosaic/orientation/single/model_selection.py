@@ -139,20 +139,22 @@ def choose_model(
             f"{len(ids)} control points leave none to choose a kind of fit by",
             hint="give more points, or name the kind; conformal needs 3 to be chosen",
         )
-    odd = _outliers(list(lengths.values()))
+    outliers = _outliers(list(lengths.values()))
     chosen, gains = "", dict[str, float]()
     for name, errors in lengths.items():
         if not chosen:
             chosen = name
             continue
-        gains[name] = _gain(lengths[chosen], errors, ~odd)
+        gains[name] = _gain(lengths[chosen], errors, ~outliers)
         if gains[name] < SIGNIFICANT:
             chosen = name
-    table = tuple(_row(name, fit, name in lengths, gains.get(name, float("nan")), ~odd) for name, fit in fits.items())
+    table = tuple(
+        _row(name, fit, name in lengths, gains.get(name, float("nan")), ~outliers) for name, fit in fits.items()
+    )
     best = fits[chosen]
     if isinstance(best, str):  # cannot be: only fits have errors
         raise SolveError(best)
-    names = tuple(str(name) for name, out in zip(ids, odd, strict=True) if out)
+    names = tuple(str(name) for name, out in zip(ids, outliers, strict=True) if out)
     return ModelChoice(chosen, best, table, names, _said(chosen, table, names))
 
 
@@ -163,10 +165,10 @@ def _outliers(lengths: Sequence[FloatArray]) -> BoolArray:
     """
     count = len(lengths[0])
     better = sorted(lengths, key=lambda errors: float(np.nanmedian(errors)))[: -(-len(lengths) // 2)]
-    odd = np.full(count, count >= 8)
+    outliers = np.full(count, count >= 8)
     for errors in better:
-        odd &= ~(errors <= OUTLYING * np.nanmedian(errors))
-    return odd
+        outliers &= ~(errors <= OUTLYING * np.nanmedian(errors))
+    return outliers
 
 
 def _gain(before: FloatArray, after: FloatArray, compared: BoolArray) -> float:
@@ -192,7 +194,7 @@ def _row(name: str, fit: ControlFit | str, compared: bool, gain: float, points: 
     return Candidate(name, free, fit.redundancy, fit.rms_total, error, gain, refused, fit)
 
 
-def _said(chosen: str, table: tuple[Candidate, ...], odd: tuple[str, ...]) -> str:
+def _said(chosen: str, table: tuple[Candidate, ...], outliers: tuple[str, ...]) -> str:
     rows = [row for row in table if not row.refused]
     own = next(row for row in rows if row.name == chosen)
     text = f"{chosen}: points left out of the fit are predicted within {own.leave_one_out:.3g} px (RMS)"
@@ -205,6 +207,7 @@ def _said(chosen: str, table: tuple[Candidate, ...], odd: tuple[str, ...]) -> st
         nearest = min(richer, key=lambda row: row.leave_one_out)
         verdict = "no better" if nearest.leave_one_out >= own.leave_one_out else "not better beyond chance"
         text += f"; {nearest.name}, with more parameters, is {verdict} ({nearest.leave_one_out:.3g} px)"
-    if odd:
-        text += f"; no kind predicts {', '.join(odd[:6])}{' and others' if len(odd) > 6 else ''}: look at them first"
+    if outliers:
+        others = " and others" if len(outliers) > 6 else ""
+        text += f"; no kind predicts {', '.join(outliers[:6])}{others}: look at them first"
     return text

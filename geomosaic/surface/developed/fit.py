@@ -31,11 +31,11 @@ def initial_shapes(kind: str, points: FloatArray, axis: FloatArray | None) -> li
         found = _solved(np.column_stack([points, np.ones(len(points))]), (points**2).sum(axis=1))
         centre = found[:3] / 2
         return [Shape(kind, centre, np.eye(3), np.sqrt([max(found[3] + centre @ centre, 0.0)]))]
-    few = points[np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).astype(int)]
+    sample = points[np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).astype(int)]
     rotations = _half_sphere() if axis is None else basis(axis)[None]
     kept: list[Shape] = []
-    for i in np.argsort(_misfits(kind, few, rotations), kind="stable"):
-        shape = _about(kind, few, rotations[i])
+    for i in np.argsort(_misfits(kind, sample, rotations), kind="stable"):
+        shape = _about(kind, sample, rotations[i])
         if shape is not None:
             kept.append(shape)
         if len(kept) == KEPT:
