@@ -17,6 +17,7 @@ from geomosaic.enhancement.picture import band_curves, heights_at, sample, shown
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import linear_unit
+from geomosaic.options.check import check_idle
 from geomosaic.raster.framing import raster_grid, read_bands
 from geomosaic.raster.output_files import check_output
 from geomosaic.raster.product import RasterProduct
@@ -58,7 +59,7 @@ def enhance(
     gamma: float | None = None,
     clahe: float | None = None,
     sharpen: float | None = None,
-    radius: float = 1.0,
+    radius: float | None = None,
     hillshade: PathLike | None = None,
     driver: str = "COG",
     overwrite: bool = False,
@@ -76,8 +77,8 @@ def enhance(
         Of the stretch: values, or percent.
     gamma, clahe, sharpen : float, optional
         Strength of each step.
-    radius : float
-        Of sharpening, pixels.
+    radius : float, optional
+        Of sharpening, pixels; 1 unless given.
     hillshade : path, optional
         DEM that the picture is shaded by.
     driver : str
@@ -95,6 +96,8 @@ def enhance(
     """
     raster, output = Path(raster), Path(output)
     hillshade = None if hillshade is None else Path(hillshade)
+    check_idle(EnhancePart(sharpen=sharpen or 0.0, radius=EnhancePart.radius if radius is None else radius))
+    radius = radius or 1.0
     check_output(output, overwrite=overwrite, inputs=(raster, *filter(None, [hillshade])))
     with Source(raster) as source:
         grid = raster_grid(source, str(raster))

@@ -85,7 +85,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             Step(
                 "orthos",
                 partial(orthos, project, machine),
-                {**orientation, **place},
+                {**orientation, **place, "true_ortho": options.render.true_ortho},
                 (*images, *ground, *usable, *layout.models),
                 every_ortho,
                 version=2,

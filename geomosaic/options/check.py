@@ -150,7 +150,7 @@ def _holds(condition: str, state: Mapping[str, Any]) -> bool:
     found = state[name]
     if equals:
         return str(found) == wanted
-    return found is not None and found is not False and found not in ((), {}, "")
+    return bool(found)
 
 
 def _shown(condition: str, state: Mapping[str, Any]) -> str:

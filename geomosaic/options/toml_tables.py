@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import re
-import types
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, field, fields, is_dataclass
-from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from dataclasses import MISSING, Field, fields, is_dataclass
+from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
 
 from geomosaic.errors import InputError, did_you_mean
+from geomosaic.options.check import checked
+from geomosaic.options.declaration import Option, field_kind
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -23,25 +23,6 @@ COLORS = {
     "purple": "#7b3294", "cyan": "#00a6c8", "magenta": "#c51b8a",
 }  # fmt: skip
 """Colours that have names here; any other is written #rrggbb."""
-
-_WORDS: dict[Any, str] = {str: "text in quotes", float: "a number", int: "a whole number", bool: "true or false"}
-
-
-def a_number(
-    default: Any = MISSING, *, above: float = -math.inf, least: float = -math.inf, most: float = math.inf
-) -> Any:
-    """Make a field that holds a number within limits."""
-    return field(default=default, metadata={"above": above, "least": least, "most": most})
-
-
-def a_choice(default: Any, *values: str) -> Any:
-    """Make a field that holds one of some words."""
-    return field(default=default, metadata={"choices": values})
-
-
-def a_color(default: Any) -> Any:
-    """Make a field that holds a colour."""
-    return field(default=default, metadata={"color": True})
 
 
 def build(kind: type[T], values: Mapping[str, Any], where: str, table: str = "") -> T:
@@ -64,7 +45,6 @@ def build(kind: type[T], values: Mapping[str, Any], where: str, table: str = "")
         An unknown key (with the one that was probably meant), a value of another kind, out of its limits, or missing.
     """
     known = {item.name.rstrip("_"): item for item in fields(kind) if item.init}
-    hints = get_type_hints(kind)
     place = f"{where}, [{table}]" if table else where
     for key in values:
         if key not in known:
@@ -76,71 +56,37 @@ def build(kind: type[T], values: Mapping[str, Any], where: str, table: str = "")
     for key, item in known.items():
         if key in values:
             name = f"{table}.{key}" if table else key
-            found[item.name] = _value(values[key], hints[item.name], item, where, name)
+            found[item.name] = _value(values[key], field_kind(kind, item)[0], item, where, name)
         elif item.default is MISSING and item.default_factory is MISSING:
             raise InputError(f"'{key}' is missing", where=place, hint=f"write {key} = ...")
     return kind(**found)
 
 
 def _value(value: Any, kind: Any, item: Field[Any], where: str, name: str) -> Any:
-    """Check one value against its kind and limits."""
+    """Value of a key in its type: a table, a list of tables, or a plain value."""
     table, _, key = name.rpartition(".")
     place = f"{where}, [{table}] {key}" if table else f"{where}, {key}"
-    if get_origin(kind) in (Union, types.UnionType):
-        kind = next(part for part in get_args(kind) if part is not type(None))
     if is_dataclass(kind) and isinstance(kind, type):
         if not isinstance(value, Mapping):
             raise InputError("this is a table of keys", where=place, hint=f"write [{name}] and its keys below")
         return build(kind, value, where, name)
-    if get_origin(kind) is tuple:
-        return _list(value, get_args(kind), item, where, name, place)
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
-    if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
-        raise InputError(f"'{value}' is not {_WORDS[kind]}", where=place, hint=f"write {_WORDS[kind]}")
-    _limits(value, item, place)
-    if item.metadata.get("color"):
-        return checked_color(value, place)
-    return value
+    inner = get_args(kind)[0] if get_origin(kind) is tuple else None
+    if is_dataclass(inner) and isinstance(value, list):
+        return tuple(_value(part, inner, item, where, name) for part in value)
+    return checked(value, kind, item.metadata.get("option", Option()), place)
 
 
-def _list(value: Any, kinds: tuple[Any, ...], item: Field[Any], where: str, name: str, place: str) -> tuple[Any, ...]:
-    if not isinstance(value, list):
-        raise InputError(f"'{value}' is not a list", where=place, hint="write values in brackets: [...]")
-    if kinds[-1] is Ellipsis:
-        kinds = (kinds[0],) * len(value)
-    if len(value) != len(kinds):
-        raise InputError(f"{len(value)} values where {len(kinds)} belong", where=place, hint=f"give {len(kinds)}")
-    return tuple(_value(part, kind, item, where, name) for part, kind in zip(value, kinds, strict=True))
-
-
-def _limits(value: Any, item: Field[Any], place: str) -> None:
-    choices = item.metadata.get("choices")
-    if choices and value not in choices:
-        hint = did_you_mean(str(value), choices)
-        raise InputError(f"'{value}' is not known here", where=place, hint=hint or f"one of {', '.join(choices)}")
-    if isinstance(value, float | int) and not isinstance(value, bool):
-        above, least, most = (item.metadata.get(key) for key in ("above", "least", "most"))
-        if not math.isfinite(value):
-            raise InputError(f"{value} is no finite number", where=place, hint="give a number")
-        if above is not None and not value > above:
-            raise InputError(f"{value:g} is too small", where=place, hint=f"give a number above {above:g}")
-        if (least is not None and value < least) or (most is not None and value > most):
-            low = max(v for v in (least, above, -math.inf) if v is not None)
-            limits = f"from {low:g} to {most:g}" if most is not None and math.isfinite(most) else f"of {low:g} or more"
-            raise InputError(f"{value:g} is out of range", where=place, hint=f"give a number {limits}")
-
-
-def checked_color(value: str, place: str) -> str:
-    """Return a colour as #rrggbb.
+def parse_color(value: Any) -> str:
+    """Colour as #rrggbb.
 
     Raises
     ------
     InputError
     """
-    if re.fullmatch(r"#[0-9a-fA-F]{6}", value):
-        return value.lower()
-    if value.lower() in COLORS:
-        return COLORS[value.lower()]
-    hint = did_you_mean(value, COLORS)
-    raise InputError(f"'{value}' is no colour", where=place, hint=hint or f"write #rrggbb, or {', '.join(COLORS)}")
+    text = str(value)
+    if re.fullmatch(r"#[0-9a-fA-F]{6}", text):
+        return text.lower()
+    if text.lower() in COLORS:
+        return COLORS[text.lower()]
+    hint = did_you_mean(text, COLORS)
+    raise InputError(f"'{text}' is no colour", hint=hint or f"write #rrggbb, or {', '.join(COLORS)}")

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 from geomosaic.enhancement.options import EnhancePart
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.options.toml_tables import a_choice, a_color, a_number
+from geomosaic.options.declaration import option
+from geomosaic.options.toml_tables import parse_color
 
 PAPERS = {"A0": (841.0, 1189.0), "A1": (594.0, 841.0), "A2": (420.0, 594.0), "A3": (297.0, 420.0), "A4": (210.0, 297.0)}
 """Width and height in mm, portrait (ISO 216)."""
@@ -27,42 +28,57 @@ class SheetPart:
     logo: str = ""  # PNG or JPEG left of the title
     fonts: tuple[str, ...] = ()  # TrueType files for characters that DejaVu Sans lacks
     paper: str = ""
-    orientation: str = a_choice("auto", "auto", "portrait", "landscape")
-    margin: float = a_number(10.0, least=0.0, most=200.0)
-    bleed: float = a_number(0.0, least=0.0, most=50.0)  # mm of paper beyond the trim, with crop marks
-    panel: str = a_choice("auto", "auto", "right", "bottom", "none")
-    dpi: int = a_number(300, least=72, most=2400)
+    orientation: str = option(
+        "auto",
+        choices=(
+            "auto",
+            "portrait",
+            "landscape",
+        ),
+    )
+    margin: float = option(10.0, least=0.0, most=200.0)
+    bleed: float = option(0.0, least=0.0, most=50.0)  # mm of paper beyond the trim, with crop marks
+    panel: str = option(
+        "auto",
+        choices=(
+            "auto",
+            "right",
+            "bottom",
+            "none",
+        ),
+    )
+    dpi: int = option(300, least=72, most=2400)
 
 
 @dataclass(frozen=True)
 class MapPart:
     """`[map]`: scale and area."""
 
-    scale: float | None = a_number(None, least=1.0)
+    scale: float | None = option(None, least=1.0)
     bounds: tuple[float, float, float, float] | None = None
     centre: tuple[float, float] | None = None
-    background: str = a_color("#ffffff")
+    background: str = option("#ffffff", parse=parse_color)
 
 
 @dataclass(frozen=True)
 class GridPart:
     """`[grid]`: the map grid, by default that of the map's own CRS."""
 
-    style: str = a_choice("lines", *GRID_STYLES)
+    style: str = option("lines", choices=GRID_STYLES)
     crs: str = ""
-    interval: float | None = a_number(None, above=0.0)
-    color: str = a_color("#000000")
-    width: float = a_number(0.1, above=0.0, most=5.0)
+    interval: float | None = option(None, above=0.0)
+    color: str = option("#000000", parse=parse_color)
+    width: float = option(0.1, above=0.0, most=5.0)
     labels: bool = True
-    size: float = a_number(6.0, above=0.0, most=10.0)  # two rows have room between neatline and border
+    size: float = option(6.0, above=0.0, most=10.0)  # two rows have room between neatline and border
 
 
 @dataclass(frozen=True)
 class GraticulePart(GridPart):
     """`[graticule]`: a second grid, by default longitude and latitude."""
 
-    style: str = a_choice("ticks", *GRID_STYLES)
-    color: str = a_color("#1f5fae")
+    style: str = option("ticks", choices=GRID_STYLES)
+    color: str = option("#1f5fae", parse=parse_color)
 
 
 @dataclass(frozen=True)
@@ -70,7 +86,7 @@ class ScaleBarPart:
     """`[scalebar]`."""
 
     show: bool = True
-    length: float | None = a_number(None, above=0.0)  # metres on the ground
+    length: float | None = option(None, above=0.0)  # metres on the ground
     feet: bool = False
 
 
@@ -79,9 +95,9 @@ class NorthPart:
     """`[north]`: the arrows; magnetic north where it is declared, or a date is given at which the model has it."""
 
     show: bool = True
-    magnetic: float | None = a_number(None, least=-180.0, most=180.0)  # declination in degrees, east positive
+    magnetic: float | None = option(None, least=-180.0, most=180.0)  # declination in degrees, east positive
     magnetic_date: str = ""
-    annual_change: float | None = a_number(None, least=-10.0, most=10.0)  # degrees, east positive
+    annual_change: float | None = option(None, least=-10.0, most=10.0)  # degrees, east positive
 
 
 @dataclass(frozen=True)
@@ -111,17 +127,17 @@ class ContoursPart:
 
     dem: str = ""
     heights: str = ""  # vertical datum of the DEM, where the file does not say it
-    interval: float | None = a_number(None, above=0.0)
-    index: int = a_number(5, least=1, most=100)
-    tolerance: float | None = a_number(None, least=0.0)
-    color: str = a_color("#9a5b22")
-    width: float = a_number(0.12, above=0.0, most=5.0)
-    index_width: float = a_number(0.25, above=0.0, most=5.0)
+    interval: float | None = option(None, above=0.0)
+    index: int = option(5, least=1, most=100)
+    tolerance: float | None = option(None, least=0.0)
+    color: str = option("#9a5b22", parse=parse_color)
+    width: float = option(0.12, above=0.0, most=5.0)
+    index_width: float = option(0.25, above=0.0, most=5.0)
     labels: bool = True
-    size: float = a_number(5.5, above=0.0, most=72.0)
+    size: float = option(5.5, above=0.0, most=72.0)
     spots: bool = True  # spot heights on summits and in hollows
-    spot_prominence: float | None = a_number(None, above=0.0)  # metres; the interval by default
-    spot_spacing: float = a_number(20.0, least=0.0, most=1000.0)  # mm on paper
+    spot_prominence: float | None = option(None, above=0.0)  # metres; the interval by default
+    spot_spacing: float = option(20.0, least=0.0, most=1000.0)  # mm on paper
 
 
 @dataclass(frozen=True)

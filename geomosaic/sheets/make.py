@@ -16,6 +16,7 @@ from geomosaic.geo.crs import geographic, is_local, parse_crs
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.local_frames import map_place
 from geomosaic.geo.units import linear_unit
+from geomosaic.options.check import check_idle
 from geomosaic.raster.framing import picture, raster_grid
 from geomosaic.raster.output_files import check_output
 from geomosaic.raster.source import Source
@@ -121,7 +122,8 @@ def make_sheet(
     ------
     InputError, OutputExistsError, OutputError
     """
-    check_format(output)
+    check_format(output, files)
+    check_idle(layout.enhance)
     check_output(output, overwrite=overwrite)
     with Source(raster) as source:
         grid = raster_grid(source, str(raster))

@@ -16,7 +16,7 @@ from geomosaic.cli.talk import answer, notes
 @click.command()
 @click.argument("raster", type=FILE)
 @look_options
-@click.option("--radius", type=click.FloatRange(0.3, 50), default=1.0, show_default=True, help="Of sharpening, pixels.")
+@click.option("--radius", type=click.FloatRange(0.3, 50), help="Of sharpening, pixels.  [default: 1]")
 @click.option("--pan", type=FILE, help="Sharpen the bands with this panchromatic raster; keeps the sample type.")
 @click.option(
     "--method",
@@ -50,7 +50,7 @@ def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: 
         if pan is not None:
             used = [
                 f"--{key}"
-                for key in ("stretch", "limits", "percentiles", "gamma", "clahe", "sharpen", "hillshade")
+                for key in ("stretch", "limits", "percentiles", "gamma", "clahe", "sharpen", "radius", "hillshade")
                 if flags[key] is not None
             ]
             if used:

@@ -11,6 +11,8 @@ from affine import Affine
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import is_local
 from geomosaic.geo.grid import Grid
+from geomosaic.options.check import check_idle
+from geomosaic.options.declaration import option
 from geomosaic.raster.output_files import check_output, write_text
 from geomosaic.raster.pdf import write_raster_pdf
 from geomosaic.raster.sink import RasterSink
@@ -44,11 +46,13 @@ class FileOptions:
 
     driver: str = "GTiff"
     collar: bool = False
-    world_file: bool = False
+    world_file: bool = option(
+        False, "Write a world file beside .tif and .png.", needs=("output=.png", "output=.tif", "output=.tiff")
+    )
 
 
-def check_format(path: Path) -> None:
-    """Refuse names that say no format.
+def check_format(path: Path, files: FileOptions | None = None) -> None:
+    """Refuse names that say no format, and options that do nothing for it.
 
     Raises
     ------
@@ -60,6 +64,8 @@ def check_format(path: Path) -> None:
             where=str(path),
             hint=f"end the name in {', '.join(FORMATS)}",
         )
+    if files is not None:
+        check_idle(files, {"output": path.suffix.lower()})
 
 
 def write_sheet(

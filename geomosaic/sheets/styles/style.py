@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.options.toml_tables import a_choice, a_color, a_number, build
+from geomosaic.options.declaration import option
+from geomosaic.options.toml_tables import build, parse_color
 
 MARKERS = ("circle", "square", "triangle", "diamond", "cross", "plus", "star")
 
@@ -16,12 +17,12 @@ MARKERS = ("circle", "square", "triangle", "diamond", "cross", "plus", "star")
 class Line:
     """A line: widths in mm, dashes as lengths of stroke and gap in mm, the casing as its full width."""
 
-    color: str = a_color("#000000")
-    width: float = a_number(0.3, above=0.0, most=20.0)
+    color: str = option("#000000", parse=parse_color)
+    width: float = option(0.3, above=0.0, most=20.0)
     dash: tuple[float, ...] = ()
-    casing: str | None = a_color(None)
-    casing_width: float | None = a_number(None, above=0.0, most=30.0)
-    opacity: float = a_number(1.0, least=0.0, most=1.0)
+    casing: str | None = option(None, parse=parse_color)
+    casing_width: float | None = option(None, above=0.0, most=30.0)
+    opacity: float = option(1.0, least=0.0, most=1.0)
 
     @property
     def full_width(self) -> float:
@@ -33,20 +34,20 @@ class Line:
 class Fill:
     """An area's colour; its edge is the symbol's line."""
 
-    color: str = a_color("#cccccc")
-    opacity: float = a_number(0.5, least=0.0, most=1.0)
+    color: str = option("#cccccc", parse=parse_color)
+    opacity: float = option(0.5, least=0.0, most=1.0)
 
 
 @dataclass(frozen=True)
 class Marker:
     """A point's symbol; size and outline in mm."""
 
-    shape: str = a_choice("circle", *MARKERS)
-    size: float = a_number(1.8, above=0.0, most=50.0)
-    color: str = a_color("#d7191c")
-    outline: str = a_color("#ffffff")
-    outline_width: float = a_number(0.15, least=0.0, most=5.0)
-    opacity: float = a_number(1.0, least=0.0, most=1.0)
+    shape: str = option("circle", choices=MARKERS)
+    size: float = option(1.8, above=0.0, most=50.0)
+    color: str = option("#d7191c", parse=parse_color)
+    outline: str = option("#ffffff", parse=parse_color)
+    outline_width: float = option(0.15, least=0.0, most=5.0)
+    opacity: float = option(1.0, least=0.0, most=1.0)
 
 
 @dataclass(frozen=True)
@@ -54,13 +55,13 @@ class Label:
     """Names: the column they stand in, text size in points, halo in mm."""
 
     column: str
-    size: float = a_number(7.0, above=0.0, most=100.0)
-    color: str = a_color("#000000")
-    halo: str | None = a_color("#ffffff")
-    halo_width: float = a_number(0.5, least=0.0, most=5.0)
+    size: float = option(7.0, above=0.0, most=100.0)
+    color: str = option("#000000", parse=parse_color)
+    halo: str | None = option("#ffffff", parse=parse_color)
+    halo_width: float = option(0.5, least=0.0, most=5.0)
     bold: bool = False
     italic: bool = False
-    decimals: int | None = a_number(None, least=0, most=9)
+    decimals: int | None = option(None, least=0, most=9)
 
 
 @dataclass(frozen=True)
@@ -102,10 +103,16 @@ class Ramp:
     """`[graduated]`: classes of a column's numbers made from the data, colours from one to another."""
 
     column: str
-    count: int = a_number(5, least=2, most=20)
-    method: str = a_choice("quantile", "quantile", "equal")
-    start: str = a_color("#ffffcc")
-    end: str = a_color("#8b0025")
+    count: int = option(5, least=2, most=20)
+    method: str = option(
+        "quantile",
+        choices=(
+            "quantile",
+            "equal",
+        ),
+    )
+    start: str = option("#ffffcc", parse=parse_color)
+    end: str = option("#8b0025", parse=parse_color)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,147 @@
+"""An option that would do nothing beside the others is refused: by the library, the command line and projects alike."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mosaic_rig import write
+
+from geomosaic.cli.main import run
+from geomosaic.enhancement.raster import enhance
+from geomosaic.errors import InputError
+from geomosaic.options.declaration import declared
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.project.load import load_project
+
+AREAS = "areas.gpkg"
+
+IDLE: list[tuple[dict[str, Any], str]] = [
+    ({"rule": "mean", "feather": "5m"}, "feather"),
+    ({"rule": "mean", "blend": "multiband"}, "blend"),
+    ({"rule": "mean", "ramp": "smooth"}, "ramp"),
+    ({"rule": "mean", "limit": False}, "limit"),
+    ({"rule": "mean", "seams": "alike"}, "seams"),
+    ({"rule": "mean", "cutlines": AREAS}, "cutlines"),
+    ({"rule": "mean", "water": AREAS}, "water"),
+    ({"rule": "mean", "exclude": ["a.tif"]}, "exclude"),
+    ({"rule": "mean", "retouch": {"a.tif": {"gain": 1.1}}}, "retouch"),
+    ({"rule": "mean", "stretch": "2,98"}, "stretch"),
+    ({"rule": "mean", "true_ortho": True}, "true_ortho"),
+    ({"rule": "mean", "views": True}, "views"),
+    ({"rule": "mean", "displacement": 0.0}, "displacement"),
+    ({"rule": "mean", "seam_quality": True}, "seam_quality"),
+    ({"rule": "mean", "colour": "gain"}, "colour"),
+    ({"blend": "none", "limit": True}, "limit"),
+    ({"blend": "none", "feather": "20px"}, "feather"),
+    ({"blend": "none", "ramp": "smooth"}, "ramp"),
+    ({"balance": False, "colour": "gain"}, "colour"),
+    ({"balance": False, "mask": AREAS}, "mask"),
+    ({"balance": False, "master": "a.tif"}, "master"),
+    ({"balance": False, "reference": "a.tif"}, "reference"),
+    ({"histogram": "whole", "colour": "gain"}, "colour"),
+    ({"region": AREAS}, "region"),
+    ({"reference_bands": [1]}, "reference_bands"),
+    ({"follow": [AREAS]}, "follow"),
+    ({"avoid": [AREAS]}, "avoid"),
+    ({"seam_weights": {"heights": 5.0}}, "seam_weights"),
+    ({"water_fill": "tone"}, "water_fill"),
+    ({"order": "name"}, "order"),
+    ({"seams": "halve", "base": "a.tif"}, "base"),
+    ({"labels": False, "views": True}, "views"),
+    ({"labels": False, "displacement": 0.0}, "displacement"),
+    ({"convert": "range"}, "convert"),
+]
+NAMES = [f"{name} beside {', '.join(sorted(given))}" for given, name in IDLE]
+OPTIONS = {one.name: one for one in declared(MosaicOptions)}
+
+
+@pytest.fixture
+def image(tmp_path: Path) -> Path:
+    return write(tmp_path / "a.tif", np.full((20, 20, 1), 90, np.uint8), 0, 0)
+
+
+@pytest.mark.parametrize(("given", "name"), IDLE, ids=NAMES)
+def test_the_library_refuses_idle_options(given: dict[str, Any], name: str) -> None:
+    with pytest.raises(InputError, match=f"^`{name}` would do nothing with"):
+        MosaicOptions.of(**typed(given))
+
+
+@pytest.mark.parametrize(("given", "name"), IDLE, ids=NAMES)
+def test_the_command_line_refuses_idle_options(
+    given: dict[str, Any], name: str, image: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if any(not OPTIONS[key].flag for key in given):
+        pytest.skip("no option of the command line")
+    words = [word for key, value in given.items() for word in flags(key, value)]
+    assert run(["mosaic", str(image), "-o", str(image.with_name("out.tif")), *words]) == 1
+    assert f"{OPTIONS[name].flag} would do nothing with" in capsys.readouterr().err
+    assert not image.with_name("out.tif").exists()
+
+
+@pytest.mark.parametrize(("given", "name"), IDLE, ids=NAMES)
+def test_projects_refuse_idle_options(given: dict[str, Any], name: str, image: Path) -> None:
+    if any(OPTIONS[key].option.section is None for key in given):
+        pytest.skip("no key of projects")
+    project = image.with_name("block.toml")
+    lines = [f"{OPTIONS[key].key} = {toml(value)}" for key, value in given.items()]
+    head = 'format = 1\n[project]\nimages = ["a.tif"]\n[sensor]\nname = "planar"\n[mosaic]\n'
+    project.write_text(head + "\n".join(lines) + "\n")
+    with pytest.raises(InputError, match=rf": \[mosaic\] {OPTIONS[name].key} would do nothing with"):
+        load_project(project)
+
+
+def test_a_radius_without_sharpening_and_a_world_file_of_a_pdf_are_refused(
+    image: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(InputError, match="`radius` would do nothing without `sharpen`"):
+        enhance(image, image.with_name("out.tif"), radius=2.0)
+    assert run(["enhance", str(image), "--radius", "2", "-o", str(image.with_name("out.tif"))]) == 1
+    assert "--radius would do nothing without --sharpen" in capsys.readouterr().err
+    assert run(["sheet", str(image), "--world-file", "-o", str(image.with_name("out.pdf"))]) == 1
+    assert "--world-file would do nothing without --output .png" in capsys.readouterr().err
+
+
+def test_tolerance_may_be_0_everywhere(image: Path) -> None:
+    assert MosaicOptions.of(tolerance=0).render.tolerance == 0.0
+    project = image.with_name("block.toml")
+    project.write_text(
+        'format = 1\n[project]\nimages = ["a.tif"]\n[sensor]\nname = "planar"\n[output]\ntolerance = 0\n'
+    )
+    assert load_project(project).options.render.tolerance == 0.0
+    assert run(["mosaic", str(image), "--tolerance", "0", "-o", str(image.with_name("out.tif"))]) == 0
+
+
+def typed(given: dict[str, Any]) -> dict[str, Any]:
+    """Values of the library: options classes in place of tables."""
+    from geomosaic.options.mosaic import Retouch, SeamWeights
+
+    made = dict(given)
+    if "seam_weights" in made:
+        made["seam_weights"] = SeamWeights(**made["seam_weights"])
+    if "retouch" in made:
+        made["retouch"] = {name: Retouch(**own) for name, own in made["retouch"].items()}
+    return made
+
+
+def flags(name: str, value: Any) -> list[str]:
+    """Words of the command line."""
+    flag = OPTIONS[name].flag
+    if isinstance(value, bool):
+        return [flag if value else f"--no-{flag[2:]}"]
+    if isinstance(value, dict):
+        return [word for key, part in value.items() for word in (flag, f"{key}={part}")]
+    return [word for part in (value if isinstance(value, list) else [value]) for word in (flag, str(part))]
+
+
+def toml(value: Any) -> str:
+    """Value in TOML."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f'"{key}" = {toml(part)}' for key, part in value.items()) + " }"
+    if isinstance(value, list):
+        return f"[{', '.join(map(toml, value))}]"
+    return f'"{value}"' if isinstance(value, str) else str(value)
