@@ -197,11 +197,11 @@ def test_what_would_do_nothing_is_refused(made, tmp_path):
         gm.ortho(made.path, tmp_path / "x.tif", like=made.grid, resolution=2.0)
     assert caught.value.where == "`resolution`"
     with pytest.raises(InputError, match="`resolution` would do nothing"):
-        gm.reproject(tmp_path / "a.gpkg", tmp_path / "b.gpkg", crs="EPSG:4326", resolution=1.0)
+        gm.reproject(tmp_path / "a.gpkg", tmp_path / "b.gpkg", dst_crs="EPSG:4326", resolution=1.0)
 
 
 def test_a_raster_in_another_crs(made, tmp_path):
-    again = gm.reproject(made.path, tmp_path / "utm.tif", crs="EPSG:25833", resolution=4.0)
+    again = gm.reproject(made.path, tmp_path / "utm.tif", dst_crs="EPSG:25833", resolution=4.0)
     assert again.grid.crs.to_epsg() == 25833
     assert again.read().count() > 0.9 * made.read().count()
 

@@ -11,7 +11,7 @@ import numpy as np
 from geomosaic.control.check_positions import has_positions, read_positions
 from geomosaic.control.coordinate_diagnostics import has_places
 from geomosaic.control.diagnostics import advise
-from geomosaic.control.findings import Advice
+from geomosaic.control.findings import Advice, leave_out
 from geomosaic.control.points import ControlPoints
 from geomosaic.control.read import read_control
 from geomosaic.errors import InputError, counted
@@ -65,7 +65,7 @@ def check_advice(
         what += f", where the control leads one to expect {expected:.2f} px (leave-one-out)"
     hint = (
         "look whether their coordinates and their places in the image are right; if not, correct them or leave them "
-        f"out: --without {' --without '.join(wrong[:6])}"
+        f"out: {leave_out(wrong[:6])}"
     )
     return [Advice("check-point", "warning", what, wrong, hint)]
 
@@ -174,7 +174,7 @@ def check(
     advice = _examined(found, measured, info.size)
     wrong = next((finding for finding in advice if finding.severity == "error"), None)
     if wrong is not None and not (insist and has_places(found)):
-        hint = f"{wrong.hint}; or --insist" if has_places(found) else wrong.hint
+        hint = f"{wrong.hint}; or `insist`" if has_places(found) else wrong.hint
         raise InputError(f"{wrong.what} ({wrong.code})", where=str(points), hint=hint)
     true = found.to_crs(grid.crs).xy
     pixel = measured - grid.colrow(true)
@@ -210,14 +210,14 @@ def _grid(info: SourceInfo, given: str | None) -> Grid:
         )
     if info.crs is not None:
         crs = horizontal(info.crs)
-        if given is not None and not crs.equals(parse_map(given, "--raster-crs"), ignore_axis_order=True):
+        if given is not None and not crs.equals(parse_map(given, "`raster_crs`"), ignore_axis_order=True):
             raise InputError(
                 f"the raster is in '{crs.name}', and '{given}' is given", where=info.path, hint="leave it out"
             )
     elif given is not None:
-        crs = parse_map(given, "--raster-crs")
+        crs = parse_map(given, "`raster_crs`")
     else:
-        raise InputError("the raster names no CRS", where=info.path, hint="give it with --raster-crs")
+        raise InputError("the raster names no CRS", where=info.path, hint="give it with `raster_crs`")
     return Grid(crs, info.transform, info.width, info.height)
 
 

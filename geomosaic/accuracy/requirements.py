@@ -130,7 +130,7 @@ def judge(found: MapCheck, target: tuple[Requirement, ...]) -> tuple[Verdict, ..
 
     crs = found.grid.crs
     if not crs.is_projected:
-        raise InputError("a map in degrees has no pixel in metres", where="--target", hint="reproject the raster first")
+        raise InputError("a map in degrees has no pixel in metres", where="`target`", hint="reproject the raster first")
     metres = linear_unit(crs)
     values = {
         "position_error": found.statistics.rms_total * metres,

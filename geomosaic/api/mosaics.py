@@ -27,7 +27,7 @@ def mosaic(
     *,
     dem: PathLike | Dem | float | None = None,
     dem_heights: str | None = None,
-    crs: str | None = None,
+    dst_crs: str | None = None,
     resolution: float | None = None,
     bounds: Bounds | None = None,
     like: PathLike | Grid | None = None,
@@ -41,7 +41,7 @@ def mosaic(
         A block with its orientation; paths of images that are georeferenced.
     output : path
         GeoTIFF to write; labels, vectors and the STAC item go beside it.
-    dem, dem_heights, crs, resolution, bounds, like
+    dem, dem_heights, dst_crs, resolution, bounds, like
         See `ortho`.
     **options
         Of `MosaicOptions`, which is composed of `RenderOptions`, `ColourOptions`, `SeamOptions`, `BlendOptions` and
@@ -58,7 +58,7 @@ def mosaic(
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's names.
     """
     block = on_ground(images if isinstance(images, Block) else Block(tuple(map(Path, images))), dem, dem_heights)
-    place, wanted = area(crs, resolution, bounds, like), MosaicOptions.of(**options)
+    place, wanted = area(dst_crs, resolution, bounds, like), MosaicOptions.of(**options)
     if block.planar is not None:
         return make_planar_mosaic(block, block.planar, place, Path(output), wanted)[0]
     return make_mosaic(block, place, Path(output), wanted)

@@ -32,7 +32,7 @@ def ortho(
     *,
     dem: PathLike | Dem | float | None = None,
     dem_heights: str | None = None,
-    crs: str | None = None,
+    dst_crs: str | None = None,
     resolution: float | None = None,
     bounds: Bounds | None = None,
     like: PathLike | Grid | None = None,
@@ -50,7 +50,7 @@ def ortho(
         Ground: a DEM, or one height in metres; instead of the scene's own.
     dem_heights : str, optional
         Vertical datum of `dem`, where the file does not say it: 'ellipsoidal', 'egm96', an EPSG code or a geoid grid.
-    crs : str, optional
+    dst_crs : str, optional
         CRS of the output; that of the DEM, the position or the control unless given.
     resolution : float, optional
         Pixel size in map units; that of the image unless given.
@@ -72,14 +72,14 @@ def ortho(
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's name.
     """
     block = on_ground(scene if isinstance(scene, Block) else Scene((Path(scene),)), dem, dem_heights)
-    return make_ortho(block, area(crs, resolution, bounds, like), Path(output), compose(RenderOptions, options))
+    return make_ortho(block, area(dst_crs, resolution, bounds, like), Path(output), compose(RenderOptions, options))
 
 
 def reproject(
     source: PathLike,
     output: PathLike,
     *,
-    crs: str | None = None,
+    dst_crs: str | None = None,
     src_crs: str | None = None,
     resolution: float | None = None,
     bounds: Bounds | None = None,
@@ -92,7 +92,7 @@ def reproject(
     Parameters
     ----------
     source, output : path
-    crs : str, optional
+    dst_crs : str, optional
         CRS of the output.
     src_crs : str, optional
         CRS of the source, instead of what the file says.
@@ -111,12 +111,12 @@ def reproject(
     ------
     InputError, OutputError
     """
-    place = area(crs, resolution, bounds, like, snap=snap)
-    if crs is None and like is None:
-        raise InputError("nothing says where to", hint="give `crs` or `like`")
-    if crs is not None and like is not None:
-        raise InputError("`like` says CRS, pixels and extent", where="`crs`", hint="leave it out")
-    target = parse_map(crs, "`crs`") if place.like is None and crs else grid_of(place.like or Path()).crs
+    place = area(dst_crs, resolution, bounds, like, snap=snap)
+    if dst_crs is None and like is None:
+        raise InputError("nothing says where to", hint="give `dst_crs` or `like`")
+    if dst_crs is not None and like is not None:
+        raise InputError("`like` says CRS, pixels and extent", where="`dst_crs`", hint="leave it out")
+    target = parse_map(dst_crs, "`dst_crs`") if place.like is None and dst_crs else grid_of(place.like or Path()).crs
     own = parse_map(src_crs, "`src_crs`") if src_crs else None
     path = Path(source)
     if is_vector(path):

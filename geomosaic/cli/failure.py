@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import errno
 import json
-import re
 import signal
 import sys
 import traceback
 
 import click
 
+from geomosaic.cli.parameter_names import translated
 from geomosaic.cli.process import Stopped
 from geomosaic.errors import GeomosaicError, Interrupted, OutputError, QualityError
 
@@ -34,27 +34,6 @@ def stopped(by: BaseException, as_json: bool, *, resumes: bool = False) -> int:
     hint = {"hint": "the same command resumes: what is done stays done"} if resumes else {}
     _tell({"what": f"stopped by {name}", **hint}, as_json)
     return 128 + number
-
-
-def with_flags(text: str | None, command: str) -> str | None:
-    """A text with parameters of the running command as its flags: `name` becomes --name, `name=value` --name value."""
-    from geomosaic.cli.main import COMMANDS, cli
-
-    if text is None or "`" not in text or command not in COMMANDS:
-        return text
-    loaded = cli.get_command(click.Context(cli), command)
-    options = {} if loaded is None else {one.name: one for one in loaded.params if isinstance(one, click.Option)}
-
-    def flag(found: re.Match[str]) -> str:
-        option = options.get(found["name"])
-        if option is None:
-            return found[0]
-        long = next((opt for opt in option.opts if opt.startswith("--")), option.opts[0])
-        if option.is_flag:
-            return option.secondary_opts[0] if found["value"] == "False" and option.secondary_opts else long
-        return f"{long} {found['value']}" if found["value"] else long
-
-    return re.sub(r"`(?P<name>[a-z_]+)(=(?P<value>[^`]*))?`", flag, text)
 
 
 def failed(error: Exception, *, as_json: bool, debug: bool, command: str = "") -> int:
@@ -84,7 +63,7 @@ def failed(error: Exception, *, as_json: bool, debug: bool, command: str = "") -
         error = OutputError(what, where=str(error.filename or ""), hint=hint)
     if isinstance(error, GeomosaicError):
         parts = {"what": error.what, "where": error.where, "hint": error.hint}
-        _tell({name: with_flags(text, command) for name, text in parts.items()}, as_json, error)
+        _tell({name: text and translated(text, command) for name, text in parts.items()}, as_json, error)
         return error.exit_code
     if isinstance(error, MemoryError):
         _tell({"what": "out of memory", "hint": "lower --mem-limit or --threads"}, as_json)

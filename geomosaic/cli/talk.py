@@ -12,14 +12,15 @@ from typing import Any
 
 import click
 
+from geomosaic.cli.parameter_names import translated
 from geomosaic.cli.process import check_stopped
 from geomosaic.errors import GeomosaicWarning, OutputError
 from geomosaic.types import Progress
 
 
 def say(text: str = "") -> None:
-    """Tell a person something, on standard error."""
-    click.echo(text, err=True)
+    """Tell a person something, on standard error; parameters are called as the command calls them."""
+    click.echo(translated(text), err=True)
 
 
 def answer(result: Mapping[str, Any], words: str, as_json: bool) -> None:

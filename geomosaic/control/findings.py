@@ -53,6 +53,11 @@ def listed(names: Sequence[str], most: int = 6) -> str:
     return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
+def leave_out(names: Sequence[str]) -> str:
+    """How points are left out, as a hint says it: the parameter `without`, once for each."""
+    return " ".join(f"`without={name}`" for name in names)
+
+
 def plane(control: ControlPoints) -> FloatArray:
     """Return ground (N, 2) from its mean, degrees of longitude as long as those of latitude; units of the CRS."""
     xy: FloatArray = control.xy - control.xy.mean(axis=0)

@@ -77,7 +77,7 @@ def make_developed(
     for file in _outputs(output, len(inputs.images) > 1, options):
         refuse_existing(file, options.render.overwrite, inputs)
     if area.crs is not None:
-        raise InputError("a developed surface has no CRS but its own", hint="leave out --dst-crs")
+        raise InputError("a developed surface has no CRS but its own", hint="leave out `dst_crs`")
     found = read_surface(surface)
     for file in found.files:
         if output.exists() and file.exists() and output.samefile(file):
@@ -119,7 +119,7 @@ def _outputs(output: Path, several: bool, options: MosaicOptions) -> list[Path]:
 def _in_frame(inputs: Block, found: SurfaceFile) -> Block:
     """The inputs with their positions in the surface's CRS, where they name none."""
     if inputs.dem is not None or inputs.height is not None:
-        raise InputError("a DEM or a height has no part in a developed surface", hint="leave out --dem and --height")
+        raise InputError("a DEM or a height has no part in a developed surface", hint="leave out `dem` and `height`")
     if "upwards" not in inputs.options and capabilities(inputs.sensor).upwards:
         inputs = replace(inputs, options={**inputs.options, "upwards": True})
     if inputs.crs is not None or (inputs.angles in RECONSTRUCTIONS and is_free(found.crs)):

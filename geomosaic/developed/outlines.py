@@ -52,7 +52,7 @@ def developed_footprint(scene: OrientedImage, model: DevelopedModel) -> Develope
         raise InputError(
             f"the image shows nothing of the {model.surface.body.kind}",
             where=scene.name,
-            hint="check the surface's place and side, the frame of the positions, bottom and top, and --oblique",
+            hint="check the surface's place and side, the frame of the positions, bottom and top, and `oblique`",
         )
     bounds = _padded(model, places)
     for _ in range(2):

@@ -51,7 +51,7 @@ def pan_model(method: str, bands: AnyArray, pan: AnyArray) -> PanModel:
         Unknown method, or too few or constant samples.
     """
     if method not in METHODS:
-        raise InputError(f"there is no method '{method}'", where="--method", hint=f"one of {', '.join(METHODS)}")
+        raise InputError(f"there is no method '{method}'", where="`method`", hint=f"one of {', '.join(METHODS)}")
     x, y = bands.astype(np.float64), pan.astype(np.float64)
     if len(x) < 10 * (x.shape[1] + 1) or np.ptp(y) == 0:
         raise InputError("the bands and the pan band share too little ground", hint="do both show the same area?")

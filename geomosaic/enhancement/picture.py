@@ -40,11 +40,11 @@ def stretch_given(
         They do not belong to the stretch, or are the wrong way round.
     """
     if limits is not None and percentiles is not None:
-        raise InputError("--limits are values and --percentiles shares of them", hint="leave one of them out")
+        raise InputError("`limits` are values and `percentiles` shares of them", hint="leave one of them out")
     for name, pair, kind in (("limits", limits, "linear"), ("percentiles", percentiles, "percentile")):
         if pair is not None and stretch not in (None, kind):
             raise InputError(
-                f"--{name} belongs to --stretch {kind}", where=f"--stretch {stretch}", hint="leave one out"
+                f"`{name}` belongs to `stretch={kind}`", where=f"`stretch={stretch}`", hint="leave one out"
             )
         if pair is not None and not pair[0] < pair[1]:
             raise InputError(
@@ -93,7 +93,9 @@ def band_curves(part: EnhancePart, source: Source, grid: Grid, bands: Sequence[i
         low, high = part.limits or (0.0, 255.0)
         if part.stretch == "linear" and part.limits is None and not whole:
             raise InputError(
-                "a linear stretch needs its limits", where="stretch", hint="--limits LOW HIGH, or limits = [low, high]"
+                "a linear stretch needs its limits",
+                where="stretch",
+                hint="give `limits`, the lowest and the highest value",
             )
         return [linear(low, high, part.gamma)] * len(bands)
     values, valid = sample(source, grid, bands)
@@ -133,7 +135,7 @@ def finishing(
         grey = luminance(level) if level.shape[2] == 3 else level[..., 0]
         clahe = Clahe.of(grey, valid.astype(np.uint8), part.clahe)
     if part.hillshade > 0 and dem is None:
-        raise InputError("a hillshade needs heights", where="[enhance]", hint='give dem = "..." or --hillshade DEM')
+        raise InputError("a hillshade needs heights", where="[enhance]", hint='give dem = "..." or `hillshade`')
 
     def finish(pixels: ByteArray, area: Bounds) -> ByteArray:
         out = pixels.copy()

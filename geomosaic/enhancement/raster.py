@@ -143,7 +143,7 @@ def enhance(
 def _shade_of(dem: Path, grid: Grid, look: EnhancePart) -> Callable[[Window], FloatArray]:
     """Hillshade of windows of a raster."""
     if not grid.crs.is_projected:
-        raise InputError("a hillshade needs a map in metres", where="--hillshade", hint="reproject the raster first")
+        raise InputError("a hillshade needs a map in metres", where="`hillshade`", hint="reproject the raster first")
     metres = linear_unit(grid.crs)
 
     def of(window: Window) -> FloatArray:
@@ -205,7 +205,7 @@ def pan_sharpen(
             )
         chosen = tuple(bands or range(1, coarse.info.bands + 1))
         if any(not 1 <= band <= coarse.info.bands for band in chosen):
-            raise InputError(f"the raster has {coarse.info.bands} bands", where="--bidx", hint="give some of these")
+            raise InputError(f"the raster has {coarse.info.bands} bands", where="`bands`", hint="give some of these")
         model = _model(method, coarse, fine, low, high, chosen)
         kind = str(coarse.dtype)
         least, most, whole = value_range(kind)
@@ -250,7 +250,7 @@ def _model(method: str, coarse: Source, fine: Source, low: Grid, high: Grid, ban
     """The model from at most about a million pixels of the bands, in evenly spread blocks."""
     ratio = low.resolution[0] / high.resolution[0]
     if ratio < 1.0:
-        raise InputError("the pan raster is coarser than the bands", where="--pan", hint="are the two exchanged?")
+        raise InputError("the pan raster is coarser than the bands", where="`pan`", hint="are the two exchanged?")
     blocks = list(low.window.split(128, 128))
     picked = blocks[:: max(1, len(blocks) // 64)]
     xs, ys = [], []

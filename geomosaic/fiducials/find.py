@@ -103,7 +103,7 @@ def find_marks(
 
 
 def write_marks(path: Path, found: dict[str, dict[str, Mark]]) -> None:
-    """Write the table that `--fiducials` reads; marks that were not found are left out."""
+    """Table of measured fiducials for `Block.fiducials`; marks that were not found are left out."""
     lines = ["image,id,col,row,sigma,correlation"]
     for image, marks in found.items():
         lines += [

@@ -78,7 +78,7 @@ def _checked(window: Window, path: PathLike) -> Window:
             f"a picture of {window.width} x {window.height} pixels is no template of a mark",
             where=str(path),
             hint=f"cut out one mark with some ground around it, {SMALLEST} to {LARGEST} pixels; in a scan say where "
-            "one is with --at, and how large with --side",
+            "one is with `at`, and how large with `side`",
         )
     return window
 

@@ -92,10 +92,10 @@ def doubt(crs: CRS) -> str | None:
     if said and (unknown or crs.to_epsg() != int(said.group(1))):
         return (
             f"the file calls its CRS '{crs.name}', but its keys do not define EPSG:{said.group(1)} "
-            f"(datum: {_datum(crs)}); if that is what is meant, give --src-crs EPSG:{said.group(1)}"
+            f"(datum: {_datum(crs)}); if that is what is meant, give `src_crs=EPSG:{said.group(1)}`"
         )
     if unknown:
-        return f"the datum of '{crs.name}' is not known, which may hide shifts of hundreds of metres; give --src-crs"
+        return f"the datum of '{crs.name}' is not known, which may hide shifts of hundreds of metres; give `src_crs`"
     return None
 
 

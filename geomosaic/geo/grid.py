@@ -118,7 +118,7 @@ class Grid:
         """
         left, bottom, right, top = bounds
         if not (resolution > 0 and math.isfinite(resolution)):
-            raise InputError(f"resolution {resolution} is not a positive number", hint="give --res in map units")
+            raise InputError(f"resolution {resolution} is not a positive number", hint="give `resolution` in map units")
         if not all(map(math.isfinite, bounds)) or left >= right or bottom >= top:
             raise InputError(f"bounds {bounds} enclose no area", hint="give left bottom right top in the output CRS")
         if snap:

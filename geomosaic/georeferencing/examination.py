@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geomosaic.control.findings import Advice, listed
+from geomosaic.control.findings import Advice, leave_out, listed
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
@@ -42,7 +42,7 @@ class BadControlError(InputError):
         more = f"; and {len(errors) - 3} more" if len(errors) > 3 else ""
         hints = "; ".join(dict.fromkeys(found.hint for found in errors[:3]))
         if not final:
-            hints += "; or --insist, to draw it all the same"
+            hints += "; or `insist`, to draw it all the same"
         super().__init__(what + more, where=where, hint=hints)
         self.advice = tuple(advice)
 
@@ -113,7 +113,7 @@ def bent_advice(search: ControlBlunders, fit: ControlFit, model: str) -> list[Ad
     told = listed([f"{name} ({lengths[name]:.1f} px)" for name in sorted(bent, key=lambda name: -lengths[name])])
     what = f"{model} misses {len(bent)} of {len(fit.ids)} points more than the others, but a smooth bend of the image "
     what += f"explains {'them' if len(bent) > 1 else 'it'}: {told}"
-    hint = "more points around them, which tell a bend from a blunder; --model tps follows a bend"
+    hint = "more points around them, which tell a bend from a blunder; `model=tps` follows a bend"
     return [Advice("bent", "warning", what, tuple(bent), hint)]
 
 
@@ -137,13 +137,13 @@ def opinion_advice(opinion: Opinion, fit: ControlFit, named: Sequence[str]) -> l
     what = f"with a probability of {opinion.fault:.0%} {who} wrong, else the image is bent: {len(fit.ids)} points are "
     what += "too few to be sure"
     gross = opinion.fault > EVEN and any(opinion.gross(name) for name in names)
-    hint = f"measure again, and more points; or leave out what is known to be wrong: --without {names[0]}"
+    hint = f"measure again, and more points; or leave out what is known to be wrong: `without={names[0]}`"
     return [Advice("contradiction", "error" if gross else "warning", what, names, hint)]
 
 
 def _out(names: Sequence[str]) -> str:
     """What to do with points that are wrong."""
-    return f"measure again, or leave out: --without {' --without '.join(names[:6])}, or --robust for all of them"
+    return f"measure again, or leave out: {leave_out(names[:6])}, or `robust` for all of them"
 
 
 def deletion_advice(deletion: Deletion | None) -> list[Advice]:
@@ -184,7 +184,7 @@ def size_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
     worst = tuple(fit.ids[i] for i in np.argsort(-np.nan_to_num(lengths), kind="stable")[:3])
     what += f", most of all {', '.join(worst)}"
     hint = "look for wrong or exchanged points, give more of them, or choose a fit of more parameters"
-    hint += ": --model projective for an oblique photo"
+    hint += "; `model=projective` for an oblique photo"
     return [Advice("large-errors", severity, what, (), hint)]
 
 
@@ -199,9 +199,9 @@ def comparison_advice(choice: ModelChoice | None, model: str) -> list[Advice]:
     )
     free = {row.name: row.parameters for row in choice.table}
     if free[choice.name] < free[SAME.get(model, model)]:
-        hint = f"--model {choice.name}: {model} follows the errors of the points, and strays between them"
+        hint = f"`model={choice.name}`: {model} follows the errors of the points, and strays between them"
     else:
-        hint = f"--model {choice.name}, if the image is bent so; or look for points that {model} does not suit"
+        hint = f"`model={choice.name}`, if the image is bent so; or look for points that {model} does not suit"
     return [Advice("poor-fit", "warning", what, (), hint)]
 
 

@@ -68,7 +68,7 @@ def look_at_four(
             name = points.names[out]
             what = f"{name} contradicts the other three points, which agree within {_error(fit):.2f} px (conformal); "
             what += f"{choice.name} misses all four by {missed:.1f} px"
-            hint = f"measure again, and more points; or leave out what is known to be wrong: --without {name}"
+            hint = f"measure again, and more points; or leave out what is known to be wrong: `without={name}`"
             return "", Advice("contradiction", "error", what, (name,), hint)
     if not _same_figure(points):
         return "", None

@@ -139,12 +139,12 @@ def _own(info: SourceInfo) -> Path:
         raise InputError(
             "the image has a georeference already and no control points",
             where=info.path,
-            hint="`geomosaic ortho` draws it where it lies; to place it anew, give --gcps",
+            hint="`geomosaic ortho` draws it where it lies; to place it anew, give `gcps`",
         )
     raise InputError(
         "no control: the image has no control points in it, and there is no world file beside it",
         where=info.path,
-        hint="give a table of points with --gcps: id,x,y,col,row",
+        hint="give a table of points with `gcps`: id,x,y,col,row",
     )
 
 

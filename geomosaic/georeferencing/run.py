@@ -95,7 +95,7 @@ def georeference(
     for file in (output, *(files.values() if report else ())):
         _refuse(file, (image, *([given.path] if isinstance(given.path, Path) else [])), overwrite=options.overwrite)
     first_look(reading.control, info.size, request, given.near)
-    target = None if place.crs is None else parse_map(place.crs, "--dst-crs")
+    target = None if place.crs is None else parse_map(place.crs, "`dst_crs`")
     crs = fit_crs(reading.control, request.crs, target)
     if reading.format == "world" and request.model == "auto":
         request = replace(request, model="affine")
@@ -127,7 +127,7 @@ def _outline(scene: OrientedImage, crs: CRS, model: str, where: str) -> Footprin
     except InputError as error:
         if not crs.equals(scene.model.crs) and _outline(scene, scene.model.crs, model, where):
             what = f"the image has no place in '{crs.name}'"
-            raise InputError(what, where="--dst-crs", hint="give a CRS that is made for its area") from error
+            raise InputError(what, where="`dst_crs`", hint="give a CRS that is made for its area") from error
         what = f"the fit ({model}) has no ground for the middle of the image: its horizon runs through it"
         hint = "look for wrong points, give more of them, or choose a fit of fewer parameters"
         raise BadControlError([Advice("nowhere", "error", what, (), hint)], where, final=True) from error
@@ -141,7 +141,7 @@ def fit_crs(control: ControlPoints, given: str | None, target: CRS | None) -> CR
     residuals are metres.
     """
     if given is not None:
-        return parse_map(given, "--fit-crs")
+        return parse_map(given, "`fit_crs`")
     own = horizontal(control.crs)
     if own.is_geocentric:
         raise InputError(

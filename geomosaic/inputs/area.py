@@ -182,7 +182,7 @@ def note_scattered(grid: Grid, outlines: Sequence[Footprint]) -> None:
     warnings.warn(
         f"the images share no ground and cover {100 * area / ((right - left) * (top - bottom)):.1g} % of the mosaic: "
         f"'{far.name}' lies {float(np.hypot(*(np.array(far.centre) - middle))):.6g} map units from the others; "
-        "check its CRS and geotransform, or give --bounds",
+        "check its CRS and geotransform, or give `bounds`",
         GeomosaicWarning,
         stacklevel=3,
     )

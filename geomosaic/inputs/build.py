@@ -259,10 +259,10 @@ def _complete_planar(
         raise InputError(
             "the image is not georeferenced, and nothing says where it lies",
             where=str(photo.path),
-            hint="give --sensor with its inputs (see `geomosaic sensors`), or control points",
+            hint="give `sensor` with its inputs (see `geomosaic sensors`), or control points",
         )
     if crs is None and photo.info.crs is None:
-        raise InputError("the image has a geotransform but no CRS", where=str(photo.path), hint="give --exterior-crs")
+        raise InputError("the image has a geotransform but no CRS", where=str(photo.path), hint="give `crs`")
     options["transform"] = [own.a, own.b, own.c, own.d, own.e, own.f]
     return photo.info.crs or crs
 
@@ -292,9 +292,7 @@ def _control(inputs: Block, photos: Sequence[Photo], crs: CRS | None) -> tuple[C
     from geomosaic.inputs.control_points import control_values, read_control
 
     if crs is None:
-        raise InputError(
-            "the control points have no CRS", where=str(inputs.control), hint="name it: crs under [exterior]"
-        )
+        raise InputError("the control points have no CRS", where=str(inputs.control), hint="name it with `crs`")
     if isinstance(inputs.control, Mapping):
         points, where = control_values(inputs.control, crs), "`control`"
     else:

@@ -255,7 +255,7 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
         raise InputError(
             "this is a reconstruction, and its angle system is not declared",
             where=str(path),
-            hint=f"declare it, --angles on the command line, angles under [exterior]: {RECONSTRUCTION_SYSTEM}",
+            hint=f"declare it with `angles`: {RECONSTRUCTION_SYSTEM}",
         )
     columns = SYSTEMS[system]
     wanted = ("image", "x", "y", "z", *columns)
@@ -333,9 +333,7 @@ def check_units(table: ExteriorTable, unit: str | None, rows: Sequence[ExteriorR
     if unit is not None:
         warnings.warn(f"{table.path}: declared as '{unit}', but {text}", GeomosaicWarning, stacklevel=2)
         return
-    raise InputError(
-        text, where=table.path, hint="declare the unit, whichever it is: --angle-unit, or angle_unit under [exterior]"
-    )
+    raise InputError(text, where=table.path, hint="declare the unit, whichever it is: `angle_unit`")
 
 
 def half_turns_in_radians(angles: FloatArray) -> bool:

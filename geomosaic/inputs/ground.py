@@ -22,8 +22,8 @@ from geomosaic.surface.dem import Dem
 from geomosaic.surface.model import Surface
 from geomosaic.types import FloatArray
 
-OF_POSITIONS = "--heights (in a project: heights under [exterior])"
-OF_DEM = "--dem-heights (in a project: heights under [dem])"
+OF_POSITIONS = "`heights`"
+OF_DEM = "`dem_heights`"
 
 
 def build_surface(
@@ -45,7 +45,7 @@ def build_surface(
         Pixels that a metre of height moves the image, asked for an error about images without a table of positions.
     """
     if inputs.dem is not None and inputs.height is not None:
-        raise InputError("a DEM and a height are both given", hint="give one of --dem and --height")
+        raise InputError("a DEM and a height are both given", hint="give one of `dem` and `height`")
     if inputs.height is not None:
         from geomosaic.surface.reference_surfaces import Plane
 
@@ -53,10 +53,10 @@ def build_surface(
             # What carries its own place needs no CRS of positions: any will do to say where a height counts from.
             crs = CRS.from_epsg(4326)
         if crs is None:
-            raise InputError("a height needs a CRS", hint="name it: --exterior-crs, or crs under [exterior]")
-        frame = declared(crs, inputs.dem_heights, "--dem-heights")
+            raise InputError("a height needs a CRS", hint="name it with `crs`")
+        frame = declared(crs, inputs.dem_heights, "`dem_heights`")
         if not has_heights(frame):
-            raise undeclared("the ground", "--height", OF_DEM, frame, _place(photos), _reach(photos, inputs.height))
+            raise undeclared("the ground", "`height`", OF_DEM, frame, _place(photos), _reach(photos, inputs.height))
         return Plane(frame, inputs.height)
     if inputs.dem is not None:
         if isinstance(inputs.dem, Dem):
@@ -71,7 +71,7 @@ def build_surface(
             raise HeightDatumError(
                 error.what,
                 where=str(inputs.dem),
-                hint="name a vertical datum whose grid is here: --dem-heights (heights under [dem] in the project) "
+                hint="name a vertical datum whose grid is here: `dem_heights` "
                 "with 'egm96', 'ellipsoidal' or the path of a geoid grid",
             ) from error
         return surface
@@ -79,7 +79,7 @@ def build_surface(
         return None
     raise InputError(
         "there is no ground to project the images onto",
-        hint="give a DEM (--dem, [dem] file) or one height in metres (--height, [dem] height)",
+        hint="give a DEM (`dem`) or one height in metres (`height`)",
     )
 
 

@@ -74,7 +74,7 @@ def photos_of(inputs: Block) -> tuple[list[Photo], CRS | None]:
         raise InputError(
             "the positions have no CRS",
             where=str(inputs.exterior),
-            hint="name it: --exterior-crs on the command line, crs under [exterior] in the project",
+            hint="name it with `crs`",
         )
     if table is None:
         return [Photo(path, info, None) for path, info in zip(inputs.images, infos, strict=True)], crs

@@ -45,14 +45,14 @@ def check_same_bands(scenes: Sequence[OrientedImage]) -> None:
             raise InputError(
                 f"the image has {_bands(info)}{alpha}, '{scenes[0].name}' has {_bands(first)}",
                 where=scene.path,
-                hint="choose the same bands of all images: --bidx 1,2,3, or by name --bands red,green,blue",
+                hint="choose the same bands of all images: `bands=1,2,3`, or by name `band_names=red,green,blue`",
             )
         mine, other = _names(info), _names(first)
         if mine != other and sorted(mine) == sorted(other):
             raise InputError(
                 f"the bands are {', '.join(mine)}, those of '{scenes[0].name}' are {', '.join(other)}",
                 where=scene.path,
-                hint=f"--bands {','.join(other)} brings them into one order",
+                hint=f"`band_names={','.join(other)}` brings them into one order",
             )
         if (info.scales, info.offsets) != (first.scales, first.offsets):
             raise InputError(
@@ -72,12 +72,12 @@ def _number(path: str, name: str) -> int:
         if len(found) == 1:
             return found[0]
         if found:
-            raise InputError(f"several bands are called '{name}'", where=path, hint="choose by number: --bidx")
+            raise InputError(f"several bands are called '{name}'", where=path, hint="choose by number: `bands`")
     have = [text for text in (*_descriptions(info), *(c for c in info.colors if c in _COLOURS)) if text]
     raise InputError(
         f"no band is called '{name}'",
         where=path,
-        hint=did_you_mean(name, have) or (f"it has {', '.join(have)}" if have else "choose by number: --bidx"),
+        hint=did_you_mean(name, have) or (f"it has {', '.join(have)}" if have else "choose by number: `bands`"),
     )
 
 
@@ -127,7 +127,7 @@ def check_placed(info: SourceInfo, given: CRS | None = None) -> CRS:
         kind = "could be degrees" if small else "are no degrees, so they are of a map"
         raise InputError(
             "the raster names no CRS", where=info.path,
-            hint=f"give --src-crs; its coordinates ({place}) {kind}",
+            hint=f"give `src_crs`; its coordinates ({place}) {kind}",
         )  # fmt: skip
     crs = horizontal(crs)
     turn = whole_turn(crs)
@@ -135,12 +135,12 @@ def check_placed(info: SourceInfo, given: CRS | None = None) -> CRS:
         raise InputError(
             f"the coordinates ({place}) are no longitudes and latitudes, as the CRS '{crs.name}' has them",
             where=info.path,
-            hint="give the CRS of the map that they belong to as --src-crs, or exchange x and y",
+            hint="give the CRS of the map that they belong to as `src_crs`, or exchange x and y",
         )
     if crs.is_projected and small and float(np.max(grid.resolution)) < TINY:
         warnings.warn(
             f"{info.path}: the coordinates ({place}) look like degrees, and the CRS '{crs.name}' counts in "
-            f"{crs.axis_info[0].unit_name}; if they are degrees, give --src-crs EPSG:4326",
+            f"{crs.axis_info[0].unit_name}; if they are degrees, give `src_crs=EPSG:4326`",
             GeomosaicWarning,
             stacklevel=2,
         )

@@ -43,12 +43,12 @@ def draw_vectors(inputs: MonoplotInputs) -> Drawn:
         Something is missing or wrong; names the file or option.
     """
     if inputs.source is None or inputs.output is None:
-        raise InputError("drawing needs vectors of the map and a file to write", hint="give both, with --output")
+        raise InputError("drawing needs vectors of the map and a file to write", hint="give both, with `output`")
     check_name(inputs.output, overwrite=inputs.overwrite)
     frame = read_layer(inputs.source, inputs.layer)
     crs = parse_crs(inputs.crs) if inputs.crs else frame.crs
     if crs is None:
-        raise InputError("the layer has no CRS", where=str(inputs.source), hint="name it with --src-crs")
+        raise InputError("the layer has no CRS", where=str(inputs.source), hint="name it with `src_crs`")
     flat = horizontal(CRS.from_user_input(crs))
     block, scene = scene_of(inputs.block)
     axes = axes_of(inputs.rows, inputs.first, scene.model.size, inputs.output)
@@ -62,7 +62,7 @@ def draw_vectors(inputs: MonoplotInputs) -> Drawn:
         theirs, ours = (", ".join(f"{value:.8g}" for value in box) for box in (frame.total_bounds, bounds))
         warnings.warn(
             f"nothing of {inputs.source.name} is seen in the photo: it lies at {theirs}, the photo shows no more than "
-            f"{ours} (left, bottom, right, top in {flat.name}); is that its CRS? else say --src-crs",
+            f"{ours} (left, bottom, right, top in {flat.name}); is that its CRS? else say `src_crs`",
             GeomosaicWarning,
             stacklevel=2,
         )

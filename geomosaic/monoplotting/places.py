@@ -95,12 +95,12 @@ def ground_crs(model: SensorModel, surface: Surface | None, crs: CRS | None, hei
     if not has_heights(own):
         if heights is not None:
             raise HeightDatumError(
-                "heights play no part here, so they have no vertical datum", where="--dst-heights", hint="leave it out"
+                "heights play no part here, so they have no vertical datum", where="`dst_heights`", hint="leave it out"
             )
         return own if crs is None else horizontal(crs)
     chosen = own if crs is None else crs
     if heights is not None:
-        return with_heights(chosen, heights, "--dst-heights")
+        return with_heights(chosen, heights, "`dst_heights`")
     if has_heights(chosen):
         return chosen
     if own.is_compound:

@@ -149,10 +149,10 @@ def locate_pixels(inputs: MonoplotInputs) -> Located:
         names, colrow = points.names, points.colrow
     elif inputs.pixels is not None:
         colrow = axes.colrow(inputs.pixels)
-        need_inside(colrow, size, "--pixel")
+        need_inside(colrow, size, "`pixels`")
         names = tuple(str(number) for number in range(1, len(colrow) + 1))
     else:
-        raise InputError("no pixel is given", hint="give --pixel COL ROW, or a table or vectors of pixels")
+        raise InputError("no pixel is given", hint="give `pixels`, or a table or vectors of pixels")
     places = _located(scene.model, block.surface, colrow, crs, certainty)
     outside = tuple(np.flatnonzero(beyond(colrow, size)).tolist())
     found = Located(places, names, 0, int((~places.seen).sum()), certainty, outside)
@@ -227,7 +227,7 @@ def _located_vectors(
     import shapely
 
     if inputs.output is None:
-        raise InputError("vectors need a file to be written to", where=str(inputs.source), hint="give --output")
+        raise InputError("vectors need a file to be written to", where=str(inputs.source), hint="give `output`")
     shapes = np.asarray(frame.geometry.values)
     if inputs.step is not None:
         shapes = shapely.segmentize(shapes, inputs.step)

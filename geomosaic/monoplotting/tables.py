@@ -93,7 +93,7 @@ def write_frame(path: Path, frame: GeoDataFrame, layer: str, *, overwrite: bool)
 
 HAIR = 1.0
 """Pixels beyond the border that still count as in the image: its edge, drawn by hand."""
-SAY_ROWS = "--rows down (rows count down from the top), negative (the same with a minus, as QGIS shows it) or up"
+SAY_ROWS = "`rows=down` (rows count down from the top), negative (the same with a minus, as QGIS shows it) or up"
 
 
 @dataclass(frozen=True)
@@ -163,12 +163,12 @@ def need_inside(colrow: FloatArray, size: tuple[int, int], where: str) -> None:
         for rows, low, high in (("negative", -bottom, -top), ("up", size[1] - bottom, size[1] - top))
         if low >= -HAIR and high <= size[1] + HAIR and left >= -HAIR and right <= size[0] + HAIR
     ]
-    hint = f"--rows {fits[0]} would bring them into it; " if fits else ""
+    hint = f"`rows={fits[0]}` would bring them into it; " if fits else ""
     raise InputError(
         f"columns {left:.6g} to {right:.6g} and rows {top:.6g} to {bottom:.6g} are no pixels of this image of "
         f"{size[0]} x {size[1]}",
         where=where,
-        hint=f"{hint}say how rows are counted: {SAY_ROWS}; places on the map are drawn with --inverse",
+        hint=f"{hint}say how rows are counted: {SAY_ROWS}; places on the map are drawn with `inverse`",
     )
 
 

@@ -89,26 +89,26 @@ def orientation(
             hint = did_you_mean(name, parameters.names)
             raise InputError(
                 f"the sensor has no parameter '{name}'",
-                where="--sigma",
+                where="`sigmas`",
                 hint=f"{hint} it has {', '.join(parameters.names) or 'none'}".strip(),
             )
     if control and given:
         raise InputError(
             "control points and standard deviations of the orientation are both given",
-            where="--sigma",
+            where="`sigmas`",
             hint="leave one of them out: control points tell how well the orientation is known",
         )
     if control and (parameters.sigmas > 0.0).any():
         if crs is None:
-            raise InputError("the control points have no CRS", hint="name it with --crs")
+            raise InputError("the control points have no CRS", hint="name it with `crs`")
         return _adjusted(model, control, crs)
     sigmas = np.array([given.get(n, s) for n, s in zip(parameters.names, parameters.sigmas.tolist(), strict=True)])
     free = [name for name, sigma in zip(parameters.names, sigmas.tolist(), strict=True) if not np.isfinite(sigma)]
     if free and given:
         raise InputError(
             f"nothing says how well {', '.join(free)} {'is' if len(free) == 1 else 'are'} known",
-            where="--sigma",
-            hint=f"give --sigma {free[0]}=..., 0 where it is exact",
+            where="`sigmas`",
+            hint=f"give `sigmas`: {free[0]}=..., 0 where it is exact",
         )
     if free:
         return (

@@ -317,7 +317,7 @@ def _render(
         if not counts[1:-1].any():
             raise InputError(
                 "no image shows anything of the output area",
-                hint="check --bounds, the images' nodata and the DEM's extent",
+                hint="check `bounds`, the images' nodata and the DEM's extent",
             )
         render.report(0, 1, "writing")
         sink.finish()

@@ -53,7 +53,7 @@ def control_number(model: str) -> ControlNumber:
     if model not in COEFFICIENTS:
         raise InputError(
             f"there is no model '{model}'",
-            where="--model",
+            where="`model`",
             hint=did_you_mean(model, COEFFICIENTS) or f"one of {', '.join(COEFFICIENTS)}",
         )
     unknowns = COEFFICIENTS[model]
@@ -85,7 +85,7 @@ def control_layout(count: int) -> FloatArray:
         well spread too.
     """
     if count < 4:
-        raise InputError("a layout begins with the four corners", where="--points", hint="give 4 or more")
+        raise InputError("a layout begins with the four corners", where="`points`", hint="give 4 or more")
     axis = np.linspace(0.05, 0.95, 37)
     places = np.array([(x, y) for y in axis for x in axis])
     chosen = [np.array(corner) for corner in ((0.05, 0.05), (0.95, 0.95), (0.95, 0.05), (0.05, 0.95))]

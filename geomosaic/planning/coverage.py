@@ -86,19 +86,19 @@ def coverage(
         then there are places between two nadir points that only one photo shows.
     """
     if not (0 < length < math.inf and 0 < width < math.inf):
-        raise InputError(f"{length:g} x {width:g} m is no area", where="--area", hint="give two lengths in metres")
+        raise InputError(f"{length:g} x {width:g} m is no area", where="`area`", hint="give two lengths in metres")
     scale = checked("photo_scale", photo_scale) / 1000
     side = (checked("format_along", format_along) * scale, checked("format_across", format_across) * scale)
     base = (1 - checked("overlap", overlap) / 100) * side[0]
     spacing = (1 - checked("sidelap", sidelap) / 100) * side[1]
     along, across = length if stereo else max(0.0, length - side[0]), max(0.0, width - side[1])
-    strips, spacing = _spread(across, spacing, side[1], strips, "--strips")
-    photos_in_strip, base = _spread(along, base, side[0], photos_in_strip, "--photos-in-strip")
+    strips, spacing = _spread(across, spacing, side[1], strips, "`strips`")
+    photos_in_strip, base = _spread(along, base, side[0], photos_in_strip, "`photos_in_strip`")
     if stereo and base > side[0] / 2 + _HAIR:
         raise InputError(
             f"with {100 * (1 - base / side[0]):.3g} % of overlap there are places that only one photo shows",
-            where="--overlap",
-            hint="50 % or more, or more photos in a strip; with --mono one photo is enough",
+            where="`overlap`",
+            hint="50 % or more, or more photos in a strip; with `mono` one photo is enough",
         )
     return Coverage(strips, photos_in_strip, base, spacing, side)
 

@@ -90,7 +90,7 @@ def interval(ortho_scale: float, terrain: Terrain) -> tuple[float, float]:
     if row is None:
         raise InputError(
             f"K-2.8 has no grid interval for 1:{ortho_scale:g}",
-            where="--ortho-scale",
+            where="`ortho_scale`",
             hint=f"the table has {', '.join(f'1:{scale}' for scale in INTERVALS)}",
         )
     return row.easy if terrain == "easy" else row.difficult

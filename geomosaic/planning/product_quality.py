@@ -65,18 +65,18 @@ def requirements(
     if k is None:
         raise InputError(
             f"K-2.8 has no ratio K for 1:{scale:g}",
-            where="--ortho-scale",
-            hint=f"give --ratio; the table has {', '.join(f'1:{s}: {v:g}' for s, v in k28.RATIOS.items())}",
+            where="`ortho_scale`",
+            hint=f"give `ratio`; the table has {', '.join(f'1:{s}: {v:g}' for s, v in k28.RATIOS.items())}",
         )
     for error in other_errors:
         if not 0 <= error < math.inf:
-            raise InputError(f"{error:g} m is no error", where="--other-error", hint="give metres, 0 or more")
+            raise InputError(f"{error:g} m is no error", where="`other_error`", hint="give metres, 0 or more")
     left = target**2 - sum(error**2 for error in other_errors)
     if not left > 0:
         total = math.sqrt(sum(error**2 for error in other_errors))
         raise InputError(
             f"the other errors make {total:.3g} m, the target is {target:.3g} m",
-            where="--other-error",
+            where="`other_error`",
             hint="better control and orientation, or a smaller scale",
         )
     photo = k * scale

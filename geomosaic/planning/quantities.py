@@ -100,9 +100,9 @@ def shown(name: str, value: float) -> str:
     return f"{digits} {unit}".strip() if unit != "°" else f"{digits}°"
 
 
-def flags(names: Iterable[str]) -> str:
-    """Names as options of the command line."""
-    return ", ".join("--" + name.replace("_", "-") for name in names)
+def parameters(names: Iterable[str]) -> str:
+    """Names of quantities as messages have them."""
+    return ", ".join(f"`{name}`" for name in names)
 
 
 LENGTHS = {

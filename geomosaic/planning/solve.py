@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from geomosaic.errors import InputError
-from geomosaic.planning.quantities import QUANTITIES, checked, flags, shown
+from geomosaic.planning.quantities import QUANTITIES, checked, parameters, shown
 from geomosaic.planning.relations import Relation
 
 AGREES = 1e-6
@@ -53,9 +53,9 @@ def derive(relations: Sequence[Relation], given: Mapping[str, float]) -> list[De
         short = min(relations, key=lambda relation: len([n for n in relation.names if n not in known]))
         open_ = [name for name in short.names if name not in known]
         raise InputError(
-            f"nothing follows from {flags(given) or 'nothing'}",
+            f"nothing follows from {parameters(given) or 'nothing'}",
             where=short.formula,
-            hint=f"give all but one of {flags(short.names)}" if len(open_) > 1 else "give another quantity",
+            hint=f"give all but one of {parameters(short.names)}" if len(open_) > 1 else "give another quantity",
         )
     return found
 
@@ -127,7 +127,7 @@ def _agree(relation: Relation, known: Mapping[str, float]) -> None:
                 raise InputError(
                     f"{QUANTITIES[name].text} is {shown(name, known[name])}, "
                     f"and {shown(name, value)} by {relation.formula}",
-                    where=flags(relation.names),
+                    where=parameters(relation.names),
                     hint="leave out one of them",
                 )
             return

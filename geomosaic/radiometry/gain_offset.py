@@ -98,7 +98,7 @@ def solve(images: int, bands: int, overlaps: Sequence[Overlap], *, hold: bool = 
     for band in range(bands):
         gain[:, band], offset[:, band] = _solve_band(graph, relations, band)
     if not (np.isfinite(gain).all() and np.isfinite(offset).all()):
-        raise SolveError("the colour balance has no solution", hint="run with --no-balance")
+        raise SolveError("the colour balance has no solution", hint="run with `balance=False`")
     before, after, count = np.zeros(bands), np.zeros(bands), 0
     for pair in used:
         a, b = pair.a.astype(np.float64), pair.b.astype(np.float64)

@@ -80,7 +80,7 @@ class OnDisk:
                 f"the decoded copy of this image ({need / 1e6:.0f} MB) cannot be written to the scratch folder "
                 f"({error.strerror or error})",
                 where=name,
-                hint="give a folder with more room (TMPDIR), a larger --mem-limit, or convert the image to a tiled "
+                hint="give a folder with more room (TMPDIR), a larger `memory_limit`, or convert the image to a tiled "
                 "GeoTIFF (gdal_translate -co TILED=YES)",
             ) from error
         except BaseException:

@@ -37,7 +37,7 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) ->
             "the folder of the output does not exist", where=str(path), hint="make it, or give another path"
         )
     if path.exists() and not overwrite:
-        raise OutputExistsError("the output exists", where=str(path), hint="give another name, or --overwrite")
+        raise OutputExistsError("the output exists", where=str(path), hint="give another name, or `overwrite`")
     if (journal := journal_of(path)) is not None and holds(journal):
         # Readers would put the journal of the old file into the new one, page by page, and show neither.
         raise OutputExistsError(

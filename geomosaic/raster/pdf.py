@@ -50,7 +50,7 @@ def write_raster_pdf(
             raise InputError(
                 "this GDAL cannot write PDF",
                 where=str(path),
-                hint="leave out --driver PDF: the page is written then",
+                hint="leave out `driver=PDF`: the page is written then",
             )
         # rasterio multiplies affines in a way that the affine library wants to end.
         warnings.simplefilter("ignore", PendingDeprecationWarning)

@@ -263,7 +263,7 @@ class RasterSink:
             f"writing failed ({reason}); uncompressed the raster has {_size(self._bytes)}, {_size(free)} are free in "
             f"{self.path.parent.resolve()}",
             where=str(self.path),
-            hint="free some space, write to another disk, or choose a stronger compression (--co COMPRESS=...)",
+            hint="free some space, write to another disk, or choose a stronger compression (`creation`: COMPRESS=...)",
         )
 
     def _name(self) -> Path:

@@ -41,7 +41,7 @@ def utm_zone(lon: float, lat: float) -> CRS:
 
     zones = query_utm_crs_info(datum_name="WGS 84", area_of_interest=AreaOfInterest(lon, lat, lon, lat))
     if not zones:
-        raise InputError(f"no UTM zone at longitude {lon:.3f}, latitude {lat:.3f}", hint="give --dst-crs")
+        raise InputError(f"no UTM zone at longitude {lon:.3f}, latitude {lat:.3f}", hint="give `dst_crs`")
     return CRS.from_epsg(int(zones[0].code))
 
 
@@ -89,7 +89,7 @@ def output_grid(
     if not (a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]):
         raise InputError(
             f"no image reaches the bounds {bounds}: the images cover {tuple(round(float(v), 2) for v in everything)}",
-            hint=f"give --bounds as left bottom right top in {crs.name}",
+            hint=f"give `bounds` as left, bottom, right, top in {crs.name}",
         )
     return grid
 
@@ -110,7 +110,7 @@ def _within_the_map(crs: CRS, bounds: Bounds, resolution: float) -> Bounds:
         if shown.reach < 180.0 and shown.centre is not None:
             reach = f"{shown.reach:g} degrees on either side of longitude {shown.centre:g}"
         warnings.warn(
-            f"the output ends where {crs.name} has no use ({reach}); --bounds takes it further",
+            f"the output ends where {crs.name} has no use ({reach}); `bounds` takes it further",
             GeomosaicWarning,
             stacklevel=3,
         )
@@ -165,7 +165,7 @@ def refuse_torn_crs(crs: CRS, scenes: tuple[OrientedImage, ...]) -> None:
             f"the image lies at longitude {lon:.4f}, latitude {lat:.4f}, and the output CRS, "
             f"{crs_label(crs)}, {what}: it is made for another side of the Earth",
             where=scenes[0].name,
-            hint=f"give --dst-crs (crs under [output]) of that place, such as EPSG:{utm_zone(lon, lat).to_epsg()}",
+            hint=f"give the `dst_crs` of that place, such as EPSG:{utm_zone(lon, lat).to_epsg()}",
         )
 
 

@@ -194,7 +194,7 @@ def visibility(grid: Grid, below: Ground) -> Visibility:
     if below.surface is None or below.surface.range[0] == below.surface.range[1]:
         raise InputError(
             "a true ortho needs a surface model with the heights of what hides the ground",
-            hint="give --dem (in a project: [dem]), or leave out --true-ortho",
+            hint="give `dem`, or leave out `true_ortho`",
         )
     return Visibility(grid, below, grid.width * grid.height > FEW)
 

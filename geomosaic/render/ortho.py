@@ -192,7 +192,7 @@ def ortho(
                 raise InputError(
                     "the image shows nothing of the output area",
                     where=scene.name,
-                    hint="check --bounds, the DEM's extent and the image's orientation",
+                    hint="check `bounds`, the DEM's extent and the image's orientation",
                 )
             sink.finish()
     finally:

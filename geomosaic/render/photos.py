@@ -166,6 +166,6 @@ def _common(infos: list[SourceInfo], block: OrientedBlock) -> SourceInfo:
             raise InputError(
                 f"the image has {info.bands} bands, '{block.scenes[0].name}' has {first.bands}",
                 where=scene.path,
-                hint="choose the same bands of all images: --bidx, or bands under [project]",
+                hint="choose the same bands of all images: `bands`",
             )
     return first

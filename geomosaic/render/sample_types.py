@@ -70,5 +70,5 @@ def refuse_palette(info: SourceInfo, resampling: str) -> None:
             "the pixels of the image are numbers of a palette, between which there are no values",
             where=info.path,
             hint="expand them to colours first (gdal_translate -expand rgb); where they are classes, keep the numbers "
-            "with --resampling nearest",
+            "with `resampling=nearest`",
         )

@@ -122,7 +122,7 @@ def reproject_vectors(
         if lost and not sum(layers.values()):
             raise InputError(
                 f"none of the features has a place in {crs.name}", where=str(path),
-                hint="their coordinates are not of the CRS that the file names: give the right one as --src-crs",
+                hint="their coordinates are not of the CRS that the file names: give the right one as `src_crs`",
             )  # fmt: skip
         for name in tables if driver in _SEVERAL else ():
             told += append_layer(whole, read_table(path, name), name, driver)
@@ -166,7 +166,7 @@ def _check_one_kind(frame: GeoDataFrame, where: str) -> None:
 
 def _own(frame: GeoDataFrame, where: str) -> CRS:
     if frame.crs is None:
-        raise InputError("the layer has no CRS", where=where, hint="name it with --src-crs")
+        raise InputError("the layer has no CRS", where=where, hint="name it with `src_crs`")
     return CRS.from_user_input(frame.crs)
 
 

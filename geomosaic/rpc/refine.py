@@ -128,7 +128,7 @@ def refined(
     unknown = [name for name in wanted.fixed if name not in names]
     if unknown:
         raise InputError(
-            f"no image is named '{unknown[0]}'", where="--fixed", hint=f"the images are {', '.join(names)}"
+            f"no image is named '{unknown[0]}'", where="`fixed`", hint=f"the images are {', '.join(names)}"
         )
     out, held = list(made), {names.index(name) for name in wanted.fixed}
     for index, name in enumerate(names):
@@ -138,7 +138,7 @@ def refined(
             held.add(index)
     if wanted.ties is None:
         if not held:
-            raise InputError("no control point is measured in these images", where="--gcps")
+            raise InputError("no control point is measured in these images", where="`control`")
         return out
     image, point, colrow = read_ties(wanted.ties, names)
     found = tool.relate_rational(

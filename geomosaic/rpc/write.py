@@ -88,15 +88,15 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
     own = _is_rational(inputs.block.sensor)
     if inputs.refine is not None and not own:
         raise InputError(
-            f"--refine corrects an RPC, and these images are of sensor '{inputs.block.sensor}'",
+            f"`refine` corrects an RPC, and these images are of sensor '{inputs.block.sensor}'",
             hint="leave it out: control points adjust the sensor itself, and the RPC is fitted to the result",
         )
     if own and inputs.refine is None and (inputs.block.control or inputs.ties):
-        raise InputError("nothing says how the RPC is refined", hint=f"give --refine {', '.join(tool.kinds)}")
+        raise InputError("nothing says how the RPC is refined", hint=f"give `refine`: {', '.join(tool.kinds)}")
     if own and inputs.grid:
         raise InputError(
-            "--grid is what an RPC cannot follow of the sensor it is fitted to, and these images have their own",
-            hint="name their sensor with --sensor, or leave it out",
+            "`grid` is what an RPC cannot follow of the sensor it is fitted to, and these images have their own",
+            hint="name their sensor with `sensor`, or leave it out",
         )
     options = {**inputs.block.options, "refine": "none"} if own else inputs.block.options
     block = build_block(replace(inputs.block, options=options))
@@ -173,7 +173,7 @@ def _heights(scene: OrientedImage, block: OrientedBlock) -> tuple[float, float]:
         raise InputError(
             "nothing says for which heights the RPC is made",
             where=scene.name,
-            hint="give --height-range LOW HIGH, ellipsoidal metres, or a DEM",
+            hint="give `height_range`, lowest and highest ellipsoidal height in metres, or a DEM",
         )
     cols, rows = (np.linspace(0.0, side, 33) for side in scene.model.size)
     places = np.stack(np.meshgrid(cols, rows), axis=-1).reshape(-1, 2)
@@ -181,7 +181,7 @@ def _heights(scene: OrientedImage, block: OrientedBlock) -> tuple[float, float]:
     seen = seen[np.isfinite(seen)]
     if not len(seen):
         raise InputError(
-            "the image sees nothing of the DEM", where=scene.name, hint="check the DEM, or give --height-range"
+            "the image sees nothing of the DEM", where=scene.name, hint="check the DEM, or give `height_range`"
         )
     low, high = float(seen.min()), float(seen.max())
     more = max(_AROUND * (high - low), 0.5 * (_LEAST - (high - low)), 0.0)
@@ -200,11 +200,11 @@ def _targets(scene: OrientedImage, inputs: RpcInputs) -> tuple[Path | None, Path
     if inputs.overwrite:
         return tags, text, grid
     if text is not None and text.exists():
-        raise OutputExistsError("the RPC file exists", where=str(text), hint="give another --folder, or --overwrite")
+        raise OutputExistsError("the RPC file exists", where=str(text), hint="give another `folder`, or `overwrite`")
     if grid is not None and grid.exists():
-        raise OutputExistsError("the grid exists", where=str(grid), hint="give another --folder, or --overwrite")
+        raise OutputExistsError("the grid exists", where=str(grid), hint="give another `folder`, or `overwrite`")
     if tags is not None and read_rpc_tags(tags):
         raise OutputExistsError(
-            "the image carries an RPC already", where=str(tags), hint="write --text instead, or give --overwrite"
+            "the image carries an RPC already", where=str(tags), hint="write `text` instead, or give `overwrite`"
         )
     return tags, text, grid

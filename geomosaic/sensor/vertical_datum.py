@@ -49,7 +49,7 @@ def need_heights(crs: CRS, what: str, where: str, build: Callable[[CRS], SensorM
     raise HeightDatumError(
         f"the heights of {what} have no vertical datum{risk}",
         where=where,
-        hint=f"declare it with --heights (in a project: heights under [exterior]): {DATUMS}",
+        hint=f"declare it with `heights`: {DATUMS}",
     )
 
 

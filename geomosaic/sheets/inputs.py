@@ -131,7 +131,7 @@ def read_style(name: str, base: Path, where: str | None = None) -> Style:
 
 
 def vector_input(text: str, base: Path = Path()) -> VectorInput:
-    """Read FILE[#LAYER][:STYLE], as the option --vector has it.
+    """Read FILE[#LAYER][:STYLE], as `vectors` has it.
 
     Raises
     ------
@@ -194,7 +194,7 @@ def sheet_inputs(
         plan = replace(plan, sheet=replace(plan.sheet, logo=str(base / plan.sheet.logo)))
     plan = replace(plan, sheet=replace(plan.sheet, fonts=tuple(str(base / name) for name in plan.sheet.fonts)))
     sheet = {"paper": paper, "orientation": orientation, "dpi": dpi, "title": title}
-    area = {"scale": parse_scale(scale, "--scale") if scale else None, "bounds": bounds}
+    area = {"scale": parse_scale(scale, "`scale`") if scale else None, "bounds": bounds}
     looks: dict[str, Any] = {
         "bands": bands, **stretch_given(stretch, limits, percentiles), "gamma": gamma, "clahe": clahe,
         "sharpen": sharpen,

@@ -137,7 +137,7 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
         raise InputError(
             f"'{crs.name}' is not projected, so a sheet in it has no scale",
             where=where,
-            hint="make the raster in a projected CRS (--dst-crs), such as a UTM zone",
+            hint="make the raster in a projected CRS (`dst_crs`), such as a UTM zone",
         )
     wanted = _area(layout, extent, where)
     unit = 1000.0 * linear_unit(crs)
@@ -156,7 +156,7 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
         raise InputError(
             f"the paper {papers[-1]} has no room for a map beside margins, title and legend",
             where=where,
-            hint='give a larger --paper, a smaller [sheet] margin, or panel = "none"',
+            hint='give a larger `paper`, a smaller [sheet] margin, or panel = "none"',
         )
     if layout.map.centre is not None and not _meet(best.bounds, extent):
         raise InputError(

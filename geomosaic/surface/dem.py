@@ -265,7 +265,7 @@ def _metres(source: Source, band: int, crs: CRS, where: str) -> tuple[float, flo
         raise InputError(
             f"the vertical CRS counts in {axis.unit_name}, only metres are supported",
             where=where,
-            hint="convert the DEM to metres, or declare a datum in metres with --dem-heights",
+            hint="convert the DEM to metres, or declare a datum in metres with `dem_heights`",
         )
     unit = (info.units[index] or "m").strip()
     factor = _UNITS.get(unit.lower())

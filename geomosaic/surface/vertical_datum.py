@@ -38,6 +38,6 @@ def undeclared_heights(crs: CRS, x: float, y: float, where: str) -> HeightDatumE
     return HeightDatumError(
         f"the heights have no vertical datum{size}",
         where=where,
-        hint="say what they count from: --dem-heights ellipsoidal, egm96, EPSG:<vertical CRS>, or the path of a geoid "
+        hint="say what they count from: `dem_heights`: ellipsoidal, egm96, EPSG:<vertical CRS>, or the path of a geoid "
         "grid",
     )

@@ -112,7 +112,7 @@ def _placed(request: SensorRequest) -> PanoramicModel:
                 f"{name} has no meaning for a {kind.removesuffix('s')}", name="kind", where=where, hint="leave it out"
             )
     if request.crs is None:
-        raise InputError("sensor 'panoramic' needs the CRS of the position", where=where, hint="give --exterior-crs")
+        raise InputError("sensor 'panoramic' needs the CRS of the position", where=where, hint="give `crs`")
     need_heights(request.crs, "the position", where, lambda crs: _placed(replace(request, crs=crs)))
     scan = _scan(kind, request)
     table, tau = _table(request, scan.periods)

@@ -139,9 +139,9 @@ class BlunderReport:
         )
         again = "measure it again" if one else "measure them again"
         if policy == "stop" and any(each.gross for each in self.blunders):
-            hint = f"{again}, or go on without {'it' if one else 'them'}: --robust; or with {'it' if one else 'them'}: "
-            raise InputError(what, where=where, hint=f"{hint}--insist (in a project: robust or insist under [planar])")
-        tail = ": left out" if policy == "leave" else f"; {again}, or leave {'it' if one else 'them'} out: --robust"
+            hint = f"{again}, or go on without {'it' if one else 'them'}: `robust`; or with {'it' if one else 'them'}: "
+            raise InputError(what, where=where, hint=f"{hint}`insist`")
+        tail = ": left out" if policy == "leave" else f"; {again}, or leave {'it' if one else 'them'} out: `robust`"
         warnings.warn(f"{where}: {what}{tail}", GeomosaicWarning, stacklevel=3)
 
 

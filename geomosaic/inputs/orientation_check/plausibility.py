@@ -43,7 +43,7 @@ SURE = 0.65
 PLAUSIBLE = 0.1
 """Part of the diagonal that points may lie off by a reading that is proposed: farther off, it explains nothing."""
 MEASUREMENTS = 4
-TRUST = "if the orientation is right as it is, say so: --trust-orientation (trusted = true under [exterior])"
+TRUST = "if the orientation is right as it is, say so: `trusted`"
 
 
 def check_orientation(

@@ -169,8 +169,8 @@ def _refuse_idle(wanted: PlanarInputs) -> None:
     for name, kind, is_given in given:
         if is_given and wanted.kind != kind:
             raise InputError(
-                f"--{name} belongs to {kind} mosaics, and this one is {wanted.kind}",
-                hint=f"leave it out (in a project: {name} under [planar])",
+                f"`{name}` belongs to {kind} mosaics, and this one is {wanted.kind}",
+                hint="leave it out",
             )
 
 
@@ -191,13 +191,13 @@ def _map(inputs: Block, wanted: PlanarInputs) -> CRS:
     if inputs.control is None:
         raise InputError(
             f"a {wanted.kind} mosaic needs control points",
-            hint="give --gcps (in a project: [control] file), or make it uncontrolled",
+            hint="give `control`, or make it uncontrolled",
         )
     if inputs.crs is None:
         raise InputError(
             "the control points have no CRS",
             where=str(inputs.control),
-            hint="name it: --crs on the command line, crs under [exterior] in the project",
+            hint="name it with `crs`",
         )
     crs = horizontal(parse_map(inputs.crs, "CRS of the control points"))
     if crs.is_geographic:

@@ -183,7 +183,7 @@ def examine(points: Sequence[ControlPoint], crs: CRS, path: Path | None, policy:
         if advice.severity == "error":
             what = f"{advice.what} ({advice.code})"
             if policy != "keep":
-                hint = f"{advice.hint}; or --insist, to go on all the same (in a project: insist under [planar])"
+                hint = f"{advice.hint}; or `insist`, to go on all the same"
                 raise InputError(what, where=at, hint=hint)
             warnings.warn(f"{at}: {what}; {advice.hint}", GeomosaicWarning, stacklevel=3)
 

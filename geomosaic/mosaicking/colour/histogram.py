@@ -103,7 +103,7 @@ def _reference(photos: Photos, scene: OrientedImage, grid: Grid, options: Render
                 f"the reference has {info.bands} bands of {info.dtype}, the images {photos.info.bands} of "
                 f"{photos.info.dtype}",
                 where=scene.path,
-                hint="give one of the same bands and sample type, or choose bands with --bidx",
+                hint="give one of the same bands and sample type, or choose bands with `bands`",
             )
         window = grid.window_of(outline.bounds)
         if window.empty:

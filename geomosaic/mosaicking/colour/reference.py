@@ -89,7 +89,7 @@ def _shown(reference: OrientedImage, photos: Photos, coarse: Grid) -> Thumbnail:
             raise InputError(
                 f"bands of the reference: {photo.source.info.bands}, of the images: {photos.info.bands}",
                 where=reference.path,
-                hint="say which of its bands go with those of the images: --reference-bidx",
+                hint="say which of its bands go with those of the images: `reference_bands`",
             )
         window = coarse.window_of(outline.bounds)
         if window.empty:

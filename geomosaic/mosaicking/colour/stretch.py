@@ -47,11 +47,11 @@ def read(text: str) -> tuple[bool, float, float]:
     try:
         low, high = (float(part[1:] if values else part) for part in parts)
     except ValueError:
-        raise InputError(f"'{text}' is no stretch", where="--stretch", hint=hint) from None
+        raise InputError(f"'{text}' is no stretch", where="`stretch`", hint=hint) from None
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise InputError(f"'{text}' does not rise from one finite number to another", where="--stretch", hint=hint)
+        raise InputError(f"'{text}' does not rise from one finite number to another", where="`stretch`", hint=hint)
     if not values and not (low >= 0 and high <= 100):
-        raise InputError(f"'{text}' holds no percentiles, 0 to 100", where="--stretch", hint=hint)
+        raise InputError(f"'{text}' holds no percentiles, 0 to 100", where="`stretch`", hint=hint)
     return values, low, high
 
 
@@ -62,7 +62,7 @@ def stretch_of(photos: Photos, options: RenderOptions, applied: Sequence[Correct
     if not values:
         low, high = (float(end) for end in np.percentile(_shown(photos, options, applied), [low, high]))
     if not low < high:
-        raise InputError(f"all of the mosaic is {low:g}: it cannot be stretched", hint="leave out --stretch")
+        raise InputError(f"all of the mosaic is {low:g}: it cannot be stretched", hint="leave out `stretch`")
     return Stretch(low, high, how)
 
 
@@ -87,5 +87,5 @@ def _shown(photos: Photos, options: RenderOptions, applied: Sequence[Correction]
     parts = [part for _, part in in_order(piece, range(len(photos)), options.threads, ahead=1)]
     values = np.concatenate(parts) if parts else np.zeros(0)
     if not len(values):
-        raise InputError("no image shows anything to stretch", hint="leave out --stretch")
+        raise InputError("no image shows anything to stretch", hint="leave out `stretch`")
     return values

@@ -80,7 +80,7 @@ def _acquisition_date(scene: OrientedImage) -> str:
         raise InputError(
             "the image does not say when it was taken",
             where=scene.path,
-            hint="leave out --order date and name the images in the order you want, or write the tag TIFFTAG_DATETIME",
+            hint="leave out `order=date` and name the images in the order you want, or write the tag TIFFTAG_DATETIME",
         )
     return date
 

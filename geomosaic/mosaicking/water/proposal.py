@@ -1,4 +1,4 @@
-"""Propose water: areas for `--water`, from a mosaic and a DEM, for a person to judge and edit."""
+"""Proposal of water: areas for the option `water`, from a mosaic and a DEM, for a person to judge and edit."""
 
 from __future__ import annotations
 

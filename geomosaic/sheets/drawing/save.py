@@ -89,7 +89,7 @@ def write_sheet(
             f"'{page.crs.name}' is not tied to the Earth, so its map has no place "
             + ("in a raster GeoPDF" if flat else "on the web"),
             where=str(path),
-            hint="leave out --driver PDF" if flat else "write .pdf, .png or .tif",
+            hint="leave out `driver=PDF`" if flat else "write .pdf, .png or .tif",
         )
     vectors = suffix == ".pdf" and not flat
     left, bottom, right, top = page.neatline if vectors else page.paper
@@ -98,7 +98,7 @@ def write_sheet(
             f"{'the map' if vectors else 'a sheet'} of {right - left:.0f} x {top - bottom:.0f} mm at {dpi} dpi has too "
             "many pixels",
             where=str(path),
-            hint="lower --dpi" if vectors else "lower --dpi, or write a PDF of vectors",
+            hint="lower `dpi`" if vectors else "lower `dpi`, or write a PDF of vectors",
         )
     if flat or suffix in WEB:
         return _by_gdal(path, parts, pixels, dpi, files, overwrite=overwrite)

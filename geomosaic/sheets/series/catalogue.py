@@ -50,9 +50,9 @@ def scheme(
     """
     if name not in SCHEMES:
         hint = did_you_mean(name, SCHEMES) or f"one of {', '.join(SCHEMES)}"
-        raise InputError(f"there is no scheme '{name}'", where="--scheme", hint=hint)
+        raise InputError(f"there is no scheme '{name}'", where="`scheme`", hint=hint)
     if name in NEEDS_SCALE and scale is None:
-        raise InputError(f"'{name}' has sheets for several scales", where="--scale", hint="write --scale 1:25000")
+        raise InputError(f"'{name}' has sheets for several scales", where="`scale`", hint="write `scale=1:25000`")
     whole = round(scale or 0)
     if name == "international":
         return international(whole, map_crs="EPSG:32{half}{zone:02d}", south=True)
@@ -69,10 +69,10 @@ def scheme(
         return ign(whole)
     if name == "mgrs":
         if len(size) != 1 and size:
-            raise InputError("MGRS squares have one size", where="--size", hint="100000, 10000, 1000 or 100")
+            raise InputError("MGRS squares have one size", where="`size`", hint="100000, 10000, 1000 or 100")
         return Mgrs(round(size[0]) if size else 100_000, scale)
     if not size or crs is None:
         raise InputError(
-            "a grid needs the size of its sheets and a CRS", where="--scheme", hint="--size W H, --crs CRS"
+            "a grid needs the size of its sheets and a CRS", where="`scheme`", hint="give `size` and `crs`"
         )
     return regular(crs, (size[0], size[-1]), origin=origin, scale=scale)

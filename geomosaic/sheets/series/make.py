@@ -117,7 +117,7 @@ def make_series(
             raise InputError(
                 f"sheet {place.name} shows nothing of the raster",
                 where=str(inputs.raster),
-                hint="leave it out of --only; without --only all sheets that show something are made",
+                hint="leave it out of `only`; without `only` all sheets that show something are made",
             )
     refuse_one_file_for_two(names, suffix)
     if folder.exists() and not folder.is_dir():

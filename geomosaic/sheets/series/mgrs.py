@@ -64,7 +64,7 @@ class Mgrs:
     def __post_init__(self) -> None:
         if self.size not in DIGITS:
             raise InputError(
-                f"the system has no squares of {self.size} m", where="--size", hint="100000, 10000, 1000 or 100"
+                f"the system has no squares of {self.size} m", where="`size`", hint="100000, 10000, 1000 or 100"
             )
 
     @property

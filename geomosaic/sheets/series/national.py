@@ -75,7 +75,7 @@ def international(
     if steps is None:
         raise InputError(
             f"the international division has no sheets 1:{scale}",
-            where="--scale",
+            where="`scale`",
             hint=f"one of {', '.join(f'1:{s}' for s in DIVISIONS)}",
         )
     fine = 1
@@ -167,7 +167,7 @@ def tk(scale: int) -> GridScheme:
         There is no such scale.
     """
     if scale not in TK:
-        raise InputError(f"there is no TK 1:{scale}", where="--scale", hint=f"one of {', '.join(f'1:{s}' for s in TK)}")
+        raise InputError(f"there is no TK 1:{scale}", where="`scale`", hint=f"one of {', '.join(f'1:{s}' for s in TK)}")
     side, prefix = TK[scale]
 
     # Blocks start at even columns and end with odd rows: L 7934 has rows 78 and 79, columns 34 and 35.
@@ -220,7 +220,7 @@ def ign(scale: int) -> GridScheme:
         There is no such scale.
     """
     if scale not in (25_000, 50_000):
-        raise InputError(f"there are no such French sheets 1:{scale}", where="--scale", hint="1:25000 or 1:50000")
+        raise InputError(f"there are no such French sheets 1:{scale}", where="`scale`", hint="1:25000 or 1:50000")
     halves = 2 if scale == 25_000 else 1
 
     def name_of(col: int, row: int) -> str | None:

@@ -174,7 +174,7 @@ def regular(
     """
     if not (size[0] > 0 and size[1] > 0):
         raise InputError(
-            f"sheets of {size[0]:g} x {size[1]:g} have no area", where="--size", hint="two lengths above 0"
+            f"sheets of {size[0]:g} x {size[1]:g} have no area", where="`size`", hint="two lengths above 0"
         )
 
     def place_of(name: str) -> tuple[int, int] | None:
