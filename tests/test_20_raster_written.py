@@ -191,7 +191,7 @@ def test_existing_outputs(tmp_path):
     path = tmp_path / "o.tif"
     path.write_bytes(b"precious")
     (tmp_path / "o.tif.aux.xml").write_text("<stale/>")
-    with pytest.raises(OutputExistsError, match="--overwrite"):
+    with pytest.raises(OutputExistsError, match="`overwrite`"):
         RasterSink(path, grid_of(10, 10), 1, "uint8")
     values = picture(600, 600)
 

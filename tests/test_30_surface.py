@@ -201,7 +201,7 @@ def test_undeclared_heights_name_the_shift(tmp_path):
     text = str(caught.value)
     assert "45.5 m" in text
     assert f"{45.53 * math.tan(math.radians(30)):.1f} m" in text
-    assert "--dem-heights" in text
+    assert "`dem_heights`" in text
     assert "d.tif" in text
 
 

@@ -94,7 +94,7 @@ def test_one_is_named_with_photo_size_and_line(kind: str, point: str, photo: str
     assert wrong.label.where == ("points.csv, line 7",)
     with pytest.raises(InputError, match=r"1 of \d+ measurements contradicts the others, .*line 7") as told:
         adjust_checked(bad, kind)
-    assert "--robust" in str(told.value.hint)
+    assert "`robust`" in str(told.value.hint)
     with pytest.warns(GeomosaicWarning, match="left out"):
         solution, _ = adjust_checked(bad, kind, policy="leave")
     good = adjust(block, kind)

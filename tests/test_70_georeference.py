@@ -288,7 +288,7 @@ def test_blunders_stop_the_work_and_are_named(tmp_path):
             georeference(scan, tmp_path / "map.tif", given, FitRequest("affine"), options=PLAIN)
         named = next(found.points for found in stop.value.advice if found.code == "blunder")
         assert named == tuple(f"P{i}" for i in wrong)
-        assert f"--without P{wrong[0]}" in (stop.value.hint or "")
+        assert f"`without=P{wrong[0]}`" in (stop.value.hint or "")
         assert not (tmp_path / "map.tif").exists()
     insisted = georeference(scan, tmp_path / "map.tif", given, FitRequest("affine", insist=True), options=PLAIN)
     assert insisted.facts["accuracy"]["residuals"]["px"]["rms_total"] > 5
@@ -306,7 +306,7 @@ def test_an_undetermined_fit_is_refused_even_when_insisted(tmp_path):
             georeference(scan, tmp_path / "map.tif", given, FitRequest(model), options=PLAIN)
         with pytest.raises(BadControlError, match=code) as insisted:
             georeference(scan, tmp_path / "map.tif", given, FitRequest(model, insist=True), options=PLAIN)
-        assert "--insist" not in (insisted.value.hint or "")
+        assert "`insist`" not in (insisted.value.hint or "")
         assert not (tmp_path / "map.tif").exists()
     # A conformal fit is determined by two points, and by a line of them.
     made = georeference(scan, tmp_path / "map.tif", given, FitRequest("conformal"), options=PLAIN)

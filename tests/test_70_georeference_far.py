@@ -56,7 +56,7 @@ def test_an_output_crs_without_a_place_for_the_image_is_refused(tmp_path: Path) 
     scan = image(tmp_path / "scan.tif", affine_map)
     with pytest.raises(InputError, match="has no place in") as refused:
         georeference(scan, tmp_path / "map.tif", given, FitRequest("affine"), Place("EPSG:5070"), PLAIN)
-    assert refused.value.where == "--dst-crs"
+    assert refused.value.where == "`dst_crs`"
     assert not (tmp_path / "map.tif").exists()
 
 
@@ -80,10 +80,10 @@ def test_what_has_no_place_on_the_earth_is_refused_whoever_insists(tmp_path: Pat
             given = ControlInput(path, "EPSG:4326")
             with pytest.raises(BadControlError, match=code) as refused:
                 georeference(scan, tmp_path / "map.tif", given, FitRequest("affine", insist=insist), options=PLAIN)
-            assert "--insist" not in (refused.value.hint or "")
+            assert "`insist`" not in (refused.value.hint or "")
             with pytest.raises(InputError, match=code) as refused_check:
                 check(drawn, path, crs="EPSG:4326", insist=insist)
-            assert "--insist" not in (refused_check.value.hint or "")
+            assert "`insist`" not in (refused_check.value.hint or "")
     # Left out as told, the others are drawn: the point has no place, and needs none.
     given = ControlInput(typed, "EPSG:4326", without=("P4",))
     made = georeference(scan, tmp_path / "map.tif", given, FitRequest("affine"), options=PLAIN)
@@ -108,7 +108,7 @@ def test_who_insists_passes_every_check_that_leaves_something_to_draw(tmp_path: 
         given = ControlInput(path, crs)
         with pytest.raises(BadControlError, match=code) as refused:
             georeference(scan, tmp_path / "map.tif", given, FitRequest("auto"), options=PLAIN)
-        assert "--insist" in (refused.value.hint or "")
+        assert "`insist`" in (refused.value.hint or "")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", GeomosaicWarning)
             made = georeference(scan, tmp_path / "map.tif", given, FitRequest("auto", insist=True), options=PLAIN)

@@ -68,7 +68,7 @@ def test_bands_by_name(tmp_path: Path) -> None:
     rig.write(tmp_path / "b.tif", flipped, 60, descriptions=("blue", "green", "red"))
     with pytest.raises(InputError, match="the bands are blue, green, red") as caught:
         rig.run([one, other], out, rule="mean")
-    assert "--bands red,green,blue" in str(caught.value)
+    assert "`band_names=red,green,blue`" in str(caught.value)
 
 
 def test_alpha_is_respected(tmp_path: Path) -> None:

@@ -49,5 +49,5 @@ def test_one_place_with_two_grounds_is_named() -> None:
 def test_who_insists_goes_on_and_is_warned() -> None:
     with pytest.warns(GeomosaicWarning, match="swapped-axes"):
         examine(points(swap=True), UTM, None, "keep")
-    with pytest.raises(InputError, match="--insist"):
+    with pytest.raises(InputError, match="`insist`"):
         examine(points(swap=True), UTM, None, "leave")

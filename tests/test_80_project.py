@@ -274,11 +274,11 @@ def test_undeclared_heights_name_metres_pixels_and_option():
     # EGM96 at 48.14 N, 11.58 E lies 45.5 m above the ellipsoid (libraries' own figure: 500 m become 454.47).
     crs = parse_crs("EPSG:4326")
     assert math.isclose(undulation(crs, 11.58, 48.14), 45.53, abs_tol=0.02)
-    error = undeclared("the positions", "e.csv", "--heights", crs, (11.58, 48.14), 0.5)
+    error = undeclared("the positions", "e.csv", "`heights`", crs, (11.58, 48.14), 0.5)
     assert isinstance(error, HeightDatumError)
     assert "45.5 m" in error.what
     assert "22.8 px" in error.what
-    assert "--heights" in str(error.hint)
+    assert "`heights`" in str(error.hint)
 
 
 def test_one_photo_of_a_table_in_radians_is_found_out(sample, tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import gc
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -261,3 +262,51 @@ def test_the_modules_of_values_run_their_examples():
     for name in sorted({*gm._HOMES.values()}):
         result = doctest.testmod(import_module(name))
         assert result.failed == 0, name
+
+
+def test_an_error_names_the_parameter_and_each_command_its_flag(tmp_path):
+    declared = {name: value for name, value in FILES.items() if name != "heights"}
+    with pytest.raises(InputError) as caught:
+        gm.ortho(gm.Scene(PHOTO, "frame", **declared), tmp_path / "x.tif", dem=SAMPLE / "dem.tif")
+    assert "`heights`" in caught.value.hint
+    words = ["ortho", PHOTO, "--sensor", "frame", "--camera", FILES["camera"], "--exterior", FILES["exterior"]]
+    told = elsewhere(*words, "--exterior-crs", "EPSG:32633", "--dem", SAMPLE / "dem.tif", "-o", tmp_path / "x.tif")
+    assert "--heights" in told.stderr
+    assert "`" not in told.stderr
+    text = (SAMPLE / "project.toml").read_text().replace('"photos/', f'"{SAMPLE}/photos/')
+    text = text.replace('heights = "egm96"', "#")
+    for name in ("camera.toml", "exterior.csv", "dem.tif", "gcps.csv", "truth/reflectance.tif"):
+        text = text.replace(f'"{name}"', f'"{SAMPLE / name}"')
+    (tmp_path / "project.toml").write_text(text)
+    told = elsewhere("run", tmp_path / "project.toml")
+    assert "[exterior] heights" in told.stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "text", "said"),
+    [
+        ("mosaic", "leave out `balance=False`", "leave out --no-balance"),
+        ("mosaic", "give `resolution` and `bands`", "give --res and --bidx"),
+        ("mosaic", "`resampling=nearest`", "--resampling nearest"),
+        ("mosaic", "see `geomosaic sensors` and `something`", "see `geomosaic sensors` and `something`"),
+        ("run", "leave out `balance=False`", "leave out [mosaic] balance = false"),
+        ("run", "`resampling=nearest` and `dem_heights`", "[output] resampling = 'nearest' and [dem] heights"),
+        ("sheets", "no `name_column`", "no --name-column"),
+    ],
+)
+def test_parameters_are_called_as_the_command_calls_them(command, text, said):
+    from geomosaic.cli.parameter_names import translated
+
+    assert translated(text, command) == said
+
+
+def test_no_text_below_the_command_line_names_a_flag():
+    """Apart from whole command lines that are quoted; `options` declares flags and their help."""
+    root, found = Path(gm.__file__).parent, []
+    folders = [path for path in root.iterdir() if path.is_dir() and path.name not in ("cli", "options")]
+    for path in [file for folder in (*folders, root.parent / "plugins") for file in folder.rglob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            text = node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else ""
+            if re.search(r"(?<![\w-])--[a-z]", text) and not re.search("geomosaic [a-z]+ |model_converter", text):
+                found.append(f"{path.relative_to(root.parent)}:{node.lineno}: {text[:60]}")
+    assert found == []

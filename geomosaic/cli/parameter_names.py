@@ -1,7 +1,7 @@
 """Parameters that a message names in backticks, as the running command calls them: --flags, or [section] key.
 
-Below the command line a message says `dem_heights` or `resampling=nearest`: the parameter of the library. A command that
-has such a parameter says its flag; one that reads a project file says its section and key; anything else stays.
+Below the command line a message says `dem_heights` or `resampling=nearest`: the parameter of the library. A command
+that has such a parameter says its flag; one that reads a project file says its section and key; anything else stays.
 """
 
 from __future__ import annotations

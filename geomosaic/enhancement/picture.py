@@ -48,7 +48,7 @@ def stretch_given(
             )
         if pair is not None and not pair[0] < pair[1]:
             raise InputError(
-                f"--{name} {pair[0]:g} {pair[1]:g} is the wrong way round", hint="give the lower one first"
+                f"`{name}` {pair[0]:g} {pair[1]:g} is the wrong way round", hint="give the lower one first"
             )
     low, high = percentiles or (None, None)
     own = None if limits is None and percentiles is None else "linear" if limits else "percentile"

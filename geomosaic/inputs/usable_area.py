@@ -34,8 +34,8 @@ def with_usable(inputs: Block, scenes: Sequence[OrientedImage]) -> tuple[Oriente
     if inputs.fiducials is not None and bare:
         names = ", ".join(bare[:3]) + (f" and {len(bare) - 3} more" if len(bare) > 3 else "")
         warnings.warn(
-            f"marks, clocks and borders of the film are shown like the ground ({names}): leave them out with `margin` in "
-            "pixels, or polygons in `usable`",
+            f"marks, clocks and borders of the film are shown like the ground ({names}): leave them out with `margin` "
+            "in pixels, or polygons in `usable`",
             GeomosaicWarning,
             stacklevel=2,
         )

@@ -85,7 +85,7 @@ def checked(name: str, value: float) -> float:
         end = f" and below {known.most:g}" if known.most < float("inf") else ""
         raise InputError(
             f"{value:g} {known.unit} makes no sense as {known.text}",
-            where=f"--{name.replace('_', '-')}",
+            where=f"`{name}`",
             hint=f"give a value {start} {known.least:g}{end}",
         )
     return value

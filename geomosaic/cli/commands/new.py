@@ -7,8 +7,13 @@ from typing import Any
 
 import click
 
+<<<<<<< HEAD
 from geomosaic.cli.declared_options import FILE
 from geomosaic.cli.options import debug_option, image_options, json_option
+=======
+from geomosaic.cli.options import FILE, debug_option, image_options, json_option
+from geomosaic.cli.parameter_names import translated
+>>>>>>> 7f43cf4 (Errors name the parameter in backticks; commands say the flag, projects [section] key)
 from geomosaic.cli.talk import answer, notes
 
 
@@ -81,4 +86,4 @@ def command(
     result = {
         "project": str(project), "understood": draft.understood, "needed": draft.needed, "misfit": draft.misfit,
     }  # fmt: skip
-    answer(result, "\n".join(lines), as_json)
+    answer(result, translated("\n".join(lines)), as_json)

@@ -84,9 +84,9 @@ def carried_by(inputs: Block, project: Path) -> Carried:
     if own:
         lines = [f"model: each image carries one for the sensor {own[0]}"]
         if len(own) > 1:
-            lines.append(f"  and one for {' and '.join(own[1:])}: say --sensor to take that")
+            lines.append(f"  and one for {' and '.join(own[1:])}: say `sensor` to take that")
         if placed:
-            lines.append(f"  they are georeferenced too: say --sensor {plane_sensor()} to take them as they lie")
+            lines.append(f"  they are georeferenced too: say `sensor={plane_sensor()}` to take them as they lie")
         return Carried(replace(inputs, sensor=own[0]), lines=lines)
     if placed or inputs.control is not None:
         return Carried(inputs)
@@ -115,7 +115,7 @@ def write_tables(carried: Carried, *, overwrite: bool = False) -> None:
     """Write the tables beside the project, never over existing ones unasked."""
     for path in carried.tables:
         if path.exists() and not overwrite:
-            raise OutputExistsError("the table exists", where=str(path), hint="give another name, or --overwrite")
+            raise OutputExistsError("the table exists", where=str(path), hint="give another name, or `overwrite`")
     for path, text in carried.tables.items():
         write_atomic(path, text)
 
@@ -154,7 +154,7 @@ def _one_camera(images: Sequence[Path], facts: Sequence[PhotoFacts], sizes: Sequ
                 ((first, one), (second, other))]  # fmt: skip
         raise InputError(
             f"the photos were taken with {len(kinds)} cameras or focal lengths: {' and '.join(what)}",
-            hint="make a project for the photos of each, or give --camera that holds for all",
+            hint="make a project for the photos of each, or give a `camera` that holds for all",
         )
 
 

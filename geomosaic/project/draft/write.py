@@ -69,7 +69,7 @@ def draft_project(path: Path, inputs: Block, angles: str | None) -> Draft:
 def write_project(draft: Draft, *, overwrite: bool = False) -> None:
     """Write the project file, never over an existing one unasked."""
     if draft.path.exists() and not overwrite:
-        raise OutputExistsError("the project exists", where=str(draft.path), hint="give another name, or --overwrite")
+        raise OutputExistsError("the project exists", where=str(draft.path), hint="give another name, or `overwrite`")
     write_atomic(draft.path, draft.text)
 
 
@@ -96,7 +96,7 @@ def _angles(inputs: Block, read: str | None) -> list[str]:
         own = "the name of OpenDroneMap's reconstruction.topocentric.json"
         return [f"angle system: {read}, by {own if read in ('opensfm', 'odm') else 'the name and the first lines'}"]
     others = [name for name, columns in SYSTEMS.items() if name != read and {*columns} == {*SYSTEMS[read]}]
-    doubt = f"; the columns would also fit {', '.join(others)}: say --angles if so" if others else ""
+    doubt = f"; the columns would also fit {', '.join(others)}: say `angles` if so" if others else ""
     return [f"angle system: {read}, from the columns of the table{doubt}"]
 
 
