@@ -7,13 +7,9 @@ from typing import Any
 
 import click
 
-<<<<<<< HEAD
 from geomosaic.cli.declared_options import FILE
 from geomosaic.cli.options import debug_option, image_options, json_option
-=======
-from geomosaic.cli.options import FILE, debug_option, image_options, json_option
 from geomosaic.cli.parameter_names import translated
->>>>>>> 7f43cf4 (Errors name the parameter in backticks; commands say the flag, projects [section] key)
 from geomosaic.cli.talk import answer, notes
 
 
