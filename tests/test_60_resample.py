@@ -230,7 +230,7 @@ def test_supersampling_rule() -> None:
 @pytest.mark.parametrize("resampling", ["bilinear", "cubic"])
 @pytest.mark.parametrize("dtype", ["uint8", "float32"])
 def test_both_engines_give_the_same_colour_and_float_output(resampling: str, dtype: str) -> None:
-    """Blending takes corrected values unrounded; the quick kernels must agree there as well."""
+    """Blending takes corrected values unrounded; the block kernels must agree there as well."""
     values = image("uint8", 3)
     grid = grid_of(4.0)
     ground = Ground.under(grid, Hills()).block(grid.window)

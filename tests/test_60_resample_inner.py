@@ -1,4 +1,4 @@
-"""The quick way for maps brought to another CRS: the bytes of the plain way, whatever the turn and the scale."""
+"""The block kernels for maps brought to another CRS: the bytes of the plain way, whatever the turn and the scale."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def test_the_same_bytes_as_the_reference_engine(turn: float, scale: float) -> No
     lattice = lattice_of(turn, scale, Window(0, 0, 640, 512), bend=2.0)
     ways, taken = [], []
     compiled = numba_engine()
-    inner = compiled.quick["bilinear, inner"]
-    watched = {**compiled.quick, "bilinear, inner": lambda *a: (taken.append(1), inner(*a))[1]}
-    for engine in (numpy_engine(), replace(compiled, quick=watched)):
+    inner = compiled.block_kernels["bilinear, inner"]
+    watched = {**compiled.block_kernels, "bilinear, inner": lambda *a: (taken.append(1), inner(*a))[1]}
+    for engine in (numpy_engine(), replace(compiled, block_kernels=watched)):
         out, valid = np.zeros((512, 640, 3), dtype=np.uint8), np.zeros((512, 640), dtype=np.uint8)
         reader = ArrayReader(image, None)
         warp(engine, reader, SIZE, lattice, None, "bilinear", Colour.identity(3), out, valid)
         ways.append((out, valid))
-    assert taken, "the quick way was not taken"
+    assert taken, "no block kernel was called"
     assert (ways[0][1] == 1).all()
     assert np.array_equal(*(valid for _, valid in ways))
     assert np.array_equal(*(out for out, _ in ways))
@@ -72,10 +72,13 @@ def test_a_block_across_the_edge_is_cut(need: str | None) -> None:
     taken: list[str] = []
 
     def watched(name: str) -> Callable[..., int]:
-        return lambda *a: (taken.append(name), compiled.quick[name](*a))[1]
+        return lambda *a: (taken.append(name), compiled.block_kernels[name](*a))[1]
 
     ways = []
-    for engine in (numpy_engine(), replace(compiled, quick={name: watched(name) for name in compiled.quick})):
+    for engine in (
+        numpy_engine(),
+        replace(compiled, block_kernels={name: watched(name) for name in compiled.block_kernels}),
+    ):
         out, valid = np.zeros((500, 1000, 3), dtype=np.uint8), np.zeros((500, 1000), dtype=np.uint8)
         warp(engine, ArrayReader(image, None), SIZE, lattice, None, "bilinear", Colour.identity(3), out, valid, cells)
         ways.append((out, valid))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.resample.kernels.sight import hidden as compiled
+from geomosaic.resample.kernels.lines_of_sight import hidden as compiled
 from geomosaic.resample.occlusion import STEP, Field, Relief, hidden
 from geomosaic.types import ByteArray, Float32Array
 

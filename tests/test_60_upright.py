@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.resample.kernels.upright import upright as compiled
+from geomosaic.resample.kernels.vertical_walls import upright as compiled
 from geomosaic.resample.vertical_walls import Way, upright
 from geomosaic.types import Float32Array
 

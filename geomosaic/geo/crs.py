@@ -83,7 +83,7 @@ def parse_map(text: str, where: str | None = None) -> CRS:
 
 @lru_cache(maxsize=256)
 def horizontal(crs: CRS) -> CRS:
-    """Return the two-dimensional part of a CRS (itself when it has no vertical part)."""
+    """Two-dimensional part of a CRS (itself when it has no vertical part)."""
     if crs.is_compound:
         return horizontal(crs.sub_crs_list[0])
     if crs.is_bound and crs.source_crs is not None:
@@ -92,22 +92,22 @@ def horizontal(crs: CRS) -> CRS:
 
 
 def in_degrees(crs: CRS) -> bool:
-    """Say whether x and y are longitude and latitude, so that a metre is about 1e-5 of them."""
+    """Whether x and y are longitude and latitude, so that a metre is about 1e-5 of them."""
     return not crs.is_geocentric and bool(horizontal(crs).is_geographic)
 
 
 def is_local(crs: CRS) -> bool:
-    """Say whether it is a local engineering frame, such as that of a developed wall: metres, and no place on Earth."""
+    """Whether it is a local engineering frame, such as that of a developed wall: metres, and no place on Earth."""
     return bool(horizontal(crs).is_engineering)
 
 
 def has_heights(crs: CRS) -> bool:
-    """Say whether the CRS declares what its heights mean."""
+    """Whether the CRS declares what its heights mean."""
     return crs.is_geocentric or crs.is_vertical or len(crs.axis_info) == 3
 
 
 def height_name(crs: CRS) -> str:
-    """Name the vertical datum of a 3-D CRS, or 'undeclared'."""
+    """Name of a 3-D CRS's vertical datum, or 'undeclared'."""
     if crs.is_geocentric:
         return "geocentric"
     if crs.is_compound:
@@ -179,7 +179,7 @@ def _geoid_grid(path: PathLike, where: str | None) -> CRS:
 
 @lru_cache
 def _bound_vertical(path: str) -> CRS:
-    """Make a vertical CRS bound to WGS 84 ellipsoidal heights by a grid file."""
+    """Vertical CRS bound to WGS 84 ellipsoidal heights by a grid file."""
     name, file = (text.replace('"', '""') for text in (Path(path).stem, path))  # as WKT quotes a quote
     wkt = f"""BOUNDCRS[
         SOURCECRS[VERTCRS["geoid {name}",VDATUM["geoid {name}"],CS[vertical,1],
@@ -192,7 +192,7 @@ def _bound_vertical(path: str) -> CRS:
 
 @lru_cache(maxsize=64)
 def geocentric(crs: CRS) -> CRS:
-    """Return the Earth-centred, Earth-fixed Cartesian CRS on the datum of `crs` (no datum shift between them).
+    """Earth-centred, Earth-fixed Cartesian CRS on the datum of `crs` (no datum shift between them).
 
     Raises
     ------
@@ -225,7 +225,7 @@ def _with_axes(geodetic: CRS, name: str, axes: str) -> str:
 
 @lru_cache(maxsize=64)
 def geographic(crs: CRS) -> CRS:
-    """Return longitude, latitude and ellipsoidal height in degrees and metres on the datum of `crs`."""
+    """Longitude, latitude and ellipsoidal height in degrees and metres on the datum of `crs`."""
     geodetic = _geodetic(crs)
     if _in_degrees(geodetic):
         return _ellipsoidal(geodetic)
@@ -233,7 +233,7 @@ def geographic(crs: CRS) -> CRS:
 
 
 def longitude_latitude_crs(crs: CRS) -> CRS:
-    """Return longitude and latitude in degrees on the datum of `crs`."""
+    """Longitude and latitude in degrees on the datum of `crs`."""
     geodetic = _geodetic(crs)
     return geodetic if _in_degrees(geodetic) and not geodetic.is_geocentric else horizontal(geographic(crs))
 

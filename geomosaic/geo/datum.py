@@ -1,4 +1,4 @@
-"""What PROJ does between two CRS, how far that can be trusted, and what would be better."""
+"""Datum operations between two CRS: what PROJ does, how accurate it is, and what would be better."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Operation:
 
 @lru_cache(maxsize=32)
 def operation_between(source: CRS, target: CRS) -> Operation:
-    """Find the operation that `Transform` takes between two CRS, x and y only.
+    """Operation that `Transform` takes between two CRS, x and y only.
 
     Where PROJ has several by area, that is the one it holds best for most of their common area.
     """
@@ -78,7 +78,7 @@ def operation_between(source: CRS, target: CRS) -> Operation:
 
 
 def _by_another_datum(source: CRS, target: CRS) -> Transformer | None:
-    """Find what `Transform` takes where direct operations lack their grids: PROJ goes through a third datum."""
+    """Operation that `Transform` takes where direct operations lack their grids: PROJ goes through a third datum."""
     try:
         return Transformer.from_crs(source, target, always_xy=True, allow_ballpark=False)
     except ProjError:
@@ -86,7 +86,7 @@ def _by_another_datum(source: CRS, target: CRS) -> Transformer | None:
 
 
 def doubt(crs: CRS) -> str | None:
-    """Say what makes a CRS read from a file suspicious: another name than it deserves, or a datum nobody knows."""
+    """What makes a CRS read from a file suspicious: another name than it deserves, or a datum nobody knows."""
     said = re.search(r"EPSG:+(\d{4,6})", crs.name, re.IGNORECASE)
     unknown = any(word in _datum(crs).lower() for word in ("unknown", "unnamed"))
     if said and (unknown or crs.to_epsg() != int(said.group(1))):

@@ -167,7 +167,7 @@ Area = tuple[float, float, float, float]
 
 
 def area_of_use(crs: CRS) -> Area | None:
-    """Return west, south, east, north in degrees; a PROJ string is looked up among the known CRS."""
+    """West, south, east, north in degrees; a PROJ string is looked up among the known CRS."""
     area = crs.area_of_use
     if area is None and (code := crs.to_epsg()) is not None:
         area = CRS.from_epsg(code).area_of_use
@@ -175,7 +175,7 @@ def area_of_use(crs: CRS) -> Area | None:
 
 
 def longitude_latitude(xy: FloatArray, crs: CRS) -> FloatArray:
-    """Return degrees (N, 2) on the CRS's own datum; NaN where the projection has no such place."""
+    """Degrees (N, 2) on the CRS's own datum; NaN where the projection has no such place."""
     flat = horizontal(crs)
     degrees = Transform(flat, longitude_latitude_crs(flat))(xy)
     degrees[np.abs(degrees[:, 1]) > 90.0] = np.nan
@@ -184,7 +184,7 @@ def longitude_latitude(xy: FloatArray, crs: CRS) -> FloatArray:
 
 
 def beyond(degrees: FloatArray, area: Area) -> FloatArray:
-    """Return by how many degrees places (N, 2) miss an area, in longitude and latitude; 0 inside, NaN nowhere."""
+    """Degrees of longitude and latitude by which places (N, 2) miss an area; 0 inside, NaN where there is no place."""
     west, south, east, north = area
     middle, half = (west + (east - west) % 360.0 / 2, (east - west) % 360.0 / 2) if east != west + 360 else (0.0, 180.0)
     off = np.abs((degrees[:, 0] - middle + 180.0) % 360.0 - 180.0) - half

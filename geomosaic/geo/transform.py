@@ -88,7 +88,7 @@ class Transform:
         return out
 
     def inverse(self) -> Transform:
-        """Return the transform from target to source."""
+        """Transform from target to source."""
         return Transform(self.target, self.source)
 
 
@@ -125,7 +125,7 @@ def _key(crs: CRS) -> str:
 
 
 def _operation(source_wkt: str, target_wkt: str) -> _Operation | None:
-    """Make the PROJ operation once per pair; None is the identity."""
+    """PROJ operation between a pair of CRS, made once; None is the identity."""
     if source_wkt == target_wkt:
         return None
     with _lock:

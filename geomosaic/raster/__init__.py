@@ -1,1 +1,1 @@
-"""The only user of GDAL: reading by windows, writing whole files, vectors."""
+"""Rasters and vectors in files, the only user of GDAL: read by windows, written whole."""

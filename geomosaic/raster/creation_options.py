@@ -40,7 +40,7 @@ _RANGES = {
 
 
 def checked_values(options: Mapping[str, str], bands: int, dtype: str, level: str | None, where: str) -> dict[str, str]:
-    """Return the options with words in capitals.
+    """Options with words in capitals.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ def _gtiff(user: dict[str, str], bands: int, dtype: np.dtype[Any], photometric: 
 
 
 def check_type(dtype: str, where: str) -> np.dtype[Any]:
-    """Return the sample type.
+    """NumPy type of samples that can be written.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""GDAL's settings while geomosaic reads and writes: one place, the same in every thread."""
+"""GDAL environment: settings while geomosaic reads and writes, the same in every thread."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _SETTINGS: dict[str, Any] = {
 
 
 def environment(**settings: Any) -> AbstractContextManager[object]:
-    """Return a context manager in which GDAL works with geomosaic's settings.
+    """Context manager in which GDAL works with geomosaic's settings.
 
     Options hold for the thread that enters it, so every thread enters its own. Entered again inside of itself it does
     nothing, which costs nothing: rasterio would take all settings back and make them anew.

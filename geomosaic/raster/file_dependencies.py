@@ -40,7 +40,7 @@ class Companions:
 
 
 def companions(path: Path, bands: Sequence[int] | None = None) -> Companions:
-    """Find what a raster depends on; no pixel is read.
+    """What a raster depends on; no pixel is read.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a raster file is, found without reading a pixel."""
+"""Raster metadata: size, bands, sample type, georeference, found without reading a pixel."""
 
 from __future__ import annotations
 
@@ -206,7 +206,7 @@ def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> Sou
 
 
 def check_bands(bands: Sequence[int], count: int, path: str) -> tuple[int, ...]:
-    """Return band numbers, or say which of them a file of `count` bands does not have."""
+    """Band numbers that a file of `count` bands has, checked."""
     absent = [band for band in bands if not 1 <= band <= count]
     if absent or not bands:
         shown = ", ".join(map(str, absent))
@@ -235,7 +235,7 @@ def _crs(dataset: Any, path: str) -> CRS | None:
 
 
 def _colour(dataset: Any, band: int, color: Any) -> str:
-    """Return the name of a band's colour; a palette of greys in their order, as each BMP has, is none."""
+    """Name of a band's colour; a palette of greys in their order, as each BMP has, is none."""
     if color == ColorInterp.palette and all(
         number == red == green == blue for number, (red, green, blue, _) in dataset.colormap(band).items()
     ):
@@ -244,7 +244,7 @@ def _colour(dataset: Any, band: int, color: Any) -> str:
 
 
 def _windowed(dataset: Any, rows: int, cols: int) -> bool:
-    """Say whether a window can be read without decoding much more than the window."""
+    """Whether a window can be read without decoding much more than the window."""
     if dataset.driver in _SEQUENTIAL:
         return False
     if dataset.driver == "VRT":
@@ -269,6 +269,6 @@ def _short(error: BaseException) -> str:
 
 
 def control_point_count(path: PathLike) -> int:
-    """Return how many control points (GCPs) a raster has in it."""
+    """Number of control points (GCPs) in a raster."""
     with environment(), open_raster(path) as dataset:
         return len(dataset.gcps[0])

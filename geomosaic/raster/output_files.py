@@ -1,4 +1,4 @@
-"""Output files: final names taken only with leave, and only by whole files."""
+"""Output files: checks of final names, which only whole files take."""
 
 from __future__ import annotations
 

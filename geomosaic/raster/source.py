@@ -239,7 +239,7 @@ class Source:
         return values, combine(missing_by_value(values, self._nodata), mask)
 
     def _dataset(self) -> Any:
-        """Return this thread's handle."""
+        """Open dataset of this thread."""
         dataset = getattr(self._local, "dataset", None)
         if dataset is None:
             dataset = open_raster(self._path, direct=self.info.direct)

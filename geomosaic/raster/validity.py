@@ -14,7 +14,7 @@ from geomosaic.types import AnyArray, BoolArray, ByteArray
 
 
 def usable_nodata(dtype: np.dtype[Any], nodata: float | None) -> float | None:
-    """Return the nodata value as the sample type holds it; None where no sample can have that value."""
+    """Nodata value as the sample type holds it; None where no sample can have that value."""
     if nodata is None or (np.isnan(nodata) and dtype.kind != "f"):
         return None
     if dtype.kind == "f":
@@ -25,7 +25,7 @@ def usable_nodata(dtype: np.dtype[Any], nodata: float | None) -> float | None:
 
 
 def missing_by_value(values: AnyArray, nodata: Sequence[float | None]) -> BoolArray | None:
-    """Find the pixels whose values say that nothing was measured.
+    """Pixels whose values say that nothing was measured.
 
     Unsigned integers use nodata for an ordinary grey value (0 or 255), so a pixel is missing only where every band
     has it. Signed and floating point types use an impossible one (-9999), which must never enter a sum: there one

@@ -1,4 +1,4 @@
-"""Vector layers: GeoPackages out, anything the user has in."""
+"""Vector layers: GeoPackages written, any format of GDAL's read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Images whose pixels are pixels of the output: they are copied, to the bit, and not resampled."""
+"""Aligned images, whose pixels are pixels of the output: copied to the bit, not resampled."""
 
 from __future__ import annotations
 

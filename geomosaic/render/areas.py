@@ -1,4 +1,4 @@
-"""Read what a person has drawn: areas of water, clouds and buildings, roads to follow."""
+"""Areas and lines drawn by a person: water, clouds and buildings, roads to follow."""
 
 from __future__ import annotations
 

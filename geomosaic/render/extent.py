@@ -1,4 +1,4 @@
-"""Where the output lies, and how fine it is."""
+"""Extent and resolution of the output."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ class UprightGround(Ground):
         heights = np.empty(wider.shape, dtype=np.float32)
         wall = WALL * node * linear_unit(self.surface.crs)
         if self.compiled:
-            from geomosaic.resample.kernels.upright import upright
+            from geomosaic.resample.kernels.vertical_walls import upright
 
             upright(found.patch.heights, way, wall, heights)
         else:
@@ -269,7 +269,7 @@ class Shades:
         lines, relief = sight
         out = np.zeros_like(wanted)
         if self.visibility.compiled:
-            from geomosaic.resample.kernels.sight import hidden
+            from geomosaic.resample.kernels.lines_of_sight import hidden
 
             hidden(
                 (lines.nodes, lines.z_middle, lines.z_inverse, lines.width),

@@ -1,4 +1,4 @@
-"""One image, one ortho."""
+"""Orthoimage of one image."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An image made ready to be pulled into an output grid, block by block."""
+"""Image with all that is needed to render it into an output grid, block by block."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def pull(
         identity = isinstance(colour, Colour) and is_identity(colour) and photo.scale == 1.0
         table = None if identity else photo.table(colour, out.dtype)
         if identity or table is not None:
-            compiled = bool(engine.quick)
+            compiled = bool(engine.block_kernels)
             return copied(photo.source, photo.offset, ground.window, out, out_valid, need, table, compiled=compiled)
     if not isinstance(colour, Colour):
         plain, seen = np.zeros(out.shape, dtype=_unrounded(out)), np.zeros_like(out_valid)

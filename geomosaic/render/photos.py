@@ -1,4 +1,4 @@
-"""The open images of a mosaic: opened when first needed, closed when others need the room or the rows are done."""
+"""Open images of a mosaic: opened when first needed, closed when others need the memory or their rows are done."""
 
 from __future__ import annotations
 

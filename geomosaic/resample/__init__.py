@@ -1,1 +1,1 @@
-"""Taking an image's values where a lattice says, compiled and in NumPy, to the same bytes."""
+"""Resampling of images through a lattice, by compiled kernels and in NumPy, to the same bytes."""

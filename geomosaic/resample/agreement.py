@@ -1,4 +1,4 @@
-"""Where two images of the same ground show different things: cars that moved, houses that lean the other way.
+"""Agreement of two images of the same ground: cars that moved, houses that lean the other way.
 
 The difference D = a − b of two images that meet at a seam is, where both show the same, a matter of light: slow, and in
 proportion to brightness at most, D ≈ m + g·(A − level), with A the mean of both, m a mean over about 32 pixels around
@@ -164,7 +164,7 @@ def compare(
     known[r - corner[0], c - corner[1]] = 1
 
 
-def withdraw(
+def deghost(
     a: AnyArray,
     b: AnyArray,
     seen_a: ByteArray,

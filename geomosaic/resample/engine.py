@@ -18,59 +18,70 @@ from typing import Any
 class Engine:
     """Where the kernels come from; both engines give the same bytes.
 
-    `quick` holds, by resampling, kernels that place and sample a whole block of three bands of eight bits at once;
-    "bilinear, inner" one whose taps all exist, without heights or correction. `hands` work at one block.
+    Attributes
+    ----------
+    coordinates, sample, accumulate, finish, shade, compare, deghost : callable
+        Kernels; see the module of the same name or `agreement` in `resample.kernels`.
+    block_kernels : mapping of str to callable
+        By resampling, kernels that place and sample a whole block of three bands of eight bits at once; "bilinear,
+        inner" is one whose taps all exist, without heights or correction.
+    block_threads : int
+        Threads that share one block.
     """
 
     coordinates: Callable[..., tuple[float, float, float, float]]
     sample: Callable[..., None]
     accumulate: Callable[..., None]
     finish: Callable[..., None]
-    quick: Mapping[str, Callable[..., int]]
+    block_kernels: Mapping[str, Callable[..., int]]
     shade: Callable[..., None]
     compare: Callable[..., None]
-    withdraw: Callable[..., None]
-    hands: int = 1
+    deghost: Callable[..., None]
+    block_threads: int = 1
 
     def threads(self, most: int) -> int:
         """Threads that are worth starting: NumPy's small steps would only wait for each other."""
-        return most if self.quick else 1
+        return most if self.block_kernels else 1
 
     def share(self, work: Callable[[int], None], pieces: Sequence[int]) -> None:
         """Do pieces of work that touch nothing in common."""
-        if self.hands == 1 or len(pieces) == 1:
+        if self.block_threads == 1 or len(pieces) == 1:
             for piece in pieces:
                 work(piece)
             return
         from concurrent.futures import ThreadPoolExecutor
 
-        with ThreadPoolExecutor(self.hands) as executor:
+        with ThreadPoolExecutor(self.block_threads) as executor:
             list(executor.map(work, pieces))
 
 
-def numpy_engine(hands: int = 1) -> Engine:
+def numpy_engine(block_threads: int = 1) -> Engine:
     """Kernels in NumPy: nothing to start, slow on large jobs."""
     from geomosaic.resample import reference
 
     return Engine(
         reference.coordinates, reference.sample, reference.accumulate, reference.finish, {}, reference.shade,
-        _later("agreement", "compare"), _later("agreement", "withdraw"), hands,
+        _later("agreement", "compare"), _later("agreement", "deghost"), block_threads,
     )  # fmt: skip
 
 
 def numba_engine() -> Engine:
     """Compiled kernels."""
-    from geomosaic.resample.kernels import blend, inner, place, sample, shade
+    from geomosaic.resample.kernels import blend, image_coordinates, interior, local_gains, sample
 
     return Engine(
-        place.coordinates,
+        image_coordinates.coordinates,
         sample.sample,
         blend.accumulate,
         blend.finish,
-        {"bilinear": place.bilinear_rgb, "cubic": place.cubic_rgb, "bilinear, inner": inner.bilinear_rgb_inner},
-        shade.shade,
-        _later("kernels.agree", "compare"),
-        _later("kernels.agree", "withdraw"),
+        {
+            "bilinear": image_coordinates.bilinear_rgb,
+            "cubic": image_coordinates.cubic_rgb,
+            "bilinear, inner": interior.bilinear_rgb_inner,
+        },
+        local_gains.shade,
+        _later("kernels.agreement", "compare"),
+        _later("kernels.agreement", "deghost"),
     )
 
 
@@ -95,9 +106,9 @@ _WHILE_STARTING = {
 
 def started() -> bool:
     """Whether this process has compiled kernels at hand, or is loading them."""
-    return "geomosaic.resample.kernels.place" in sys.modules
+    return "geomosaic.resample.kernels.image_coordinates" in sys.modules
 
 
-def engine_for(samples: int, resampling: str, hands: int = 1) -> Engine:
+def engine_for(samples: int, resampling: str, block_threads: int = 1) -> Engine:
     """Choose by the work to do; where it is little, so many threads share each block."""
-    return numba_engine() if samples > _WHILE_STARTING[resampling] else numpy_engine(hands)
+    return numba_engine() if samples > _WHILE_STARTING[resampling] else numpy_engine(block_threads)

@@ -1,4 +1,4 @@
-"""Fast paths of resampling: whole blocks of 8-bit colour, and few pixels placed and sampled singly."""
+"""Fast paths of resampling: whole blocks of 8-bit colour, and single pixels of blocks that need few."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def fill_rgb(
     Parameters
     ----------
     engine : Engine
-        With quick kernels.
+        With block kernels.
     kernel : str
         'bilinear' or 'cubic'.
     geometry : tuple
@@ -52,7 +52,7 @@ def fill_rgb(
         Set to 1 where the image is seen.
     """
     corner = window.col, window.row
-    careful = engine.quick[kernel]
+    careful = engine.block_kernels[kernel]
     if not (kernel == "bilinear" and geometry[5] and _unchanged(ending) and out.dtype == np.uint8):
         return int(careful(geometry, size, need, source, corner, ending, out, out_valid))
     inner = _inner(geometry, need, source, window)
@@ -66,7 +66,7 @@ def fill_rgb(
         if here.all():
             part = out[rows, cols]
             line = np.empty((part.shape[0], 3 * part.shape[1]), dtype=np.uint8)
-            engine.quick["bilinear, inner"](nodes, geometry[6], source, corner, line)
+            engine.block_kernels["bilinear, inner"](nodes, geometry[6], source, corner, line)
             part[...], out_valid[rows, cols] = line.reshape(part.shape), 1
         elif not here.any() or (bottom - top == 1 and right - left == 1):
             if wanted.any():
@@ -107,7 +107,7 @@ SHARE = 0.3
 AT_ONCE = 65536
 
 
-def few_of(engine: Engine, only: BoolArray, need: ByteArray, n: int) -> tuple[IntArray, IntArray] | None:
+def wanted_pixels(engine: Engine, only: BoolArray, need: ByteArray, n: int) -> tuple[IntArray, IntArray] | None:
     """Rows and columns of the wanted pixels of wanted cells; None where all of the cells are done sooner.
 
     Parameters
@@ -121,19 +121,19 @@ def few_of(engine: Engine, only: BoolArray, need: ByteArray, n: int) -> tuple[In
     n : int
         Samples along a pixel's side: one alone is taken for itself.
     """
-    if n > 1 or not engine.quick:
+    if n > 1 or not engine.block_kernels:
         return None
     number = int(np.count_nonzero(only))
     if number > SHARE * CELL**2 * np.count_nonzero(need):
         return None
-    from geomosaic.resample.kernels.few import listed
+    from geomosaic.resample.kernels.pixel_list import listed
 
     down, along = np.empty((2, number), dtype=np.int64)
     number = listed(only, need, down, along)
     return down[:number], along[:number]
 
 
-def fill_few(
+def fill_pixels(
     engine: Engine,
     kernel: str,
     geometry: tuple[Any, ...],
@@ -165,7 +165,7 @@ def fill_few(
     out_valid : uint8 array (rows, cols)
         Set to 1 where the image is seen.
     """
-    from geomosaic.resample.kernels.few import coordinates_of
+    from geomosaic.resample.kernels.pixel_list import coordinates_of
 
     for first in range(0, len(few[0]), AT_ONCE):
         down, along = (one[first : first + AT_ONCE] for one in few)

@@ -1,4 +1,4 @@
-"""Blending by differences: what is to be added to each image, so that it meets its neighbours without a step.
+"""Multiband blending by differences: what is added to each image, so that it meets its neighbours without a step.
 
 Every image but one, the base, is described by its difference from the base, D = image − base. Where the images' own
 shares meet, the mosaic is

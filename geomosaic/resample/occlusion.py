@@ -1,4 +1,4 @@
-"""What a surface hides from a sensor: each place looks along its line of sight until it is above all there is.
+"""Occlusion by a surface: each place looks along its line of sight until it is above all heights.
 
 Everything is in pixels of a patch of heights, 0 being the centre of its first node. From a place (x, y) at height z the
 line of sight goes by s(x, y, z) patch pixels sideways per metre of height, towards the sensor, so that it rises by

@@ -16,7 +16,7 @@ Step = Callable[[AnyArray], AnyArray]
 class Steps:
     """One step down and one up; arrays (bands, rows, cols) of float32, of even size where they go down.
 
-    And what is done pixel by pixel at either end: `kernels.differ`.
+    And what is done pixel by pixel at either end: `kernels.differences`.
     """
 
     reduce: Step
@@ -29,9 +29,9 @@ def steps(*, compiled: bool) -> Steps:
     """Compiled steps, or NumPy's where there is too little to do to wait for a compiler; both give the same bytes."""
     if not compiled:
         return Steps(reduce, expand, minus, join)
-    from geomosaic.resample.kernels import differ, pyramid
+    from geomosaic.resample.kernels import differences, pyramid
 
-    return Steps(pyramid.reduce, pyramid.expand, differ.minus, differ.join)
+    return Steps(pyramid.reduce, pyramid.expand, differences.minus, differences.join)
 
 
 def reduce(fine: AnyArray) -> AnyArray:
@@ -45,7 +45,7 @@ def expand(coarse: AnyArray) -> AnyArray:
 
 
 def minus(values: AnyArray, ground: AnyArray, both: BoolArray) -> AnyArray:
-    """Differences, see `kernels.differ.minus`."""
+    """Differences, see `kernels.differences.minus`."""
     out = np.zeros((values.shape[2], *both.shape), dtype=np.float32)
     for band in range(len(out)):
         np.subtract(
@@ -68,7 +68,7 @@ def join(
     kind: AnyArray,
     out: AnyArray,
 ) -> None:
-    """Values and their corrections, see `kernels.differ.join`."""
+    """Values and their corrections, see `kernels.differences.join`."""
     mask = label == index
     for band in range(values.shape[2]):
         exact: AnyArray = values[..., band][mask].astype(kind.dtype)

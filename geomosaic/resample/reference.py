@@ -24,7 +24,7 @@ def coordinates(
     cols: FloatArray,
     rows: FloatArray,
 ) -> tuple[int, int, int, int]:
-    """Fill `cols`, `rows` and return what they span in the image; see `kernels.place.coordinates`."""
+    """Fill `cols`, `rows` and return what they span in the image; see `kernels.image_coordinates.coordinates`."""
     nodes, places, heights, z_middle, z_inverse, flat, step = geometry
     height, width = cols.shape
     v = (first_row + (np.arange(height) + 0.5) / n) / step
@@ -225,7 +225,7 @@ def shade(
     out: AnyArray,
     out_valid: AnyArray,
 ) -> None:
-    """Correct the pixels that are seen by gains on a coarse net; see `kernels.shade`."""
+    """Correct the pixels that are seen by gains on a coarse net; see `kernels.local_gains`."""
     height, width, bands = values.shape
     j, v = interval(place[1] + np.arange(height) * place[3], net.shape[0])
     i, u = interval(place[0] + np.arange(width) * place[2], net.shape[1])

@@ -1,4 +1,4 @@
-"""Values between pixels in NumPy, with the same operations in the same order as `kernels.sample`."""
+"""Interpolation between pixels in NumPy, with the same operations in the same order as `kernels.sample`."""
 
 from __future__ import annotations
 

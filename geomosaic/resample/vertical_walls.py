@@ -1,4 +1,4 @@
-"""Heights at the centres of output pixels, none of them on the way up a wall.
+"""Heights at the centres of output pixels over vertical walls: those of the roof or of the ground, none between.
 
 Between nodes of a roof and nodes of the ground a bilinear height is that of neither, and what an image shows there is a
 wall. Where nodes around a place differ by more than a wall, it gets the weighted mean of those on its own side of their

@@ -1,4 +1,4 @@
-"""Pull one block of output pixels out of one image."""
+"""Warp of one image into one block of output pixels."""
 
 from __future__ import annotations
 
@@ -151,9 +151,9 @@ def warp(
         here = np.ascontiguousarray(wanted[rows, cols])
         few = None
         if only is not None:
-            from geomosaic.resample.fast_paths import few_of
+            from geomosaic.resample.fast_paths import wanted_pixels
 
-            few = few_of(engine, only[inside], here, n)
+            few = wanted_pixels(engine, only[inside], here, n)
         _fill(engine, reader, shape, geometry, here, window, colour, out[inside], out_valid[inside], few)
 
 
@@ -199,12 +199,12 @@ def _fill(
         return (float(here.col), float(here.row), float(shape.shrink), *shape.size), pixels, known
 
     if few is not None:
-        from geomosaic.resample.fast_paths import fill_few
+        from geomosaic.resample.fast_paths import fill_pixels
 
-        fill_few(engine, shape.kernel, geometry, shape.size, few, pixels_for, ending, out, out_valid)
+        fill_pixels(engine, shape.kernel, geometry, shape.size, few, pixels_for, ending, out, out_valid)
         return
     start, (height, width), n = 0, out_valid.shape, shape.n
-    if valid is None and n == 1 and shape.kernel in engine.quick and _is_rgb(source):
+    if valid is None and n == 1 and shape.kernel in engine.block_kernels and _is_rgb(source):
         start = fill_rgb(
             engine, shape.kernel, geometry, shape.size, need, source, window, ending, out, out_valid
         )  # fmt: skip

@@ -1,1 +1,1 @@
-"""Heights of the ground: plane, ellipsoid, DEM; and where rays meet it."""
+"""Surfaces: plane, ellipsoid, DEM; intersection of rays with them."""

@@ -1,4 +1,4 @@
-"""Heights from a raster file: bilinear between node centres, unknown where any node that counts is unknown."""
+"""Digital elevation model in a raster file: bilinear between nodes, unknown where a node that counts is."""
 
 from __future__ import annotations
 

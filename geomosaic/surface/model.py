@@ -1,4 +1,4 @@
-"""The contract of a surface: heights over a map, in a 3-D CRS that says what they mean."""
+"""Surface contract: heights over a map, in a 3-D CRS that names their vertical datum."""
 
 from __future__ import annotations
 

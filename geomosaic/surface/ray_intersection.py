@@ -1,4 +1,4 @@
-"""First points where rays meet a surface."""
+"""Ray intersection: first points where rays meet a surface."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TOLERANCE = 1e-7
 
 
 def intersect(surface: Surface, crs: CRS, origins: FloatArray, directions: FloatArray) -> FloatArray:
-    """Find where rays first meet a surface from above.
+    """First points where rays meet a surface from above.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ def undulation(crs: CRS, x: float, y: float) -> float:
 
 
 def undeclared_heights(crs: CRS, x: float, y: float, where: str) -> HeightDatumError:
-    """Make the error for heights without a vertical datum at (x, y) of a horizontal CRS."""
+    """Error for heights without a vertical datum at (x, y) of a horizontal CRS."""
     shift = undulation(crs, x, y)
     size = ""
     if math.isfinite(shift):

@@ -46,6 +46,6 @@ def blender_for(
     noise = usual_difference(plain) if blending.limits else None
     return BandBlender(
         photos, grid, ground, replace(seams, feather=0.0), colours, engine, render.resampling, render.tolerance, dtype,
-        sight, limited, blending, seams.feather, steps(compiled=bool(engine.quick)), noise,
+        sight, limited, blending, seams.feather, steps(compiled=bool(engine.block_kernels)), noise,
         Room(render.memory_limit // 3),
     )  # fmt: skip

@@ -36,7 +36,7 @@ def limit(shown: Sequence[Shown], engine: Engine, dtype: str, label: AnyArray, t
     """
     if len(shown) < 2:
         return
-    by = steps(compiled=bool(engine.quick))
+    by = steps(compiled=bool(engine.block_kernels))
     whole = np.issubdtype(np.dtype(dtype), np.integer)
     levels = [_level(one) for one in shown]
     for at, (one, level) in enumerate(zip(shown, levels, strict=True)):
@@ -53,7 +53,7 @@ def limit(shown: Sequence[Shown], engine: Engine, dtype: str, label: AnyArray, t
             if doubt is None:
                 continue
             a, b = one.share, other.share
-            engine.withdraw(
+            engine.deghost(
                 one.values, other.values, one.seen, other.seen, a.weight, b.weight, a.factor, a.margin,
                 (a.index + 1, b.index + 1), cells, corner, doubt, label, total,
             )  # fmt: skip

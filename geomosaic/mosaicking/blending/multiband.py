@@ -88,7 +88,7 @@ class BandBlender(Blender):
 
     def by(self, engine: Engine) -> Self:
         """The same with another engine, which gives the same bytes."""
-        return replace(self, engine=engine, steps=steps(compiled=bool(engine.quick)))
+        return replace(self, engine=engine, steps=steps(compiled=bool(engine.block_kernels)))
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Render one block into its place in a unit."""

@@ -37,7 +37,7 @@ PIXEL_TAGS = {
 
 
 def tile_profile(bands: int, dtype: str, options: Mapping[str, str]) -> dict[str, Any]:
-    """Return rasterio's arguments for a GeoTIFF of one tile."""
+    """Rasterio's arguments for a GeoTIFF of one tile."""
     return {
         "driver": "GTiff",
         "width": BLOCK,
@@ -119,7 +119,7 @@ def describe_raster(
     tags: Mapping[str, str],
     where: str,
 ) -> Directory:
-    """Return the tags that GDAL writes for a raster of this grid and profile, without the tiles' places.
+    """Tags that GDAL writes for a raster of this grid and profile, without the tiles' places.
 
     Raises
     ------

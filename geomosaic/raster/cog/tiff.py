@@ -37,7 +37,7 @@ class Field:
 
     @classmethod
     def of(cls, type_: int, *values: int) -> Field:
-        """Make a field of unsigned integers: type 3 (16 bit), 4 (32 bit) or 16 (64 bit)."""
+        """Field of unsigned integers: type 3 (16 bit), 4 (32 bit) or 16 (64 bit)."""
         if type_ == 4 and max(values, default=0) >= 1 << 32:
             raise OverflowError("more than 4 GB need BIGTIFF=YES")
         return cls(type_, len(values), struct.pack(f"<{len(values)}{_INTEGERS[type_]}", *values))
@@ -100,12 +100,12 @@ def _read_directory(file: BinaryIO, offset: int, big: bool) -> tuple[Directory, 
 
 
 def header(first: int, *, big: bool) -> bytes:
-    """Return the 8 bytes (16 for BigTIFF) at the start of a file whose first directory is at `first`."""
+    """First 8 bytes (16 for BigTIFF) of a file whose first directory is at `first`."""
     return struct.pack("<2sHHHQ", b"II", 43, 8, 0, first) if big else struct.pack("<2sHI", b"II", 42, first)
 
 
 def lay_out(directories: list[Directory], start: int, *, big: bool) -> bytes:
-    """Return linked directories as they stand in a file from the even offset `start` on; the last links to none.
+    """Linked directories as they stand in a file from the even offset `start` on; the last links to none.
 
     The length depends on the types and counts of the fields only.
 
@@ -127,7 +127,7 @@ def lay_out(directories: list[Directory], start: int, *, big: bool) -> bytes:
 
 
 def _directory(directory: Directory, start: int, big: bool) -> tuple[bytearray, int]:
-    """Return a directory's table with the values too long for it behind, and where in it the link stands."""
+    """Directory's table with the values too long for it behind, and where in it the link stands."""
     room, count, entry, pointer = (8, "<Q", "<HHQ8s", "<Q") if big else (4, "<H", "<HHI4s", "<I")
     table, extra = bytearray(struct.pack(count, len(directory))), bytearray()
     link = len(table) + len(directory) * struct.calcsize(entry)

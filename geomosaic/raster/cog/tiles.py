@@ -192,7 +192,7 @@ class TileStore:
         self._next += 1
 
     def fields(self, base: int, *, big: bool) -> dict[int, Field]:
-        """Return the tags that say where the tiles are, when `start` is at `base` of the final file."""
+        """Tags that say where the tiles are, when `start` is at `base` of the final file."""
         kind, shift = 16 if big else 4, base - self.start
         return {
             tiff.TILE_OFFSETS: Field.of(kind, *(offset + shift for offset in self.offsets)),
@@ -200,7 +200,7 @@ class TileStore:
         }
 
     def mask_fields(self, base: int, *, big: bool) -> dict[int, Field]:
-        """Return the same for the mask's tiles, when they follow each other from `base` on."""
+        """Tags that say where the mask's tiles are, when they follow each other from `base` on."""
         kind, offsets = 16 if big else 4, []
         counts = [len(self.masks[index]) for index in range(len(self.offsets))]
         edge = 4 if self.framed else 0

@@ -254,7 +254,7 @@ class TileFile:
             self._append_directories()
 
     def _directories(self, bases: list[tuple[int, int]]) -> list[Directory]:
-        """Return the directories of all levels and masks, when tiles and mask tiles start at `bases`."""
+        """Directories of all levels and masks, when tiles and mask tiles start at `bases`."""
         found: list[Directory] = []
         for i, (level, store, (base, mask_base)) in enumerate(zip(self._levels, self._stores, bases, strict=True)):
             size = {tiff.WIDTH: Field.of(4, level.width), tiff.LENGTH: Field.of(4, level.height)}

@@ -1,8 +1,8 @@
-"""The commonest case of all: three bands of eight bits, no heights, all pixels there, values as they are.
+"""Interior blocks, the commonest case: three bands of eight bits, no heights, all pixels there, values as they are.
 
 Where a map is brought to another CRS at about its own pixel size, neighbours in the output are neighbours in the image
 for tens to thousands of pixels on end. Such a run is arithmetic on bytes that follow each other, which becomes vector
-instructions; elsewhere every pixel is taken for itself. Both give what `place.bilinear_rgb` gives.
+instructions; elsewhere every pixel is taken for itself. Both give what `image_coordinates.bilinear_rgb` gives.
 """
 
 from __future__ import annotations

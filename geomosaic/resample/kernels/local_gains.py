@@ -1,4 +1,4 @@
-"""Values corrected by gains on a coarse net, rounded and stored."""
+"""Local gains: values corrected by gains on a coarse net, rounded and stored."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Differences of images from a base, and images put together by them. The twins in NumPy are in `resample.pyramid`."""
+"""Differences of images from a base, and images put together by them; `resample.pyramid` has the twins in NumPy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Following lines of sight, compiled; `resample.sight` says what is computed, and does the same in NumPy.
+"""Lines of sight followed, compiled; `resample.occlusion` says what is computed, and does the same in NumPy.
 
 Most places see the sensor, and most of what a surface model holds is in nobody's way. So groups of places are judged
 together first: where nothing along all of their lines of sight is high enough, none of them is followed.

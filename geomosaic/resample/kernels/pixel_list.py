@@ -1,11 +1,11 @@
-"""Image coordinates of a few output pixels of a block; those that `place.coordinates` gives all of them."""
+"""Image coordinates of single output pixels of a block: those that `image_coordinates` gives all of them."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from geomosaic.resample.kernels.compiled import kernel, part
-from geomosaic.resample.kernels.place import FAR, NONE, _span
+from geomosaic.resample.kernels.image_coordinates import FAR, NONE, _span
 
 
 @kernel
@@ -13,7 +13,7 @@ def coordinates_of(geometry, down, along, size, cols, rows):
     """Fill `cols`, `rows` (N) with image coordinates of the pixels in rows `down` and columns `along` of a block.
 
     Returns the first col, first row, last col, last row of those that fall in an image of `size`; last col is −1 where
-    none does. See `place.coordinates` for `geometry`.
+    none does. See `image_coordinates.coordinates` for `geometry`.
     """
     nodes, places, heights, z_middle, z_inverse, flat, step = geometry
     left, delta = np.empty(8), np.empty(8)

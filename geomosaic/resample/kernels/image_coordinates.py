@@ -1,4 +1,4 @@
-"""Image coordinates of output pixels; and the commonest case, three bands of eight bits all valid, down to the value.
+"""Image coordinates of output pixels; whole blocks of three bands of eight bits, all valid, down to the value.
 
 A row is placed, then sampled, while its coordinates are still in the processor's nearest cache; loops are split so that
 those over arithmetic alone become vector instructions.

@@ -1,4 +1,4 @@
-"""What two images of the same ground differ by, and weights taken back where they show different things.
+"""Agreement of two images of the same ground, and weights taken back where they show different things.
 
 The twins in NumPy are in `resample.agreement`: the same operations in the same order.
 """
@@ -52,8 +52,8 @@ def compare(a, b, seen_a, seen_b, level, cells, corner, out, known):
 
 
 @kernel
-def withdraw(a, b, seen_a, seen_b, weight_a, weight_b, factor, margin, indices, cells, corner, doubt, label, total):
-    """Take the other image's weight back from a sum where both show different things, see `agreement.withdraw`."""
+def deghost(a, b, seen_a, seen_b, weight_a, weight_b, factor, margin, indices, cells, corner, doubt, label, total):
+    """Take the other image's weight back from a sum where both show different things, see `agreement.deghost`."""
     height, width, bands = a.shape
     share, mean, slope, level = doubt
     rows, cols = share.shape

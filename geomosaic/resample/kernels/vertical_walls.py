@@ -1,4 +1,4 @@
-"""Heights at the centres of output pixels, compiled; `resample.upright` says what is computed."""
+"""Heights at the centres of output pixels, compiled; `resample.vertical_walls` says what is computed."""
 
 from __future__ import annotations
 
