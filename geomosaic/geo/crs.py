@@ -20,8 +20,11 @@ from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.types import PathLike
 
 DATA = Path(__file__).parent / "data"
+
+# The one setting of its process that the library changes: PROJ must find the geoid that comes with the package, and
+# grids in the folders that the user names; pyproj itself looks only in its own.
 for _folder in (str(DATA), *os.environ.get("PROJ_DATA", os.environ.get("PROJ_LIB", "")).split(os.pathsep)):
-    if _folder and Path(_folder).is_dir():  # grids of the user's; pyproj itself looks only at its own
+    if _folder and Path(_folder).is_dir():
         pyproj.datadir.append_data_dir(_folder)
 
 EGM96 = "EPSG:5773"
