@@ -219,7 +219,7 @@ resolution = 4
     assert "interior orientation" in notes
     assert facts["orient"]["rms_control_px"] < 0.1
     state = json.loads(next((film / "output" / "models").glob("*.json")).read_text())
-    model = state_of.from_dict(state)
+    model = state_of.model_from_dict(state)
     assert isinstance(model, FrameModel)
     assert np.abs(model.centre - CENTRE).max() < 1.5  # what marks off by up to 0.05 px of 2 m do to it
 

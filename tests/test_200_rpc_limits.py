@@ -26,7 +26,7 @@ from geomosaic.types import FloatArray
 from geomosaic_pushbroom.metadata import read_metadata
 from geomosaic_pushbroom.model import PushbroomModel
 from geomosaic_pushbroom.paths import AnglePath
-from geomosaic_pushbroom.platform import Flight
+from geomosaic_pushbroom.platform import ReportedFlight
 from geomosaic_rpc import fit_rpc
 from geomosaic_rpc.model import WGS84
 
@@ -106,7 +106,7 @@ def test_no_rpc_of_anybody_holds_a_real_scene(real_data: RealData, name: str) ->
 def smooth(model: PushbroomModel) -> PushbroomModel:
     """The scene, its measured attitude and its detectors' look angles replaced by cubics through them."""
     flight, look = model.platform, model.look
-    assert isinstance(flight, Flight)
+    assert isinstance(flight, ReportedFlight)
     assert isinstance(flight.path, AnglePath)
     reach = 0.65 * model.size[1] * flight.period
     near = np.abs(flight.path.times) < reach

@@ -20,7 +20,7 @@ from geomosaic.types import FloatArray
 from geomosaic_pushbroom.metadata import read_metadata
 from geomosaic_pushbroom.model import PushbroomModel
 from geomosaic_pushbroom.paths import AnglePath
-from geomosaic_pushbroom.platform import Flight
+from geomosaic_pushbroom.platform import ReportedFlight
 
 LLH, ECEF = CRS.from_epsg(4979), CRS.from_epsg(4978)
 Data = Callable[[str], Path]
@@ -85,7 +85,7 @@ def test_the_simplified_model_of_spot_1_to_4_has_no_attitude(real_data: Data, na
     """The 17 m of SPOT 4 are its pitch of 20 µrad: without attitude 1 to 3 m are left, the same in all rows."""
     file = real_data("cosicorr-spot-dimap") / name
     told = scene(file)
-    assert isinstance(told.platform, Flight)
+    assert isinstance(told.platform, ReportedFlight)
     assert isinstance(told.platform.path, AnglePath)
     path = replace(told.platform.path, angles=np.zeros_like(told.platform.path.angles))
     off = off_the_simplified_model(replace(told, platform=replace(told.platform, path=path)), file)

@@ -247,9 +247,9 @@ def test_closed_form_derivatives() -> None:
 def test_state_is_exact_and_keeps_the_crs() -> None:
     for changes in ({"sigmas": {"position": 0.05, "kappa": 0.0}}, {"treatment": "planar"}, {"camera": FISHEYE}):
         model = build(**changes)
-        text = json.dumps(state_of.to_dict("frame", model), allow_nan=False)
-        back = state_of.from_dict(json.loads(text))
-        assert json.dumps(state_of.to_dict("frame", back), allow_nan=False) == text
+        text = json.dumps(state_of.model_to_dict("frame", model), allow_nan=False)
+        back = state_of.model_from_dict(json.loads(text))
+        assert json.dumps(state_of.model_to_dict("frame", back), allow_nan=False) == text
         ground = ground_of(model)
         assert np.array_equal(back.ground_to_image(ground), model.ground_to_image(ground))
         assert back.crs.to_wkt() == model.crs.to_wkt()

@@ -13,9 +13,14 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
-from geomosaic_frame.corrections import earth_radius
 from geomosaic_frame.model import FrameModel
-from geomosaic_frame.refraction import Bending, curvature_shift, refraction_constant, refraction_shift
+from geomosaic_frame.ray_corrections import (
+    RayCorrection,
+    curvature_shift,
+    earth_radius,
+    refraction_constant,
+    refraction_shift,
+)
 
 
 def density(height: FloatArray) -> FloatArray:
@@ -73,14 +78,14 @@ def test_directions_follow_the_traced_light(degrees: float) -> None:
     """The form K·tan α is that of a level atmosphere: with its K from 45°, other angles follow within 1 µrad."""
     seen = np.radians(degrees)
     at_45 = np.radians(45.0) - np.arctan(traced(np.radians(45.0), 9000.0, 0.0))
-    bending = Bending(refraction=at_45)
+    bending = RayCorrection(refraction=at_45)
     true = np.array([[traced(seen, 9000.0, 0.0), 0.0, -1.0]])
     east, _, up = bending.seen(*true.T)
     assert np.arctan(east[0] / -up[0]) == pytest.approx(seen, abs=1e-6)
 
 
-@pytest.mark.parametrize("bending", [Bending(9e-5), Bending(0.0, 9e-4), Bending(9e-5, 9e-4)])
-def test_inverse_and_slopes(bending: Bending) -> None:
+@pytest.mark.parametrize("bending", [RayCorrection(9e-5), RayCorrection(0.0, 9e-4), RayCorrection(9e-5, 9e-4)])
+def test_inverse_and_slopes(bending: RayCorrection) -> None:
     rng = np.random.default_rng(1)
     local = np.column_stack([rng.uniform(-3, 3, (500, 2)), -np.ones(500)])
     local[:5] = [[0, 0, -1], [30, 0, -1], [0, 40, -1], [1, 1, 0.0], [1, 2, 0.5]]

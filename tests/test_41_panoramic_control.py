@@ -105,7 +105,7 @@ def test_what_is_fixed_stays_and_the_state_keeps_what_was_done() -> None:
     np.testing.assert_array_equal(
         turned.parameters.values[fixed], made(SCANNER | {"heading": 31.0}).parameters.values[fixed]
     )
-    again = state_of.from_dict(state_of.to_dict("panoramic", turned))
+    again = state_of.model_from_dict(state_of.model_to_dict("panoramic", turned))
     assert isinstance(again, PanoramicModel)
     assert again.notes == turned.notes
     left = made(told | {"refine": "none"})

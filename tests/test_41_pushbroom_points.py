@@ -18,10 +18,10 @@ from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.assemble import ECEF, assemble
-from geomosaic_pushbroom.look_angles import Look
+from geomosaic_pushbroom.assemble import ECEF, initial_model
+from geomosaic_pushbroom.look_angles import LookDirections
 from geomosaic_pushbroom.model import PushbroomModel
-from geomosaic_pushbroom.straight_flight import ADDITIONAL, Straight
+from geomosaic_pushbroom.platform import ADDITIONAL, StraightFlight
 
 MAP = with_heights(parse_crs("EPSG:32633"), "egm96")
 FRAME = LocalFrame.at(MAP, np.array([510_000.0, 5_400_000.0, 300.0]))
@@ -36,11 +36,11 @@ def strip(additional: dict[str, float] | None = None) -> PushbroomModel:
     values = np.zeros(17)
     values[:9] = [start[0], start[2], start[1], end[0], end[2], end[1], 4.0, -6.0, -8.0]
     for name, value in (additional or {}).items():
-        values[Straight.names.index(name)] = value
+        values[StraightFlight.names.index(name)] = value
     sides = np.array([0.0, STRIP[0]])
-    look = Look(sides, (sides - 610.0) / FOCAL, np.zeros(2))
+    look = LookDirections(sides, (sides - 610.0) / FOCAL, np.zeros(2))
     sigmas = np.where(np.arange(17) < 9, np.inf, [0.0 if additional is None else np.inf] * 17)
-    return assemble(Straight(FRAME, STRIP[1], FOCAL), look, STRIP, values, sigmas, 345.0, "strip", FRAME.crs)
+    return initial_model(StraightFlight(FRAME, STRIP[1], FOCAL), look, STRIP, values, sigmas, 345.0, "strip", FRAME.crs)
 
 
 DISTURBED = dict(zip(ADDITIONAL, (0.4, -0.3, 0.5, 0.1, -0.2, 0.3, 6.0, -9.0), strict=True))
@@ -94,7 +94,7 @@ def test_the_plugin_passes_the_check() -> None:
 def test_the_centre_moves_as_equation_5_says() -> None:
     """X of row j is X_A + j/n (X_E − X_A), by plain numbers; A looks at its ground point from da away."""
     model = strip(DISTURBED)
-    assert isinstance(model.platform, Straight)
+    assert isinstance(model.platform, StraightFlight)
     start, end = model.platform.ends(model.parameters.values)
     origins, _ = model.rays(np.column_stack([np.full(5, 610.0), [0.0, 500.0, 1000.0, 1500.0, 2000.0]]))
     np.testing.assert_allclose(FRAME.to_enu(origins), start + np.linspace(0, 1, 5)[:, None] * (end - start), atol=1e-6)
@@ -135,8 +135,8 @@ def test_found_again_without_start_values(additional: dict[str, float] | None) -
     check = ground_of(truth, 50, seed=6)
     off = found.ground_to_image(check) - truth.ground_to_image(check)
     assert np.abs(off).max() < 1e-6
-    assert isinstance(found.platform, Straight)
-    assert isinstance(truth.platform, Straight)
+    assert isinstance(found.platform, StraightFlight)
+    assert isinstance(truth.platform, StraightFlight)
     mine = [found.platform.frame.to_geocentric(e[None])[0] for e in found.platform.ends(found.parameters.values)]
     true = [FRAME.to_geocentric(e[None])[0] for e in truth.platform.ends(truth.parameters.values)]
     assert np.abs(np.array(mine) - np.array(true)).max() < 1e-4
@@ -172,7 +172,7 @@ def test_a_true_orbit_without_noise() -> None:
 def test_height_and_camera_constant_are_one_thing(options: dict[str, float]) -> None:
     ground, image = SATELLITE.points(16, 800.0, 100, with_places(16))
     model = solve(ground, image, ECEF, SIZE, **options)
-    assert isinstance(model.platform, Straight)
+    assert isinstance(model.platform, StraightFlight)
     assert model.platform.focal == pytest.approx(41_551.0, rel=0.01)
     check, truth = SATELLITE.points(40, 800.0, 9)
     assert np.abs(model.ground_to_image(check) - truth).max() < 0.5

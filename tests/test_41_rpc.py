@@ -22,7 +22,7 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic_rpc import RpcModel, plugin, write_tags, write_text
 from geomosaic_rpc.fields import FIRST_PIXEL
-from geomosaic_rpc.find import recognise
+from geomosaic_rpc.find import read_rpc_bytes
 
 FORMATS: dict[str, Callable[[], str]] = {
     "RPC.TXT": rig.rpc_txt,
@@ -71,7 +71,7 @@ def test_the_formula() -> None:
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_every_format_gives_the_same_scene(name: str) -> None:
-    fields = recognise(FORMATS[name]().encode(), name)
+    fields = read_rpc_bytes(FORMATS[name]().encode(), name)
     assert fields.format == name
     rpc = fields.rpc(name)
     assert np.abs(rpc.image(rig.ground()) - rig.rpc().image(rig.ground())).max() < 1e-9
@@ -80,7 +80,7 @@ def test_every_format_gives_the_same_scene(name: str) -> None:
 
 
 def test_an_unknown_product_does_not_get_a_pixel_origin() -> None:
-    fields = recognise(rig.dimap("NEW_SENSOR").encode(), "new")
+    fields = read_rpc_bytes(rig.dimap("NEW_SENSOR").encode(), "new")
     with pytest.raises(InputError, match="how this product counts its pixels") as caught:
         fields.rpc("RPC_new.XML")
     assert "first_pixel" in str(caught.value)
@@ -113,7 +113,7 @@ BROKEN = {
 def test_broken_files_are_reported(case: str) -> None:
     text, words = BROKEN[case]
     with pytest.raises(InputError, match=words) as caught:
-        recognise(text.encode(), "scene.rpc").rpc("scene.rpc")
+        read_rpc_bytes(text.encode(), "scene.rpc").rpc("scene.rpc")
     assert "scene.rpc" in str(caught.value)
 
 
@@ -125,7 +125,7 @@ def test_damaged_files_give_an_error_or_a_finite_model(name: str, data: st.DataO
     stop = data.draw(st.integers(start, min(len(good), start + 40)))
     changed = good[:start] + data.draw(st.binary(max_size=20)) + good[stop:]
     try:
-        rpc = recognise(changed, name).rpc(name)
+        rpc = read_rpc_bytes(changed, name).rpc(name)
     except InputError:
         return
     image = rpc.image(rig.ground(5))
@@ -136,7 +136,7 @@ def test_damaged_files_give_an_error_or_a_finite_model(name: str, data: st.DataO
 @given(st.binary(max_size=400))
 def test_anything_is_read_or_refused(data: bytes) -> None:
     with pytest.raises(InputError):
-        recognise(data, "x")
+        read_rpc_bytes(data, "x")
 
 
 @pytest.mark.parametrize("filling", [b"(", b" ", b"\n", b"\t=", b";", b"<a>"])
@@ -144,7 +144,7 @@ def test_large_nonsense_is_refused_at_once(filling: bytes) -> None:
     start = time.perf_counter()
     for head in (b"lineNumCoef = ", b"LINE_NUM_COEFF_1: ", b"line_num_coeff_00: ", b"<isd>"):
         with pytest.raises(InputError):
-            recognise(head + filling * 200_000, "x").rpc("x")
+            read_rpc_bytes(head + filling * 200_000, "x").rpc("x")
     assert time.perf_counter() - start < 10.0
 
 

@@ -11,7 +11,7 @@ from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic_rpc import Refinement, Rpc, RpcModel, Sights, refine, relate
+from geomosaic_rpc import Refinement, Rpc, RpcModel, TieMeasurements, correct_by_ties, refine
 from geomosaic_rpc.model import KINDS
 
 TRUTH = {
@@ -174,12 +174,12 @@ def stereo() -> list[RpcModel]:
     return scenes
 
 
-def ties(scenes: list[RpcModel], count: int, noise: float) -> tuple[np.ndarray, Sights]:
+def ties(scenes: list[RpcModel], count: int, noise: float) -> tuple[np.ndarray, TieMeasurements]:
     points = rig.ground(count, 9)
     rng = np.random.default_rng(11)
     image = np.repeat(np.arange(len(scenes)), count)
     colrow = np.vstack([scene.ground_to_image(points) for scene in scenes])
-    return points, Sights(
+    return points, TieMeasurements(
         image, np.tile(np.arange(count), len(scenes)), colrow + rng.normal(0, 1.0, colrow.shape) * noise
     )
 
@@ -190,13 +190,13 @@ def test_scenes_come_together_without_control() -> None:
     wrong = [[6.0, -3.0], [-4.0, 5.0], [1.0, 2.0]]
     true = [s.with_values(np.append(w, np.zeros(4))) for s, w in zip(scenes, wrong, strict=True)]
     points, sights = ties(true, 40, 0.0)
-    found = relate(scenes, sights, sigma_correction=1000.0, sigma_height=1e6)
+    found = correct_by_ties(scenes, sights, sigma_correction=1000.0, sigma_height=1e6)
     assert found.rms_before > 2.0
     assert found.rms_after < 1e-4
     assert found.used.all()
     moved = found.ground - points
     assert np.ptp(moved / [1e-5, 1e-5, 1.0], axis=0).max() < 0.2  # metres: the network has moved as a whole
-    held = relate([true[0], *scenes[1:]], sights, sigma_correction=1000.0, sigma_height=1e6, fixed=[0])
+    held = correct_by_ties([true[0], *scenes[1:]], sights, sigma_correction=1000.0, sigma_height=1e6, fixed=[0])
     assert np.array_equal(held.models[0].parameters.values, true[0].parameters.values)
     assert held.rms_after < 1e-4
     assert not held.sigmas[0].any()
@@ -209,8 +209,10 @@ def test_wrong_ties_change_nothing() -> None:
     bad = np.isin(sights.point, np.arange(8)) & (sights.image == 1)
     spoilt = sights.colrow + bad[:, None] * np.random.default_rng(3).uniform(15.0, 90.0, sights.colrow.shape)
     good = ~np.isin(sights.point, np.arange(8))
-    clean = relate(scenes, Sights(sights.image[good], sights.point[good] - 8, sights.colrow[good]), sigma_px=0.2)
-    found = relate(scenes, Sights(sights.image, sights.point, spoilt), sigma_px=0.2)
+    clean = correct_by_ties(
+        scenes, TieMeasurements(sights.image[good], sights.point[good] - 8, sights.colrow[good]), sigma_px=0.2
+    )
+    found = correct_by_ties(scenes, TieMeasurements(sights.image, sights.point, spoilt), sigma_px=0.2)
     assert not found.used[:8].any()
     assert found.used[8:].sum() >= 21
     for one, other in zip(found.models, clean.models, strict=True):
@@ -223,4 +225,4 @@ def test_ties_in_one_image_only() -> None:
     _, sights = ties(scenes, 5, 0.0)
     alone = sights.image == 0
     with pytest.raises(SolveError, match="no tie point is seen in two scenes"):
-        relate(scenes, Sights(sights.image[alone], sights.point[alone], sights.colrow[alone]))
+        correct_by_ties(scenes, TieMeasurements(sights.image[alone], sights.point[alone], sights.colrow[alone]))

@@ -81,8 +81,8 @@ def test_state_through_the_registry_also_twice() -> None:
     twice = Corrected.of(once, smooth(camera.size, 1.0, "bilinear"), "frame")
     ground = control(camera, 20)
     for model in (camera, once, twice):
-        state = json.loads(json.dumps(state_of.to_dict("frame", model)))
+        state = json.loads(json.dumps(state_of.model_to_dict("frame", model)))
         assert state["sensor"] == "frame"
-        back = state_of.from_dict(state)
+        back = state_of.model_from_dict(state)
         assert type(back) is type(model)
         np.testing.assert_array_equal(back.ground_to_image(ground), model.ground_to_image(ground))

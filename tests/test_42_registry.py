@@ -71,8 +71,8 @@ def test_third_party_plugin_is_listed_and_built(install: Install) -> None:
     assert "acme_kite" not in sys.modules
     model = registry.build("kite", SensorRequest("photo", (10, 10)))
     assert "acme_kite" in sys.modules
-    state = state_of.to_dict("kite", model)
-    back = state_of.from_dict(state)
+    state = state_of.model_to_dict("kite", model)
+    back = state_of.model_from_dict(state)
     point = np.array([model.seed])
     np.testing.assert_array_equal(back.ground_to_image(point), model.ground_to_image(point))
 
@@ -142,6 +142,6 @@ def test_built_in_goes_through_the_same_door() -> None:
     request = SensorRequest("ortho", (100, 80), {"transform": Affine(2, 0, 5e5, 0, -2, 5e6)}, CRS.from_epsg(32633))
     model = registry.build("planar", request)
     assert type(model).__module__.split(".")[0] == "geomosaic_planar"
-    back = state_of.from_dict(state_of.to_dict("planar", model))
+    back = state_of.model_from_dict(state_of.model_to_dict("planar", model))
     point = np.array([[500_100.0, 4_999_950.0, 0.0]])
     np.testing.assert_allclose(back.ground_to_image(point), [[50.0, 25.0]], atol=1e-9)

@@ -24,7 +24,7 @@ from geomosaic.georeferencing.request import ControlInput, FitRequest, Place
 from geomosaic.georeferencing.run import Georeferenced, georeference
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.vector import read_layer
-from geomosaic.sensor.state import from_dict
+from geomosaic.sensor.state import model_from_dict
 
 CRS = "EPSG:32633"
 LEFT, TOP, RES = 611_000.0, 5_412_000.0, 2.0
@@ -238,7 +238,7 @@ def test_the_report_and_the_vectors_say_the_same(tmp_path):
     assert facts["check"]["check_points"] == 5
     assert "asks for 20 check points" in facts["check"]["nssda_statement"]
     assert facts["check"]["px"]["rms_total"] == pytest.approx(np.sqrt((left[~own] ** 2).sum(axis=1).mean()), abs=1e-6)
-    model = from_dict(facts["fit"]["state"])
+    model = model_from_dict(facts["fit"]["state"])
     assert model.ground_to_image(np.column_stack([xy, np.zeros(len(xy))])) == pytest.approx(design @ solved, abs=1e-6)
     vectors, spots = (read_layer(tmp_path / "map-control.gpkg", name) for name in ("residuals", "points"))
     assert len(vectors) == len(spots) == len(colrow)

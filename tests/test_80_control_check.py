@@ -8,7 +8,7 @@ import pytest
 from geomosaic.block.block import ControlPoint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.inputs.planar.tables import examine
+from geomosaic.inputs.planar.tables import check_control
 
 UTM = parse_crs("EPSG:32633")
 
@@ -26,7 +26,7 @@ def points(scale: float = 1.0, *, swap: bool = False) -> list[ControlPoint]:
 
 
 def test_good_control_passes() -> None:
-    examine(points(), UTM, None)
+    check_control(points(), UTM, None)
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_good_control_passes() -> None:
 )
 def test_coordinates_that_do_not_fit_their_crs(wrong: list[ControlPoint], said: str) -> None:
     with pytest.raises(InputError, match=said) as caught:
-        examine(wrong, UTM, None)
+        check_control(wrong, UTM, None)
     assert caught.value.hint
 
 
@@ -42,12 +42,12 @@ def test_one_place_with_two_grounds_is_named() -> None:
     made = points()
     made.append(ControlPoint("twice", (500_900.0, 5_399_000.0, 0.0), "a.tif", made[0].colrow))
     with pytest.raises(InputError, match=r"twice.*one-place-two-grounds|one-place-two-grounds") as caught:
-        examine(made, UTM, None)
+        check_control(made, UTM, None)
     assert "a.tif" in str(caught.value)
 
 
 def test_who_insists_goes_on_and_is_warned() -> None:
     with pytest.warns(GeomosaicWarning, match="swapped-axes"):
-        examine(points(swap=True), UTM, None, "keep")
+        check_control(points(swap=True), UTM, None, "keep")
     with pytest.raises(InputError, match="`insist`"):
-        examine(points(swap=True), UTM, None, "leave")
+        check_control(points(swap=True), UTM, None, "leave")

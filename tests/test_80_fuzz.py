@@ -26,7 +26,7 @@ from geomosaic.inputs.correction_grids import read_corrections
 from geomosaic.inputs.exterior_orientation import program_of, read_exterior
 from geomosaic.inputs.photos import Photo
 from geomosaic.inputs.planar.tables import read_block
-from geomosaic.inputs.printed_orientation import Printed, read_printed
+from geomosaic.inputs.printed_orientation import PrintedList, read_printed
 from geomosaic.inputs.tables import read_fiducials
 from geomosaic.project.draft.exif import photo_facts
 from geomosaic.project.load import load_project
@@ -51,7 +51,7 @@ def frame(system: str, **options: Any) -> Callable[[Path], object]:
 
 def printed(path: Path) -> object:
     columns = ("image", "x", "y", "z", "omega", "phi", "kappa")
-    return read_printed(path, Printed(columns, "right up", ("phi", "omega", "kappa")), "gon", None)
+    return read_printed(path, PrintedList(columns, "right up", ("phi", "omega", "kappa")), "gon", None)
 
 
 def track(path: Path) -> object:

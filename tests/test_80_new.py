@@ -15,7 +15,7 @@ from PIL import Image
 
 from geomosaic.cli.main import run
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.missing_inputs import needs
+from geomosaic.inputs.missing_inputs import list_missing_inputs
 from geomosaic.project.draft.exif import photo_facts
 from geomosaic.project.load import load_project
 from geomosaic.raster.photo_metadata import read_photo_tags
@@ -106,7 +106,7 @@ def test_drone_photos_with_what_is_needed_run(tmp_path: Path, capsys: pytest.Cap
     assert made["needed"] == []
     assert made["misfit"] is None
     inputs = load_project(tmp_path / "p.toml").inputs
-    assert needs(inputs) == []
+    assert list_missing_inputs(inputs) == []
     block = build_block(inputs)
     sight = block.scenes[0].model
     # Straight under the drone, one degree off the nadir: 100.5 m above ground, 1.75 m away.

@@ -18,7 +18,7 @@ from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block, PlanarInputs
-from geomosaic.inputs.missing_inputs import needs
+from geomosaic.inputs.missing_inputs import list_missing_inputs
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.from_inputs import make_planar_mosaic
 from geomosaic.testing.synthetic import coordinates, render
@@ -192,7 +192,9 @@ def test_what_is_missing_is_said(folder: Path) -> None:
     assert "are in degrees" in refused(folder, "grown", crs="EPSG:4326")
     assert "a semicontrolled mosaic has no projective model" in refused(folder, "semicontrolled", model="projective")
     assert "controlled takes projective" in refused(folder, "controlled", model="affine")
-    lacking = needs(Block(inputs(folder, PlanarInputs("grown")).images, "planar", planar=PlanarInputs("grown")))
+    lacking = list_missing_inputs(
+        Block(inputs(folder, PlanarInputs("grown")).images, "planar", planar=PlanarInputs("grown"))
+    )
     assert [text.split(":")[0] for text in lacking] == ["control points", "the CRS of the control points", "tie points"]
 
 

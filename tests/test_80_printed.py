@@ -13,7 +13,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.rotation import omega_phi_kappa
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.exterior_orientation import MATRIX
-from geomosaic.inputs.printed_orientation import Printed, read_printed
+from geomosaic.inputs.printed_orientation import PrintedList, read_printed
 from geomosaic.project.load import load_project
 from geomosaic.project.sample import copy_sample
 from geomosaic.types import FloatArray
@@ -33,7 +33,7 @@ def about(axis: int, degrees: float) -> FloatArray:
 
 def read(path: Path, text: str, unit: str | None = "gon", direction: str | None = None, **how: Any) -> FloatArray:
     path.write_text(text)
-    table = read_printed(path, Printed(**{"axes": "right up", **how}), unit, direction)
+    table = read_printed(path, PrintedList(**{"axes": "right up", **how}), unit, direction)
     row = table.row("101.tif")
     assert row.position == (1000.0, 2000.0, 3000.0)
     return np.array([row.angles[key] for key in MATRIX]).reshape(3, 3)

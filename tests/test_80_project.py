@@ -11,7 +11,7 @@ from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.crs import height_name, parse_crs
 from geomosaic.inputs.control_points import read_control
 from geomosaic.inputs.exterior_orientation import check_units, read_exterior
-from geomosaic.inputs.frames import describe, named, undeclared
+from geomosaic.inputs.frames import frame_description, positions_crs, undeclared_heights_error
 from geomosaic.inputs.tables import find_by_name, read_table, stem
 from geomosaic.project.load import load_project
 from geomosaic.surface.vertical_datum import undulation
@@ -264,17 +264,17 @@ def _split(read, unit):
 
 
 def test_frames_are_said_with_unit_and_heights():
-    crs = named("EPSG:32633", "egm96")
+    crs = positions_crs("EPSG:32633", "egm96")
     assert height_name(crs).startswith("EGM96")
-    assert describe(crs) == "WGS 84 / UTM zone 33N (EPSG:32633), metre; heights: EGM96 height"
-    assert describe(parse_crs("EPSG:32633")).endswith("heights: undeclared")
+    assert frame_description(crs) == "WGS 84 / UTM zone 33N (EPSG:32633), metre; heights: EGM96 height"
+    assert frame_description(parse_crs("EPSG:32633")).endswith("heights: undeclared")
 
 
 def test_undeclared_heights_name_metres_pixels_and_option():
     # EGM96 at 48.14 N, 11.58 E lies 45.5 m above the ellipsoid (libraries' own figure: 500 m become 454.47).
     crs = parse_crs("EPSG:4326")
     assert math.isclose(undulation(crs, 11.58, 48.14), 45.53, abs_tol=0.02)
-    error = undeclared("the positions", "e.csv", "`heights`", crs, (11.58, 48.14), 0.5)
+    error = undeclared_heights_error("the positions", "e.csv", "`heights`", crs, (11.58, 48.14), 0.5)
     assert isinstance(error, HeightDatumError)
     assert "45.5 m" in error.what
     assert "22.8 px" in error.what

@@ -14,7 +14,7 @@ from geomosaic.cli.main import run
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.missing_inputs import needs
+from geomosaic.inputs.missing_inputs import list_missing_inputs
 from geomosaic.jobs.project import run_project, status_of
 from geomosaic.project.load import load_project
 from geomosaic_rpc import write_tags
@@ -122,6 +122,6 @@ def test_a_project_refines_and_notices_changes(folder: Path) -> None:
 def test_what_a_scene_still_needs(folder: Path) -> None:
     """Positions are no matter of a scene that carries its RPC; the heights of its ground are."""
     bare = Block(images=(folder / "scene.tif",), sensor="rpc", dem=folder / "dem.tif")
-    assert [need.split(":")[0] for need in needs(bare)] == ["the vertical datum of the DEM"]
+    assert [need.split(":")[0] for need in list_missing_inputs(bare)] == ["the vertical datum of the DEM"]
     with_control = Block(**{**vars(bare), "control": folder / "gcps.csv", "dem_heights": "ellipsoidal"})
-    assert "the CRS of the positions" in needs(with_control)[0]
+    assert "the CRS of the positions" in list_missing_inputs(with_control)[0]

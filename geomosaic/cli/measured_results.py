@@ -150,11 +150,11 @@ def located_facts(found: Located, output: Path | None) -> dict[str, Any]:
 
 def located_words(found: Located, output: Path | None) -> str:
     """Say where the pixels lie."""
-    from geomosaic.inputs.frames import describe
+    from geomosaic.inputs.frames import frame_description
 
     places = found.places
     metres = not places.crs.is_geographic
-    lines = [describe(places.crs)]
+    lines = [frame_description(places.crs)]
     for number, row in enumerate(found.rows() if output is None else []):
         name, col, line, x, y, z, *error = row
         if x is None:

@@ -15,7 +15,7 @@ from geomosaic.geo.crs import has_heights
 from geomosaic.geo.local_frames import LocalFrame, local_frame_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.camera import read_toml
-from geomosaic.inputs.frames import DATUMS, named
+from geomosaic.inputs.frames import DATUMS, positions_crs
 from geomosaic.surface.developed.base import Axes, Body
 from geomosaic.surface.developed.developable import Cone, Cylinder, Flat
 from geomosaic.surface.developed.ellipsoid import PROJECTIONS, Ellipsoid
@@ -122,7 +122,7 @@ def _crs(given: Mapping[str, Any], where: str) -> CRS:
         if "heights" in given:
             raise InputError("heights are declared without a crs", where=where, hint="name the crs, or leave both out")
         return local_frame_crs()
-    crs = named(str(given["crs"]), str(given["heights"]) if "heights" in given else None, where)
+    crs = positions_crs(str(given["crs"]), str(given["heights"]) if "heights" in given else None, where)
     if not has_heights(crs):
         raise InputError(
             f"the heights of the surface in '{crs.name}' have no vertical datum",

@@ -27,7 +27,7 @@ from geomosaic.orientation.single.model_selection import ModelChoice
 from geomosaic.orientation.single.point_deletion import Deletion
 from geomosaic.render.ortho import OrthoResult
 from geomosaic.sensor.registry import plane_sensor
-from geomosaic.sensor.state import to_dict
+from geomosaic.sensor.state import model_to_dict
 from geomosaic.types import FloatArray
 
 
@@ -68,7 +68,7 @@ def report_facts(
             "metres_per_unit": plain(metres),
             "mirrored": bool(fit.mirrored),
             "parameters": parameter_facts(fit),
-            "state": to_dict(plane_sensor(), fit.model),
+            "state": model_to_dict(plane_sensor(), fit.model),
         },
         "accuracy": accuracy_facts(fit, metres),
         "check": None if solution.check is None else _check(solution),

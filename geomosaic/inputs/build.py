@@ -102,9 +102,9 @@ def _explain(inputs: Block, control: Sequence[ControlPoint], crs: CRS | None, er
     if crs is None or scenes is None:
         return
     from geomosaic.inputs.control_hypotheses import likeliest_cause
-    from geomosaic.inputs.orientation_check.plausibility import distance
+    from geomosaic.inputs.orientation_check.plausibility import median_distance
 
-    cause, hint = likeliest_cause(scenes, points, crs, distance(scenes, points, crs))
+    cause, hint = likeliest_cause(scenes, points, crs, median_distance(scenes, points, crs))
     if cause:
         error.what, error.hint = f"{error.what}: the points do not lie in the image; {cause}", hint
 

@@ -11,7 +11,7 @@ from geomosaic.block.block import OrientedBlock
 from geomosaic.inputs.build import unadjusted
 from geomosaic.inputs.control_hypotheses import likeliest_cause
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.orientation_check.plausibility import FAR, distance
+from geomosaic.inputs.orientation_check.plausibility import FAR, median_distance
 from geomosaic.sensor.plugin import ControlUse
 from geomosaic.sensor.registry import capabilities
 
@@ -58,10 +58,10 @@ def control_discrepancies(inputs: Block, block: OrientedBlock) -> list[ControlDi
     found = []
     for role in ("control", "check"):
         points = [point for point in block.control if point.role == role]
-        off = distance(block.scenes, points, block.crs) if points else 0.0
+        off = median_distance(block.scenes, points, block.crs) if points else 0.0
         if off > FAR:
             scenes = unadjusted(inputs) or block.scenes
-            cause, hint = likeliest_cause(scenes, points, block.crs, distance(scenes, points, block.crs))
+            cause, hint = likeliest_cause(scenes, points, block.crs, median_distance(scenes, points, block.crs))
             found.append(ControlDiscrepancy(role, off, cause, hint or _how_to_adjust(inputs, role)))
     return found
 

@@ -14,7 +14,7 @@ from geomosaic.control.coordinate_diagnostics import misplaced
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.orientation_check.plausibility import BETTER, FAR, PLAUSIBLE, distance
+from geomosaic.inputs.orientation_check.plausibility import BETTER, FAR, PLAUSIBLE, median_distance
 from geomosaic.inputs.planar.tables import image_control
 from geomosaic.surface.vertical_datum import undulation
 
@@ -177,7 +177,7 @@ def likeliest_cause(
     if len(points) < FEWEST or given <= FAR:
         return "", ""
     sizes = {scene.name: scene.model.size for scene in scenes}
-    tried = [(distance(scenes, reading.points, crs), reading) for reading in point_readings(points, crs, sizes)]
+    tried = [(median_distance(scenes, reading.points, crs), reading) for reading in point_readings(points, crs, sizes)]
     least, best = min(tried, key=lambda pair: pair[0])
     plausible = PLAUSIBLE * min(math.hypot(*size) for size in sizes.values())
     if BETTER * least < given and least < plausible:

@@ -16,7 +16,7 @@ from geomosaic.sensor.registry import plane_sensor
 from geomosaic.surface.dem import Dem
 
 if TYPE_CHECKING:
-    from geomosaic.inputs.printed_orientation import Printed
+    from geomosaic.inputs.printed_orientation import PrintedList
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Block:
     angle_unit: str | None = None
     angle_frame: str | None = None
     matrix: str | None = None
-    printed: Printed | None = None
+    printed: PrintedList | None = None
     trusted: bool = False
     dem: Path | Dem | None = None
     height: float | None = None

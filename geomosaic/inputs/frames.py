@@ -13,12 +13,12 @@ DATUMS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or a geoid grid fi
 """What a vertical datum may be."""
 
 
-def declared(crs: CRS, heights: str | None, where: str | None = None) -> CRS:
+def with_declared_heights(crs: CRS, heights: str | None, where: str | None = None) -> CRS:
     """Join a CRS with the vertical datum that was declared for it; one that is declared replaces its own."""
     return crs if heights is None else with_heights(crs, heights, where)
 
 
-def named(crs: str, heights: str | None, where: str | None = None) -> CRS:
+def positions_crs(crs: str, heights: str | None, where: str | None = None) -> CRS:
     """Read the CRS of positions and join its declared vertical datum.
 
     Raises
@@ -39,7 +39,7 @@ def named(crs: str, heights: str | None, where: str | None = None) -> CRS:
             where=where,
             hint="leave out the vertical datum, or name the CRS that the heights belong to",
         )
-    return declared(given, heights, where)
+    return with_declared_heights(given, heights, where)
 
 
 def crs_name(crs: CRS) -> str:
@@ -51,7 +51,7 @@ def crs_name(crs: CRS) -> str:
     return flat.name
 
 
-def describe(crs: CRS | None) -> str:
+def frame_description(crs: CRS | None) -> str:
     """Say a frame in words: its name, unit and vertical datum."""
     if crs is None:
         return "none"
@@ -61,7 +61,7 @@ def describe(crs: CRS | None) -> str:
     return f"{crs_name(crs)}{named_code}, {unit}; heights: {height_name(crs)}"
 
 
-def undeclared(
+def undeclared_heights_error(
     what: str,
     where: str,
     option: str,

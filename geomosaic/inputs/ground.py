@@ -14,7 +14,7 @@ from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import SELF_PLACED
-from geomosaic.inputs.frames import declared, undeclared
+from geomosaic.inputs.frames import undeclared_heights_error, with_declared_heights
 from geomosaic.inputs.photos import Photo
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.registry import capabilities
@@ -54,9 +54,9 @@ def build_surface(
             crs = CRS.from_epsg(4326)
         if crs is None:
             raise InputError("a height needs a CRS", hint="name it with `crs`")
-        frame = declared(crs, inputs.dem_heights, "`dem_heights`")
+        frame = with_declared_heights(crs, inputs.dem_heights, "`dem_heights`")
         if not has_heights(frame):
-            raise undeclared("the ground", "`height`", OF_DEM, frame, _place(photos), _reach(photos, inputs.height))
+            raise undeclared_heights_error("the ground", "`height`", OF_DEM, frame, _place(photos), _reach(photos, inputs.height))
         return Plane(frame, inputs.height)
     if inputs.dem is not None:
         if isinstance(inputs.dem, Dem):
@@ -89,7 +89,7 @@ def undeclared_positions(inputs: Block, crs: CRS, photos: Sequence[Photo]) -> He
     if inputs.dem is not None:
         ground = _as_written(inputs.dem, crs, photos)[1]
     reach = _reach(photos, ground)
-    return undeclared("the positions", str(inputs.exterior), OF_POSITIONS, crs, _place(photos), reach)
+    return undeclared_heights_error("the positions", str(inputs.exterior), OF_POSITIONS, crs, _place(photos), reach)
 
 
 def _undeclared_dem(
@@ -104,7 +104,9 @@ def _undeclared_dem(
     if crs is not None and photos:
         under, ground = _as_written(path, crs, photos)
         place, reach = (under, _reach(photos, ground)) if math.isfinite(ground) else (place, None)
-    return undeclared("the DEM", str(path), OF_DEM, grid.crs, (float(place[0, 0]), float(place[0, 1])), reach)
+    return undeclared_heights_error(
+        "the DEM", str(path), OF_DEM, grid.crs, (float(place[0, 0]), float(place[0, 1])), reach
+    )
 
 
 def _as_written(path: Path | Dem, crs: CRS, photos: Sequence[Photo]) -> tuple[FloatArray, float]:

@@ -14,7 +14,7 @@ from geomosaic.inputs.exterior_orientation import (
     frame_words,
     undeclared_reconstruction,
 )
-from geomosaic.inputs.frames import named
+from geomosaic.inputs.frames import positions_crs
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.plugin import Capabilities
 from geomosaic.sensor.registry import capabilities
@@ -22,7 +22,7 @@ from geomosaic.sensor.registry import capabilities
 HEIGHTS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or the path of a geoid grid"
 
 
-def needs(inputs: Block) -> list[str]:
+def list_missing_inputs(inputs: Block) -> list[str]:
     """Missing inputs of a block, each with the key of a project file that takes it."""
     found: list[str] = []
     power = known_capabilities(inputs.sensor)
@@ -70,7 +70,7 @@ def needs(inputs: Block) -> list[str]:
     if inputs.crs is None and not framed:
         found.append(f"the CRS of the positions: [exterior] crs, such as EPSG:32633{of_map}")
     declared = inputs.heights is not None or framed
-    if not declared and not (inputs.crs and has_heights(named(inputs.crs, None))):
+    if not declared and not (inputs.crs and has_heights(positions_crs(inputs.crs, None))):
         found.append(f"the vertical datum of the positions: [exterior] heights: {HEIGHTS}{of_heights}")
     if inputs.dem is None and inputs.height is None:
         found.append("the ground: [dem] file, or [dem] height in metres")

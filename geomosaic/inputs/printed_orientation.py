@@ -32,7 +32,7 @@ AGREE = 2e-4
 
 
 @dataclass(frozen=True)
-class Printed:
+class PrintedList:
     """How a list is to be read.
 
     Attributes
@@ -57,7 +57,7 @@ class Printed:
     skip: int = 0
 
 
-def read_printed(path: Path, how: Printed, unit: str | None, direction: str | None) -> ExteriorTable:
+def read_printed(path: Path, how: PrintedList, unit: str | None, direction: str | None) -> ExteriorTable:
     """Read a list.
 
     Parameters
@@ -128,7 +128,7 @@ def image_axes(axes: str, where: str) -> FloatArray:
 
 
 def _complete(
-    how: Printed, has_angles: bool, has_matrix: bool, unit: str | None, direction: str | None, where: str
+    how: PrintedList, has_angles: bool, has_matrix: bool, unit: str | None, direction: str | None, where: str
 ) -> None:
     """Refuse a list of which not all is told."""
     known = ("image", "x", "y", "z", *ANGLES, *MATRIX, SKIP)
@@ -154,7 +154,7 @@ def _complete(
         raise InputError(problem, where=where, hint="tell it under [exterior] and [exterior.printed]")
 
 
-def _records(path: Path, how: Printed) -> list[tuple[int, dict[str, str]]]:
+def _records(path: Path, how: PrintedList) -> list[tuple[int, dict[str, str]]]:
     """Records of the list: number of the first line, and text by column."""
     text = read_text(path, "list of orientations")
     lines = list(enumerate(text.splitlines(), 1))[how.skip :]

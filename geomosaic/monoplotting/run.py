@@ -17,7 +17,7 @@ from geomosaic.geo.crs import height_name, parse_crs
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.orientation_check.plausibility import FAR, distance
+from geomosaic.inputs.orientation_check.plausibility import FAR, median_distance
 from geomosaic.monoplotting import Certainty, Places, ground_crs, locate, orientation
 from geomosaic.monoplotting.tables import (
     axes_of,
@@ -186,7 +186,7 @@ def oriented(
             if points.cause:
                 error.what, error.hint = f"{error.what}; {points.cause}", points.hint
         raise
-    if block.crs is not None and distance([replace(scene, model=model)], control, block.crs) > FAR:
+    if block.crs is not None and median_distance([replace(scene, model=model)], control, block.crs) > FAR:
         for points in control_discrepancies(
             inputs.block, block
         ):  # of the image as it was: adjusted to wrong points it tells nothing

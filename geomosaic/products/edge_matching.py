@@ -17,7 +17,7 @@ from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
 from geomosaic.geo.crs import parse_map
 from geomosaic.inputs.area import Area, plan
 from geomosaic.inputs.control_points import read_control
-from geomosaic.inputs.planar.tables import examine
+from geomosaic.inputs.planar.tables import check_control
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.orientation.edges import CommonPoint, EdgeMatch, match_edges
 from geomosaic.products.from_inputs import reference_of, refuse_existing
@@ -105,7 +105,7 @@ def match_photos(inputs: EdgeInputs) -> EdgeMatch:
     names = [path.name for path in inputs.images]
     control, common = read_control(inputs.control, names), read_common(inputs.common, names)
     crs = parse_map(inputs.crs, "CRS of the control")
-    examine(control, crs, inputs.control, inputs.wrong)
+    check_control(control, crs, inputs.control, inputs.wrong)
     photos, tables = _started(inputs, crs, control, common), f"{inputs.control.name} and {inputs.common.name}"
     matched = match_edges(photos, control, common, crs=crs, reach=inputs.reach, policy=inputs.wrong, tables=tables)
     if not matched.after.ids:

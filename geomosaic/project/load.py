@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from geomosaic.errors import GeomosaicError, InputError, did_you_mean
 from geomosaic.inputs.camera import read_toml
 from geomosaic.inputs.declarations import Block, PlanarInputs, wrong_policy
-from geomosaic.inputs.printed_orientation import Printed
+from geomosaic.inputs.printed_orientation import PrintedList
 from geomosaic.inputs.tables import read_text
 from geomosaic.options.declaration import Declared, compose, declared, is_part
 from geomosaic.options.mosaic import MosaicOptions, Retouch
@@ -135,12 +135,12 @@ class Project:
         )
 
     @property
-    def _printed(self) -> Printed | None:
+    def _printed(self) -> PrintedList | None:
         """How a printed list is to be read, where there is one."""
         s = self.settings.exterior.printed
         if s is None:
             return None
-        return Printed(tuple(s.columns), s.axes, tuple(s.sequence), s.lines, s.skip)
+        return PrintedList(tuple(s.columns), s.axes, tuple(s.sequence), s.lines, s.skip)
 
     @property
     def _planar(self) -> PlanarInputs | None:

@@ -17,7 +17,7 @@ from geomosaic.inputs.tables import read_table, stem
 from geomosaic.sensor.correction_grid import CorrectionGrid
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.rational import HasRational
-from geomosaic.sensor.vertical_datum import need_heights
+from geomosaic.sensor.vertical_datum import require_vertical_datum
 from geomosaic.types import FloatArray, IntArray
 
 COLUMNS = ("id", "image", "col", "row")
@@ -141,7 +141,7 @@ def refined(
             raise InputError("no control point is measured in these images", where="`control`")
         return out
     image, point, colrow = read_ties(wanted.ties, names)
-    found = tool.relate_rational(
+    found = tool.correct_rational_by_ties(
         [model for model, _ in out], image, point, colrow, wanted.kind, wanted.sigma_px, sorted(held)
     )
     facts = {
@@ -160,7 +160,7 @@ def refined(
 def _by_control(
     tool: HasRational, model: SensorModel, name: str, points: Sequence[ControlPoint], crs: CRS, kind: str
 ) -> tuple[SensorModel, ImageRpc]:
-    need_heights(crs, "the control points", name, lambda _: model)
+    require_vertical_datum(crs, "the control points", name, lambda _: model)
 
     def arrays(role: str) -> tuple[list[ControlPoint], FloatArray, FloatArray]:
         mine = [point for point in points if point.role == role]

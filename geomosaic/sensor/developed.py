@@ -203,11 +203,11 @@ class DevelopedModel:
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values, with the sensor's name."""
-        wrapped = state_of.to_dict(self.sensor, self.model)
+        wrapped = state_of.model_to_dict(self.sensor, self.model)
         return {"model": wrapped, "surface": self.surface.to_dict(), "oblique": self.oblique}
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
         """Rebuild a model from `to_dict`; the sensor's plugin must be installed."""
-        inner, surface = state_of.from_dict(state["model"]), Developed.from_dict(state["surface"])
+        inner, surface = state_of.model_from_dict(state["model"]), Developed.from_dict(state["surface"])
         return cls(inner, surface, state["model"]["sensor"], float(state["oblique"]))

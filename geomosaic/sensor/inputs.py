@@ -37,7 +37,7 @@ def known_keys(table: Mapping[str, Any], allowed: Iterable[str], where: str) -> 
     names = list(allowed)
     for key in table:
         if key not in names:
-            raise input_error(f"unknown key '{key}'", str(key), where, meant(key, "known keys are:", names))
+            raise input_error(f"unknown key '{key}'", str(key), where, suggestion(key, "known keys are:", names))
 
 
 def known_inputs(options: Mapping[str, Any], inputs: Iterable[SensorInput], sensor: str, where: str) -> None:
@@ -45,10 +45,12 @@ def known_inputs(options: Mapping[str, Any], inputs: Iterable[SensorInput], sens
     names = [entry.name for entry in inputs]
     for key in options:
         if key not in names:
-            raise input_error(f"sensor '{sensor}' has no input '{key}'", str(key), where, meant(key, "it has", names))
+            raise input_error(
+                f"sensor '{sensor}' has no input '{key}'", str(key), where, suggestion(key, "it has", names)
+            )
 
 
-def meant(word: Any, words: str, known: Iterable[str]) -> str:
+def suggestion(word: Any, words: str, known: Iterable[str]) -> str:
     """Hint with the nearest known word, and all of them."""
     names = list(known)
     return f"{did_you_mean(str(word), names)} {words} {', '.join(names)}".strip()
@@ -132,7 +134,7 @@ def choice(value: Any, allowed: Iterable[str], key: str, where: str) -> str:
     """
     names = list(allowed)
     if value not in names:
-        raise input_error(f"{key} = {value!r} is not known", key, where, meant(value, "choose from:", names))
+        raise input_error(f"{key} = {value!r} is not known", key, where, suggestion(value, "choose from:", names))
     return str(value)
 
 

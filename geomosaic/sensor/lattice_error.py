@@ -25,7 +25,7 @@ def at_heights(nodes: FloatArray, heights: Sequence[float]) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Miss:
+class LatticeError:
     """What was measured of a lattice.
 
     Attributes
@@ -73,7 +73,7 @@ class Cells:
     exact: FloatArray
     scale: float
 
-    def measure(self, admissible: float, *, thorough: bool) -> Miss:
+    def measure(self, admissible: float, *, thorough: bool) -> LatticeError:
         """Hold the lattice against the model at nodes, edges and centres of cells, at both ends of the height range.
 
         Between nodes a smooth mapping errs most there: at the centres where it bends alike in both directions, at the
@@ -109,7 +109,7 @@ class Cells:
             with np.errstate(invalid="ignore"):
                 error = float(np.fmax(error, np.fmax.reduce(np.hypot(*shift.reshape(-1, 2).T)) / self._pixel))
         cubic = float(np.fmax.reduce(miss[::2, ::2][shown[::2, ::2]], initial=0.0))
-        return Miss(error, cubic, ragged, counts.reshape(self._shape), worst.reshape(self._shape))
+        return LatticeError(error, cubic, ragged, counts.reshape(self._shape), worst.reshape(self._shape))
 
     @property
     def _shape(self) -> tuple[int, int]:

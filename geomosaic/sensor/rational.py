@@ -64,7 +64,7 @@ class RationalRefinement(Protocol):
         """And after."""
 
 
-class RationalRelation(Protocol):
+class RationalTieCorrection(Protocol):
     """Rational models corrected so that lines of sight of tie points meet."""
 
     @property
@@ -106,7 +106,7 @@ class HasRational(Protocol):
     ) -> RationalRefinement:
         """Correct a rational model with control points: (N, 3) in `model.crs`, (N, 2) pixels; wrong ones left out."""
 
-    def relate_rational(
+    def correct_rational_by_ties(
         self,
         models: Sequence[Any],
         image: IntArray,
@@ -115,7 +115,7 @@ class HasRational(Protocol):
         kind: str,
         sigma_px: float,
         fixed: Sequence[int],
-    ) -> RationalRelation:
+    ) -> RationalTieCorrection:
         """Correct rational models by tie points: image (M,) and point (M,) of each measurement, colrow (M, 2)."""
 
     def rational_tags(self, model: Any) -> dict[str, str]:

@@ -177,10 +177,10 @@ def build(name: str, request: SensorRequest) -> SensorModel:
     tool = plugin(name)
     model = tool.build(request)
     if not has_heights(model.crs) and _depends_on_heights(model):
-        from geomosaic.sensor.vertical_datum import need_heights
+        from geomosaic.sensor.vertical_datum import require_vertical_datum
 
         positions = f"the positions of sensor '{name}'"
-        need_heights(model.crs, positions, request.image, lambda crs: tool.build(replace(request, crs=crs)))
+        require_vertical_datum(model.crs, positions, request.image, lambda crs: tool.build(replace(request, crs=crs)))
     return model
 
 

@@ -9,13 +9,13 @@ from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.registry import plugin
 
 
-def to_dict(name: str, model: SensorModel) -> dict[str, Any]:
+def model_to_dict(name: str, model: SensorModel) -> dict[str, Any]:
     """State of a model with the sensor's name, as JSON values; corrections around the model are kept."""
     return {"sensor": name, "corrected" if isinstance(model, Corrected) else "state": model.to_dict()}
 
 
-def from_dict(state: dict[str, Any]) -> SensorModel:
-    """Rebuild a model from `to_dict`."""
+def model_from_dict(state: dict[str, Any]) -> SensorModel:
+    """Rebuild a model from `model_to_dict`."""
     if "corrected" in state:
         return Corrected.from_dict(state["corrected"])
     return plugin(state["sensor"]).model.from_dict(state["state"])

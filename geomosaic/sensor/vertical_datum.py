@@ -19,7 +19,7 @@ from geomosaic.surface.vertical_datum import undulation
 DATUMS = "'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid"
 
 
-def need_heights(crs: CRS, what: str, where: str, build: Callable[[CRS], SensorModel]) -> None:
+def require_vertical_datum(crs: CRS, what: str, where: str, build: Callable[[CRS], SensorModel]) -> None:
     """Refuse heights whose vertical datum nobody declared.
 
     Parameters
@@ -43,7 +43,7 @@ def need_heights(crs: CRS, what: str, where: str, build: Callable[[CRS], SensorM
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            risk = at_stake(build(with_heights(crs, "ellipsoidal")))
+            risk = datum_risk(build(with_heights(crs, "ellipsoidal")))
     except GeomosaicError:
         risk = ""
     raise HeightDatumError(
@@ -53,7 +53,7 @@ def need_heights(crs: CRS, what: str, where: str, build: Callable[[CRS], SensorM
     )
 
 
-def at_stake(model: SensorModel) -> str:
+def datum_risk(model: SensorModel) -> str:
     """What confusing the ellipsoid with the geoid would cost, in words that follow a statement; '' if not known."""
     level = geographic(model.crs)
     x, y, _ = Transform(model.crs, level)(np.array([model.seed]))[0]

@@ -14,10 +14,9 @@ from geomosaic.geo.local_frames import is_free
 from geomosaic.sensor.inputs import choice, flag, need, number, numbers
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
-from geomosaic_frame.camera_capabilities import Inside
-from geomosaic_frame.cameras import camera_of, tables
-from geomosaic_frame.corrections import bending_of, untold
-from geomosaic_frame.initial_model import looks_anywhere, model_at
+from geomosaic_frame.camera_capabilities import CameraModel
+from geomosaic_frame.cameras import camera_and_orientation, camera_of
+from geomosaic_frame.initial_model import allows_any_view, frame_model
 from geomosaic_frame.model import FrameModel
 from geomosaic_frame.orientation import FULL_CIRCLE, Attitude, read_attitude
 from geomosaic_frame.placement import (
@@ -30,6 +29,7 @@ from geomosaic_frame.placement import (
     rigorous,
     undo_linear_alteration,
 )
+from geomosaic_frame.ray_corrections import omitted_corrections, requested_correction
 
 TREATMENTS = ("rigorous", "planar")
 
@@ -43,7 +43,7 @@ def build_frame(request: SensorRequest) -> FrameModel:
         An input is missing, unknown or out of range, or the photo looks at the sky; names the image and the input.
     """
     where, options = request.image, request.options
-    table, row = tables(request)
+    table, row = camera_and_orientation(request)
     camera, notes = camera_of(table, request)
     unit = choice(options.get("angle_unit", "deg"), FULL_CIRCLE, "angle_unit", where)
     treatment = choice(options.get("treatment", _usual(request.crs)), TREATMENTS, "treatment", where)
@@ -56,7 +56,7 @@ def build_frame(request: SensorRequest) -> FrameModel:
         return resect_photo(camera, _named(request), treatment, ground, options, tuple(notes), where)
     attitude = read_attitude(row, unit, where)
     crs = _crs(request, attitude)
-    anywhere = looks_anywhere(crs, options, where)
+    anywhere = allows_any_view(crs, options, where)
     position, attitude = _position(crs, row, attitude, camera, options, where)
     if ground is not None and not crs.is_geocentric and not anywhere and position[2] <= ground:
         raise InputError(
@@ -68,9 +68,9 @@ def build_frame(request: SensorRequest) -> FrameModel:
         position, note = _unscaled(crs, position, ground, treatment, where)
         notes.append(note)
     place = (planar if treatment == "planar" else rigorous)(crs, position, attitude, where)
-    bending, said = bending_of(options, crs, position, ground, treatment, where)
-    notes += said or untold(camera, crs, position, ground, treatment)
-    return model_at(camera, place, crs, ground, options, tuple(notes), bending, where)
+    bending, said = requested_correction(options, crs, position, ground, treatment, where)
+    notes += said or omitted_corrections(camera, crs, position, ground, treatment)
+    return frame_model(camera, place, crs, ground, options, tuple(notes), bending, where)
 
 
 def _usual(crs: CRS | None) -> str:
@@ -79,7 +79,7 @@ def _usual(crs: CRS | None) -> str:
 
 
 def _position(
-    crs: CRS, row: Mapping[str, Any], attitude: Attitude, camera: Inside, options: Mapping[str, Any], where: str
+    crs: CRS, row: Mapping[str, Any], attitude: Attitude, camera: CameraModel, options: Mapping[str, Any], where: str
 ) -> tuple[FloatArray, Attitude]:
     """Projection centre in `crs`, and the attitude about it."""
     if attitude.position is None:
@@ -103,7 +103,7 @@ def _position(
     return bring(crs, reference, attitude, where)
 
 
-def _reach(camera: Inside) -> float:
+def _reach(camera: CameraModel) -> float:
     return float(np.hypot(*camera.size)) / 2
 
 

@@ -9,7 +9,7 @@ from geomosaic.types import FloatArray
 from geomosaic_frame.camera import Camera
 
 
-class Inside(Protocol):
+class CameraModel(Protocol):
     """Camera axes (x right, y down, z forward) to pixels and back."""
 
     @property
@@ -33,7 +33,7 @@ class Inside(Protocol):
         """State as JSON values."""
 
 
-def inside_from_dict(state: Mapping[str, Any]) -> Inside:
+def camera_model_from_dict(state: Mapping[str, Any]) -> CameraModel:
     """Rebuild a camera from its `to_dict`."""
     if "film" in state:
         from geomosaic_frame.film import FilmCamera

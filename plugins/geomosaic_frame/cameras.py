@@ -11,15 +11,14 @@ from geomosaic.errors import SensorInputError
 from geomosaic.sensor.inputs import choice, known_keys, need, numbers, table_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic_frame.camera import Camera
-from geomosaic_frame.camera_capabilities import Inside
+from geomosaic_frame.camera_capabilities import CameraModel
 from geomosaic_frame.orientation import DIRECTIONS, FRAMES
-from geomosaic_frame.other_programs import READERS, read_foreign
-from geomosaic_frame.pose import WORLDS
+from geomosaic_frame.other_programs import READERS, WORLDS, read_reconstruction
 
 FILM_OPTIONS = ("fiducials", "interior", "mirrored")
 
 
-def tables(request: SensorRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+def camera_and_orientation(request: SensorRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
     """Camera table and orientation row, wherever they come from."""
     where, options = request.image, request.options
     if options.get("points") is not None:
@@ -30,7 +29,7 @@ def tables(request: SensorRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]
     if row.get("system") in READERS and "reconstruction" in row:
         known_keys(row, ("system", "reconstruction"), where)
         path = Path(request.base) / str(row["reconstruction"])
-        own, row = read_foreign(path, request.image, str(row["system"]), where)
+        own, row = read_reconstruction(path, request.image, str(row["system"]), where)
         table = own if table is None else table
         _place_world(row, options, where)
     if isinstance(table, str):
@@ -80,13 +79,13 @@ def _toml(path: Path, where: str) -> Mapping[str, Any]:
     return inner if isinstance(inner, dict) and len(values) == 1 else values
 
 
-def camera_of(table: Mapping[str, Any], request: SensorRequest) -> tuple[Inside, list[str]]:
+def camera_of(table: Mapping[str, Any], request: SensorRequest) -> tuple[CameraModel, list[str]]:
     """Camera for the image at hand, and what was done to it."""
     where = f"{request.image}, camera"
     if "fiducials" in table:
-        from geomosaic_frame.fiducials import film_of
+        from geomosaic_frame.fiducials import film_camera
 
-        return film_of(table, request, where)
+        return film_camera(table, request, where)
     for key in FILM_OPTIONS:
         if request.options.get(key) is not None:
             raise SensorInputError(

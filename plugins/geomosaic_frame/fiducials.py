@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.sensor.inputs import choice, flag, meant, need, numbers, table_of
+from geomosaic.sensor.inputs import choice, flag, need, numbers, suggestion, table_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_frame.calibration import read_certificate
@@ -35,7 +35,7 @@ def read_marks(given: Any, known: Mapping[str, tuple[float, float]], size: tuple
             raise InputError(
                 f"the certificate has no fiducial '{name}'",
                 where=where,
-                hint=meant(name, "it has", known),
+                hint=suggestion(name, "it has", known),
             )
         col, row = numbers(place, 2, f"fiducial {name}", where)
         if not (0.0 <= col <= size[0] and 0.0 <= row <= size[1]):
@@ -98,7 +98,7 @@ def orient(
     missing = [name for name in known if name not in names]
     if missing:
         notes.append(f"fiducials not measured: {', '.join(missing)}")
-    _say_turned(result, names, image, film, mirrored, where)
+    _warn_of_rotated_numbers(result, names, image, film, mirrored, where)
     worst = int(np.argmax(np.hypot(*result.residuals.T)))
     size_of_worst = float(np.hypot(*result.residuals[worst]))
     if size_of_worst > LARGE:
@@ -195,7 +195,7 @@ def _orders(count: int) -> Iterator[tuple[int, ...]]:
         yield tuple(order)
 
 
-def _say_turned(
+def _warn_of_rotated_numbers(
     result: InteriorOrientation, names: list[str], image: FloatArray, film: FloatArray, mirrored: bool, where: str
 ) -> None:
     """Warn where the marks fit much better with the numbers moved on by one or more: a frame turned by right angles.
@@ -221,7 +221,7 @@ def _say_turned(
             return
 
 
-def film_of(table: Mapping[str, Any], request: SensorRequest, where: str) -> tuple[FilmCamera, list[str]]:
+def film_camera(table: Mapping[str, Any], request: SensorRequest, where: str) -> tuple[FilmCamera, list[str]]:
     """Certificate and measured marks to a camera of this scan, and what was done to it."""
     certificate = read_certificate(table, where)
     options = request.options

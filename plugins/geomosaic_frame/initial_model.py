@@ -19,11 +19,11 @@ from geomosaic.sensor.inputs import flag, known_keys, number, table_of
 from geomosaic.sensor.model import Parameters
 from geomosaic.sensor.plausibility import SkyError, centre_dip
 from geomosaic.types import FloatArray
-from geomosaic_frame.camera_capabilities import Inside
+from geomosaic_frame.camera_capabilities import CameraModel
 from geomosaic_frame.model import NAMES, FrameModel
 from geomosaic_frame.orientation import SYSTEMS
 from geomosaic_frame.placement import Place
-from geomosaic_frame.refraction import Bending
+from geomosaic_frame.ray_corrections import RayCorrection
 
 GROUPS = {"position": NAMES[:3], "angles": NAMES[3:]}
 FARTHEST = 20.0
@@ -50,23 +50,23 @@ def _sigmas(options: Mapping[str, Any], where: str) -> FloatArray:
     return np.array([values[name] for name in NAMES])
 
 
-def looks_anywhere(crs: CRS, options: Mapping[str, Any], where: str) -> bool:
+def allows_any_view(crs: CRS, options: Mapping[str, Any], where: str) -> bool:
     """Whether a photo may look above the horizon: it is told so, or its frame has none."""
     return is_free(crs) or flag(options, "upwards", where)
 
 
-def model_at(
-    camera: Inside,
+def frame_model(
+    camera: CameraModel,
     place: Place,
     crs: CRS,
     ground: float | None,
     options: Mapping[str, Any],
     notes: tuple[str, ...],
-    bending: Bending,
+    bending: RayCorrection,
     where: str,
 ) -> FrameModel:
     """Make the model; a photo that looks at the sky is an error."""
-    anywhere = looks_anywhere(crs, options, where)
+    anywhere = allows_any_view(crs, options, where)
     if anywhere:
         # Omega, phi and kappa have no value where a camera looks along x: they count from the attitude given.
         turned = LocalFrame(place.frame.crs, place.frame.origin, place.rotation @ place.frame.axes)

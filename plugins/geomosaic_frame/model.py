@@ -22,9 +22,9 @@ from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.rotation import omega_phi_kappa, r1, r2, r3
 from geomosaic.sensor.model import Parameters
 from geomosaic.types import FloatArray
-from geomosaic_frame.camera_capabilities import Inside, inside_from_dict
+from geomosaic_frame.camera_capabilities import CameraModel, camera_model_from_dict
 from geomosaic_frame.orientation import FLIP
-from geomosaic_frame.refraction import Bending, Columns
+from geomosaic_frame.ray_corrections import Columns, RayCorrection
 
 NAMES = ("east", "north", "up", "omega", "phi", "kappa")
 
@@ -57,12 +57,12 @@ class FrameModel:
         Refraction and, in the planar treatment, the Earth's curvature; none unless asked for.
     """
 
-    camera: Inside
+    camera: CameraModel
     frame: LocalFrame
     parameters: Parameters
     seed: tuple[float, float, float]
     notes: tuple[str, ...] = ()
-    bending: Bending = field(default_factory=Bending)
+    bending: RayCorrection = field(default_factory=RayCorrection)
 
     @property
     def crs(self) -> CRS:
@@ -168,8 +168,10 @@ class FrameModel:
             NAMES, tuple(state["units"]), np.array(state["values"]), sigmas, np.array(state["steps"])
         )
         x, y, z = state["seed"]
-        bending = Bending.from_dict(state.get("bending", {}))
-        return cls(inside_from_dict(state["camera"]), frame, parameters, (x, y, z), tuple(state["notes"]), bending)
+        bending = RayCorrection.from_dict(state.get("bending", {}))
+        return cls(
+            camera_model_from_dict(state["camera"]), frame, parameters, (x, y, z), tuple(state["notes"]), bending
+        )
 
 
 def _product(matrix: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray) -> Columns:

@@ -17,7 +17,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.rotation import angle_axis, omega_phi_kappa, r1, r2, r3
 from geomosaic.sensor.inputs import choice, known_keys, need, number, numbers
 from geomosaic.types import FloatArray
-from geomosaic_frame.pose import read_pose
+from geomosaic_frame.other_programs import read_pose
 
 FULL_CIRCLE = {"deg": 360.0, "gon": 400.0, "rad": 2.0 * np.pi}
 FRAMES = ("grid", "local")

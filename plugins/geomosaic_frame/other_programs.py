@@ -1,4 +1,4 @@
-"""Orientations in the files of other programs: one named reader for each, chosen by the angle system."""
+"""Orientations of other programs: one named reader for each, and the world their coordinates count in."""
 
 from __future__ import annotations
 
@@ -8,8 +8,71 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
 from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic.geo.crs import geocentric
+from geomosaic.sensor.inputs import need, numbers
+from geomosaic.types import FloatArray
 from geomosaic_frame.opensfm import read_shot
+
+WORLDS = ("map", "geocentric", "local")
+"""What the world of another program may be: axes of the map, of the Earth, or east, north, up at a reference."""
+
+
+def read_pose(row: Mapping[str, Any], where: str) -> tuple[FloatArray, FloatArray, str, CRS | None]:
+    """Read a pose.
+
+    Parameters
+    ----------
+    row : mapping
+        `rotation`, world → camera (x right, y down, z forward), row by row; `position`; `world`.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    rotation : array (3, 3)
+        The nearest rotation to the one that is given, which must be one to 1e-5.
+    position : array (3,)
+    frame : str
+        'map', 'geocentric' or 'topocentric'.
+    crs : CRS or None
+        Geocentric, where the file names it.
+    """
+    text = "rotation matrix world → camera, row by row"
+    rotation = np.array(numbers(need(row, "rotation", where, text), 9, "rotation", where)).reshape(3, 3)
+    worst = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if worst > 1e-5 or np.linalg.det(rotation) < 0.0:
+        raise InputError(f"rotation is no rotation: rows are off orthonormal by {worst:.1e}", where=where)
+    left, _, right = np.linalg.svd(rotation)
+    position = np.array(numbers(need(row, "position", where, "projection centre"), 3, "position", where))
+    frame, crs = _world(str(need(row, "world", where, f"what the world is, one of {', '.join(WORLDS)}")), where)
+    return left @ right, position, frame, crs
+
+
+def _world(world: str, where: str) -> tuple[str, CRS | None]:
+    """Frame of a world: one of `WORLDS`, or the WKT of a CRS in whose geocentric coordinates the file counts."""
+    if world in WORLDS:
+        return ("topocentric" if world == "local" else world), None
+    if not world or world.lstrip().upper().startswith(("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")):
+        raise InputError(
+            "the file counts in local coordinates and does not say where these are",
+            where=where,
+            hint="say it: world = 'map' (they are those of the CRS that is named), 'geocentric', or 'local' with "
+            "reference = [longitude, latitude, altitude]",
+        )
+    try:
+        return "geocentric", geocentric(CRS.from_wkt(world))
+    except (CRSError, InputError) as error:
+        raise InputError(
+            f"what the world is cannot be understood: '{world[:60]}'",
+            where=where,
+            hint=f"say it: world = {', '.join(WORLDS)}",
+        ) from error
+
 
 LARGEST = 256 << 20
 """Bytes; no file of orientations is that long."""
@@ -21,7 +84,7 @@ Tables = tuple[dict[str, Any] | None, dict[str, Any]]
 """Camera table as of `camera.toml`, where the file has one, and orientation row."""
 
 
-def read_foreign(path: Path, image: str, system: str, where: str) -> Tables:
+def read_reconstruction(path: Path, image: str, system: str, where: str) -> Tables:
     """Camera and orientation of one image.
 
     Parameters
@@ -59,27 +122,27 @@ def _colmap(path: Path, image: str, where: str) -> Tables:
         raise InputError(f"{path} is COLMAP's binary model", where=where, hint=hint)
     cameras, images = path.with_name("cameras.txt"), path.with_name("images.txt")
     model = read_colmap(_text(cameras, where), _text(images, where), (str(cameras), str(images)))
-    pose = entry(model.images, image, images, where)
+    pose = entry_of_image(model.images, image, images, where)
     if pose.camera not in model.cameras:
         raise InputError(f"camera {pose.camera} of {image} is not in {cameras.name}", where=str(images))
     return dict(model.cameras[pose.camera]), pose.row
 
 
 def _pix4d(path: Path, image: str, where: str) -> Tables:
-    from geomosaic_frame.pix4d import OFFSET, PARAMETERS, PMATRIX, beside, read_offset, read_pix4d, read_pmatrix
+    from geomosaic_frame.pix4d import OFFSET, PARAMETERS, PMATRIX, offset_file, read_offset, read_pix4d, read_pmatrix
 
-    offset = beside(path, OFFSET)
+    offset = offset_file(path, OFFSET)
     shift = read_offset(_text(offset, where), str(offset)) if offset else None
     read = read_pmatrix if path.name.endswith(PMATRIX) else read_pix4d
     if read is read_pmatrix:
-        whole = beside(path, PARAMETERS)
+        whole = offset_file(path, PARAMETERS)
         instead = f"; for the photos themselves give {whole.name}" if whole else ""
         warnings.warn(
             f"{path.name} holds for the images that Pix4D has freed of distortion{instead}",
             GeomosaicWarning,
             stacklevel=2,
         )
-    camera, row = entry(read(_text(path, where), shift, str(path)), image, path, where)
+    camera, row = entry_of_image(read(_text(path, where), shift, str(path)), image, path, where)
     if shift is None and max(map(abs, row["position"][:2])) < LOCAL:
         warnings.warn(
             f"{path.name} has no PROJECT{OFFSET} beside it, and its coordinates are small: without the offset they "
@@ -94,9 +157,9 @@ def _metashape(path: Path, image: str, where: str) -> Tables:
     from geomosaic_frame.metashape import read_metashape, read_metashape_text
 
     if path.suffix.lower() == ".xml":
-        camera, row = entry(read_metashape(_bytes(path, where), str(path)), image, path, where)
+        camera, row = entry_of_image(read_metashape(_bytes(path, where), str(path)), image, path, where)
         return dict(camera), dict(row)
-    return None, dict(entry(read_metashape_text(_text(path, where), str(path)), image, path, where))
+    return None, dict(entry_of_image(read_metashape_text(_text(path, where), str(path)), image, path, where))
 
 
 def _ori(path: Path, image: str, where: str) -> Tables:
@@ -125,7 +188,7 @@ READERS: Mapping[str, Callable[[Path, str, str], Tables]] = {
 }
 
 
-def entry(table: Mapping[str, Any], image: str, path: Path, where: str) -> Any:
+def entry_of_image(table: Mapping[str, Any], image: str, path: Path, where: str) -> Any:
     """Entry of an image, by its name without folder, with or without extension."""
     bare = Path(image).stem
     name = next(

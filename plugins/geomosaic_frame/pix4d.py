@@ -36,7 +36,7 @@ LAYOUT = (("K", 3, 3), ("radial distortion", 1, 3), ("tangential distortion", 1,
 Cameras = dict[str, tuple[dict[str, Any], dict[str, Any]]]
 
 
-def beside(path: Path, ending: str) -> Path | None:
+def offset_file(path: Path, ending: str) -> Path | None:
     """Another file of the same project, named alike but for its ending."""
     own = next((name for name in (PARAMETERS, PMATRIX) if path.name.endswith(name)), None)
     if own is None:

@@ -20,12 +20,12 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import flag, known_keys, need, number, numbers, positive, table_of
 from geomosaic.sensor.solve import Pose, Resection, dangerous_cylinder, poses, resect
 from geomosaic.types import FloatArray
-from geomosaic_frame.camera_capabilities import Inside
-from geomosaic_frame.corrections import bending_of, untold
-from geomosaic_frame.initial_model import looks_anywhere, model_at
+from geomosaic_frame.camera_capabilities import CameraModel
+from geomosaic_frame.initial_model import allows_any_view, frame_model
 from geomosaic_frame.model import NAMES, FrameModel
 from geomosaic_frame.orientation import FLIP, Attitude
 from geomosaic_frame.placement import local_frame, need_heights, planar, rigorous
+from geomosaic_frame.ray_corrections import omitted_corrections, requested_correction
 
 COLUMNS = ("x", "y", "z", "col", "row")
 WEAK = 50.0
@@ -56,7 +56,7 @@ def read_points(given: Any, where: str) -> tuple[FloatArray, FloatArray, FloatAr
 
 
 def resect_photo(
-    camera: Inside,
+    camera: CameraModel,
     crs: CRS,
     treatment: str,
     ground: float | None,
@@ -140,13 +140,13 @@ def resect_photo(
     _warn_of_weakness(best, xyz, sigmas, where)
     model = best.model
     position = Transform(model.crs, crs)(model.centre[None])[0]
-    said = bending_of(options, crs, position, ground, treatment, where)[1]
-    told = said or untold(camera, crs, position, ground, treatment)
+    said = requested_correction(options, crs, position, ground, treatment, where)[1]
+    told = said or omitted_corrections(camera, crs, position, ground, treatment)
     return replace(model, notes=(*notes, *told, *_words(best, crs, options)))
 
 
 def _photo(
-    camera: Inside,
+    camera: CameraModel,
     crs: CRS,
     treatment: str,
     ground: float,
@@ -162,10 +162,10 @@ def _photo(
         position = Transform(geocentric(crs), crs)(pose.centre[None])[0]
         axes = local_frame(crs, position, where).axes
         place = rigorous(crs, position, Attitude(rotation @ axes.T, "local"), where)
-    if not crs.is_geocentric and not looks_anywhere(crs, options, where) and position[2] <= ground:
+    if not crs.is_geocentric and not allows_any_view(crs, options, where) and position[2] <= ground:
         raise InputError("the camera would be below the ground", where=where)
-    bending = bending_of(options, crs, position, ground, treatment, where)[0]
-    return model_at(camera, place, crs, ground, options, (), bending, where)
+    bending = requested_correction(options, crs, position, ground, treatment, where)[0]
+    return frame_model(camera, place, crs, ground, options, (), bending, where)
 
 
 def _pose_of(model: FrameModel) -> Pose:
@@ -231,7 +231,7 @@ def _words(one: Resection[FrameModel], crs: CRS, options: Mapping[str, Any]) -> 
     unit = "m" if (name := one.model.parameters.units[0]) == "metre" else name
     place = ", ".join(f"{value:.2f}" for value in Transform(one.model.crs, crs)(one.model.centre[None])[0])
     length, angle = (", ".join(f"{s:.2g}" for s in part) for part in (one.sigmas[:3], one.sigmas[3:]))
-    about = " (along and about the image's x, its y and the camera's axis)" if looks_anywhere(crs, options, "") else ""
+    about = " (along and about the image's x, its y and the camera's axis)" if allows_any_view(crs, options, "") else ""
     return [
         f"resected from {count} points: {fit}; projection centre {place}",
         f"sigmas of {', '.join(NAMES[:3])}{about}: {length} {unit}; of {', '.join(NAMES[3:])}: {angle} deg; largest "

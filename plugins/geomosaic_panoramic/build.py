@@ -17,18 +17,18 @@ from geomosaic.geo.local_frames import LocalFrame, map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import Parameters
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.sensor.vertical_datum import need_heights
+from geomosaic.sensor.vertical_datum import require_vertical_datum
 from geomosaic_panoramic.control import adjusted
 from geomosaic_panoramic.flight import (
     PER_STEP,
-    cells,
-    cover,
     declared_orbit,
     number,
     numbers,
     read_table,
-    straight,
+    require_cover,
+    straight_motion,
     table_poses,
+    warn_of_cell_shape,
     word,
 )
 from geomosaic_panoramic.geometry import KINDS, Scan, Sweeps
@@ -113,7 +113,7 @@ def _placed(request: SensorRequest) -> PanoramicModel:
             )
     if request.crs is None:
         raise InputError("sensor 'panoramic' needs the CRS of the position", where=where, hint="give `crs`")
-    need_heights(request.crs, "the position", where, lambda crs: _placed(replace(request, crs=crs)))
+    require_vertical_datum(request.crs, "the position", where, lambda crs: _placed(replace(request, crs=crs)))
     scan = _scan(kind, request)
     table, tau = _table(request, scan.periods)
     if table is None:
@@ -139,10 +139,10 @@ def _placed(request: SensorRequest) -> PanoramicModel:
         turn = 0.0
         if grid and horizontal(request.crs).is_projected:
             turn = map_place(request.crs, position[0], position[1]).convergence
-        motion = straight(options, kind, above, turn, where)
+        motion = straight_motion(options, kind, above, turn, where)
     beta = _field(options, kind, where) / request.size[0]
     if kind == "scanner" and poses is None:
-        cells(float(np.hypot(motion[3], motion[4])), above * math.radians(beta), where)
+        warn_of_cell_shape(float(np.hypot(motion[3], motion[4])), above * math.radians(beta), where)
     values = np.array([*motion, beta, *_inner(options, kind, beta, where)])
     seed = position.copy()
     seed[2] = ground
@@ -197,7 +197,7 @@ def _table(request: SensorRequest, periods: float) -> tuple[np.ndarray | None, n
     file = Path(request.base) / options["track"]
     table = read_table(file, where)
     tau = (table[:, 0] - start) / period - periods / 2
-    cover(tau, periods / 2, f"{where} ({file})")
+    require_cover(tau, periods / 2, f"{where} ({file})")
     return table, tau
 
 

@@ -78,7 +78,7 @@ def read_table(file: Path, where: str) -> np.ndarray:
     return table
 
 
-def cover(tau: np.ndarray, half: float, where: str) -> None:
+def require_cover(tau: np.ndarray, half: float, where: str) -> None:
     """Refuse a track that is shorter than the image."""
     if tau[0] > -half + 1e-9 or tau[-1] < half - 1e-9:
         raise InputError(
@@ -150,7 +150,7 @@ ODD = 20.0
 """How many times longer than wide, or wider than long, cells of a scanner may be without a word."""
 
 
-def straight(options: Mapping[str, Any], kind: str, above: float, turn: float, where: str) -> np.ndarray:
+def straight_motion(options: Mapping[str, Any], kind: str, above: float, turn: float, where: str) -> np.ndarray:
     """East, north, up, speeds, attitude and rates of a straight flight (12,); metres and degrees."""
     heading = number(options, "heading", where) + turn
     course = math.radians(number(options, "course", where, heading - turn) + turn)
@@ -195,7 +195,7 @@ def _advance(options: Mapping[str, Any], kind: str, above: float, where: str) ->
     return advance
 
 
-def cells(along: float, across: float, where: str) -> None:
+def warn_of_cell_shape(along: float, across: float, where: str) -> None:
     """Warn of ground cells, metres below the scanner, so far from square that an angle must be in another unit."""
     if not 1.0 / ODD <= along / across <= ODD:
         warnings.warn(

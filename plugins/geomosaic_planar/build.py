@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
-from geomosaic.sensor.inputs import choice, meant, numbers, point_rows, positive
+from geomosaic.sensor.inputs import choice, numbers, point_rows, positive, suggestion
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_planar.fit import fit_planar
@@ -128,7 +128,9 @@ def _coefficients(given: Any, kind: str, order: int, where: str) -> FloatArray:
         if set(given) != set(names):
             odd = next((str(key) for key in given if key not in names), "")
             raise InputError(
-                "input 'coefficients' does not name what this kind has", where=where, hint=meant(odd, "give", names)
+                "input 'coefficients' does not name what this kind has",
+                where=where,
+                hint=suggestion(odd, "give", names),
             )
         given = [given[name] for name in names]
     return np.array(numbers(given, len(names), "coefficients", where))

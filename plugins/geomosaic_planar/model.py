@@ -211,7 +211,7 @@ class PlanarModel:
 
     def omission(self) -> FloatArray | None:
         """Of a spline: image at each node minus what a spline through all others gives there (N, 2), else None."""
-        return spline.omission(self.nodes, self.coefficients) if self.kind == "tps" else None
+        return spline.leave_one_out(self.nodes, self.coefficients) if self.kind == "tps" else None
 
     def with_values(self, values: FloatArray) -> Self:
         """Return a model with other coefficients (P,)."""

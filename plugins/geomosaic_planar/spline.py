@@ -133,7 +133,7 @@ def slopes(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> Float
     return found
 
 
-def omission(nodes: FloatArray, coefficients: FloatArray) -> FloatArray:
+def leave_one_out(nodes: FloatArray, coefficients: FloatArray) -> FloatArray:
     """Image at each node minus what the spline through all other nodes gives there, (N, 2): wᵢ / (M⁻¹)ᵢᵢ (Rippa 1999).
 
     M is the bordered matrix. NaN for a node without which the others lie on a line.

@@ -12,7 +12,7 @@ from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import Parameters
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look_angles import Look
+from geomosaic_pushbroom.look_angles import LookDirections
 from geomosaic_pushbroom.model import PushbroomModel
 from geomosaic_pushbroom.platform import Platform
 
@@ -21,9 +21,9 @@ _LARGEST_STEP = {"m": 1e4, "deg": 0.05, "deg/s": 0.05, "s": 1.0, "px": 1e2}
 """Beyond these differences are no derivatives any more, however little they move the image."""
 
 
-def assemble(
+def initial_model(
     platform: Platform,
-    look: Look,
+    look: LookDirections,
     size: tuple[int, int],
     values: FloatArray,
     sigmas: FloatArray,

@@ -15,18 +15,18 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import known_keys, number, numbers
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
-from geomosaic.sensor.vertical_datum import need_heights
+from geomosaic.sensor.vertical_datum import require_vertical_datum
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.assemble import ECEF, assemble
+from geomosaic_pushbroom.assemble import ECEF, initial_model
 from geomosaic_pushbroom.metadata import find_beside, read_metadata
 from geomosaic_pushbroom.model import PushbroomModel
-from geomosaic_pushbroom.platform import Flight
-from geomosaic_pushbroom.points import Control, need_crs, read_points, with_result
-from geomosaic_pushbroom.reported import Quality, Reported
+from geomosaic_pushbroom.platform import ReportedFlight
+from geomosaic_pushbroom.points import ImageControl, need_crs, read_points, with_residual_notes
+from geomosaic_pushbroom.reported import AprioriSigmas, SceneMetadata
 from geomosaic_pushbroom.track import read_track
-from geomosaic_pushbroom.unreported import solve_without_metadata
+from geomosaic_pushbroom.unreported import model_from_control
 
-GROUPS = {"angles": Flight.names[:3], "rates": Flight.names[3:6], "position": Flight.names[6:9]}
+GROUPS = {"angles": ReportedFlight.names[:3], "rates": ReportedFlight.names[3:6], "position": ReportedFlight.names[6:9]}
 OF_TRACK = ("start_time", "line_period", "columns", "angle_unit")
 OF_POINTS = ("flying_height", "additional")
 
@@ -48,7 +48,7 @@ def build_pushbroom(request: SensorRequest) -> PushbroomModel:
     metadata = _metadata(request)
     if request.crs is not None and (control is not None or options.get("track") is not None):
         whose = "the track" if control is None else "the control points"
-        need_heights(request.crs, whose, where, lambda crs: build_pushbroom(replace(request, crs=crs)))
+        require_vertical_datum(request.crs, whose, where, lambda crs: build_pushbroom(replace(request, crs=crs)))
     way = "metadata" if metadata else "track" if options.get("track") is not None else "points"
     _need_only(options, way, where)
     if metadata is not None:
@@ -68,7 +68,7 @@ def build_pushbroom(request: SensorRequest) -> PushbroomModel:
                 where=where,
                 hint="put METADATA.DIM beside the image, or give metadata = FILE, track = FILE, or control points",
             )
-        return solve_without_metadata(request, control)
+        return model_from_control(request, control)
     if control is None or options.get("refine", "points") == "none":
         return model
     return _refined(model, control, request)
@@ -99,7 +99,7 @@ def _need_only(options: Mapping[str, Any], way: str, where: str) -> None:
         )
 
 
-def of_scene(reported: Reported, request: SensorRequest) -> PushbroomModel:
+def of_scene(reported: SceneMetadata, request: SensorRequest) -> PushbroomModel:
     """Model of a scene or of a cut of it."""
     where, size = request.image, request.size
     given = request.options.get("offset")
@@ -118,21 +118,21 @@ def of_scene(reported: Reported, request: SensorRequest) -> PushbroomModel:
             hint="check offset",
         )
     look = replace(reported.look, cols=reported.look.cols - col)
-    flight = Flight(reported.path, reported.period, reported.middle - row)
+    flight = ReportedFlight(reported.path, reported.period, reported.middle - row)
     sigmas = _sigmas(request.options, reported.quality, where)
     notes = (reported.title, *reported.notes)
     height_of_ground = _ellipsoidal(request)
-    return assemble(flight, look, size, np.zeros(len(sigmas)), sigmas, height_of_ground, where, notes=notes)
+    return initial_model(flight, look, size, np.zeros(len(sigmas)), sigmas, height_of_ground, where, notes=notes)
 
 
 def _of_track(request: SensorRequest) -> PushbroomModel:
     flight, look, quality = read_track(request)
     sigmas = _sigmas(request.options, quality, request.image)
     height = _ellipsoidal(request, flight)
-    return assemble(flight, look, request.size, np.zeros(len(sigmas)), sigmas, height, request.image)
+    return initial_model(flight, look, request.size, np.zeros(len(sigmas)), sigmas, height, request.image)
 
 
-def _ellipsoidal(request: SensorRequest, flight: Flight | None = None) -> float:
+def _ellipsoidal(request: SensorRequest, flight: ReportedFlight | None = None) -> float:
     """Rough ellipsoidal height of the ground; a geoid's undulation is of no matter for a start."""
     given = request.options.get("ground_height")
     height = 0.0 if given is None else number(given, "ground_height", request.image)
@@ -144,24 +144,26 @@ def _ellipsoidal(request: SensorRequest, flight: Flight | None = None) -> float:
     return height
 
 
-def _sigmas(options: Mapping[str, Any], quality: Quality, where: str) -> FloatArray:
+def _sigmas(options: Mapping[str, Any], quality: AprioriSigmas, where: str) -> FloatArray:
     """A-priori sigmas of the corrections: those of the mission, then groups, then single ones."""
     table = options.get("sigmas", {})
     if not isinstance(table, Mapping):
         raise InputError(f"sigmas = {table!r} is not a table", where=where)
-    known_keys(table, (*GROUPS, *Flight.names), f"{where}, sigmas")
-    values = dict.fromkeys(Flight.names, 0.0)
+    known_keys(table, (*GROUPS, *ReportedFlight.names), f"{where}, sigmas")
+    values = dict.fromkeys(ReportedFlight.names, 0.0)
     for group, names in GROUPS.items():
         sigma = number(table[group], f"sigmas, {group}", where) if group in table else getattr(quality, group)
         values.update(dict.fromkeys(names, sigma))
-    values.update({name: number(table[name], f"sigmas, {name}", where) for name in Flight.names if name in table})
+    values.update(
+        {name: number(table[name], f"sigmas, {name}", where) for name in ReportedFlight.names if name in table}
+    )
     negative = [name for name, value in values.items() if value < 0.0]
     if negative:
         raise InputError(f"the sigma of {negative[0]} is negative", where=where, hint="0 holds it fixed")
     return np.array(list(values.values()))
 
 
-def _refined(model: PushbroomModel, control: Control, request: SensorRequest) -> PushbroomModel:
+def _refined(model: PushbroomModel, control: ImageControl, request: SensorRequest) -> PushbroomModel:
     """Correct the reported flight by control points, each parameter within its sigma."""
     xyz = Transform(need_crs(request), model.crs)(control.xyz)
     try:
@@ -169,4 +171,4 @@ def _refined(model: PushbroomModel, control: Control, request: SensorRequest) ->
     except SolveError as error:
         error.where = request.image
         raise
-    return with_result(solved.model, solved.residuals, control)
+    return with_residual_notes(solved.model, solved.residuals, control)

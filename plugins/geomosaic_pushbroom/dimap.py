@@ -8,27 +8,27 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look_angles import Look, choose
-from geomosaic_pushbroom.orbit import Orbit, in_order, need_cover
+from geomosaic_pushbroom.look_angles import LookDirections, choose_band
+from geomosaic_pushbroom.orbit import Orbit, require_cover, samples_in_order
 from geomosaic_pushbroom.paths import AnglePath
 from geomosaic_pushbroom.reported import (
     GYROSCOPES,
     STARS,
-    Reported,
+    SceneMetadata,
     children,
     each,
     find,
-    moment,
     number,
     since_times,
     text,
+    utc_time,
 )
 
 _ANGLES = ("PITCH", "ROLL", "YAW")
 _STRIP = ".//Data_Strip"
 
 
-def read_spot(root: Element, where: str, band: str | None = None) -> Reported:
+def read_spot(root: Element, where: str, band: str | None = None) -> SceneMetadata:
     """Read a scene.
 
     Parameters
@@ -56,18 +56,18 @@ def read_spot(root: Element, where: str, band: str | None = None) -> Reported:
         )
     size = (int(number(root, ".//Raster_Dimensions/NCOLS", where)), int(number(root, ".//NROWS", where)))
     stamp = find(root, f"{_STRIP}/Sensor_Configuration/Time_Stamp", where)
-    centre = moment(text(stamp, "SCENE_CENTER_TIME", where), where)
+    centre = utc_time(text(stamp, "SCENE_CENTER_TIME", where), where)
     period = number(stamp, "LINE_PERIOD", where)
     orbit = _orbit(root, centre, where)
     stars, times, angles = _attitude(root, centre, where)
     middle = number(stamp, "SCENE_CENTER_LINE", where) - 0.5
-    need_cover(times, size[1], middle, period, where)
+    require_cover(times, size[1], middle, period, where)
     look, notes = _look(root, band, where)
     source = find(root, ".//Scene_Source", where)
     words = [text(source, name, where) for name in ("MISSION", "MISSION_INDEX", "INSTRUMENT", "INSTRUMENT_INDEX")]
     title = f"{words[0]} {words[1]} {words[2]} {words[3]}, {text(source, 'IMAGING_DATE', where)}"
     path = AnglePath(orbit, times, angles)
-    return Reported(title, path, look, period, middle, size, STARS if stars else GYROSCOPES, notes)
+    return SceneMetadata(title, path, look, period, middle, size, STARS if stars else GYROSCOPES, notes)
 
 
 def _optional(element: Element, path: str) -> str:
@@ -110,17 +110,17 @@ def _table(element: Element, path: str, centre: tuple[int, float], where: str) -
     rows = [row for row in each(element, path) if _optional(row, "OUT_OF_RANGE") != "Y"]
     times = since_times([text(row, "TIME", where) for row in rows], where, centre)
     values = np.array([[number(row, name, where) for name in _ANGLES] for row in rows]).reshape(-1, 3)
-    return in_order(times, values, f"the attitude list {path.removeprefix('.//')}", where)
+    return samples_in_order(times, values, f"the attitude list {path.removeprefix('.//')}", where)
 
 
-def _look(root: Element, band: str | None, where: str) -> tuple[Look, tuple[str, ...]]:
+def _look(root: Element, band: str | None, where: str) -> tuple[LookDirections, tuple[str, ...]]:
     """Look directions, u = (−tan ψy, tan ψx, −1), of the band asked for or of all where they are the same."""
-    looks: dict[str, Look] = {}
+    looks: dict[str, LookDirections] = {}
     for part in each(root, ".//Instrument_Look_Angles_List/Instrument_Look_Angles"):
         detector, psi_x, psi_y = children(
             part, "Look_Angles_List/Look_Angles", ("DETECTOR_ID", "PSI_X", "PSI_Y"), where
         ).T
-        looks[text(part, "BAND_INDEX", where)] = Look.of(detector - 0.5, -psi_y, psi_x, where, angular=True)
+        looks[text(part, "BAND_INDEX", where)] = LookDirections.of(detector - 0.5, -psi_y, psi_x, where, angular=True)
     if not looks:
         find(root, ".//Instrument_Look_Angles_List/Instrument_Look_Angles", where)
-    return choose(looks, band, where)
+    return choose_band(looks, band, where)

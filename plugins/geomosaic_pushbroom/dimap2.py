@@ -9,12 +9,12 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look_angles import Look, choose
+from geomosaic_pushbroom.look_angles import LookDirections, choose_band
 from geomosaic_pushbroom.orbit import NODES, Orbit, horner
 from geomosaic_pushbroom.paths import Path, QuaternionTable
 from geomosaic_pushbroom.pleiades import quaternion_path, triples
 from geomosaic_pushbroom.pose import same_side
-from geomosaic_pushbroom.reported import AGILE, Reported, children, each, find, moment, number, since_times, text
+from geomosaic_pushbroom.reported import AGILE, SceneMetadata, children, each, find, number, since_times, text, utc_time
 
 PART = ".//Refined_Model"
 MISSIONS = {"PHR_SENSOR": "Pléiades", "PNEO_SENSOR": "Pléiades Neo", "S6_SENSOR": "SPOT 6", "S7_SENSOR": "SPOT 7"}
@@ -23,7 +23,7 @@ _MARGIN = 0.25
 """Part of the scene by which a dense ephemeris is taken, and the orbit extended, beyond the first and last row."""
 
 
-def read_refined(root: Element, where: str, band: str | None = None) -> Reported:
+def read_refined(root: Element, where: str, band: str | None = None) -> SceneMetadata:
     """Read a scene.
 
     Parameters
@@ -60,7 +60,7 @@ def read_refined(root: Element, where: str, band: str | None = None) -> Reported
             hint="order the product as SENSOR (primary), or use the sensor 'planar'",
         )
     size = (int(number(root, ".//Raster_Dimensions/NCOLS", where)), int(number(root, ".//NROWS", where)))
-    first = moment(text(model, "Time/Time_Range/START", where), where)
+    first = utc_time(text(model, "Time/Time_Range/START", where), where)
     (took,) = since_times([text(model, "Time/Time_Range/END", where)], where, first)
     period = _period(number(model, "Time/Time_Stamp/LINE_PERIOD", where), float(took), size[1], where)
     half = 0.5 * float(took)
@@ -70,7 +70,7 @@ def read_refined(root: Element, where: str, band: str | None = None) -> Reported
     orbit = _orbit(model, middle, half, where)
     look, notes = _look(model, size[0], band, where)
     path = _attitude(model, orbit, middle, half, where)
-    return Reported(title, path, look, period, 0.5 + half / period, size, AGILE, notes)
+    return SceneMetadata(title, path, look, period, 0.5 + half / period, size, AGILE, notes)
 
 
 def _period(told: float, took: float, rows: int, where: str) -> float:
@@ -140,7 +140,7 @@ def _attitude(model: Element, orbit: Orbit, middle: tuple[int, float], half: flo
     return QuaternionTable(orbit, times, same_side(values))
 
 
-def _look(model: Element, width: int, band: str | None, where: str) -> tuple[Look, tuple[str, ...]]:
+def _look(model: Element, width: int, band: str | None, where: str) -> tuple[LookDirections, tuple[str, ...]]:
     """Look directions over the columns of the product."""
     whole = find(model, "Geometric_Calibration", where)
     for name in ("YAW", "PITCH", "ROLL"):
@@ -159,7 +159,7 @@ def _look(model: Element, width: int, band: str | None, where: str) -> tuple[Loo
             where=where,
             hint="use the sensor 'rpc' with the scene's RPC file",
         )
-    looks: dict[str, Look] = {}
+    looks: dict[str, LookDirections] = {}
     bands = list(each(whole, ".//Band_Calibration")) or [whole]
     for one in bands:
         name = one.findtext("BAND_ID", f"{len(looks) + 1}").strip()
@@ -170,8 +170,8 @@ def _look(model: Element, width: int, band: str | None, where: str) -> tuple[Loo
             across, along = (horner(c[:, None], (nodes + start - 1.0)[:, None])[:, 0] for c in (x, y))
         if not np.abs([across, along]).max() < 1.0:
             raise InputError("the look angles reach beyond 45°", where=where, hint="get the file again")
-        looks[name] = Look.of(nodes + 0.5, -across, along, where)
-    return choose(looks, band, where)
+        looks[name] = LookDirections.of(nodes + 0.5, -across, along, where)
+    return choose_band(looks, band, where)
 
 
 def _polynomial(angles: Element, axis: str, where: str) -> FloatArray:

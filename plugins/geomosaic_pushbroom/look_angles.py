@@ -18,7 +18,7 @@ _ROUNDS = 12
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class LookDirections:
     """Look directions of a line, u = (across, along, −1) in the scanner's axes.
 
     Attributes
@@ -137,7 +137,9 @@ class Look:
 _SAME = 0.1  # pixels
 
 
-def choose(looks: Mapping[str, Look], band: str | None, where: str) -> tuple[Look, tuple[str, ...]]:
+def choose_band(
+    looks: Mapping[str, LookDirections], band: str | None, where: str
+) -> tuple[LookDirections, tuple[str, ...]]:
     """Look directions of the band asked for, or of all where they are the same, and what is to be noted.
 
     Parameters
@@ -168,7 +170,7 @@ def choose(looks: Mapping[str, Look], band: str | None, where: str) -> tuple[Loo
     return first, ()
 
 
-def _apart(one: Look, other: Look) -> float:
+def _apart(one: LookDirections, other: LookDirections) -> float:
     """Largest distance in pixels between the directions of two bands."""
     cols = np.linspace(one.cols[0], one.cols[-1], 101)
     pixel = abs(one.across[-1] - one.across[0]) / (one.cols[-1] - one.cols[0])

@@ -11,7 +11,7 @@ from geomosaic_pushbroom.dimap2 import PART as REFINED
 from geomosaic_pushbroom.dimap2 import read_refined
 from geomosaic_pushbroom.ossim import read_ossim
 from geomosaic_pushbroom.pleiades import PART, read_pleiades
-from geomosaic_pushbroom.reported import Reported, parse
+from geomosaic_pushbroom.reported import SceneMetadata, parse_dimap
 
 BESIDE = ("METADATA.DIM", "metadata.dim")
 _LARGEST = 256 * 2**20
@@ -29,7 +29,7 @@ def find_beside(image: str | None) -> Path | None:
     return next((file for file in names if file.is_file()), None)
 
 
-def read_metadata(path: Path, band: str | None = None) -> Reported:
+def read_metadata(path: Path, band: str | None = None) -> SceneMetadata:
     """Read a metadata file: DIMAP of SPOT 1 to 7 or Pléiades, or an OSSIM keyword list of SPOT 5.
 
     Raises
@@ -47,11 +47,11 @@ def read_metadata(path: Path, band: str | None = None) -> Reported:
     return read_bytes(data, where, band)
 
 
-def read_bytes(data: bytes, where: str, band: str | None = None) -> Reported:
+def read_bytes(data: bytes, where: str, band: str | None = None) -> SceneMetadata:
     """Read the contents of a metadata file."""
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         return read_ossim(data, where)
-    root = parse(data, where)
+    root = parse_dimap(data, where)
     if root.tag.rpartition("}")[2] not in ("Dimap_Document", "PHR_Dimap_Document"):
         raise InputError(
             f"this XML starts with <{root.tag[:40]}>, not <Dimap_Document>", where=where, hint="give METADATA.DIM"

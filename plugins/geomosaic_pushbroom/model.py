@@ -21,10 +21,9 @@ from pyproj import CRS
 
 from geomosaic.sensor.model import Parameters
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look_angles import Look
-from geomosaic_pushbroom.platform import Bend, Flight, Platform
+from geomosaic_pushbroom.look_angles import LookDirections
+from geomosaic_pushbroom.platform import LineDistortion, Platform, ReportedFlight, StraightFlight
 from geomosaic_pushbroom.pose import combined, components, unit
-from geomosaic_pushbroom.straight_flight import Straight
 
 if TYPE_CHECKING:
     pass
@@ -81,7 +80,10 @@ def _total(change: tuple[FloatArray, FloatArray], by_row: tuple[FloatArray, Floa
     return np.column_stack([change[0] + by_row[0] * row, row])
 
 
-PLATFORMS: dict[str, type[Flight] | type[Straight]] = {"flight": Flight, "straight": Straight}
+PLATFORMS: dict[str, type[ReportedFlight] | type[StraightFlight]] = {
+    "flight": ReportedFlight,
+    "straight": StraightFlight,
+}
 _ROUNDS = 40
 _GOAL = 1e-7  # pixels of the last step; the error that is left is far smaller, secants converging faster than linear
 _FURTHEST = 20.0  # image heights beyond the image
@@ -112,7 +114,7 @@ class PushbroomModel:
     """
 
     platform: Platform
-    look: Look
+    look: LookDirections
     crs: CRS
     size: tuple[int, int]
     parameters: Parameters
@@ -121,7 +123,7 @@ class PushbroomModel:
     notes: tuple[str, ...] = ()
 
     @cached_property
-    def _bend(self) -> Bend:
+    def _bend(self) -> LineDistortion:
         return self.platform.bend(self.parameters.values)
 
     def seen_from(self, xyz: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -212,5 +214,5 @@ class PushbroomModel:
         x, y, z = state["seed"]
         width, height = state["size"]
         crs, guess = CRS.from_wkt(state["crs"]), np.array(state["guess"])
-        look, notes = Look.from_dict(state["look"]), tuple(state["notes"])
+        look, notes = LookDirections.from_dict(state["look"]), tuple(state["notes"])
         return cls(platform, look, crs, (width, height), parameters, (x, y, z), guess, notes)

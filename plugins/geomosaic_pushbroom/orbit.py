@@ -110,7 +110,7 @@ def horner(coefficients: FloatArray, u: FloatArray) -> FloatArray:
 _STEEPEST = 0.2  # radians, and radians per second
 
 
-def in_order(times: FloatArray, values: FloatArray, what: str, where: str) -> tuple[FloatArray, FloatArray]:
+def samples_in_order(times: FloatArray, values: FloatArray, what: str, where: str) -> tuple[FloatArray, FloatArray]:
     """Times (K,) and pitch, roll, yaw (K, 3), or their speeds, in the order of time.
 
     Raises
@@ -129,7 +129,7 @@ def in_order(times: FloatArray, values: FloatArray, what: str, where: str) -> tu
     return times, values
 
 
-def need_cover(times: FloatArray, rows: int, middle: float, period: float, where: str) -> None:
+def require_cover(times: FloatArray, rows: int, middle: float, period: float, where: str) -> None:
     """Refuse a line period that is none, and attitudes that do not reach over the scene, up to a tenth of it.
 
     Parameters

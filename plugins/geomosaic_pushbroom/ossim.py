@@ -9,16 +9,16 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.sensor.metadata import finite_number
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look_angles import Look
-from geomosaic_pushbroom.orbit import Orbit, in_order, need_cover
+from geomosaic_pushbroom.look_angles import LookDirections
+from geomosaic_pushbroom.orbit import Orbit, require_cover, samples_in_order
 from geomosaic_pushbroom.paths import AnglePath
-from geomosaic_pushbroom.reported import GYROSCOPES, STARS, Reported
+from geomosaic_pushbroom.reported import GYROSCOPES, STARS, SceneMetadata
 
 KIND = "ossimSpot5Model"
 _PREFIX = "support_data."
 
 
-def read_ossim(data: bytes, where: str) -> Reported:
+def read_ossim(data: bytes, where: str) -> SceneMetadata:
     """Read a scene. Attitudes are pitch, roll, yaw; lines and detectors count from 1 at the pixel's centre."""
     words = _words(data.decode("utf-8", "replace"), where)
     if words.get("type") != KIND:
@@ -37,20 +37,20 @@ def read_ossim(data: bytes, where: str) -> Reported:
     )
     at = _list(words, "attitude_sample_times", 0, where) - reference
     attitude = _list(words, "attitude_samples", 3 * len(at), where).reshape(-1, 3)
-    at, attitude = in_order(at, attitude, f"{_PREFIX}attitude_samples", where)
+    at, attitude = samples_in_order(at, attitude, f"{_PREFIX}attitude_samples", where)
     count = int(_list(words, "detector_count", 1, where)[0])
     psi_x, psi_y = (_list(words, f"pixel_lookat_angle_{axis}", count, where) for axis in "xy")
     cols: FloatArray = np.arange(0.5, count, dtype=np.float64)
-    look = Look.of(cols, -psi_y, psi_x, where, angular=True)
+    look = LookDirections.of(cols, -psi_y, psi_x, where, angular=True)
     orbit = Orbit.through(times, positions, velocities, where)
     width, height = (int(v) for v in _list(words, "image_size", 2, where))
     if width != count:
         raise InputError(f"{count} detectors for {width} columns", where=where, hint="get the whole file")
-    need_cover(at, height, float(line) - 0.5, float(period), where)
+    require_cover(at, height, float(line) - 0.5, float(period), where)
     stars = words.get(f"{_PREFIX}star_tracker_used_flag", "0").strip() == "1"
     title = f"SPOT 5 HRG, {words.get(f'{_PREFIX}image_date', 'no date')[:10]}"
     path, quality = AnglePath(orbit, at, attitude), STARS if stars else GYROSCOPES
-    return Reported(title, path, look, float(period), float(line) - 0.5, (width, height), quality)
+    return SceneMetadata(title, path, look, float(period), float(line) - 0.5, (width, height), quality)
 
 
 def _need_whole(words: dict[str, str], where: str) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.orbit import Orbit, horner
-from geomosaic_pushbroom.pose import Pose, cross, of_quaternions, satellite_pose, turned, unit
+from geomosaic_pushbroom.pose import Pose, cross, matrices_of_quaternions, satellite_pose, turned, unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +195,7 @@ class TrackPath:
         found = first + u * (start + u * ((3.0 * rise - 2.0 * start - end) + u * (start + end - 2.0 * rise)))
         speed = (self.positions[-1] - self.positions[0]) / (t[-1] - t[0])
         position = self.positions[0] + found[:, :3] + (times - inside)[:, None] * speed
-        return Pose(position, np.ascontiguousarray(of_quaternions(found[:, 3:]).transpose(0, 2, 1)))
+        return Pose(position, np.ascontiguousarray(matrices_of_quaternions(found[:, 3:]).transpose(0, 2, 1)))
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""

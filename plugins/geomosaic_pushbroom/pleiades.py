@@ -8,10 +8,10 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look_angles import Look
+from geomosaic_pushbroom.look_angles import LookDirections
 from geomosaic_pushbroom.orbit import Orbit, horner
 from geomosaic_pushbroom.paths import QuaternionPath
-from geomosaic_pushbroom.reported import AGILE, Reported, each, find, moment, number, numbers, since_times, text
+from geomosaic_pushbroom.reported import AGILE, SceneMetadata, each, find, number, numbers, since_times, text, utc_time
 
 
 def triples(points: list[Element], name: str, where: str) -> FloatArray:
@@ -72,7 +72,7 @@ def quaternion_path(
 PART = ".//Sensor_Model_Characteristics"
 
 
-def read_pleiades(root: Element, where: str) -> Reported:
+def read_pleiades(root: Element, where: str) -> SceneMetadata:
     """Read a scene.
 
     Notes
@@ -83,7 +83,7 @@ def read_pleiades(root: Element, where: str) -> Reported:
     """
     model = find(root, PART, where)
     size = (int(number(root, ".//Raster_Dimensions/NCOLS", where)), int(number(root, ".//NROWS", where)))
-    first = moment(text(model, "UTC_Sensor_Model_Range/START", where), where)
+    first = utc_time(text(model, "UTC_Sensor_Model_Range/START", where), where)
     period = number(model, "SENSOR_LINE_PERIOD", where) * 1e-3
     if not 0.0 < period < 1.0:
         raise InputError(f"SENSOR_LINE_PERIOD is {period * 1e3:g} ms", where=where, hint="get the file again")
@@ -97,10 +97,10 @@ def read_pleiades(root: Element, where: str) -> Reported:
     path = quaternion_path(orbit, attitudes, "Polynomial_Models/Q{}", middle, half, where)
     look = _line(model, size[0], where)
     title = f"Pléiades, {text(model, 'UTC_Sensor_Model_Range/START', where)[:10]}"
-    return Reported(title, path, look, period, 0.5 + half / period, size, AGILE)
+    return SceneMetadata(title, path, look, period, 0.5 + half / period, size, AGILE)
 
 
-def _line(model: Element, width: int, where: str) -> Look:
+def _line(model: Element, width: int, where: str) -> LookDirections:
     view = find(model, "Sensor_Viewing_Model", where)
     first, last = (number(view, f"Position_In_Retina/{name}", where) for name in ("FIRST_COL", "LAST_COL"))
     psi = [numbers(view, f"Viewing_Directions/{name}/COEFFICIENTS", where) for name in ("PsiX_Model", "PsiY_Model")]
@@ -114,4 +114,4 @@ def _line(model: Element, width: int, where: str) -> Look:
     nodes = np.linspace(0.0, last - first, 2 if max(map(len, psi)) <= 2 else 2001)
     with np.errstate(all="ignore"):
         x, y = (horner(c[:, None], nodes[:, None])[:, 0] for c in psi)
-    return Look.of(nodes + 0.5, -x, y, where)
+    return LookDirections.of(nodes + 0.5, -x, y, where)

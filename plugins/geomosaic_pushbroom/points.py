@@ -19,7 +19,7 @@ POINT = ("x", "y", "z", "col", "row")
 
 
 @dataclass(frozen=True)
-class Control:
+class ImageControl:
     """Control points of one image.
 
     Attributes
@@ -42,7 +42,7 @@ class Control:
         return len(self.names)
 
 
-def read_points(points: Any, where: str) -> Control:
+def read_points(points: Any, where: str) -> ImageControl:
     """Read the input 'points'.
 
     Raises
@@ -68,7 +68,7 @@ def read_points(points: Any, where: str) -> Control:
         rows.append([*row, positive(point.get("sigma", 1.0), f"{label}sigma", where)])
         names.append(name)
     table = np.array(rows)
-    return Control(tuple(names), table[:, :3], table[:, 3:5], table[:, 5])
+    return ImageControl(tuple(names), table[:, :3], table[:, 3:5], table[:, 5])
 
 
 def need_crs(request: SensorRequest) -> CRS:
@@ -89,7 +89,7 @@ def need_crs(request: SensorRequest) -> CRS:
     return crs
 
 
-def with_result(model: PushbroomModel, residuals: FloatArray, control: Control) -> PushbroomModel:
+def with_residual_notes(model: PushbroomModel, residuals: FloatArray, control: ImageControl) -> PushbroomModel:
     """Model with a note on its control points."""
     length = np.hypot(residuals[:, 0], residuals[:, 1])
     worst = int(np.nanargmax(length))

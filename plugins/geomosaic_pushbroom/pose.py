@@ -82,7 +82,7 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     )
 
 
-def of_quaternions(q: FloatArray) -> FloatArray:
+def matrices_of_quaternions(q: FloatArray) -> FloatArray:
     """Rotation matrices (N, 3, 3) of quaternions (N, 4), scalar first, brought to length one."""
     w, x, y, z = (q / np.sqrt((q * q).sum(axis=1))[:, None]).T
     rows = [
@@ -124,7 +124,7 @@ def satellite_pose(position: FloatArray, quaternions: FloatArray) -> Pose:
     quaternions : array (N, 4)
         From the satellite's to geocentric axes, scalar first, of any length.
     """
-    turns = of_quaternions(quaternions)
+    turns = matrices_of_quaternions(quaternions)
     return Pose(position, np.stack([turns[:, :, 1], turns[:, :, 0], -turns[:, :, 2]], axis=1))
 
 

@@ -14,14 +14,14 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.sensor.metadata import finite_number, parse_xml
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look_angles import Look
+from geomosaic_pushbroom.look_angles import LookDirections
 from geomosaic_pushbroom.paths import Path
 
 _TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d):(\d\d(?:\.\d*)?)Z?")
 
 
 @dataclass(frozen=True)
-class Quality:
+class AprioriSigmas:
     """Standard deviations of what the metadata says: what control points may change, and how far.
 
     Attributes
@@ -39,16 +39,16 @@ class Quality:
     position: float
 
 
-GYROSCOPES = Quality(angles=0.03, rates=3e-4, position=30.0)
+GYROSCOPES = AprioriSigmas(angles=0.03, rates=3e-4, position=30.0)
 """SPOT 1 to 4: location without control within some 350 m RMS; angular speeds are integrated, so they drift."""
-STARS = Quality(angles=0.003, rates=3e-5, position=5.0)
+STARS = AprioriSigmas(angles=0.003, rates=3e-5, position=5.0)
 """SPOT 5 with star tracker and DORIS: location without control within some 50 m RMS."""
-AGILE = Quality(angles=0.001, rates=3e-5, position=2.0)
+AGILE = AprioriSigmas(angles=0.001, rates=3e-5, position=2.0)
 """Pléiades: location without control within some 10 m."""
 
 
 @dataclass(frozen=True)
-class Reported:
+class SceneMetadata:
     """One scene as its metadata reports it; times count from the row `middle`.
 
     Attributes
@@ -70,21 +70,21 @@ class Reported:
 
     title: str
     path: Path
-    look: Look
+    look: LookDirections
     period: float
     middle: float
     size: tuple[int, int]
-    quality: Quality
+    quality: AprioriSigmas
     notes: tuple[str, ...] = ()
 
 
 def seconds(text: str, where: str, since: tuple[int, float] = (0, 0.0)) -> float:
-    """Seconds of a time 2005-03-13T05:18:28.000000 since (day, second), see `moment`."""
-    day, second = moment(text, where)
+    """Seconds of a time 2005-03-13T05:18:28.000000 since (day, second), see `utc_time`."""
+    day, second = utc_time(text, where)
     return (day - since[0]) * 86400.0 + (second - since[1])
 
 
-def moment(text: str, where: str) -> tuple[int, float]:
+def utc_time(text: str, where: str) -> tuple[int, float]:
     """Day number and second of the day (UTC), apart, so that microseconds are not lost.
 
     Raises
@@ -117,7 +117,7 @@ _SKIPPED = frozenset({"Sensor_Calibration", "Image_Display"})
 """Parts of a DIMAP file that are long and say nothing of geometry."""
 
 
-def parse(data: bytes, where: str) -> Element:
+def parse_dimap(data: bytes, where: str) -> Element:
     """Parse the parts of a metadata file that say something of geometry; see `geomosaic.sensor.metadata`."""
     return parse_xml(data, where, _SKIPPED)
 

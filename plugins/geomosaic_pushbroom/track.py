@@ -15,15 +15,14 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look_angles import Look
+from geomosaic_pushbroom.look_angles import LookDirections
 from geomosaic_pushbroom.paths import TrackPath
-from geomosaic_pushbroom.platform import Flight
+from geomosaic_pushbroom.platform import ReportedFlight, omega_phi_kappa
 from geomosaic_pushbroom.points import need_crs
 from geomosaic_pushbroom.pose import quaternions_of
-from geomosaic_pushbroom.reported import Quality
-from geomosaic_pushbroom.straight_flight import omega_phi_kappa
+from geomosaic_pushbroom.reported import AprioriSigmas
 
-AIRBORNE = Quality(angles=0.5, rates=1e-3, position=1.0)
+AIRBORNE = AprioriSigmas(angles=0.5, rates=1e-3, position=1.0)
 """Boresight before it is calibrated; drift of a gyroscope; lever arm and GNSS."""
 PLACE = ("time", "x", "y", "z")
 SYSTEMS = {"rpy": ("roll", "pitch", "heading"), "opk": ("omega", "phi", "kappa")}
@@ -40,7 +39,7 @@ NEEDED = {
 """Inputs without which a track makes no model."""
 
 
-def read_track(request: SensorRequest) -> tuple[Flight, Look, Quality]:
+def read_track(request: SensorRequest) -> tuple[ReportedFlight, LookDirections, AprioriSigmas]:
     """Read the flight of a strip.
 
     Raises
@@ -83,8 +82,8 @@ def read_track(request: SensorRequest) -> tuple[Flight, Look, Quality]:
     if options["columns"] not in SIDES:
         raise InputError(f"columns = {options['columns']!r}", where=where, hint="choose from: right, left")
     sides = np.array([0.0, float(width)])
-    look = Look(sides, (sides - principal) * (SIDES[options["columns"]] / focal), np.zeros(2))
-    return Flight(path, period, middle), look, AIRBORNE
+    look = LookDirections(sides, (sides - principal) * (SIDES[options["columns"]] / focal), np.zeros(2))
+    return ReportedFlight(path, period, middle), look, AIRBORNE
 
 
 def _table(file: Path) -> tuple[str, FloatArray]:

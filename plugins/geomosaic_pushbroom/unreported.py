@@ -24,11 +24,11 @@ from geomosaic.sensor.inputs import known_keys, number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.assemble import ECEF, assemble
-from geomosaic_pushbroom.look_angles import Look
+from geomosaic_pushbroom.assemble import ECEF, initial_model
+from geomosaic_pushbroom.look_angles import LookDirections
 from geomosaic_pushbroom.model import PushbroomModel
-from geomosaic_pushbroom.points import Control, need_crs, with_result
-from geomosaic_pushbroom.straight_flight import ADDITIONAL, IDEAL, Straight
+from geomosaic_pushbroom.platform import ADDITIONAL, IDEAL, StraightFlight
+from geomosaic_pushbroom.points import ImageControl, need_crs, with_residual_notes
 
 CLEARLY = 5.0
 """How many times the misfit of the others a point must be off to be named."""
@@ -91,7 +91,7 @@ _STEEPEST = np.tan(np.radians(60.0))
 
 
 @dataclass(frozen=True)
-class Start:
+class InitialValues:
     """First values of the straight flight: those of `IDEAL`, the camera constant (px) and the flying height (m)."""
 
     values: FloatArray
@@ -99,7 +99,7 @@ class Start:
     flying_height: float
 
 
-def solve_without_metadata(request: SensorRequest, control: Control) -> PushbroomModel:
+def model_from_control(request: SensorRequest, control: ImageControl) -> PushbroomModel:
     """Make the model of a scene from its control points.
 
     Raises
@@ -125,17 +125,17 @@ def solve_without_metadata(request: SensorRequest, control: Control) -> Pushbroo
     frame = LocalFrame.at(crs, middle)
     xyz = Transform(crs, ECEF)(control.xyz)
     centre = _principal(options, request.size[0], where)
-    start = start_from_points(frame.to_enu(xyz), control.colrow, request.size, centre, options, where)
+    start = initial_values(frame.to_enu(xyz), control.colrow, request.size, centre, options, where)
     height = float(Transform(ECEF, geographic(ECEF))(frame.origin[None])[0, 2])
     factor = 10.0 if start.flying_height < AIRBORNE else 1.0
-    sigmas = np.full(len(Straight.names), np.inf)
+    sigmas = np.full(len(StraightFlight.names), np.inf)
     sigmas[6:8], sigmas[9:] = VIEW_SIGMA * factor, 0.0
     sides = np.array([0.0, float(request.size[0])])
 
     def model_at(values: FloatArray, focal: float, notes: tuple[str, ...] = ()) -> PushbroomModel:
-        platform = Straight(frame, request.size[1], focal)
-        look = Look(sides, (sides - centre) / focal, np.zeros(2))
-        return assemble(platform, look, request.size, values, sigmas, height, where, frame.crs, notes)
+        platform = StraightFlight(frame, request.size[1], focal)
+        look = LookDirections(sides, (sides - centre) / focal, np.zeros(2))
+        return initial_model(platform, look, request.size, values, sigmas, height, where, frame.crs, notes)
 
     try:
         values, focal = np.concatenate([start.values, np.zeros(len(ADDITIONAL))]), start.focal
@@ -159,7 +159,7 @@ def solve_without_metadata(request: SensorRequest, control: Control) -> Pushbroo
             said = f"without {name} the others fit to some {rms:.1f} px, and it is off by some {away:.0f} px"
             error.hint = f"{said}: measure it again, or leave it out"
         raise
-    return with_result(model, solved.residuals, control)
+    return with_residual_notes(model, solved.residuals, control)
 
 
 def _additional(given: Any, count: int, where: str) -> tuple[str, ...]:
@@ -189,14 +189,14 @@ def _principal(options: Mapping[str, Any], width: int, where: str) -> float:
     return width / 2.0 if given is None else number(given, "principal_col", where)
 
 
-def start_from_points(
+def initial_values(
     ground: FloatArray,
     colrow: FloatArray,
     size: tuple[int, int],
     principal: float,
     options: Mapping[str, Any],
     where: str,
-) -> Start:
+) -> InitialValues:
     """Find first values from control points.
 
     Parameters
@@ -252,7 +252,7 @@ def start_from_points(
         centre = below(principal, row) - distance * view
         reach = centre[2] / -view[2]  # along the view down to local height 0
         values += [*(centre + reach * view)[:2], reach]
-    return Start(np.array([*values, *np.degrees(angles_of(rotation))]), focal, flying)
+    return InitialValues(np.array([*values, *np.degrees(angles_of(rotation))]), focal, flying)
 
 
 def _slant(height: float, cosine: float) -> float:

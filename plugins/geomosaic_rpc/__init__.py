@@ -12,15 +12,15 @@ plugin = RpcPlugin()
 # Loaded when first used: the program looks at the plugin of every sensor to find one by its capabilities.
 _HOMES = {
     "Refinement": "refinement",
-    "Relation": "tie_correction",
+    "TieCorrection": "tie_correction",
     "Rpc": "coefficients",
     "RpcFit": "fit",
     "RpcModel": "model",
-    "Sights": "tie_correction",
+    "TieMeasurements": "tie_correction",
     "fit_rpc": "fit",
     "read_rpc": "find",
     "refine": "refinement",
-    "relate": "tie_correction",
+    "correct_by_ties": "tie_correction",
     "write_tags": "write",
     "write_text": "write",
 }

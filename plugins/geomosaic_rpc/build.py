@@ -12,10 +12,10 @@ from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import choice, number, numbers, point_rows
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.sensor.vertical_datum import need_heights
+from geomosaic.sensor.vertical_datum import require_vertical_datum
 from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import Rpc
-from geomosaic_rpc.find import OWN, Found, find_rpc, own_rpc, read_rpc
+from geomosaic_rpc.find import OWN, FoundRpc, find_rpc, own_rpc, read_rpc
 from geomosaic_rpc.model import KINDS, WGS84, RpcModel
 from geomosaic_rpc.refinement import refine
 
@@ -45,7 +45,7 @@ def build_model(request: SensorRequest) -> RpcModel:
     return _refined(model, request, kind) if options.get("points") else model
 
 
-def _chosen(request: SensorRequest) -> Found:
+def _chosen(request: SensorRequest) -> FoundRpc:
     """Find the RPC that the inputs name, or the one of the image."""
     named = request.options.get("rpc")
     if named is not None and (not isinstance(named, str) or not named.strip()):
@@ -54,7 +54,7 @@ def _chosen(request: SensorRequest) -> Found:
         file = Path(request.base) / named
         if not file.is_file():
             raise InputError(f"there is no RPC file '{named}'", where=request.image, hint="check the path")
-        return Found(file.name, read_rpc(file))
+        return FoundRpc(file.name, read_rpc(file))
     if request.path is None:
         raise InputError(
             "nothing says where the RPC is: neither a file of the image nor one of the RPC is known",
@@ -90,7 +90,7 @@ def _refined(model: RpcModel, request: SensorRequest, kind: str) -> RpcModel:
         raise InputError("there are control points, but refine is 'none'", where=where, hint="leave one of them out")
     if request.crs is None:
         raise InputError("the control points have no CRS", where=where, hint="name it, e.g. EPSG:32633")
-    need_heights(request.crs, "the control points", where, lambda _: model)
+    require_vertical_datum(request.crs, "the control points", where, lambda _: model)
     names, ground, image, sigmas = _points(request.options["points"], where)
     try:
         found = refine(model, Transform(request.crs, WGS84)(ground), image, kind, sigmas)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from geomosaic_rpc.fit import RpcFit
     from geomosaic_rpc.model import RpcModel
     from geomosaic_rpc.refinement import Refinement
-    from geomosaic_rpc.tie_correction import Relation
+    from geomosaic_rpc.tie_correction import TieCorrection
 
 INPUTS = (
     SensorInput(
@@ -149,7 +149,7 @@ class RpcPlugin:
 
         return refine(model, xyz, colrow, kind, sigmas_px)
 
-    def relate_rational(
+    def correct_rational_by_ties(
         self,
         models: Sequence[RpcModel],
         image: IntArray,
@@ -158,11 +158,11 @@ class RpcPlugin:
         kind: str,
         sigma_px: float,
         fixed: Sequence[int],
-    ) -> Relation:
+    ) -> TieCorrection:
         """RPCs corrected by tie points; see `geomosaic_rpc.relate`."""
-        from geomosaic_rpc.tie_correction import Sights, relate
+        from geomosaic_rpc.tie_correction import TieMeasurements, correct_by_ties
 
-        return relate(models, Sights(image, point, colrow), kind, sigma_px=sigma_px, fixed=fixed)
+        return correct_by_ties(models, TieMeasurements(image, point, colrow), kind, sigma_px=sigma_px, fixed=fixed)
 
     def rational_tags(self, model: RpcModel) -> dict[str, str]:
         """GDAL's RPC domain of an RPC, its corrections included."""

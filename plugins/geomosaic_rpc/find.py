@@ -39,10 +39,10 @@ def read_rpc(path: Path) -> RpcFields:
         raise InputError(
             f"the RPC file cannot be read ({error.strerror})", where=where, hint="check the path"
         ) from error
-    return recognise(data, where)
+    return read_rpc_bytes(data, where)
 
 
-def recognise(data: bytes, where: str) -> RpcFields:
+def read_rpc_bytes(data: bytes, where: str) -> RpcFields:
     """Read an RPC from the bytes of a file.
 
     Raises
@@ -96,20 +96,20 @@ _SAME = 1e-3  # pixels: formats print offsets and coefficients with different nu
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundRpc:
     """An RPC and where it comes from: a file name, or 'image'."""
 
     source: str
     fields: RpcFields
 
 
-def own_rpc(path: str) -> Found | None:
+def own_rpc(path: str) -> FoundRpc | None:
     """Read the RPC that GDAL reports for an image, from its tags or from what it finds beside it."""
     fields = rpc_tags(read_rpc_tags(path), path)
-    return None if fields is None else Found(OWN, fields)
+    return None if fields is None else FoundRpc(OWN, fields)
 
 
-def rpc_beside(path: Path) -> list[Found]:
+def rpc_beside(path: Path) -> list[FoundRpc]:
     """RPC files that by their names belong to an image.
 
     'scene.tif' has scene_RPC.TXT, scene.RPB, scene.geom, scene.kwl or scene.XML; 'IMG_x_R1C1.TIF' of a DIMAP product
@@ -122,10 +122,10 @@ def rpc_beside(path: Path) -> list[Found]:
         A file that must hold an RPC is damaged.
     """
     sure, maybe = _named(path)
-    found = [Found(file.name, read_rpc(file)) for file in sure]
+    found = [FoundRpc(file.name, read_rpc(file)) for file in sure]
     for file in maybe:
         with suppress(InputError):
-            found.append(Found(file.name, read_rpc(file)))
+            found.append(FoundRpc(file.name, read_rpc(file)))
     return found
 
 
@@ -147,7 +147,7 @@ def _named(path: Path) -> tuple[list[Path], list[Path]]:
     return _distinct(files), [file for file in _distinct(maybe) if not file.samefile(path)]
 
 
-def find_rpc(path: str, where: str) -> Found:
+def find_rpc(path: str, where: str) -> FoundRpc:
     """Find the one RPC of an image.
 
     Raises

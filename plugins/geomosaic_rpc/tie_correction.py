@@ -26,7 +26,7 @@ _ROUNDS = 12
 
 
 @dataclass(frozen=True)
-class Sights:
+class TieMeasurements:
     """Measurements of tie points.
 
     Attributes
@@ -59,7 +59,11 @@ class Sights:
 
 
 def intersect(
-    models: Sequence[RpcModel], sights: Sights, sigma_px: float, sigma_height: float, start: FloatArray | None = None
+    models: Sequence[RpcModel],
+    sights: TieMeasurements,
+    sigma_px: float,
+    sigma_height: float,
+    start: FloatArray | None = None,
 ) -> FloatArray:
     """Ground points whose images are nearest to the measurements.
 
@@ -98,7 +102,7 @@ def intersect(
     return ground
 
 
-def _start(models: Sequence[RpcModel], sights: Sights, height: float) -> FloatArray:
+def _start(models: Sequence[RpcModel], sights: TieMeasurements, height: float) -> FloatArray:
     """Ground of the first measurement of each point, at one height."""
     ground = np.full((sights.points, 3), np.nan)
     for index in reversed(range(len(models))):
@@ -113,7 +117,7 @@ _CUT = 3.5
 
 
 @dataclass(frozen=True)
-class Relation:
+class TieCorrection:
     """Scenes that agree.
 
     Attributes
@@ -140,16 +144,16 @@ class Relation:
     rms_after: float
 
 
-def relate(
+def correct_by_ties(
     models: Sequence[RpcModel],
-    sights: Sights,
+    sights: TieMeasurements,
     kind: str = "shift",
     *,
     sigma_px: float = 0.5,
     sigma_correction: float = 20.0,
     sigma_height: float = 1000.0,
     fixed: Sequence[int] = (),
-) -> Relation:
+) -> TieCorrection:
     """Correct scenes so that their lines of sight meet in tie points.
 
     Parameters
@@ -207,11 +211,11 @@ def relate(
     sigmas = np.zeros_like(values)
     sigmas[free, :count] = np.sqrt(np.diag(covariance)).reshape(len(free), count)
     after = _length(sights, residuals, good)
-    return Relation(tuple(scenes), sigmas, ground, residuals, good, before, after)
+    return TieCorrection(tuple(scenes), sigmas, ground, residuals, good, before, after)
 
 
 def _freed(
-    scenes: Sequence[RpcModel], sights: Sights, ground: FloatArray, sigma_px: float, sigma_height: float
+    scenes: Sequence[RpcModel], sights: TieMeasurements, ground: FloatArray, sigma_px: float, sigma_height: float
 ) -> tuple[list[FloatArray], list[FloatArray]]:
     """Misfit (F,) and design (F, K, 6) of each point, freed of its ground coordinates, in units of `sigma_px`."""
     residuals, by_parameters, by_ground = sights.seen_by(scenes, ground)
@@ -259,5 +263,5 @@ def _solve(
     return equations.step().reshape(len(free), count), equations.singular_values.cofactors()
 
 
-def _length(sights: Sights, residuals: FloatArray, used: BoolArray) -> float:
+def _length(sights: TieMeasurements, residuals: FloatArray, used: BoolArray) -> float:
     return float(np.sqrt((residuals[used[sights.point]] ** 2).sum(axis=1).mean()))

@@ -29,7 +29,7 @@ FEWEST = 120
 
 
 @dataclass(frozen=True)
-class SmallCopy:
+class ReducedImage:
     """What stands out of its surroundings in a reduced picture.
 
     Attributes
@@ -43,13 +43,13 @@ class SmallCopy:
     valid: BoolArray
 
 
-def small_copy(path: str) -> SmallCopy:
+def reduced_image(path: str) -> ReducedImage:
     """Read the small copy of an image."""
     rgb, valid = preview(path, SIDE)
     grey = rgb.mean(axis=2, dtype=np.float64)
     mean = _box_mean(grey)
     spread = np.sqrt(np.maximum(_box_mean(grey * grey) - mean * mean, 1.0))
-    return SmallCopy((grey - mean) / spread, valid != 0)
+    return ReducedImage((grey - mean) / spread, valid != 0)
 
 
 def _box_mean(values: FloatArray) -> FloatArray:
@@ -62,8 +62,8 @@ def _box_mean(values: FloatArray) -> FloatArray:
     return mean
 
 
-def likeness(
-    first: OrientedImage, second: OrientedImage, copies: tuple[SmallCopy, SmallCopy], surface: Surface
+def correlation_of_pair(
+    first: OrientedImage, second: OrientedImage, copies: tuple[ReducedImage, ReducedImage], surface: Surface
 ) -> float:
     """Correlation of the details of two images where both show the same ground; 0 where nothing is shown by both.
 
@@ -110,10 +110,11 @@ def neighbours(places: FloatArray, pairs: int) -> list[tuple[int, int]]:
     return list(found)
 
 
-def together(scenes: Sequence[OrientedImage], copies: Sequence[SmallCopy], surface: Surface) -> float:
+def together(scenes: Sequence[OrientedImage], copies: Sequence[ReducedImage], surface: Surface) -> float:
     """Median likeness of pairs of scenes: the first with the second, the third with the fourth, and so on."""
     each = [
-        likeness(scenes[i], scenes[i + 1], (copies[i], copies[i + 1]), surface) for i in range(0, len(scenes) - 1, 2)
+        correlation_of_pair(scenes[i], scenes[i + 1], (copies[i], copies[i + 1]), surface)
+        for i in range(0, len(scenes) - 1, 2)
     ]
     return float(np.median(each)) if each else 0.0
 

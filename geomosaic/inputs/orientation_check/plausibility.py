@@ -21,9 +21,9 @@ from geomosaic.block.block import ControlPoint, OrientedImage
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.frames import named
+from geomosaic.inputs.frames import positions_crs
 from geomosaic.inputs.orientation_check.hypotheses import Reading, readings
-from geomosaic.inputs.orientation_check.overlap_similarity import neighbours, small_copy, together
+from geomosaic.inputs.orientation_check.overlap_similarity import neighbours, reduced_image, together
 from geomosaic.inputs.photos import Photo
 from geomosaic.render.workers import in_order
 from geomosaic.surface.model import Surface
@@ -100,7 +100,7 @@ def _by_control(
     control: Sequence[ControlPoint],
     build: Build,
 ) -> None:
-    given = distance(scenes, control, crs)
+    given = median_distance(scenes, control, crs)
     if given < FAR:
         return
     measured = {point.image for point in control}
@@ -110,14 +110,16 @@ def _by_control(
     for reading in readings(inputs, some, crs):
         made = _built(reading, crs, build)
         if made is not None:
-            tried.append((distance(made, control, _crs(reading.inputs, crs)), reading))
+            tried.append((median_distance(made, control, _crs(reading.inputs, crs)), reading))
     if not tried:
         return
     least = min(off for off, _ in tried)
     off, best = next((off, reading) for off, reading in tried if off <= 1.2 * least + 0.5)
     if off > PLAUSIBLE * min(float(np.hypot(*scene.model.size)) for scene in scenes):
         return
-    if BETTER * off < distance([scene for scene in scenes if scene.name in {p.name for p in some}], control, crs):
+    if BETTER * off < median_distance(
+        [scene for scene in scenes if scene.name in {p.name for p in some}], control, crs
+    ):
         raise _doubt(inputs, f"control points lie {given:.0f} px from where it puts them", best, f"{off:.1f} px")
 
 
@@ -134,11 +136,11 @@ def _by_pictures(
     try:
         # As a rule one pair, in the middle of the block, is beyond doubt, and no other needs to be read.
         first = pairs[len(pairs) // 2] if pairs else ()
-        small = dict(in_order(lambda i: small_copy(scenes[i].path), first, 2))
+        small = dict(in_order(lambda i: reduced_image(scenes[i].path), first, 2))
         if together([scenes[i] for i in first], list(small.values()), surface) >= SURE:
             return
         numbers = [i for pair in pairs for i in pair]
-        small |= {i: small_copy(scenes[i].path) for i in dict.fromkeys(numbers) if i not in small}
+        small |= {i: reduced_image(scenes[i].path) for i in dict.fromkeys(numbers) if i not in small}
     except GeomosaicError:
         return  # the work itself will say it better
     copies = [small[i] for i in numbers]
@@ -159,7 +161,7 @@ def _by_pictures(
         raise _doubt(inputs, what, best, f"they do ({alike:.2f})")
 
 
-def distance(scenes: Sequence[OrientedImage], control: Sequence[ControlPoint], crs: CRS) -> float:
+def median_distance(scenes: Sequence[OrientedImage], control: Sequence[ControlPoint], crs: CRS) -> float:
     """Median distance in pixels of measured places from computed ones; a point that is not seen is infinitely far."""
     models = {scene.name: scene.model for scene in scenes}
     off = []
@@ -185,7 +187,7 @@ def _built(reading: Reading, crs: CRS, build: Build) -> Sequence[OrientedImage] 
 
 
 def _crs(inputs: Block, crs: CRS) -> CRS:
-    return named(inputs.crs, inputs.heights) if inputs.crs is not None else crs
+    return positions_crs(inputs.crs, inputs.heights) if inputs.crs is not None else crs
 
 
 def _doubt(inputs: Block, refused: str, best: Reading, accepted: str) -> InputError:

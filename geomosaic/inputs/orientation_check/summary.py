@@ -14,13 +14,13 @@ from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.control_points import read_control
 from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.exterior_orientation import undeclared_reconstruction
-from geomosaic.inputs.frames import crs_name, describe
-from geomosaic.inputs.missing_inputs import needs
+from geomosaic.inputs.frames import crs_name
+from geomosaic.inputs.missing_inputs import list_missing_inputs
 from geomosaic.inputs.photos import Photo, photos_of
 from geomosaic.raster.info import inspect
 
 
-def understood(inputs: Block) -> tuple[list[str], str | None]:
+def summarise_inputs(inputs: Block) -> tuple[list[str], str | None]:
     """Describe images, positions, DEM and control points; where the block is complete, its place and sampling.
 
     Also what speaks against the whole, although nothing is missing.
@@ -29,7 +29,7 @@ def understood(inputs: Block) -> tuple[list[str], str | None]:
     known = not undeclared_reconstruction(inputs.exterior, inputs.angles)
     if inputs.exterior is not None and inputs.crs is not None and known:
         photos, crs = photos_of(inputs)
-        lines.append(f"positions: {describe(crs)}")
+        lines.append(f"positions: {frame_description(crs)}")
         lines += _positions(photos, inputs.angle_unit or "deg")
     if inputs.dem is not None:
         lines.append(_dem(inputs))
@@ -43,7 +43,7 @@ def understood(inputs: Block) -> tuple[list[str], str | None]:
             f"control: {len(names['control'])} control and {len(names['check'])} check points, "
             f"{len(points)} measurements"
         )
-    if needs(inputs):
+    if list_missing_inputs(inputs):
         return lines, None
     try:
         together, far = _block(inputs)
@@ -86,7 +86,7 @@ def _dem(inputs: Block) -> str:
     if info.crs is None or info.transform is None:
         return f"DEM: {info.width} x {info.height} nodes, not georeferenced"
     if inputs.dem_heights is None and not has_heights(info.crs):
-        return f"DEM: {info.width} x {info.height} nodes, {describe(info.crs)}"
+        return f"DEM: {info.width} x {info.height} nodes, {frame_description(info.crs)}"
     from geomosaic.surface.dem import Dem
 
     dem = Dem.open(path, heights=inputs.dem_heights)
@@ -95,7 +95,7 @@ def _dem(inputs: Block) -> str:
         unit = dem.crs.axis_info[0].unit_name
         return (
             f"DEM: {info.width} x {info.height} nodes every {dem.spacing:g} {unit}, {low:.1f} to {high:.1f} m; "
-            f"{describe(dem.crs)}"
+            f"{frame_description(dem.crs)}"
         )
     finally:
         dem.close()

@@ -21,7 +21,7 @@ from geomosaic.inputs.planar.facts import (
     single_facts,
     wrong_facts,
 )
-from geomosaic.inputs.planar.tables import examine, read_block
+from geomosaic.inputs.planar.tables import check_control, read_block
 from geomosaic.inputs.usable_area import with_usable
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build, plane_sensor
@@ -90,7 +90,7 @@ def build_planar(inputs: Block, wanted: PlanarInputs) -> tuple[OrientedBlock, di
         )
     block, points = read_block(photos, wanted.ties, control)
     if points and control is not None and wanted.kind != "uncontrolled":
-        examine(points, crs, control, wanted.wrong)
+        check_control(points, crs, control, wanted.wrong)
     tables = " and ".join(path.name for path in (wanted.ties, control) if path is not None)
     placed = place(block, wanted, tables)
     scenes = tuple(_scene(inputs, photo, placed.transforms[photo.name], crs) for photo in photos)

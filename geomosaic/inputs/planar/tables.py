@@ -150,7 +150,7 @@ def _sigma(row: Row) -> float:
     return sigma
 
 
-def examine(points: Sequence[ControlPoint], crs: CRS, path: Path | None, policy: str = "stop") -> None:
+def check_control(points: Sequence[ControlPoint], crs: CRS, path: Path | None, policy: str = "stop") -> None:
     """Refuse control whose coordinates do not fit their CRS, or contradict each other.
 
     Parameters

@@ -16,7 +16,7 @@ from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.digests import digest_of
 from geomosaic.inputs.area import FindOutlines, plan_mosaic
-from geomosaic.inputs.frames import describe
+from geomosaic.inputs.frames import frame_description
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.manifest import heard, read_json, tell, write_json
 from geomosaic.jobs.step import Context, Machine
@@ -61,7 +61,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     judged = seam_facts(result.parts, result.quality, [outline.name for outline in outlines])
     facts: dict[str, Any] = {
         "grid": {
-            "crs": describe(grid.crs).partition("; heights")[0],
+            "crs": frame_description(grid.crs).partition("; heights")[0],
             "width": grid.width,
             "height": grid.height,
             "resolution": grid.resolution,

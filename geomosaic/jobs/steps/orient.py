@@ -15,16 +15,16 @@ from geomosaic.inputs.build import build_block
 from geomosaic.inputs.camera import read_camera
 from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
-from geomosaic.inputs.frames import describe, named
+from geomosaic.inputs.frames import frame_description, positions_crs
 from geomosaic.inputs.ground import build_surface
-from geomosaic.inputs.missing_inputs import needs
+from geomosaic.inputs.missing_inputs import list_missing_inputs
 from geomosaic.inputs.orientation_check.plausibility import FAR
 from geomosaic.inputs.usable_area import with_usable
 from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.manifest import heard, read_json, write_json
 from geomosaic.jobs.step import Context
 from geomosaic.project.load import Project
-from geomosaic.sensor.state import from_dict, to_dict
+from geomosaic.sensor.state import model_from_dict, model_to_dict
 
 
 def orient(project: Project, context: Context) -> Mapping[str, Any]:
@@ -33,7 +33,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     with heard() as notes:
         block, planar = _block(project)
         for done, (scene, path) in enumerate(zip(block.scenes, layout.models, strict=True)):
-            write_json(path, {"image": scene.name, **to_dict(scene.sensor, scene.model)})
+            write_json(path, {"image": scene.name, **model_to_dict(scene.sensor, scene.model)})
             context.progress(done + 1, len(block.scenes), "orient")
         residuals = check_control(block)
         off = control_discrepancies(project.inputs, block)
@@ -44,7 +44,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     facts = {
         "sensor": inputs.sensor,
         "options": dict(inputs.options),
-        "positions": describe(block.crs) if block.crs is not None else None,
+        "positions": frame_description(block.crs) if block.crs is not None else None,
         "positions_heights_declared": inputs.heights,
         "angles": {
             "system": inputs.angles,
@@ -54,7 +54,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
         }
         if inputs.exterior
         else None,
-        "surface": describe(surface.crs) if surface is not None else None,
+        "surface": frame_description(surface.crs) if surface is not None else None,
         "surface_heights_declared": inputs.dem_heights,
         "surface_heights_overridden": getattr(surface, "overridden", None),
         "surface_notes": list(getattr(surface, "notes", ())),
@@ -95,7 +95,7 @@ def _block(project: Project) -> tuple[OrientedBlock, dict[str, Any] | None]:
             return build_planar(inputs, inputs.planar)
         return build_block(inputs), None
     except InputError as error:
-        lacking = needs(project.inputs)
+        lacking = list_missing_inputs(project.inputs)
         if not lacking:
             raise
         raise InputError(
@@ -108,12 +108,12 @@ def _block(project: Project) -> tuple[OrientedBlock, dict[str, Any] | None]:
 def restore_block(project: Project) -> OrientedBlock:
     """Read the models that 'orient' wrote, with images and surface."""
     inputs = project.inputs
-    crs = named(inputs.crs, inputs.heights) if inputs.crs else None
+    crs = positions_crs(inputs.crs, inputs.heights) if inputs.crs else None
     scenes = []
     for image, path in zip(project.images, Layout(project).models, strict=True):
         state = read_json(path)
         scenes.append(
-            OrientedImage(image.name, str(image), state["sensor"], from_dict(state), inputs.nodata, inputs.bands)
+            OrientedImage(image.name, str(image), state["sensor"], model_from_dict(state), inputs.nodata, inputs.bands)
         )
     return OrientedBlock(with_usable(inputs, scenes), build_surface(inputs, crs), (), crs)
 

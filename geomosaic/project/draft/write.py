@@ -20,8 +20,8 @@ from geomosaic.inputs.exterior_orientation import (
     systems_of,
     undeclared_reconstruction,
 )
-from geomosaic.inputs.missing_inputs import HEIGHTS, known_capabilities, needs, undeclared_heights
-from geomosaic.inputs.orientation_check.summary import understood
+from geomosaic.inputs.missing_inputs import HEIGHTS, known_capabilities, list_missing_inputs, undeclared_heights
+from geomosaic.inputs.orientation_check.summary import summarise_inputs
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.whole_files import write_atomic
 
@@ -60,9 +60,9 @@ def draft_project(path: Path, inputs: Block, angles: str | None) -> Draft:
     if exterior is not None and angles is None:
         read = _system(exterior)
         inputs = replace(inputs, angles=read or inputs.angles)
-    needed = needs(inputs)
+    needed = list_missing_inputs(inputs)
     text = _text(path, inputs, read is not None)
-    lines, misfit = understood(inputs)
+    lines, misfit = summarise_inputs(inputs)
     return Draft(path, text, [*lines, *_angles(inputs, read)], needed, misfit)
 
 
