@@ -14,7 +14,7 @@ from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.control_points import read_control
 from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.exterior_orientation import undeclared_reconstruction
-from geomosaic.inputs.frames import crs_name
+from geomosaic.inputs.frames import crs_name, frame_description
 from geomosaic.inputs.missing_inputs import list_missing_inputs
 from geomosaic.inputs.photos import Photo, photos_of
 from geomosaic.raster.info import inspect
