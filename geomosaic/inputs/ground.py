@@ -56,7 +56,9 @@ def build_surface(
             raise InputError("a height needs a CRS", hint="name it with `crs`")
         frame = with_declared_heights(crs, inputs.dem_heights, "`dem_heights`")
         if not has_heights(frame):
-            raise undeclared_heights_error("the ground", "`height`", OF_DEM, frame, _place(photos), _reach(photos, inputs.height))
+            raise undeclared_heights_error(
+                "the ground", "`height`", OF_DEM, frame, _place(photos), _reach(photos, inputs.height)
+            )
         return Plane(frame, inputs.height)
     if inputs.dem is not None:
         if isinstance(inputs.dem, Dem):
