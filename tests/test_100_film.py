@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import rasterio
 from affine import Affine
-from test_60_marks import blurred, mark
+from test_60_fiducial_marks import blurred, mark
 
 from geomosaic.cli.main import run
 from geomosaic.geo.crs import parse_crs, with_heights

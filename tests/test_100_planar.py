@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
 from planar_rig import FLAT, flight
+from test_80_planar_mosaic import write_tables
 
 from geomosaic.cli.main import run
 from geomosaic.testing.synthetic import render
-
-sys.path.insert(0, str(Path(__file__).parent))
-from test_80_planar_mosaic import write_tables
 
 
 @pytest.fixture(scope="module")

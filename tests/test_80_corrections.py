@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_42_corrected import smooth
+from test_42_corrected_models import smooth
 from test_80_build import inputs
 
 from geomosaic.errors import InputError, OutputExistsError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from test_70_georeference_advice import few, lens, solved
+from test_70_georeference_diagnostics import few, lens, solved
 
 from geomosaic.georeferencing.examination import BadControlError
 

@@ -249,7 +249,7 @@ def test_bad_control(
 
 
 def table_rows() -> list[str]:
-    """What is said of every case, as lines of the table of the docs (see `test_70_georeference_advice.py`)."""
+    """What is said of every case, as lines of the table of the docs (see `test_70_georeference_diagnostics.py`)."""
     lines = []
     for case, (make, _, _, options) in CASES.items():
         for advice in advise(make(), **{"size": SIZE, **options})[:1]:

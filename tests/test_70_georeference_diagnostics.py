@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_50_control_advice import table_rows
+from test_50_control_findings import table_rows
 
 from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import footprint
