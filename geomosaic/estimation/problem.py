@@ -73,11 +73,14 @@ class Unknowns:
         """Largest change of a step (U,), in `steps`."""
         return float(np.max(np.abs(step) / self.steps[self.free], initial=0.0))
 
+    def a_priori_misclosure(self, values: FloatArray) -> FloatArray:
+        """A-priori values less values (P,), over their standard deviations, of the observed ones."""
+        return (self.start - values)[self.free][self.observed] / self.sigmas[self.free][self.observed]
+
     def a_priori(self, values: FloatArray) -> Equations:
         """Equations of the soft constraints at values (P,)."""
-        sigmas = self.sigmas[self.free][self.observed]
-        design = np.eye(len(self.observed))[self.observed] / sigmas[:, None]
-        return Equations(design, (self.start - values)[self.free][self.observed] / sigmas)
+        design = np.eye(len(self.observed))[self.observed] / self.sigmas[self.free][self.observed][:, None]
+        return Equations(design, self.a_priori_misclosure(values))
 
 
 class Problem(ABC, Generic[State]):

@@ -15,6 +15,7 @@ from typing import Generic
 import numpy as np
 
 from geomosaic.errors import SolveError
+from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.problem import Problem, State
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-9, 1e12
@@ -77,12 +78,15 @@ class Solution(Generic[State]):
     rounds : int
         Linearisations that were solved.
     outcome : Outcome
+    equations : Equations
+        The last of them: apart from those at `state` by one step, which convergence makes negligible.
     """
 
     state: State
     squares: float
     rounds: int
     outcome: Outcome
+    equations: Equations
 
     def required(self, hint: str) -> Solution[State]:
         """The solution itself.
@@ -133,9 +137,8 @@ def solve(problem: Problem[State], start: State, rules: Stopping | None = None) 
             if damping > MOST_DAMPING:
                 step = equations.step()
                 undamped = problem.movement(state, problem.moved(state, step), equations, step)
-                return Solution(
-                    state, squares, done, Outcome.CONVERGED if undamped < rules.stalled else Outcome.STALLED
-                )
+                outcome = Outcome.CONVERGED if undamped < rules.stalled else Outcome.STALLED
+                return Solution(state, squares, done, outcome, equations)
         gain = squares - after
         if damping > 0.0:
             predicted = squares - float(np.sum(equations.residuals(step) ** 2))
@@ -143,9 +146,9 @@ def solve(problem: Problem[State], start: State, rules: Stopping | None = None) 
             if gain >= FAITHFUL * predicted:
                 damping = 0.1 * damping if damping > LEAST_DAMPING else 0.0
         state = problem.refreshed(trial)
-        squares = problem.squares(state)
+        squares = after if state is trial else problem.squares(state)
         settled = gain <= rules.gain * squares if rules.gain is not None else movement >= before
         before = movement
         if movement < rules.step or (movement < rules.near and settled):
-            return Solution(state, squares, done, Outcome.CONVERGED)
-    return Solution(state, squares, rules.rounds, Outcome.TOO_MANY)
+            return Solution(state, squares, done, Outcome.CONVERGED, equations)
+    return Solution(state, squares, rules.rounds, Outcome.TOO_MANY, equations)

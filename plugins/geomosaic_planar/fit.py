@@ -21,9 +21,8 @@ SURE = 3.0
 """Logarithm of the ratio of likelihoods from which control is taken for mirrored; e³ is about 20 to 1."""
 
 
-def determined(design: FloatArray, label: str, where: str | None) -> SingularValues:
-    """Singular values of a weighted design, refused where the points do not determine its unknowns."""
-    factors = SingularValues.of(design)
+def need_determined(factors: SingularValues, label: str, where: str | None) -> None:
+    """Check that the points determine the unknowns of a weighted design."""
     if factors.condition()[0] > WORST_CONDITION:
         raise SolveError(
             f"the control points do not determine {article(label)} {label} transformation: they lie on a "
@@ -31,14 +30,14 @@ def determined(design: FloatArray, label: str, where: str | None) -> SingularVal
             where=where,
             hint="spread the points over the image, or choose a simpler kind",
         )
-    return factors
 
 
 def least_squares(
     design: FloatArray, right: FloatArray, label: str, where: str | None
 ) -> tuple[FloatArray, float, FloatArray]:
     """Least squares solution, condition number and cofactors of a weighted linear problem."""
-    factors = determined(design, label, where)
+    factors = SingularValues.of(design)
+    need_determined(factors, label, where)
     return factors.solve(right), factors.condition()[0], factors.cofactors()
 
 
@@ -89,8 +88,7 @@ class _Projective(Problem[FloatArray]):
     def linearise(self, state: FloatArray) -> Equations:
         design = (derivatives("projective", 1, state, self.uv)[0] * self.root[:, None, None]).reshape(-1, 8)
         equations = Equations(design, self._misclosure(state).ravel())
-        # The condition is that of the true residuals; the algebraic start cannot be asked for it.
-        determined(design, "projective", self.where)
+        need_determined(equations.singular_values, "projective", self.where)
         return equations
 
     def squares(self, state: FloatArray) -> float:
@@ -112,9 +110,9 @@ def projective(
 ) -> tuple[FloatArray, float, FloatArray]:
     """Direct linear start, then least squares of the true residuals in pixels."""
     problem = _Projective(uv, image, root, where)
-    values = solve(problem, _direct_linear(uv, image, root, where), RULES).state
-    factors = problem.linearise(values).singular_values
-    return values, factors.condition()[0], factors.cofactors()
+    solution = solve(problem, _direct_linear(uv, image, root, where), RULES)
+    factors = solution.equations.singular_values
+    return solution.state, factors.condition()[0], factors.cofactors()
 
 
 def _direct_linear(uv: FloatArray, image: FloatArray, root: FloatArray, where: str | None) -> FloatArray:

@@ -128,7 +128,7 @@ class EdgeProblem(Problem[State]):
         total = float(((state.residuals / s.sigma_px[:, None]) ** 2).sum())
         known = (s.sigma > 0.0) & np.isfinite(s.sigma)
         total += float((((state.ground - s.xyz)[known, :2] / s.sigma[known, None]) ** 2).sum())
-        return total + float((self.unknowns.a_priori(state.values).misclosure ** 2).sum())
+        return total + float((self.unknowns.a_priori_misclosure(state.values) ** 2).sum())
 
     def network(self, state: State) -> Network:
         """Linearisation at a state; unknowns are the free parameters, photo after photo, then the stations."""

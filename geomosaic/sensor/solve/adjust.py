@@ -162,7 +162,8 @@ class _Problem(Problem[_State[Model]]):
 
     def refreshed(self, state: _State[Model]) -> _State[Model]:
         """Points that came into sight take part from now on."""
-        return replace(state, seen=np.isfinite(state.residuals.sum(axis=1)))
+        seen = np.isfinite(state.residuals.sum(axis=1))
+        return state if np.array_equal(seen, state.seen) else replace(state, seen=seen)
 
     def movement(self, state: _State[Model], trial: _State[Model], equations: Equations, step: FloatArray) -> float:
         return self.unknowns.movement(step)
@@ -170,7 +171,7 @@ class _Problem(Problem[_State[Model]]):
     def squares(self, state: _State[Model]) -> float:
         """Sum over the points seen and the a-priori values; infinite when one of the points is lost."""
         image = (state.residuals * self.weights)[state.seen].ravel()
-        vector = np.concatenate([image, self.unknowns.a_priori(state.model.parameters.values).misclosure])
+        vector = np.concatenate([image, self.unknowns.a_priori_misclosure(state.model.parameters.values)])
         total = float(vector @ vector)
         return total if np.isfinite(total) else float("inf")
 

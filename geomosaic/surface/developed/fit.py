@@ -103,7 +103,7 @@ def _half_sphere() -> FloatArray:
     return np.stack([basis(axis) for axis in np.column_stack([out * np.cos(turn), out * np.sin(turn), z])])
 
 
-RULES = Stopping(rounds=60, step=1e-14, near=0.0, longest=0.5)
+RULES = Stopping(rounds=60, step=1e-14, near=1e-11, longest=0.5)
 """A longer step than half the points' spread, or half a radian, would leave the body that the start is near to."""
 SINGULAR = 1e-6
 """Least singular value, as a share of the largest, below which the points are said not to determine the body."""
