@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from geomosaic.control.findings import SEVERITIES, Advice
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_map
+from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import short_unit
 from geomosaic.georeferencing.examination import BadControlError, fold_advice, stop_on_errors
 from geomosaic.georeferencing.request import ControlInput, FitRequest, Place, find_control
@@ -27,9 +29,9 @@ from geomosaic.render.ortho import OrthoResult, ortho
 from geomosaic.sensor.registry import plane_sensor
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Georeferenced:
-    """What was made.
+    """Image placed on the map, with the fit that placed it and its control report.
 
     Attributes
     ----------
@@ -47,6 +49,24 @@ class Georeferenced:
     report: Path | None
     page: Path | None
     vectors: Path | None
+
+    @property
+    def path(self) -> Path:
+        """The file of the product."""
+        return self.product.path
+
+    @property
+    def grid(self) -> Grid:
+        """Its CRS, affine transform and shape."""
+        return self.product.grid
+
+    def read(self, window: Window | None = None, bands: Sequence[int] | None = None) -> np.ma.MaskedArray[Any, Any]:
+        """Pixels (bands, rows, cols) of the product, see `RasterProduct.read`."""
+        return self.product.read(window, bands)
+
+    def __repr__(self) -> str:
+        fit = self.solution.fit
+        return f"Georeferenced({self.product}, {self.solution.model}, RMS {fit.rms_total:.3g} px)"
 
 
 def georeference(
