@@ -24,7 +24,7 @@ from geomosaic.inputs.area import Area, plan
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.match.shift import Shifts, shifts
-from geomosaic.mosaicking.mosaic import beside
+from geomosaic.mosaicking.outputs import companion
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_mosaic
@@ -171,7 +171,7 @@ def test_one_mosaic(real_data: RealData, tmp_path: Path) -> None:
     assert made.grid.crs.to_epsg() == 32651
     assert min(made.pixels) > 0.1 * made.valid_pixels
     assert (made.balance.after < 0.8 * made.balance.before).all()
-    with rasterio.open(made.path) as file, rasterio.open(beside(made.path, "-labels", ".tif")) as labels:
+    with rasterio.open(made.path) as file, rasterio.open(companion(made.path, "-labels", ".tif")) as labels:
         assert np.array_equal(file.dataset_mask() > 0, labels.read(1) > 0)
         assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
         valid = file.dataset_mask() > 0

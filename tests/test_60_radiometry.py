@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from geomosaic.radiometry.gain_offset import Balance, solve
+from geomosaic.radiometry.gain_offset import Balance, solve_gain_offset
 from geomosaic.radiometry.overlap_samples import Overlap
 
 IMAGES = 6
@@ -47,7 +47,7 @@ def off(solved: Balance, gain: np.ndarray, offset: np.ndarray) -> tuple[float, f
 
 def test_noise_free_values_give_the_cameras_back() -> None:
     gain, offset = truth(1)
-    solved = solve(IMAGES, 3, overlaps(gain, offset, CHAIN))
+    solved = solve_gain_offset(IMAGES, 3, overlaps(gain, offset, CHAIN))
     dg, do = off(solved, gain, offset)
     # The prior holds against an overlap as 1 against LEAST_SIGMA: 1e-5 of the corrections.
     assert dg < 2e-5, f"gain off by {dg:.2e}"
@@ -59,7 +59,7 @@ def test_noise_free_values_give_the_cameras_back() -> None:
 
 def test_the_gauge_is_geometric_mean_gain_one_and_mean_offset_zero() -> None:
     gain, offset = truth(2)
-    solved = solve(IMAGES, 3, overlaps(gain, offset, CHAIN, noise=2.0))
+    solved = solve_gain_offset(IMAGES, 3, overlaps(gain, offset, CHAIN, noise=2.0))
     assert np.allclose(np.log(solved.gain).mean(axis=0), 0.0, atol=1e-10)
     assert np.allclose(solved.offset.mean(axis=0), 0.0, atol=1e-9)
 
@@ -68,7 +68,7 @@ def test_the_order_of_a_pair_does_not_matter() -> None:
     gain, offset = truth(4)
     pairs = overlaps(gain, offset, CHAIN, noise=1.0)
     turned = [Overlap(p.second, p.first, p.b, p.a) for p in pairs]
-    one, other = solve(IMAGES, 3, pairs), solve(IMAGES, 3, turned)
+    one, other = solve_gain_offset(IMAGES, 3, pairs), solve_gain_offset(IMAGES, 3, turned)
     assert np.allclose(one.gain, other.gain, atol=1e-10)
     assert np.allclose(one.offset, other.offset, atol=1e-8)
 
@@ -84,10 +84,10 @@ def test_noise_and_gross_errors_stay_within_tolerance() -> None:
         bad = rng.random(len(b)) < 0.05
         b[bad] = rng.uniform(0, 255, (int(bad.sum()), b.shape[1]))
         dirty.append(Overlap(pair.first, pair.second, pair.a, b))
-    dg, do = off(solve(IMAGES, 3, clean), gain, offset)
+    dg, do = off(solve_gain_offset(IMAGES, 3, clean), gain, offset)
     assert dg < 0.01
     assert do < 1.0
-    dg, do = off(solve(IMAGES, 3, dirty), gain, offset)
+    dg, do = off(solve_gain_offset(IMAGES, 3, dirty), gain, offset)
     assert dg < 0.02, f"gain off by {dg:.4f}"
     assert do < 2.0, f"offset off by {do:.2f}"
 
@@ -95,7 +95,7 @@ def test_noise_and_gross_errors_stay_within_tolerance() -> None:
 def test_each_connected_group_has_its_own_gauge() -> None:
     gain, offset = truth(7)
     pairs = overlaps(gain, offset, [(0, 1), (1, 2), (3, 4)])
-    solved = solve(IMAGES, 3, pairs)
+    solved = solve_gain_offset(IMAGES, 3, pairs)
     for group in ([0, 1, 2], [3, 4]):
         g, o = expected(gain[group], offset[group])
         assert np.allclose(solved.gain[group], g, atol=2e-5)
@@ -109,7 +109,7 @@ def test_each_connected_group_has_its_own_gauge() -> None:
 def test_without_overlaps_nothing_changes() -> None:
     empty = Overlap(0, 1, np.zeros((0, 2)), np.zeros((0, 2)))
     for pairs in ([], [empty]):
-        solved = solve(3, 2, pairs)
+        solved = solve_gain_offset(3, 2, pairs)
         assert (solved.gain == 1).all()
         assert (solved.offset == 0).all()
         assert np.isnan(solved.before).all()
@@ -117,7 +117,7 @@ def test_without_overlaps_nothing_changes() -> None:
 
 
 def test_one_image_alone() -> None:
-    solved = solve(1, 3, [])
+    solved = solve_gain_offset(1, 3, [])
     assert solved.gain.shape == (1, 3)
     assert (solved.gain == 1).all()
 
@@ -125,7 +125,7 @@ def test_one_image_alone() -> None:
 def test_overlaps_of_one_tone_are_still_matched() -> None:
     """Water everywhere: gain and offset cannot be told apart, but the tones can be made equal."""
     a, b = np.full((50, 1), 80.0), np.full((50, 1), 100.0)
-    solved = solve(2, 1, [Overlap(0, 1, a, b)])
+    solved = solve_gain_offset(2, 1, [Overlap(0, 1, a, b)])
     assert np.isfinite(solved.gain).all()
     assert solved.after[0] == pytest.approx(0.0, abs=1e-3)
     assert (solved.gain == 1).all()  # nothing is known of it
@@ -134,8 +134,8 @@ def test_overlaps_of_one_tone_are_still_matched() -> None:
 def test_bands_do_not_mix() -> None:
     gain, offset = truth(8)
     pairs = overlaps(gain, offset, CHAIN, noise=1.0)
-    both = solve(IMAGES, 3, pairs)
-    alone = solve(IMAGES, 1, [Overlap(p.first, p.second, p.a[:, 1:2], p.b[:, 1:2]) for p in pairs])
+    both = solve_gain_offset(IMAGES, 3, pairs)
+    alone = solve_gain_offset(IMAGES, 1, [Overlap(p.first, p.second, p.a[:, 1:2], p.b[:, 1:2]) for p in pairs])
     assert np.allclose(both.gain[:, 1], alone.gain[:, 0], atol=1e-12)
 
 
@@ -145,9 +145,9 @@ def test_a_small_block_does_not_load_scipy() -> None:
 import sys
 import numpy as np
 from geomosaic.radiometry.overlap_samples import Overlap
-from geomosaic.radiometry.gain_offset import solve
+from geomosaic.radiometry.gain_offset import solve_gain_offset
 values = np.arange(100.0)[:, None]
-assert solve(3, 1, [Overlap(0, 1, values, 0.8 * values)]).gain[1, 0] > 1.1
+assert solve_gain_offset(3, 1, [Overlap(0, 1, values, 0.8 * values)]).gain[1, 0] > 1.1
 assert "scipy" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True)

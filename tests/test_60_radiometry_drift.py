@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geomosaic.radiometry import drift
-from geomosaic.radiometry.gain_offset import LEAST_SIGMA, solve
+from geomosaic.radiometry.gain_offset import MIN_SIGMA, solve_gain_offset
 from geomosaic.radiometry.overlap_samples import Overlap
 
 PHOTOS = 50
@@ -47,9 +47,9 @@ def exposures(seed: int) -> np.ndarray:
 def test_a_bias_of_each_overlap_does_not_add_up(seed: int) -> None:
     exposure, bias = exposures(seed), 0.01
     pairs = strip(bias, 5.0, exposure, seed)
-    free, held = (creep(level(exposure, solve(PHOTOS, 1, pairs, hold=hold))) for hold in (False, True))
+    free, held = (creep(level(exposure, solve_gain_offset(PHOTOS, 1, pairs, hold=hold))) for hold in (False, True))
     # What the hold allows, and what the means of ten exposures vary by themselves.
-    bound = bias * drift.FIRM * 0.1 / LEAST_SIGMA + creep(exposure / exposure.mean())
+    bound = bias * drift.SIGMA_RATIO * 0.1 / MIN_SIGMA + creep(exposure / exposure.mean())
     assert free > 0.15, "the strip would not creep, and shows nothing"
     assert held < bound, f"creep {held:.3f}, without the hold {free:.3f}"
     assert held < 0.6 * free, f"creep {held:.3f}, without the hold {free:.3f}"
@@ -61,8 +61,8 @@ def test_noise_alone_does_not_walk_away() -> None:
     for seed in range(8):
         exposure = exposures(seed)
         pairs = strip(0.0, 40.0, exposure, seed, partners=1)
-        free.append(creep(level(exposure, solve(PHOTOS, 1, pairs, hold=False))))
-        held.append(creep(level(exposure, solve(PHOTOS, 1, pairs, hold=True))))
+        free.append(creep(level(exposure, solve_gain_offset(PHOTOS, 1, pairs, hold=False))))
+        held.append(creep(level(exposure, solve_gain_offset(PHOTOS, 1, pairs, hold=True))))
     assert np.median(held) < 0.6 * np.median(free), f"{np.round(held, 3)} held, {np.round(free, 3)} free"
     assert max(held) < 0.1
 
@@ -73,7 +73,7 @@ def test_jumps_from_photo_to_photo_are_still_taken_out() -> None:
     pairs = strip(0.0, 2.0, exposure, 9)
     steps = {}
     for hold in (False, True):
-        shown = level(exposure, solve(PHOTOS, 1, pairs, hold=hold))
+        shown = level(exposure, solve_gain_offset(PHOTOS, 1, pairs, hold=hold))
         steps[hold] = float(np.sqrt(np.mean(np.diff(shown) ** 2)))
     assert np.sqrt(np.mean(np.diff(np.log(exposure)) ** 2)) > 0.1
     assert steps[True] < 0.005, steps
@@ -81,7 +81,9 @@ def test_jumps_from_photo_to_photo_are_still_taken_out() -> None:
 
 def test_a_camera_of_fixed_exposure_hardly_creeps_at_all() -> None:
     pairs = strip(0.01, 5.0, np.ones(PHOTOS), 5)
-    free, held = (creep(level(np.ones(PHOTOS), solve(PHOTOS, 1, pairs, hold=hold))) for hold in (False, True))
+    free, held = (
+        creep(level(np.ones(PHOTOS), solve_gain_offset(PHOTOS, 1, pairs, hold=hold))) for hold in (False, True)
+    )
     assert free > 0.15
     assert held < 0.05, f"creep {held:.3f}, without the hold {free:.3f}"
 
@@ -89,9 +91,9 @@ def test_a_camera_of_fixed_exposure_hardly_creeps_at_all() -> None:
 def test_small_groups_are_left_alone() -> None:
     first, second = np.array([0, 1, 2, 4]), np.array([1, 2, 3, 5])
     assert drift.neighbourhoods(6, first, second) == []
-    assert drift.groups(6, first, second).tolist() == [0, 0, 0, 0, 1, 1]
+    assert drift.connected_groups(6, first, second).tolist() == [0, 0, 0, 0, 1, 1]
 
 
 def test_a_long_chain_is_one_group() -> None:
     order = np.random.default_rng(1).permutation(500)
-    assert drift.groups(500, order[:-1], order[1:]).max() == 0
+    assert drift.connected_groups(500, order[:-1], order[1:]).max() == 0

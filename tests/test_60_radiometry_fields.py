@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.radiometry.fields import Fields, solve_fields
-from geomosaic.radiometry.gain_offset import solve
-from geomosaic.radiometry.model_selection import choose, solve_terms
-from geomosaic.radiometry.normal_equations import Setting
-from geomosaic.radiometry.overlap_samples import Overlap, Views, gather
+from geomosaic.radiometry.fields import ColourModel, solve_fields
+from geomosaic.radiometry.gain_offset import solve_gain_offset
+from geomosaic.radiometry.model_selection import select_terms, solve_terms
+from geomosaic.radiometry.normal_equations import ColourSetting
+from geomosaic.radiometry.overlap_samples import Overlap, PairedSamples, paired_samples
 
 ROWS, COLS = 3, 5
 HALF = np.array([0.8, 0.6])  # of a footprint, in half diagonals
@@ -62,7 +62,7 @@ class Cameras:
     def places(self, index: int, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return cells - self.centre[index], cells - self.centre[index]
 
-    def error(self, solved: Fields) -> np.ndarray:
+    def error(self, solved: ColourModel) -> np.ndarray:
         """RMS of corrected values about true radiance, in parts of its mean, per band.
 
         Without what overlaps cannot tell: a scale and an offset of all images, a gamma, and, where light changes across
@@ -86,12 +86,12 @@ class Cameras:
         return np.array(out)
 
 
-def solved(cameras: Cameras, terms: set[str], noise: float = 0.0) -> tuple[Fields, Views]:
+def solved(cameras: Cameras, terms: set[str], noise: float = 0.0) -> tuple[ColourModel, PairedSamples]:
     pairs = cameras.overlaps(noise=noise)
-    start = solve(cameras.count, 3, pairs)
-    views = gather(pairs, cameras.places, 15_000)
+    start = solve_gain_offset(cameras.count, 3, pairs)
+    views = paired_samples(pairs, cameras.places, 15_000)
     assert views is not None
-    setting = Setting(cameras.count, 1, np.zeros(cameras.count, dtype=np.int64), frozenset(terms), R)
+    setting = ColourSetting(cameras.count, 1, np.zeros(cameras.count, dtype=np.int64), frozenset(terms), R)
     return solve_fields(views, setting, start.gain, start.offset), views
 
 
@@ -130,11 +130,11 @@ def test_known_cameras_come_back(name: str, noise: float) -> None:
 def test_what_is_not_there_is_not_chosen(given: dict[str, float], wanted: set[str], unwanted: set[str]) -> None:
     cameras = Cameras(**given)
     pairs = cameras.overlaps(noise=2.0)
-    start = solve(cameras.count, 3, pairs)
-    views = gather(pairs, cameras.places, 8000)
+    start = solve_gain_offset(cameras.count, 3, pairs)
+    views = paired_samples(pairs, cameras.places, 8000)
     assert views is not None
-    setting = Setting(cameras.count, 1, np.zeros(cameras.count, dtype=np.int64), frozenset(), R)
-    terms, trials = choose(views, setting, start.gain, start.offset)
+    setting = ColourSetting(cameras.count, 1, np.zeros(cameras.count, dtype=np.int64), frozenset(), R)
+    terms, trials = select_terms(views, setting, start.gain, start.offset)
     said = [(trial.terms, round(trial.left, 4)) for trial in trials]
     assert wanted <= terms, said
     assert not unwanted & terms, said
@@ -149,10 +149,10 @@ def test_dodging_takes_out_what_each_photo_has_of_its_own() -> None:
 
     cameras = Blotched()
     pairs = cameras.overlaps(noise=1.0)
-    start = solve(cameras.count, 3, pairs)
-    views = gather(pairs, cameras.places)
+    start = solve_gain_offset(cameras.count, 3, pairs)
+    views = paired_samples(pairs, cameras.places)
     assert views is not None
-    setting = Setting(cameras.count, 1, np.zeros(cameras.count, dtype=np.int64), frozenset({"dodging"}), R)
+    setting = ColourSetting(cameras.count, 1, np.zeros(cameras.count, dtype=np.int64), frozenset({"dodging"}), R)
     plain = solve_fields(views, setting, start.gain, start.offset)
     found = solve_terms(views, setting, start.gain, start.offset)
     before, after = cameras.error(plain), cameras.error(found)
@@ -197,10 +197,10 @@ def test_clouds_shadows_and_water_count_for_nothing_by_themselves(disturb) -> No
         seen += len(a)
         pairs.append(Overlap(pair.first, pair.second, a, b, pair.cells))
     assert touched > 0.02 * seen, "the case shows nothing"
-    start = solve(cameras.count, 3, pairs)
-    views = gather(pairs, cameras.places)
+    start = solve_gain_offset(cameras.count, 3, pairs)
+    views = paired_samples(pairs, cameras.places)
     assert views is not None
-    setting = Setting(cameras.count, 1, np.zeros(cameras.count, dtype=np.int64), frozenset({"vignetting"}), R)
+    setting = ColourSetting(cameras.count, 1, np.zeros(cameras.count, dtype=np.int64), frozenset({"vignetting"}), R)
     error = cameras.error(solve_fields(views, setting, start.gain, start.offset))
     assert (error < 0.01).all(), f"{np.round(100 * error, 2)} %, {touched / seen:.1%} of the samples disturbed"
 
@@ -223,9 +223,9 @@ def test_haze_that_grows_with_the_view_angle(haze: float) -> None:
     assert (error < 0.005).all(), said
     assert (error < 0.5 * middle).all(), said
     pairs = cameras.overlaps(noise=1.0)
-    start = solve(cameras.count, 3, pairs)
-    views = gather(pairs, cameras.places, 6000)
+    start = solve_gain_offset(cameras.count, 3, pairs)
+    views = paired_samples(pairs, cameras.places, 6000)
     assert views is not None
-    setting = Setting(cameras.count, 1, np.zeros(cameras.count, dtype=np.int64), frozenset(), R)
-    terms, trials = choose(views, setting, start.gain, start.offset)
+    setting = ColourSetting(cameras.count, 1, np.zeros(cameras.count, dtype=np.int64), frozenset(), R)
+    terms, trials = select_terms(views, setting, start.gain, start.offset)
     assert "haze" in terms, [(trial.terms, round(trial.left, 4)) for trial in trials]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geomosaic.geo.grid import Window
-from geomosaic.radiometry.histogram_matching import Curve, match, match_overlaps, match_whole
+from geomosaic.radiometry.histogram_matching import ToneCurve, match_overlaps, match_whole, matching_curve
 from geomosaic.radiometry.overlap_samples import Thumbnail
 
 SIZE = 120
@@ -63,7 +63,7 @@ def test_a_chain_reaches_the_master_and_strangers_stay_as_they_are():
 def test_ranks_agree_with_an_independent_implementation(dtype, most):
     exposure = pytest.importorskip("skimage.exposure", reason="scikit-image is not installed")
     one, other = piece(0, 0, gamma, dtype), piece(30, 10, dtype=dtype)
-    mine = match(one.values.reshape(-1, 3), other.values.reshape(-1, 3))(one.values)
+    mine = matching_curve(one.values.reshape(-1, 3), other.values.reshape(-1, 3))(one.values)
     theirs = exposure.match_histograms(one.values, other.values, channel_axis=-1).astype(np.float64)
     inner = (slice(None),) * 2
     # Beyond the outermost of 256 ranks the curve goes on straight.
@@ -92,7 +92,7 @@ def test_too_little_in_common_changes_nothing():
 
 def test_the_line_of_a_line():
     x = np.linspace(10, 200, 64)
-    curve = Curve([(x, 1.25 * x - 7)] * 2)
+    curve = ToneCurve([(x, 1.25 * x - 7)] * 2)
     gain, offset = curve.line()
     np.testing.assert_allclose(gain, 1.25)
     np.testing.assert_allclose(offset, -7)

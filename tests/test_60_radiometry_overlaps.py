@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from geomosaic.geo.grid import Window
-from geomosaic.radiometry.gain_offset import solve
-from geomosaic.radiometry.overlap_samples import LEAST_CELLS, MOST_CELLS, Overlaps, Thumbnail, compare, spread_out
+from geomosaic.radiometry.gain_offset import solve_gain_offset
+from geomosaic.radiometry.overlap_samples import (
+    MAX_CELLS,
+    MIN_CELLS,
+    Overlaps,
+    Thumbnail,
+    golden_ratio_sample,
+    overlap_of,
+)
 
 
 def place(window: Window, bands: int = 2, valid: np.ndarray | None = None) -> Thumbnail:
@@ -27,7 +34,7 @@ def gathered(
 
 
 def test_a_pair_holds_the_same_ground() -> None:
-    pair = compare(0, 1, place(Window(3, 5, 20, 12)), place(Window(10, 0, 30, 9)))
+    pair = overlap_of(0, 1, place(Window(3, 5, 20, 12)), place(Window(10, 0, 30, 9)))
     assert pair is not None
     assert np.array_equal(pair.a, pair.b)
     assert len(pair.a) == 13 * 4
@@ -39,26 +46,26 @@ def test_cells_that_one_does_not_show_are_left_out() -> None:
     valid = np.ones((20, 20), dtype=np.uint8)
     valid[:, :15] = 0
     window = Window(0, 0, 20, 20)
-    pair = compare(0, 1, place(window), place(window, valid=valid))
+    pair = overlap_of(0, 1, place(window), place(window, valid=valid))
     assert pair is not None
     assert len(pair.a) == 5 * 20
-    valid[LEAST_CELLS - 1 :] = 0
-    valid[: LEAST_CELLS - 1, 1:] = 0
-    assert compare(0, 1, place(window), place(window, valid=valid)) is None
+    valid[MIN_CELLS - 1 :] = 0
+    valid[: MIN_CELLS - 1, 1:] = 0
+    assert overlap_of(0, 1, place(window), place(window, valid=valid)) is None
 
 
 def test_a_share_of_the_cells_of_a_large_overlap_covers_it() -> None:
     """Whatever the width: a stride that equals it would see a single column."""
     for width in range(30, 97):
         window = Window(0, 0, width, 96)
-        pair = compare(0, 1, place(window), place(window))
+        pair = overlap_of(0, 1, place(window), place(window))
         assert pair is not None
-        assert 0.98 * MOST_CELLS < len(pair.a) <= MOST_CELLS
+        assert 0.98 * MAX_CELLS < len(pair.a) <= MAX_CELLS
         assert pair.a.dtype == np.float32
         across, down = (np.histogram(pair.a[:, k], 6, (-0.5, n - 0.5))[0] for k, n in ((0, width), (1, 96)))
         for part in (across, down):
-            assert part.min() > 0.6 * MOST_CELLS / 6, (width, part)
-    assert spread_out(40).tolist() == list(range(40))
+            assert part.min() > 0.6 * MAX_CELLS / 6, (width, part)
+    assert golden_ratio_sample(40).tolist() == list(range(40))
 
 
 @pytest.mark.parametrize("order", [list(range(12)), list(range(12))[::-1], [5, 0, 11, 3, 8, 1, 10, 2, 9, 4, 7, 6]])
@@ -97,7 +104,7 @@ def test_clipped_values_do_not_bias_gains() -> None:
     for g in gain:
         values = np.clip(g * (ground + rng.normal(0, 4, ground.shape)), 0, 1.3 * 138).astype(np.float32)
         pieces.append(Thumbnail(window, values, np.ones(values.shape[:2], dtype=np.uint8)))
-    solved = [solve(2, 1, gathered(pieces, clipped).found) for clipped in (None, (0.0, 1.3 * 138))]
+    solved = [solve_gain_offset(2, 1, gathered(pieces, clipped).found) for clipped in (None, (0.0, 1.3 * 138))]
     kept, left_out = (s.gain[1, 0] / s.gain[0, 0] / (gain[0] / gain[1]) - 1 for s in solved)
     assert abs(kept) > 0.03  # the test can fail
     assert abs(left_out) < 0.015, left_out

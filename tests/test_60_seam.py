@@ -9,7 +9,7 @@ from helpers import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geomosaic.mosaicking.blending.weights import halo, reduction, signed_distance, weights
+from geomosaic.mosaicking.blending.weights import halo, image_weight, reduction, signed_distance
 from geomosaic.mosaicking.seams.voronoi import voronoi_regions
 
 CORNER = np.array([4e5, 5.5e6])
@@ -101,7 +101,7 @@ def halves(size: int = 80) -> np.ndarray:
 @pytest.mark.parametrize("feather", [8.0, 20.0, 40.0])
 def test_a_ramp_is_half_on_the_seam_monotone_and_sums_to_one(feather: float) -> None:
     label, everywhere = halves(), np.ones((20, 80), dtype=bool)
-    a, b = (weights(label, k, everywhere, feather, 1)[10] for k in (0, 1))
+    a, b = (image_weight(label, k, everywhere, feather, 1)[10] for k in (0, 1))
     assert np.allclose(a + b, 1.0, atol=1e-6)
     assert (a[39] + a[40]) / 2 == pytest.approx(0.5, abs=1e-6)  # the seam lies between the two
     assert (np.diff(a) <= 0).all()
@@ -115,7 +115,7 @@ def test_a_ramp_is_half_on_the_seam_monotone_and_sums_to_one(feather: float) -> 
 
 def test_a_hard_seam() -> None:
     label, everywhere = halves(), np.ones((20, 80), dtype=bool)
-    a, b = (weights(label, k, everywhere, 0.0, 1) for k in (0, 1))
+    a, b = (image_weight(label, k, everywhere, 0.0, 1) for k in (0, 1))
     assert set(np.unique(a)) == {0.0, 1.0}
     assert (a + b == 1).all()
 
@@ -124,12 +124,12 @@ def test_no_image_ends_in_a_step() -> None:
     """Image 1 ends a few cells beyond the seam: its weight must have gone to almost nothing there."""
     label, own = halves(), np.zeros((20, 80), dtype=bool)
     own[:, 35:] = True
-    weight = weights(label, 1, own, 40.0, 1)[10]
+    weight = image_weight(label, 1, own, 40.0, 1)[10]
     assert (weight[:35] == 0).all()
     assert weight[35] < 0.01
     assert (np.diff(weight[35:]) >= 0).all()
     # Where the seams give it a cell that its footprint does not cover, it keeps a whisper, so that the sum is never 0.
-    beyond = weights(label, 0, own, 8.0, 1)[10]
+    beyond = image_weight(label, 0, own, 8.0, 1)[10]
     assert (beyond[:30] > 0).all()
 
 
@@ -151,11 +151,11 @@ def test_weights_of_overlapping_windows_agree() -> None:
     for feather, factor in ((24.0, 1), (64.0, 4)):
         margin = halo(feather, factor)
         for index in (0, 1):
-            whole = weights(label, index, own, feather, factor)
+            whole = image_weight(label, index, own, feather, factor)
             block = slice(99, 181)
             wide = slice(100 - margin, 180 + margin)
             cut = slice(margin - 1, 1 - margin)
-            part = weights(label[wide, wide], index, own[wide, wide], feather, factor)[cut, cut]
+            part = image_weight(label[wide, wide], index, own[wide, wide], feather, factor)[cut, cut]
             assert 0 < part.mean() < 1
             assert np.array_equal(part, whole[block, block])
 
@@ -166,9 +166,9 @@ def test_the_ramp_at_a_footprints_edge_is_seen_from_the_next_block() -> None:
     label, own = np.zeros((60, 60), dtype=int), np.ones((60, 60), dtype=bool)
     own[:, 37:] = False
     margin = halo(feather, factor)
-    whole = weights(label, 0, own, feather, factor)
+    whole = image_weight(label, 0, own, feather, factor)
     wide = slice(20 - margin, 30 + margin)
-    part = weights(label[wide, wide], 0, own[wide, wide], feather, factor)[margin:-margin, margin:-margin]
+    part = image_weight(label[wide, wide], 0, own[wide, wide], feather, factor)[margin:-margin, margin:-margin]
     assert part.min() < 0.95
     assert np.array_equal(part, whole[20:30, 20:30])
 
@@ -177,6 +177,6 @@ def test_what_is_known_need_not_be_given() -> None:
     label, everywhere = halves(), np.ones((20, 80), dtype=bool)
     distance = signed_distance(label == 1, 10.0)
     for index, known in ((1, distance), (0, -distance)):
-        plain = weights(label, index, everywhere, 20.0, 1)
-        assert np.array_equal(weights(label, index, None, 20.0, 1), plain)
-        assert np.array_equal(weights(label, index, None, 20.0, 1, known), plain)
+        plain = image_weight(label, index, everywhere, 20.0, 1)
+        assert np.array_equal(image_weight(label, index, None, 20.0, 1), plain)
+        assert np.array_equal(image_weight(label, index, None, 20.0, 1, known), plain)

@@ -382,10 +382,10 @@ def test_an_edited_seam_does_not_change_what_counts_as_usual():
     centres = SimpleNamespace(centres=[(30.0, 20.0), (70.0, 20.0)])
     for cut in (45.0, 58.0):
         regions = [shapely.box(0, 0, cut, 40), shapely.box(cut, 0, 100, 40)]
-        blender = SimpleNamespace(seams=SimpleNamespace(regions=regions, outlines=outlines), photos=centres)
+        blender = SimpleNamespace(seams=SimpleNamespace(polygons=regions, outlines=outlines), photos=centres)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(noise, "_spread", spread)
-            assert noise.usual_difference(blender) == 1.0
+            patch.setattr(noise, "_difference_noise", spread)
+            assert noise.image_noise(blender) == 1.0
     assert len(seen) == 6
     assert seen[:3] == seen[3:]
     assert {x for _, _, (x, _) in seen} == {50.0}

@@ -15,7 +15,7 @@ from affine import Affine
 from geomosaic.errors import InputError
 from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.colour.stretch import read
+from geomosaic.mosaicking.colour.stretch import parse_stretch
 from geomosaic.mosaicking.result import MosaicResult
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
@@ -241,7 +241,7 @@ def test_the_last_stretch_goes_to_eight_bits_and_is_reported(shots, tmp_path):
 @pytest.mark.parametrize("text", ["", "2", "98,2", "-1,50", "v5", "2,v50", "a,b", "2,nan"])
 def test_what_is_no_stretch(text):
     with pytest.raises(InputError):
-        read(text)
+        parse_stretch(text)
 
 
 def test_histograms_over_a_region_and_in_sequence(shots, tmp_path):

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from geomosaic.digests import digest_of
-from geomosaic.mosaicking.reruns.earlier_results import Recall, decode, encode
+from geomosaic.mosaicking.reruns.memory import ResultCache, decode, encode
 from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.radiometry.histogram_matching import Curve
-from geomosaic.radiometry.local_gains import Shade
+from geomosaic.radiometry.histogram_matching import ToneCurve
+from geomosaic.radiometry.local_gains import CorrectionField
 from geomosaic.radiometry.model_selection import Trial
 
 
@@ -24,13 +24,13 @@ def balance(curves) -> Balance:
     )
 
 
-def shade() -> Shade:
+def shade() -> CorrectionField:
     rng = np.random.default_rng(2)
     net = rng.normal(1, 0.1, (5, 6, 3))
-    return Shade(net, (0.5, -3.25), (17.0, 18.5), net[0, 0], net[1, 1], np.zeros((3, 0)), 255.0)
+    return CorrectionField(net, (0.5, -3.25), (17.0, 18.5), net[0, 0], net[1, 1], np.zeros((3, 0)), 255.0)
 
 
-@pytest.mark.parametrize("curves", [None, (Curve([(np.arange(3.0), np.arange(3.0) ** 2)] * 3, 0.9),), (shade(),)])
+@pytest.mark.parametrize("curves", [None, (ToneCurve([(np.arange(3.0), np.arange(3.0) ** 2)] * 3, 0.9),), (shade(),)])
 def test_a_balance_comes_back_to_the_bit(curves):
     one = balance(curves)
     other = decode(json.loads(json.dumps(encode(one))))
@@ -40,7 +40,7 @@ def test_a_balance_comes_back_to_the_bit(curves):
     assert other.trials == one.trials
     if curves:
         values = np.random.default_rng(3).uniform(0, 255, (4, 5, 3))
-        places = (np.arange(5.0), np.arange(4.0)) if isinstance(curves[0], Shade) else ()
+        places = (np.arange(5.0), np.arange(4.0)) if isinstance(curves[0], CorrectionField) else ()
         assert (other.curves[0](values, *places) == curves[0](values, *places)).all()
 
 
@@ -61,16 +61,16 @@ def test_a_value_is_found_once_and_recalled_by_its_key_alone(tmp_path):
         found.append(1)
         return len(found) + 0.5
 
-    assert Recall(tmp_path).get("number", "a", find) == 1.5
-    again = Recall(tmp_path)
+    assert ResultCache(tmp_path).get("number", "a", find) == 1.5
+    again = ResultCache(tmp_path)
     assert again.get("number", "a", find) == 1.5
     assert again.recalled == ["number"]
     assert again.get("number", "b", find) == 2.5
     (tmp_path / "number.json").write_text('{"b": {"class": "Nothing", "fields": {}}}')
-    assert Recall(tmp_path).get("number", "b", find) == 3.5
+    assert ResultCache(tmp_path).get("number", "b", find) == 3.5
     (tmp_path / "number.json").write_text('{"b": ')
-    assert Recall(tmp_path).get("number", "b", find) == 4.5
-    assert Recall(None).get("number", "b", find) == 5.5
+    assert ResultCache(tmp_path).get("number", "b", find) == 4.5
+    assert ResultCache(None).get("number", "b", find) == 5.5
 
 
 def test_digests_tell_where_one_part_ends():

@@ -134,14 +134,14 @@ def test_copies_leave_alone_what_is_not_wanted_or_missing(tmp_path: Path) -> Non
 def test_corrected_copies_are_what_resampling_gives(tmp_path: Path, dtype: str) -> None:
     """Values by table are those that the kernels compute, to the bit; the curve is applied once and rounded once."""
     from geomosaic.geo.grid import Window
-    from geomosaic.radiometry.histogram_matching import Curve
+    from geomosaic.radiometry.histogram_matching import ToneCurve
     from geomosaic.raster.source import Source
     from geomosaic.render.aligned import copied, table_of
     from geomosaic.resample.warp import Colour
 
     values = np.random.default_rng(1).integers(0, np.iinfo(dtype).max + 1, (70, 90, 2)).astype(dtype)
     file = rig.write(tmp_path / "a.tif", values)
-    curve = Curve([(np.array([10.0, 80.0]), np.array([30.0, 70.0])), (np.array([0.0]), np.array([-5.25]))])
+    curve = ToneCurve([(np.array([10.0, 80.0]), np.array([30.0, 70.0])), (np.array([0.0]), np.array([-5.25]))])
     colour = Colour(np.array([1.1, 0.9]), np.array([-3.0, 4.5]))
     top = np.iinfo(dtype).max
     for correction, exact in ((curve, curve(values)), (colour, values * colour.gain + colour.offset)):

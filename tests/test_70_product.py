@@ -20,7 +20,7 @@ import shapely
 from affine import Affine
 from product_rig import GROUND, GSD, SIZE, SMALL, Job, Strip, bytes_of, job, make_strip, read, sha, write
 
-from geomosaic.mosaicking.mosaic import beside
+from geomosaic.mosaicking.outputs import companion
 from geomosaic.render.ortho import OrthoResult
 from geomosaic.surface.dem import Dem
 from geomosaic.testing.synthetic import CAMERA, AnalyticGround, SyntheticPhoto, coordinates, render
@@ -171,7 +171,7 @@ def test_without_balance_values_stay(strip: Strip, tmp_path: Path) -> None:
     files = strip.exposed(tmp_path / "photos", lambda i, v: np.full((*v.shape[:2], 1), 50 + 40 * i, dtype=np.uint8))
     result = job(strip.dem, files, strip.photos, GSD).mosaic(tmp_path / "mosaic.tif", balance=False, feather=0.0)
     values, valid = read(result.path)
-    labels, _ = read(beside(result.path, "-labels", ".tif"))
+    labels, _ = read(companion(result.path, "-labels", ".tif"))
     assert set(np.unique(values[valid])) == {50, 90, 130, 170}
     assert (values[valid][:, 0] == 10 + 40 * labels[valid][:, 0]).all()
 
@@ -227,7 +227,7 @@ def test_weights_are_a_straight_ramp_across_all_blocks(strip: Strip, tmp_path: P
     # Towards the border of the photos both weights fall to 0, not quite together.
     assert off.max() < 0.1
     assert np.sqrt((off**2).mean()) < 0.01
-    labels, _ = read(beside(result.path, "-labels", ".tif"))
+    labels, _ = read(companion(result.path, "-labels", ".tif"))
     clear = np.abs(values[rows, cols, 0] - 0.5) > 1e-3
     assert (labels[rows, cols, 0][clear] == 1 + (values[rows, cols, 0] > 0.5)[clear]).all()
 
@@ -246,7 +246,7 @@ def test_labels_cover_exactly_what_is_valid(strip: Strip, tmp_path: Path, feathe
     made = job(strip.dem, strip.files, strip.photos, resolution)
     result = made.mosaic(tmp_path / "mosaic.tif", feather=feather)
     _, valid = read(result.path)
-    labels, _ = read(beside(result.path, "-labels", ".tif"))
+    labels, _ = read(companion(result.path, "-labels", ".tif"))
     assert np.array_equal(labels[..., 0] > 0, valid)
     assert [int((labels == k + 1).sum()) for k in range(4)] == result.pixels
     assert min(result.pixels) > 1000
@@ -261,7 +261,7 @@ def test_each_pixel_comes_from_the_photo_its_label_names(strip: Strip, tmp_path:
     made = job(strip.dem, strip.files, strip.photos, GSD)
     result = made.mosaic(tmp_path / "mosaic.tif", feather=0.0, balance=False)
     values, _ = read(result.path)
-    labels, _ = read(beside(result.path, "-labels", ".tif"))
+    labels, _ = read(companion(result.path, "-labels", ".tif"))
     for index in range(4):
         own, seen = read(made.ortho(tmp_path / "ortho.tif", index).path)
         here = labels[..., 0] == index + 1
@@ -284,7 +284,7 @@ def test_a_hole_is_filled_from_the_next_photo_and_true_black_stays(strip: Strip,
     made = job(strip.dem, files, strip.photos, GSD, nodata=255)
     whole = made.mosaic(tmp_path / "whole.tif", feather=0.0, balance=False)
     values, valid = read(whole.path)
-    labels, _ = read(beside(whole.path, "-labels", ".tif"))
+    labels, _ = read(companion(whole.path, "-labels", ".tif"))
     own, seen = read(made.ortho(tmp_path / "ortho.tif", 0).path)
     full = job(strip.dem, strip.files, strip.photos, GSD)
     _, shown = read(full.ortho(tmp_path / "full.tif", 0).path)

@@ -18,9 +18,10 @@ from pyproj import CRS, Geod
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import OutputError, OutputExistsError
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaicking.records.files import write_item, write_vectors
+from geomosaic.mosaicking.outputs import MosaicFiles
+from geomosaic.mosaicking.records.files import SourceImages, write_item, write_vectors
 from geomosaic.mosaicking.records.provenance import time_span
-from geomosaic.radiometry.gain_offset import solve
+from geomosaic.radiometry.gain_offset import solve_gain_offset
 from geomosaic.raster.vector import read_layer
 from geomosaic.render.ortho import GeometryRecord
 from geomosaic.whole_files import partial, remove
@@ -38,7 +39,7 @@ def made(folder: Path, grid: Grid, name: str = "m.stac.json", *, overwrite: bool
     os.utime(image, (1_600_000_000, 1_600_000_000))
     left, bottom, right, top = grid.bounds
     outline = shapely.box(left, bottom, right, top)
-    write_item(folder / name, mosaic, None, None, grid, [outline], [image], {}, overwrite=overwrite)
+    write_item(MosaicFiles(mosaic, item=folder / name), grid, [outline], [image], {}, overwrite=overwrite)
     return json.loads((folder / name).read_text())
 
 
@@ -156,7 +157,7 @@ def test_vectors(tmp_path: Path) -> None:
     ]
     shares = [shapely.box(4e5, 5.5e6 - 50, 4e5 + 25, 5.5e6), shapely.box(4e5 + 25, 5.5e6 - 50, 4e5 + 50, 5.5e6)]
     path = tmp_path / "m.gpkg"
-    write_vectors(path, METRES, outlines, shares, solve(2, 3, []), [5, 7], overwrite=False)
+    write_vectors(path, METRES, SourceImages(outlines, shares, [5, 7], solve_gain_offset(2, 3, [])), overwrite=False)
     footprints, lines = read_layer(path, "footprints"), read_layer(path, "seamlines")
     assert footprints["image"].tolist() == ["photo 0", "photo 1"]
     assert footprints["pixels"].tolist() == [5, 7]

@@ -175,13 +175,13 @@ def test_views_are_kept_where_the_pixels_are(own, tell, monkeypatch):
     from geomosaic.mosaicking.records import provenance
 
     looked: list[object] = []
-    between = provenance.between
+    between = provenance.view_raster
 
     def counted(*words: object) -> object:
         looked.append(words)
         return between(*words)
 
-    monkeypatch.setattr(provenance, "between", counted)
+    monkeypatch.setattr(provenance, "view_raster", counted)
     text = own.read_text()
     own.write_text(text.replace("[mosaic]\n", "[mosaic]\nviews = true\n"))
     assert tell("run", own, "mosaic", "--threads", "1")[0] == 0

@@ -90,7 +90,7 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
 
 def mosaic_words(result: MosaicResult) -> str:
     """Say what was made, in a few lines."""
-    from geomosaic.mosaicking.colour.facts import said_of
+    from geomosaic.mosaicking.colour.facts import term_notes
 
     lines = [
         *result.notes,
@@ -101,7 +101,7 @@ def mosaic_words(result: MosaicResult) -> str:
     if result.balance.overlaps:
         before, after = (rms(values.tolist()) for values in (result.balance.before, result.balance.after))
         lines.append(colour_words(result.balance.overlaps, before, after))
-    lines += said_of(result.balance)
+    lines += term_notes(result.balance)
     if result.stretch is not None:
         lines.append(f"stretched to 8 bits: {result.stretch.low:g} to {result.stretch.high:g} ({result.stretch.how})")
     lines.append(

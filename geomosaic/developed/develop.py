@@ -110,10 +110,9 @@ def make_developed(
 
 
 def _outputs(output: Path, several: bool, options: MosaicOptions) -> list[Path]:
-    from geomosaic.mosaicking.mosaic import beside
+    from geomosaic.mosaicking.outputs import MosaicFiles
 
-    named = (("-labels", ".tif", options.records.labels), ("", ".gpkg", options.records.vectors))
-    return [output, *(beside(output, mark, suffix) for mark, suffix, wanted in named if wanted and several)]
+    return [output, *MosaicFiles.of(output, options).companions] if several else [output]
 
 
 def _in_frame(inputs: Block, found: SurfaceFile) -> Block:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from geomosaic.mosaicking.mosaic import beside
+from geomosaic.mosaicking.outputs import companion
 from geomosaic.project.load import Project
 
 
@@ -35,27 +35,27 @@ class Layout:
     @property
     def labels(self) -> Path:
         """Raster of source images."""
-        return beside(self.mosaic, "-labels", ".tif")
+        return companion(self.mosaic, "-labels", ".tif")
 
     @property
     def views(self) -> Path:
         """Raster of view angles and resolutions."""
-        return beside(self.mosaic, "-views", ".tif")
+        return companion(self.mosaic, "-views", ".tif")
 
     @property
     def displacement(self) -> Path:
         """Raster of relief displacements."""
-        return beside(self.mosaic, "-displacement", ".tif")
+        return companion(self.mosaic, "-displacement", ".tif")
 
     @property
     def vectors(self) -> Path:
         """Footprints and seamlines."""
-        return beside(self.mosaic, "", ".gpkg")
+        return companion(self.mosaic, "", ".gpkg")
 
     @property
     def item(self) -> Path:
         """STAC item."""
-        return beside(self.mosaic, "", ".stac.json")
+        return companion(self.mosaic, "", ".stac.json")
 
     @property
     def report(self) -> Path:

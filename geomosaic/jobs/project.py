@@ -18,7 +18,7 @@ from geomosaic.jobs.step_keys import plugin_versions, sensor_files, with_compani
 from geomosaic.jobs.steps.mosaic import mosaic, orthos
 from geomosaic.jobs.steps.orient import orient
 from geomosaic.jobs.steps.report import check, failure, report
-from geomosaic.mosaicking.blending.rules import LABELLED
+from geomosaic.mosaicking.blending.rules import SINGLE_SOURCE_RULES
 from geomosaic.options.declaration import paths_of
 from geomosaic.project.load import Project, keys_in_errors
 from geomosaic.types import Progress
@@ -53,7 +53,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     }
     place: dict[str, Any] = {"output": settings.output.model_dump(mode="json", exclude={"folder", "orthos"})}
     blend: dict[str, Any] = {"mosaic": settings.mosaic.model_dump(mode="json"), **said_of_master}
-    by_rule = options.merge.rule is not None and options.merge.rule not in LABELLED
+    by_rule = options.merge.rule is not None and options.merge.rule not in SINGLE_SOURCE_RULES
     wants_labels = (layout.labels,) if options.records.labels and not by_rule else ()
     nowhere = settings.planar is not None and settings.planar.kind == "uncontrolled"
     relief = options.records.displacement is not None

@@ -1,9 +1,9 @@
-"""Where a mark is in a picture, to a few hundredths of a pixel, given one picture of such a mark.
+"""Location of a mark (fiducial, signal) in an image to a few hundredths of a pixel, by least-squares template matching.
 
-Whole pixels come from the peak of the normalised cross-correlation, fractions from least squares matching with two
-shifts, scale, turn, gain and offset (Förstner 1982; Gruen 1985 with a conformal map). Pixels that do not fit, as those
-of scratches, dust and frame lettering, lose their weight step by step (Beaton and Tukey's biweight). A mark may be
-light on dark in the one picture and dark on light in the other.
+Whole pixels come from the peak of the normalised cross-correlation, fractions from least-squares matching with two
+shifts, scale, rotation, gain and offset (Förstner 1982; Gruen 1985 with a conformal map). Pixels that do not fit, as
+those of scratches, dust and frame lettering, lose their weight step by step (Beaton and Tukey's biweight). A mark may
+be light on dark in the one image and dark on light in the other.
 """
 
 from __future__ import annotations
@@ -14,32 +14,33 @@ import numpy as np
 
 from geomosaic.types import AnyArray, FloatArray
 
-ROUNDS = 25
+MAX_ITERATIONS = 25
 CONVERGED = 5e-4
-SYMMETRIC = 0.8
-"""Correlation of a template with itself turned by 180°."""
-LOOSE = 0.02
-"""A-priori standard deviation of scale and turn (radians)."""
-FARTHEST = 4.0
-"""Pixels from the peak of the correlation beyond which it is another thing."""
+"""Step in pixels, and relative change of scale, at which the iteration ends."""
+MIN_SYMMETRY = 0.8
+"""Smallest correlation of a symmetric template with itself turned by 180°."""
+PRIOR_SIGMA = 0.02
+"""A-priori standard deviation of scale and rotation (radians)."""
+MAX_DISTANCE = 4.0
+"""Pixels from the peak of the correlation beyond which the matching has drifted to something else."""
 PEAKS = 6
-"""Places that are looked at closely."""
-LEAST_WIDTH = 0.03
-"""Share of the mark's contrast that a pixel may always be off: sampling and blur of two pictures differ by as much."""
-CUT = 4.685
+"""Peaks of the correlation from which matching starts."""
+MIN_RESIDUAL_SCALE = 0.03
+"""Smallest robust scale of residuals, in parts of the contrast: sampling and blur of two images differ by as much."""
+BIWEIGHT_LIMIT = 4.685
 """Robust standard deviations at which a pixel's weight is 0: 95 % efficient for normal errors."""
 
 
 @dataclass(frozen=True)
 class MarkTemplate:
-    """One picture of a mark, and where its centre is.
+    """Image of a mark, and where its centre is.
 
     Attributes
     ----------
     values : array (rows, cols)
         Grey values.
     centre : tuple of float
-        (col, row) of the mark's centre; (0.5, 0.5) is the middle of the upper-left pixel.
+        (col, row) of the mark's centre; (0.5, 0.5) is the centre of the upper-left pixel.
     """
 
     values: FloatArray
@@ -47,32 +48,32 @@ class MarkTemplate:
 
     @classmethod
     def symmetric(cls, values: AnyArray) -> MarkTemplate:
-        """Take a mark that looks the same upside down, as dots, crosses and rings do: its centre is found by that.
+        """Template of a mark with two-fold symmetry (dot, cross, ring), whose centre is found from the symmetry.
 
-        The mark lies about in the middle, whole; the centre is NaN where the picture is not symmetric about any place.
+        The mark lies about in the middle, whole; the centre is NaN where the image is not symmetric about any place.
         """
         grey = np.asarray(values, dtype=np.float64)
         rows, cols = grey.shape
         reach = min(rows, cols) // 6
         inner = slice(reach, rows - reach), slice(reach, cols - reach)
         turned = cls(grey[::-1, ::-1][inner], ((cols - 2 * reach) / 2, (rows - 2 * reach) / 2))
-        found = locate_mark(grey, turned, SYMMETRIC)
+        found = locate_mark(grey, turned, MIN_SYMMETRY)
         # The turned picture has its mark where the middle mirrors it: the centre is off by half of the shift.
         return cls(grey, ((found.col + cols / 2) / 2, (found.row + rows / 2) / 2))
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A mark that was found, or NaN where none was.
+    """Located mark; NaN where none was found.
 
     Attributes
     ----------
     col, row : float
-        Centre in pixels of the picture searched; (0.5, 0.5) is the middle of its upper-left pixel.
+        Centre in pixels of the image searched; (0.5, 0.5) is the centre of its upper-left pixel.
     sigma : float
-        Standard deviation of a coordinate from the matching, mean of both, in pixels; small where the picture is clean.
+        Standard deviation of a coordinate from the matching, mean of both, in pixels; small where the image is clean.
     correlation : float
-        Of the template with the picture there, 0 to 1, over the pixels that kept their weight.
+        Of the template with the image there, 0 to 1, over the pixels that kept their weight.
     """
 
     col: float
@@ -82,26 +83,26 @@ class Mark:
 
     @property
     def found(self) -> bool:
-        """Whether there is a mark."""
+        """Whether a mark was found."""
         return bool(np.isfinite(self.col))
 
 
 def locate_mark(picture: AnyArray, template: MarkTemplate, least: float = 0.6) -> Mark:
-    """Find the one mark in a picture.
+    """Location of the one mark in an image.
 
     Parameters
     ----------
     picture : array (rows, cols)
         Grey values, in which the whole of the template fits.
     template : MarkTemplate
-        In the scale of the picture, to about 10 %, and not turned by more than a few degrees (dots and rings: at all).
+        In the scale of the image, to about 10 %, and rotated by no more than a few degrees (dots and rings: at all).
     least : float
-        Correlation that a mark must have.
+        Smallest correlation of a mark.
 
     Returns
     -------
     Mark
-        NaN where nothing is as like the template as `least`.
+        NaN where nothing correlates with the template as `least` asks.
     """
     from scipy.ndimage import spline_filter
 
@@ -119,7 +120,7 @@ def locate_mark(picture: AnyArray, template: MarkTemplate, least: float = 0.6) -
 
 @dataclass(frozen=True)
 class _Matcher:
-    """A template with its derivatives: columns of the design by shift right and down, scale, turn, gain, offset."""
+    """Template with its derivatives: design columns of shift right and down, scale, rotation, gain, offset."""
 
     across: FloatArray  # (rows * cols,) from the centre, pixels
     down: FloatArray
@@ -136,17 +137,17 @@ class _Matcher:
         by_row, by_col = (_slope(pattern, axis).ravel() for axis in (0, 1))
         scale, turn = across * by_col + down * by_row, across * by_row - down * by_col
         columns = np.column_stack([by_col, by_row, scale, turn, pattern.ravel(), np.ones(pattern.size)])
-        prior = np.array([0.0, 0.0, 1.0 / LOOSE**2, 1.0 / LOOSE**2, 0.0, 0.0])
+        prior = np.array([0.0, 0.0, 1.0 / PRIOR_SIGMA**2, 1.0 / PRIOR_SIGMA**2, 0.0, 0.0])
         return cls(across, down, columns, prior, float(np.ptp(pattern)), (pattern.shape[0], pattern.shape[1]))
 
     def match(self, coefficients: FloatArray, start: tuple[float, float]) -> Mark:
-        """Centre of the mark near a place (col, row), both counted from the middle of the first pixel."""
+        """Mark near a position (col, row); both count from the centre of the first pixel."""
         from scipy.ndimage import map_coordinates
 
         lost = Mark(np.nan, np.nan, np.nan, 0.0)
         x, y, scale, turn = *start, 1.0, 0.0
         weights = np.ones(len(self.columns))
-        for _ in range(ROUNDS):
+        for _ in range(MAX_ITERATIONS):
             cosine, sine = scale * np.cos(turn), scale * np.sin(turn)
             places = [
                 y + self.across * sine + self.down * cosine,
@@ -155,7 +156,7 @@ class _Matcher:
             there = map_coordinates(coefficients, places, order=3, mode="mirror", prefilter=False)
             weighted = self.columns * weights[:, None]
             normal = weighted.T @ self.columns
-            # The prior counts as one pixel of full contrast: enough for what a dot or a ring says nothing of.
+            # The prior counts as one pixel of full contrast: enough where the mark determines no scale or rotation.
             normal += np.diag(self.prior * self.contrast**2)
             try:
                 solution = np.linalg.solve(normal, weighted.T @ there)
@@ -165,21 +166,21 @@ class _Matcher:
             if abs(gain) < 1e-6:
                 return lost
             misfit = there - self.columns @ solution
-            width = max(1.4826 * float(np.median(np.abs(misfit))), LEAST_WIDTH * abs(gain) * self.contrast)
-            weights = np.maximum(1.0 - (misfit / (CUT * width)) ** 2, 0.0) ** 2
+            width = max(1.4826 * float(np.median(np.abs(misfit))), MIN_RESIDUAL_SCALE * abs(gain) * self.contrast)
+            weights = np.maximum(1.0 - (misfit / (BIWEIGHT_LIMIT * width)) ** 2, 0.0) ** 2
             right, below, larger, turned = solution[:4] / gain
             length = float(np.hypot(right, below))
             shrink = min(1.0, 1.0 / length) if length > 0.0 else 1.0
             x, y = x - shrink * right, y - shrink * below
             scale, turn = scale / (1.0 + np.clip(larger, -0.05, 0.05)), turn - np.clip(turned, -0.05, 0.05)
-            if np.hypot(x - start[0], y - start[1]) > FARTHEST or abs(scale - 1.0) > 0.2 or abs(turn) > 0.2:
+            if np.hypot(x - start[0], y - start[1]) > MAX_DISTANCE or abs(scale - 1.0) > 0.2 or abs(turn) > 0.2:
                 return lost
             if length < CONVERGED and abs(larger) < CONVERGED:
                 break
         pattern = self.columns[:, 4]
         energy = (pattern - pattern.mean()) ** 2
         if weights @ energy < 0.5 * energy.sum():
-            return lost  # what fits is the ground around the mark
+            return lost  # more than half of the mark does not fit: only its background does
         place = x + float(self.across[0]), y + float(self.down[0])
         prior = np.diag(self.prior * self.contrast**2)
         sigma = _sigma(self.shape, self.columns, misfit, width, prior, gain, place)
@@ -187,7 +188,7 @@ class _Matcher:
 
 
 def _slope(pattern: FloatArray, axis: int) -> FloatArray:
-    """Slope of the cubic spline through the pixels; differences of neighbours make sharp edges too flat."""
+    """Gradient of the cubic spline through the pixels; differences of neighbours make sharp edges too flat."""
     from scipy.ndimage import correlate1d, spline_filter1d
 
     slopes: FloatArray = correlate1d(
@@ -197,9 +198,9 @@ def _slope(pattern: FloatArray, axis: int) -> FloatArray:
 
 
 def _whole(grey: FloatArray, pattern: FloatArray) -> list[tuple[int, int]]:
-    """Upper-left pixels (col, row) with the largest normalised cross-correlations of either sign, some way apart.
+    """Upper-left pixels (col, row) of the highest peaks of the normalised cross-correlation of either sign.
 
-    A scratch through the mark, or lettering, may correlate better than the mark; so several are looked at.
+    A scratch through the mark, or lettering, may correlate better than the mark; so matching starts from several.
     """
     from scipy.signal import fftconvolve
 
@@ -224,7 +225,7 @@ def _whole(grey: FloatArray, pattern: FloatArray) -> list[tuple[int, int]]:
 
 
 def _correlation(a: FloatArray, b: FloatArray, weights: FloatArray) -> float:
-    """Absolute correlation with weights."""
+    """Absolute weighted correlation."""
     total = float(weights.sum())
     if not total > 0.0:
         return 0.0
@@ -245,11 +246,12 @@ def _sigma(
     """Standard deviation of the shifts.
 
     The covariance of an M-estimator is B⁻¹·M·B⁻¹ with B = Σ ψ'·a·aᵀ and M = Σ ψ²·a·aᵀ over pixels with rows a of the
-    design, ψ being misfit times weight (Huber, Robust Statistics, 1981, section 6.5). That holds for misfits that are
-    independent; interpolation between pixels takes the fine part of their noise away and leaves the coarse one, by
-    which a mark is found. So M is multiplied by how much less the slopes lose than the misfits do.
+    design, ψ being misfit times weight (Huber, Robust Statistics, 1981, section 6.5). That holds for independent
+    misfits.
+    Interpolation between pixels removes the high frequencies of their noise and keeps the low ones, which carry the
+    location. So M is multiplied by the ratio of what gradients and misfits keep.
     """
-    share = np.minimum((misfit / (CUT * width)) ** 2, 1.0)
+    share = np.minimum((misfit / (BIWEIGHT_LIMIT * width)) ** 2, 1.0)
     pull, slope = misfit * (1.0 - share) ** 2, (1.0 - share) * (1.0 - 5.0 * share)
     bread = np.linalg.pinv((columns * slope[:, None]).T @ columns + prior)
     counted = float(np.count_nonzero(share < 1.0))
@@ -259,9 +261,9 @@ def _sigma(
 
 
 def _coarse(slopes: FloatArray, place: tuple[float, float]) -> float:
-    """Part of its energy that a picture keeps between pixels, over the part that independent noise keeps.
+    """Part of its energy that an image keeps under interpolation, over the part that white noise keeps.
 
-    Interpolating noise and multiplying by slopes is multiplying the noise by slopes that the same weights smooth.
+    Interpolating noise and multiplying by gradients is multiplying the noise by gradients that the same weights smooth.
     """
     from scipy.ndimage import convolve1d, map_coordinates, spline_filter1d
 

@@ -1,6 +1,6 @@
-"""How far two pictures of the same ground lie apart, tile by tile, to a few hundredths of a pixel.
+"""Shifts between two images of the same ground, tile by tile, to a few hundredths of a pixel.
 
-Whole pixels come from the peak of the normalised cross-correlation (by FFT), fractions from least squares matching with
+Whole pixels come from the peak of the normalised cross-correlation (by FFT), fractions from least-squares matching with
 two shifts, a gain and an offset (Förstner 1982; Gruen 1985 without the affine terms).
 """
 
@@ -12,20 +12,21 @@ import numpy as np
 
 from geomosaic.types import AnyArray, BoolArray, FloatArray
 
-ROUNDS = 12
+MAX_ITERATIONS = 12
 CONVERGED = 1e-3
+"""Step in pixels at which the iteration ends."""
 
 
 @dataclass(frozen=True)
 class Shifts:
-    """Shifts of tiles.
+    """Shifts of tiles between two images.
 
     Attributes
     ----------
     places : array (N, 2)
         (col, row) of the tiles' centres.
     shifts : array (N, 2)
-        (col, row) of the second picture's content minus the first's, in pixels; NaN where nothing matched.
+        (col, row) of the second image's content minus the first's, in pixels; NaN where nothing matched.
     correlation : array (N,)
         Of the matched tiles, 0 to 1.
     """
@@ -36,7 +37,7 @@ class Shifts:
 
     @property
     def matched(self) -> BoolArray:
-        """Which tiles matched."""
+        """Whether a tile (N,) matched."""
         found: BoolArray = np.all(np.isfinite(self.shifts), axis=1)
         return found
 
@@ -48,7 +49,7 @@ class Shifts:
 
     @property
     def robust_rms(self) -> float:
-        """The same from the median length: what the RMS would be without gross mismatches.
+        """RMS length from the median length: what the RMS would be without gross mismatches.
 
         For normal errors in both axes the length's median is 1.1774 σ, its RMS 1.4142 σ.
         """
@@ -59,7 +60,7 @@ class Shifts:
 def shifts(
     first: AnyArray, second: AnyArray, valid: BoolArray, tile: int = 64, reach: int = 8, least_correlation: float = 0.7
 ) -> Shifts:
-    """Measure the shift of `second` against `first` in tiles.
+    """Shifts of `second` against `first` in tiles.
 
     Parameters
     ----------
@@ -70,9 +71,13 @@ def shifts(
     tile : int
         Side of a tile in pixels.
     reach : int
-        Largest shift looked for, in pixels.
+        Largest shift searched for, in pixels.
     least_correlation : float
         Tiles that match worse are NaN.
+
+    Returns
+    -------
+    Shifts
     """
     places, found, quality = [], [], []
     margin = reach + 2
@@ -99,11 +104,12 @@ def _tile(a: FloatArray, b: FloatArray, margin: int, reach: int) -> tuple[tuple[
         return (np.nan, np.nan), 0.0
     dx, dy = _whole(template, b, margin, reach)
     gy, gx = (np.asarray(slope) for slope in np.gradient(a))
+    # The design is the template's, once for all iterations; only the other image is resampled.
     columns = np.column_stack([gx[inner].ravel(), gy[inner].ravel(), template.ravel(), np.ones(template.size)])
     solver, coefficients = np.linalg.pinv(columns), spline_filter(b, order=3, mode="nearest")
     x, y = float(dx), float(dy)
     correlation = 0.0
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         there = moved(coefficients, (-y, -x), order=3, mode="nearest", prefilter=False)[inner]
         correlation = float(np.corrcoef(there.ravel(), template.ravel())[0, 1]) if there.std() > 1e-9 else 0.0
         solution = solver @ there.ravel()
@@ -118,7 +124,7 @@ def _tile(a: FloatArray, b: FloatArray, margin: int, reach: int) -> tuple[tuple[
 
 
 def _whole(template: FloatArray, b: FloatArray, margin: int, reach: int) -> tuple[int, int]:
-    """Whole-pixel shift with the largest normalised cross-correlation."""
+    """Shift in whole pixels with the largest normalised cross-correlation."""
     t = template - template.mean()
     size = template.size
     window = b[margin - reach : b.shape[0] - margin + reach, margin - reach : b.shape[1] - margin + reach]
@@ -134,7 +140,7 @@ def _whole(template: FloatArray, b: FloatArray, margin: int, reach: int) -> tupl
 def _slid(window: FloatArray, template: FloatArray) -> FloatArray:
     """Sums of products at all places of a template within a window, by Fourier transforms of the window's size.
 
-    What wraps around at the ends is not among them. (SciPy has this too, but its import takes a second and more.)
+    Places where the transform wraps around are left out. (SciPy has this too, but its import takes a second or more.)
     """
     shape = window.shape
     product = np.fft.rfft2(window) * np.conj(np.fft.rfft2(template, shape))

@@ -1,8 +1,9 @@
-"""A mosaic by rule, without seams: what `rio merge` does, for images of any CRS and pixel size."""
+"""Mosaic by rule, without seams: what `rio merge` does, for images of any CRS and pixel size."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +11,16 @@ from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.digests import sha256
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaicking.blending.rules import LABELLED, Ruler, output_info
+from geomosaic.mosaicking.blending.rules import SINGLE_SOURCE_RULES, RuleBlender, output_info
 from geomosaic.mosaicking.colour.corrections import corrections
-from geomosaic.mosaicking.mosaic import _balanced, _render, beside
-from geomosaic.mosaicking.records.files import gains, write_item, write_vectors
+from geomosaic.mosaicking.colour.solve import colour_balance
+from geomosaic.mosaicking.outputs import MosaicFiles
+from geomosaic.mosaicking.records.files import SourceImages, gains, write_item, write_vectors
 from geomosaic.mosaicking.records.provenance import source_facts
-from geomosaic.mosaicking.result import Clock, MosaicResult
+from geomosaic.mosaicking.rendering import render_mosaic
+from geomosaic.mosaicking.result import MosaicResult, Timer
 from geomosaic.mosaicking.seams.image_order import image_order
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.raster.output_files import check_geotiff, check_output
 from geomosaic.render.dem_gaps import height_notes
 from geomosaic.render.ortho import samples
 from geomosaic.render.photos import Photos
@@ -36,18 +38,22 @@ def merge(
     reference: OrientedImage | None = None,
     about: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> MosaicResult:
-    """Lay images together by `options.merge.rule`.
+    """Mosaic in which `options.merge.rule` makes each pixel from all images that show it.
 
     Parameters
     ----------
     block : OrientedBlock
     grid : Grid
-        The output.
+        Of the output.
     outlines : list of Footprint
         One per scene, in the output map.
     output : Path
     options : MosaicOptions
         Its seams and blending play no part.
+    reference : OrientedImage, optional
+        Georeferenced raster that colours are matched to.
+    about : mapping of str to mapping, optional
+        Further facts of the images by name.
     reference : OrientedImage, optional
     about : mapping of str to mapping, optional
         As in `mosaic`.
@@ -55,65 +61,62 @@ def merge(
     Returns
     -------
     MosaicResult
-        Under other rules than first and last, `pixels` counts for each image the pixels that no image before it shows.
+        Under rules other than first and last, `pixels` counts for each image the pixels that no image before it shows.
+
+    Raises
+    ------
+    InputError, OutputError
     """
     from shapely import Polygon
 
     rule, render = options.merge.rule or "", options.render
     order = image_order(block.scenes, outlines, options.merge.order, None)
-    if options.merge.base is not None:  # lowest: the last of what is laid first to last, else the first
+    if options.merge.base is not None:
+        # The base lies lowest: last where the first image has precedence, first where the last one has.
         with_base = image_order(block.scenes, outlines, options.merge.order, options.merge.base)
         order = with_base if rule != "last" else [with_base[-1], *with_base[:-1]]
-    labels = beside(output, "-labels", ".tif") if options.records.labels and rule in LABELLED else None
-    item = beside(output, "", ".stac.json") if options.writes_item and not grid.crs.is_engineering else None
-    vectors = beside(output, "", ".gpkg") if options.records.vectors else None
-    check_geotiff(output, overwrite=render.overwrite)
-    for path in (labels, vectors, item):
-        if path is not None:
-            check_output(path, overwrite=render.overwrite)
+    files = MosaicFiles.of(output, options, grid)
+    if rule not in SINGLE_SOURCE_RULES:
+        files = replace(files, labels=None)
+    files.check(overwrite=render.overwrite)
     seconds: dict[str, float] = {}
     photos = Photos(block, grid, outlines, render.memory_limit // 2, options.samples, render.resampling)
     try:
-        with Clock(seconds, "balance"):
-            solved = _balanced(photos, options, reference)
+        with Timer(seconds, "balance"):
+            solved = colour_balance(photos, options, reference)
         ground = Ground.under(grid, block.surface)
         engine = engine_for(samples(grid, outlines), render.resampling)
-        info = output_info(photos.info, rule)
-        ruler = Ruler(
-            photos, grid, ground, corrections(solved), engine, render.resampling, render.tolerance, rule, order, info
-        )
-        with Clock(seconds, "mosaic"):
-            pixels, _, record = _render(ruler, output, labels, options, None)
+        blender = RuleBlender(
+            photos, grid, ground, corrections(solved), engine, render.resampling, render.tolerance, rule, order,
+            output_info(photos.info, rule),
+        )  # fmt: skip
+        with Timer(seconds, "mosaic"):
+            pixels = render_mosaic(blender, files, options)
         photos.again()
-        facts = source_facts(photos, about or {}) if vectors is not None or item is not None else {}
+        facts = source_facts(photos, about or {}) if files.vectors or files.item else {}
     finally:
         photos.close()
-    with Clock(seconds, "records"):
-        if vectors is not None:  # footprints alone: there are no seams
-            nobody = [Polygon() for _ in outlines]
-            write_vectors(
-                vectors, grid, outlines, nobody, solved, pixels, [], sources=facts, overwrite=render.overwrite
-            )
-        if item is not None:
+    with Timer(seconds, "records"):
+        if files.vectors is not None:  # footprints alone: there are no seams
+            sources = SourceImages(outlines, [Polygon() for _ in outlines], pixels.by_image, solved, facts)
+            write_vectors(files.vectors, grid, sources, [], overwrite=render.overwrite)
+        if files.item is not None:
             images, shapes = [Path(scene.path) for scene in block.scenes], [outline.polygon for outline in outlines]
-            sources: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels, **facts}
-            write_item(
-                item, output, labels, vectors, grid, shapes, images, {output: sha256(output)}, sources,
-                overwrite=render.overwrite,
-            )  # fmt: skip
+            columns: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels.by_image, **facts}
+            write_item(files, grid, shapes, images, {output: sha256(output)}, columns, overwrite=render.overwrite)
     return MosaicResult(
         path=output,
-        labels=labels,
-        vectors=vectors,
-        item=item,
+        labels=files.labels,
+        vectors=files.vectors,
+        item=files.item,
         grid=grid,
-        valid_pixels=sum(pixels),
-        pixels=pixels,
+        valid_pixels=pixels.valid,
+        pixels=pixels.by_image,
         balance=solved,
         feather=0.0,
-        lattice_error=record.error,
+        lattice_error=pixels.geometry.error,
         tolerance=render.tolerance,
-        scale=record.scale,
+        scale=pixels.geometry.scale,
         seconds=seconds,
         notes=height_notes(ground, outlines),
     )

@@ -1,4 +1,4 @@
-"""Result of a mosaic, and its units on their way to the file."""
+"""Result of a mosaic: paths, pixel counts, accuracy and timings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class MosaicResult(RasterProduct):
-    """Mosaic that was written, with its gains, accuracies and what lies beside it.
+    """Mosaic as it was made: files, corrections, seams and figures.
 
     Attributes
     ----------
@@ -41,17 +41,17 @@ class MosaicResult(RasterProduct):
     reused, units : int
         Units of work whose pixels came from an earlier run, and all of them.
     stretch : Stretch, optional
-        What was stretched to eight bits.
+        Stretch to eight bits.
     parts : list of Segment
-        Seamlines in pieces.
+        Seam segments.
     quality : list of SeamQuality
-        Of each piece, where it was asked for.
+        Of each segment, where it was asked for.
     places : list of SeamPlace
         The worst of them.
     hidden_pixels : int, optional
-        Pixels that images cover and the surface hides from them all; None where that was not asked.
+        Pixels that images cover and the surface hides from them all; None unless a true ortho was asked for.
     recalled : tuple of str
-        What was taken from an earlier run besides pixels.
+        Results of an earlier run that were used, besides pixels.
     notes : tuple of str
         Where heights are missing.
     """
@@ -80,8 +80,8 @@ class MosaicResult(RasterProduct):
     notes: tuple[str, ...] = ()
 
 
-class Clock:
-    """Seconds of a stage."""
+class Timer:
+    """Wall-clock seconds of a stage, entered into a mapping by its name."""
 
     def __init__(self, seconds: dict[str, float], name: str) -> None:
         self.seconds, self.name = seconds, name

@@ -1,4 +1,4 @@
-"""What a person changes after having looked: photos left out, the colour of one photo touched up."""
+"""Manual edits of a mosaic: excluded images, and gain and offset of single images after the balance."""
 
 from __future__ import annotations
 
@@ -8,15 +8,24 @@ from dataclasses import replace
 import numpy as np
 
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.mosaicking.colour.corrections import Correction, then
+from geomosaic.mosaicking.colour.corrections import Correction, with_gain_offset
 from geomosaic.options.mosaic import Retouch
 from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.radiometry.histogram_matching import Curve
+from geomosaic.radiometry.histogram_matching import ToneCurve
 from geomosaic.types import FloatArray
 
 
-def numbers_of(wanted: Sequence[str], names: Sequence[str], what: str) -> set[int]:
-    """Numbers of images that an edit names.
+def image_numbers(wanted: Sequence[str], names: Sequence[str], what: str) -> set[int]:
+    """Numbers of the images that an edit names.
+
+    Parameters
+    ----------
+    wanted : sequence of str
+        Names in the edit.
+    names : sequence of str
+        Of all images.
+    what : str
+        What is done to them, for the error.
 
     Raises
     ------
@@ -31,27 +40,27 @@ def numbers_of(wanted: Sequence[str], names: Sequence[str], what: str) -> set[in
 
 
 def retouched(colours: Sequence[Correction], names: Sequence[str], edits: Mapping[str, Retouch]) -> list[Correction]:
-    """Corrections of all images, some of them touched up. The balance itself is not solved anew: others stay."""
-    numbers_of(list(edits), list(names), "to be touched up")
+    """Corrections of all images with manual edits applied; the balance is not solved again, so the others stay."""
+    image_numbers(list(edits), list(names), "to be touched up")
     return [
-        then(own, edits[name].gain, edits[name].offset) if name in edits else own
+        with_gain_offset(own, edits[name].gain, edits[name].offset) if name in edits else own
         for name, own in zip(names, colours, strict=True)
     ]
 
 
-def steady(solved: Balance) -> Balance:
-    """A balance of ten significant digits.
+def rounded(solved: Balance) -> Balance:
+    """Balance rounded to ten significant digits.
 
     Solvers of linear algebra may differ in the last digits from run to run, as their threads divide the work; with
-    fewer digits equal runs have equal gains, and units of an earlier run can be taken.
+    fewer digits equal runs have equal gains, and units of an earlier run can be used.
     """
     curves = solved.curves
-    if curves is not None and all(isinstance(curve, Curve) for curve in curves):
-        curves = tuple(_rounded(curve) for curve in curves if isinstance(curve, Curve))
+    if curves is not None and all(isinstance(curve, ToneCurve) for curve in curves):
+        curves = tuple(_rounded_curve(curve) for curve in curves if isinstance(curve, ToneCurve))
     return replace(solved, gain=_digits(solved.gain), offset=_digits(solved.offset), curves=curves)
 
 
-def _rounded(curve: Curve) -> Curve:
+def _rounded_curve(curve: ToneCurve) -> ToneCurve:
     return replace(curve, knots=[(_digits(x), _digits(y)) for x, y in curve.knots])
 
 

@@ -79,8 +79,9 @@ def make_mosaic(inputs: Block, area: Area, output: Path, options: MosaicOptions)
     from geomosaic.inputs.area import note_scattered, plan_mosaic
     from geomosaic.inputs.rasters import check_same_bands, with_named_bands
     from geomosaic.mosaicking.mosaic import mosaic
+    from geomosaic.mosaicking.outputs import MosaicFiles
 
-    for file in _files(output, options):
+    for file in (output, *MosaicFiles.of(output, options).companions):
         refuse_existing(file, options.render.overwrite, inputs)
     block = build_block(inputs)
     if inputs.band_names is not None:
@@ -89,19 +90,6 @@ def make_mosaic(inputs: Block, area: Area, output: Path, options: MosaicOptions)
     grid, outlines = plan_mosaic(block.scenes, block.surface, area)
     note_scattered(grid, outlines)
     return mosaic(block, grid, outlines, output, options, reference=reference_of(options, inputs.bands))
-
-
-def _files(output: Path, options: MosaicOptions) -> list[Path]:
-    """The mosaic and what is written beside it."""
-    from geomosaic.mosaicking.mosaic import beside
-
-    records = options.records
-    named = (
-        ("-labels", ".tif", records.labels),
-        ("", ".gpkg", records.vectors),
-        ("", ".stac.json", options.writes_item),
-    )
-    return [output, *(beside(output, mark, suffix) for mark, suffix, wanted in named if wanted)]
 
 
 def make_planar_mosaic(
@@ -130,11 +118,12 @@ def make_planar_mosaic(
     from geomosaic.accuracy.product_check import check_control
     from geomosaic.inputs.planar.build import build_planar
     from geomosaic.inputs.planar.facts import control_facts
-    from geomosaic.mosaicking.mosaic import beside, mosaic
+    from geomosaic.mosaicking.mosaic import mosaic
+    from geomosaic.mosaicking.outputs import MosaicFiles, companion
     from geomosaic.whole_files import write_atomic
 
-    facts_path = beside(output, "-placement", ".json")
-    for file in (facts_path, *_files(output, options)):
+    facts_path = companion(output, "-placement", ".json")
+    for file in (facts_path, output, *MosaicFiles.of(output, options).companions):
         refuse_existing(file, options.render.overwrite, inputs)
     block, placed = build_planar(inputs, wanted)
     facts = {**placed, **control_facts(check_control(block))}

@@ -1,9 +1,9 @@
-"""What light and lens do to an image, as sums of smooth functions of the place in it.
+"""Basis functions of light and lens in an image: vignetting, view-angle trend, hotspot, haze.
 
 Corrections are products, so their logarithms add up: log field = Σ βₖ·Bₖ(place). Places are given twice: in the image,
 from its centre in units of half its diagonal (so 1 in the corners), and on the ground, from the place that the image
-sees best, east and north, in units of half the footprint's diagonal. What belongs to the camera is a function of the
-first, what comes of sun and view of the second.
+sees best, east and north, in units of half the footprint's diagonal. Effects of the camera are functions of the first,
+effects of sun and view of the second.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from geomosaic.types import FloatArray, IntArray
 RADIAL = 3
 """Even powers of the radius: ρ², ρ⁴, ρ⁶ (D. B. Goldman, Vignette and exposure calibration, PAMI 32, 2010)."""
 TREND = 4
-"""x, y, x² − y² and 2xy: the view-angle trend up to second order; its x² + y² is one with the fall of light."""
+"""x, y, x² − y² and 2xy: the view-angle trend up to second order; x² + y² cannot be told from vignetting."""
 SPANS = 6
 """Intervals of the cubic splines of a hotspot across −1 … 1."""
 NODES = SPANS + 3
@@ -34,8 +34,10 @@ def width(terms: Collection[str], cameras: int) -> int:
     )
 
 
-def shared(terms: Collection[str], cameras: int, camera: IntArray, image: FloatArray, view: FloatArray) -> FloatArray:
-    """Values (N, width) of the shared functions.
+def shared_functions(
+    terms: Collection[str], cameras: int, camera: IntArray, image: FloatArray, view: FloatArray
+) -> FloatArray:
+    """Values of the functions that images share.
 
     Parameters
     ----------
@@ -45,7 +47,11 @@ def shared(terms: Collection[str], cameras: int, camera: IntArray, image: FloatA
     camera : int array (N,)
         Number of the camera; below 0 for what no camera of the block took, where all functions are 0.
     image, view : array (N, 2)
-        Places in the image and on the ground, see above.
+        Positions in the image and on the ground, see above.
+
+    Returns
+    -------
+    array (N, width)
     """
     parts = [np.zeros((len(camera), 0))]
     if "vignetting" in terms:
@@ -57,23 +63,23 @@ def shared(terms: Collection[str], cameras: int, camera: IntArray, image: FloatA
         x, y = view.T
         parts.append(np.stack([x, y, x**2 - y**2, 2 * x * y], axis=1))
     if "hotspot" in terms:
-        across, down = _splines(view[:, 0]), _splines(view[:, 1])
+        across, down = _cubic_splines(view[:, 0]), _cubic_splines(view[:, 1])
         parts.append((down[:, :, None] * across[:, None, :]).reshape(len(camera), -1))
     return np.where(camera[:, None] >= 0, np.concatenate(parts, axis=1), 0.0)
 
 
-def path(view: FloatArray) -> FloatArray:
-    """How much more air than at the nadir lies before places (..., 2) on the ground; 1 in the corners.
+def excess_air_path(view: FloatArray) -> FloatArray:
+    """Excess of the path through the air over that at the nadir, at positions (..., 2) on the ground; 1 in the corners.
 
-    The way through the air grows as 1 / cos θ ≈ 1 + tan²θ / 2, and tan θ with the distance from the nadir.
+    The path grows as 1 / cos θ ≈ 1 + tan²θ / 2, and tan θ with the distance from the nadir.
     """
     return np.asarray((view**2).sum(axis=-1))
 
 
-def prior(terms: Collection[str], cameras: int) -> FloatArray:
-    """Normal matrix (width, width) of what is known beforehand: fields are no larger and no rougher than light makes.
+def prior_normal_matrix(terms: Collection[str], cameras: int) -> FloatArray:
+    """Normal matrix (width, width) of the prior: fields are no larger and no rougher than light makes.
 
-    Coefficients of falloff have a standard deviation of 1, those of a trend 0.5. Second differences of a hotspot's
+    Coefficients of vignetting have a standard deviation of 1, those of a trend 0.5. Second differences of a hotspot's
     nodes have 0.1, the nodes themselves 0.5.
     """
     size = width(terms, cameras)
@@ -94,21 +100,22 @@ def prior(terms: Collection[str], cameras: int) -> FloatArray:
 def roughness(rows: int, cols: int) -> FloatArray:
     """Normal matrix of all second differences along rows and columns of a net of nodes, and twice the mixed ones."""
     return np.asarray(
-        np.kron(np.eye(rows), _square(cols, 2))
-        + np.kron(_square(rows, 2), np.eye(cols))
-        + 2 * np.kron(_square(rows, 1), _square(cols, 1))
+        np.kron(np.eye(rows), _difference_normal(cols, 2))
+        + np.kron(_difference_normal(rows, 2), np.eye(cols))
+        + 2 * np.kron(_difference_normal(rows, 1), _difference_normal(cols, 1))
     )
 
 
-def _square(count: int, order: int) -> FloatArray:
+def _difference_normal(count: int, order: int) -> FloatArray:
+    """Normal matrix (count, count) of differences of an order between neighbours."""
     if count <= order:
         return np.zeros((count, count))
     rule = np.diff(np.eye(count), order, axis=0)
     return np.asarray(rule.T @ rule)
 
 
-def _splines(t: FloatArray) -> FloatArray:
-    """Uniform cubic B-splines (N, NODES) over −1 … 1; places beyond count as the ends."""
+def _cubic_splines(t: FloatArray) -> FloatArray:
+    """Uniform cubic B-splines (N, NODES) over −1 … 1; positions beyond are those of the ends."""
     first, u = interval((t + 1) / 2 * SPANS, SPANS + 1)
     weights = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]) / 6
     out = np.zeros((len(t), NODES))
@@ -118,8 +125,21 @@ def _splines(t: FloatArray) -> FloatArray:
     return out
 
 
-def hats(image: FloatArray, nodes: int) -> tuple[IntArray, FloatArray]:
-    """Numbers (N, 4) and weights (N, 4) of the nodes of a net of nodes × nodes over −1 … 1 that places lie between."""
+def bilinear_weights(image: FloatArray, nodes: int) -> tuple[IntArray, FloatArray]:
+    """Bilinear weights of the nodes of a net over −1 … 1.
+
+    Parameters
+    ----------
+    image : array (N, 2)
+        Positions in the image.
+    nodes : int
+        Along each side of the net.
+
+    Returns
+    -------
+    number : int array (N, 4)
+    weight : array (N, 4)
+    """
     (col, row), (u, v) = (part.T for part in interval((image + 1) / 2 * (nodes - 1), nodes))
     number = np.stack([row * nodes + col, row * nodes + col + 1, (row + 1) * nodes + col, (row + 1) * nodes + col + 1])
     weight = np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v])

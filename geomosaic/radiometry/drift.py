@@ -1,18 +1,18 @@
-"""Hold back colour creep: corrections that add up from image to image are held back, those of single images are not.
+"""Drift of colour along strips, bounded by the mean correction of neighbouring images.
 
 Overlaps observe differences. A small bias in each, say of light that falls off to one side, adds up along a strip:
 after fifty photos of half a per cent each the last is a quarter off, and no overlap shows it. What is known besides is
 that exposures vary from photo to photo, and a camera does not drift: **the mean correction of neighbouring images is
-none**, first of their gains, then of the level of their values: each neighbourhood keeps the mean of its own images.
+zero**, first of their gains, then of the level of their values: each neighbourhood keeps the mean of its own images.
 Neighbours are those within as few steps from overlap to overlap as bring `NEIGHBOURS` images together; in a smaller
-block this says nothing new, and changes nothing.
+block this adds no information, and changes nothing.
 
-How firmly depends on how much exposures vary, s, the spread of single corrections about the mean of their neighbours
+The weight depends on how much exposures vary, s, the spread of single corrections about the mean of their neighbours
 (as a logarithm): a mean of eleven that vary by a fifth is known less well than one of a camera with a fixed exposure.
 
-Bound: the creep is a quantity x along the strip with x'' = x / L², L = `FIRM`·s / (standard deviation of the step from
-one photo to the next, 0.003 at best). A bias b of each step makes a creep of no more than b·L, however long the strip:
-for exposures that vary by a tenth 8 b, and what their means vary by themselves; b for steady ones.
+Bound: the drift is a quantity x along the strip with x'' = x / L², L = `SIGMA_RATIO`·s / (standard deviation of the
+step from one photo to the next, 0.003 at best). A bias b of each step makes a drift of no more than b·L, however long
+the strip: 8 b for exposures that vary by a tenth, besides what their means vary by themselves; b for constant ones.
 """
 
 from __future__ import annotations
@@ -22,17 +22,29 @@ import numpy as np
 from geomosaic.types import FloatArray, IntArray
 
 NEIGHBOURS = 11
-"""Images whose mean correction is held."""
-FIRM = 0.25
+"""Images whose mean correction is observed as 0."""
+SIGMA_RATIO = 0.25
 """Standard deviation of that mean over the spread of single corrections; the mean of eleven has about this."""
-LEAST_SPREAD, MOST_SPREAD = 0.01, 0.3
-"""Between which the spread is believed."""
-MOST_NEIGHBOURS = 40
-"""Of those, how many are taken at each step: every second, third ... of more."""
+MIN_SPREAD, MAX_SPREAD = 0.01, 0.3
+"""Limits of the estimated spread of single corrections."""
+MAX_PER_STEP = 40
+"""Neighbours added at one step between overlaps; of more, every second, third ..."""
 
 
 def neighbourhoods(images: int, first: IntArray, second: IntArray) -> list[IntArray]:
-    """Numbers of the images near each image that has more of its group beyond; none of small groups."""
+    """Neighbourhoods of the images that have more of their group beyond; none in small groups.
+
+    Parameters
+    ----------
+    images : int
+    first, second : int array (overlaps,)
+        Numbers of the overlapping images.
+
+    Returns
+    -------
+    list of int array
+        Numbers of the images, sorted.
+    """
     partners: list[set[int]] = [set() for _ in range(images)]
     for i, j in zip(first.tolist(), second.tolist(), strict=True):
         partners[i].add(j)
@@ -42,44 +54,49 @@ def neighbourhoods(images: int, first: IntArray, second: IntArray) -> list[IntAr
         near, edge = {start}, {start}
         while edge and len(near) < NEIGHBOURS:
             ring = sorted(set().union(*(partners[i] for i in edge)) - near)
-            edge = set(ring[:: -(-len(ring) // MOST_NEIGHBOURS)]) if ring else set()
+            edge = set(ring[:: -(-len(ring) // MAX_PER_STEP)]) if ring else set()
             near |= edge
         if len(near) > 1 and set().union(*(partners[i] for i in near)) - near:
             found.append(np.array(sorted(near)))
     return found
 
 
-def sigma(near: list[IntArray], level: FloatArray) -> float:
-    """Standard deviation with which means are held, from corrections (images,) that were not held."""
+def mean_sigma(near: list[IntArray], level: FloatArray) -> float:
+    """Standard deviation with which means are observed, from corrections (images,) solved without them."""
     departures = np.concatenate([level[group] - level[group].mean() for group in near])
     spread = 1.4826 * float(np.median(np.abs(departures)))
-    return FIRM * min(max(spread, LEAST_SPREAD), MOST_SPREAD)
+    return SIGMA_RATIO * min(max(spread, MIN_SPREAD), MAX_SPREAD)
 
 
-def entries(near: list[IntArray], weight: float) -> tuple[IntArray, IntArray, FloatArray]:
-    """Rows, columns and values that mean corrections of 0 add to a normal matrix, each of a given weight."""
+def normal_entries(near: list[IntArray], weight: float) -> tuple[IntArray, IntArray, FloatArray]:
+    """Rows, columns and values that observed means of 0 add to a normal matrix, each with a given weight."""
     if not near:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
     rows = np.concatenate([np.repeat(group, len(group)) for group in near])
     cols = np.concatenate([np.tile(group, len(group)) for group in near])
-    values = np.concatenate([np.full(len(group) ** 2, _share(group, weight) / len(group)) for group in near])
+    values = np.concatenate(
+        [np.full(len(group) ** 2, _observation_weight(group, weight) / len(group)) for group in near]
+    )
     return rows, cols, values
 
 
-def pulls(near: list[IntArray], target: FloatArray, weight: float) -> FloatArray:
+def right_hand_side(near: list[IntArray], target: FloatArray, weight: float) -> FloatArray:
     """Right-hand side (images,) of the same observations, where the mean of x is that of `target` (images,)."""
     pull = np.zeros(len(target))
     for group in near:
-        pull[group] += _share(group, weight) * target[group].mean()
+        pull[group] += _observation_weight(group, weight) * target[group].mean()
     return pull
 
 
-def _share(group: IntArray, weight: float) -> float:
-    """Of one image in it. Neighbourhoods of many images repeat each other and creep less; they count less."""
+def _observation_weight(group: IntArray, weight: float) -> float:
+    """Weight for one image of a neighbourhood.
+
+    Large neighbourhoods overlap each other more, so they repeat an observation, and drift less.
+    """
     return weight / len(group) * min(1.0, NEIGHBOURS / len(group)) ** 3
 
 
-def groups(images: int, first: IntArray, second: IntArray) -> IntArray:
+def connected_groups(images: int, first: IntArray, second: IntArray) -> IntArray:
     """Number (images,) of the group of images that overlaps connect."""
     group = np.arange(images)
     while True:

@@ -1,4 +1,4 @@
-"""Histogram matching: values of one image brought to the distribution of another's by rising curves.
+"""Histogram matching: values of one image brought to the distribution of another's by rising tone curves.
 
 A value goes to the value of equal rank: y = F⁻¹(G(x)), with G the distribution of the image and F that of its master
 (Gonzalez and Woods, *Digital Image Processing*, section 3.3). Over whole images that needs no common ground. Over the
@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.radiometry.overlap_samples import LEAST_CELLS, Thumbnail
+from geomosaic.radiometry.overlap_samples import MIN_CELLS, Thumbnail
 from geomosaic.types import AnyArray, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
-    """A rising curve per band: straight between its knots, of one slope beyond them.
+class ToneCurve:
+    """Rising curve per band: linear between its knots, of one slope beyond them.
 
     Attributes
     ----------
@@ -32,12 +32,12 @@ class Curve:
     slope: float = 1.0
 
     @classmethod
-    def identity(cls, bands: int) -> Curve:
-        """Leave values as they are."""
+    def identity(cls, bands: int) -> ToneCurve:
+        """Curve that leaves values as they are."""
         return cls([(np.zeros(1), np.zeros(1))] * bands)
 
     def __call__(self, values: AnyArray) -> FloatArray:
-        """Apply to values (..., bands)."""
+        """Values (..., bands) of the curve."""
         out = np.empty(values.shape, dtype=np.float64)
         for band, (x, y) in enumerate(self.knots):
             plain = np.asarray(values[..., band], dtype=np.float64)
@@ -46,7 +46,7 @@ class Curve:
         return out
 
     def line(self) -> tuple[FloatArray, FloatArray]:
-        """Gain and offset (bands,) between the quarters of the knots: what the curve does on the whole."""
+        """Gain and offset (bands,) of the straight line between the quarters of the knots."""
         gain, offset = np.ones(len(self.knots)), np.zeros(len(self.knots))
         for band, (x, y) in enumerate(self.knots):
             low, high = len(x) // 4, (3 * (len(x) - 1)) // 4 if len(x) > 3 else len(x) - 1
@@ -60,10 +60,15 @@ RANKS = 256
 """Ranks at which two distributions are compared."""
 
 
-def match(source: AnyArray, target: AnyArray) -> Curve:
-    """Curve that brings values (N, bands) to the distribution of others (M, bands).
+def matching_curve(source: AnyArray, target: AnyArray) -> ToneCurve:
+    """Curve that brings values to the distribution of others.
 
     Where a value stands for many ranks, as in images of 8 bits, it goes to the mean of theirs.
+
+    Parameters
+    ----------
+    source : array (N, bands)
+    target : array (M, bands)
     """
     ranks = (np.arange(RANKS) + 0.5) / RANKS
     knots = []
@@ -72,85 +77,109 @@ def match(source: AnyArray, target: AnyArray) -> Curve:
         y = np.quantile(target[:, band].astype(np.float64), ranks)
         values, which, count = np.unique(x, return_inverse=True, return_counts=True)
         knots.append((values, np.bincount(which, weights=y) / count))
-    return Curve(knots)
+    return ToneCurve(knots)
 
 
-def match_whole(pieces: Sequence[Thumbnail], master: Thumbnail) -> list[Curve]:
-    """Bring each image to the distribution of the master, all that both show."""
+def match_whole(pieces: Sequence[Thumbnail], master: Thumbnail) -> list[ToneCurve]:
+    """Curves that match each image to the master over all that both show.
+
+    Parameters
+    ----------
+    pieces : sequence of Thumbnail
+    master : Thumbnail
+        One of the pieces, or another image.
+    """
     target = master.values[master.valid > 0]
     curves = []
     for piece in pieces:
         own = piece.values[piece.valid > 0]
-        enough = piece is not master and min(len(own), len(target)) >= LEAST_CELLS
-        curves.append(match(own, target) if enough else Curve.identity(piece.values.shape[2]))
+        enough = piece is not master and min(len(own), len(target)) >= MIN_CELLS
+        curves.append(matching_curve(own, target) if enough else ToneCurve.identity(piece.values.shape[2]))
     return curves
 
 
-def match_overlaps(pieces: Sequence[Thumbnail], master: Thumbnail) -> tuple[list[Curve], list[int]]:
-    """Bring images to the master one after the other, each over what it shares with those already done.
+def match_overlaps(pieces: Sequence[Thumbnail], master: Thumbnail) -> tuple[list[ToneCurve], list[int]]:
+    """Curves that match images to the master one after the other, each over its overlap with those already matched.
 
-    The next one is always that which shares most. `master` is one of the pieces, or a picture of its own.
+    The next one is always that with the largest overlap.
+
+    Parameters
+    ----------
+    pieces : sequence of Thumbnail
+    master : Thumbnail
+        One of the pieces, or another image.
 
     Returns
     -------
-    curves : list of Curve
+    curves : list of ToneCurve
     alone : list of int
         Images that no chain of overlaps joins to the master; they stay as they are.
     """
     bands = master.values.shape[2]
-    curves: dict[int, Curve] = {i: Curve.identity(bands) for i, piece in enumerate(pieces) if piece is master}
+    curves: dict[int, ToneCurve] = {i: ToneCurve.identity(bands) for i, piece in enumerate(pieces) if piece is master}
     own: list[list[AnyArray]] = [[] for _ in pieces]
     others: list[list[FloatArray]] = [[] for _ in pieces]
     shared = np.zeros(len(pieces), dtype=np.int64)
 
-    def meet(done: Thumbnail, curve: Curve) -> None:
+    def meet(done: Thumbnail, curve: ToneCurve) -> None:
         for i, piece in enumerate(pieces):
-            if i not in curves and (found := common(piece, done)) is not None:
+            if i not in curves and (found := common_values(piece, done)) is not None:
                 own[i].append(found[0])
                 others[i].append(curve(found[1]))
                 shared[i] += len(found[0])
 
-    meet(master, Curve.identity(bands))
+    meet(master, ToneCurve.identity(bands))
     while True:
-        waiting = [i for i in range(len(pieces)) if i not in curves and shared[i] >= LEAST_CELLS]
+        waiting = [i for i in range(len(pieces)) if i not in curves and shared[i] >= MIN_CELLS]
         if not waiting:
             break
         following = max(waiting, key=lambda i: (shared[i], -i))
-        curves[following] = match(np.concatenate(own[following]), np.concatenate(others[following]))
+        curves[following] = matching_curve(np.concatenate(own[following]), np.concatenate(others[following]))
         own[following], others[following] = [], []
         meet(pieces[following], curves[following])
     alone = [i for i in range(len(pieces)) if i not in curves]
-    return [curves.get(i, Curve.identity(bands)) for i in range(len(pieces))], alone
+    return [curves.get(i, ToneCurve.identity(bands)) for i in range(len(pieces))], alone
 
 
-def match_sequence(pieces: Sequence[Thumbnail], master: Thumbnail, first: int) -> list[Curve]:
-    """Bring each image to the one before it: those after `first` in their order, then those before it, backwards.
+def match_sequence(pieces: Sequence[Thumbnail], master: Thumbnail, first: int) -> list[ToneCurve]:
+    """Curves that match each image to the one before it: those after `first` in order, then those before it, backwards.
 
-    Two are matched over what both show, or, where they share too little, over all that each shows. `master` is the
-    first of the pieces, or a picture of its own, which the first is brought to.
+    Two are matched over their overlap, or, where it is too small, over all that each shows.
+
+    Parameters
+    ----------
+    pieces : sequence of Thumbnail
+    master : Thumbnail
+        The first of the pieces, or another image, which the first is matched to.
+    first : int
+        Number of the first piece.
+
+    Returns
+    -------
+    list of ToneCurve
     """
     bands = master.values.shape[2]
-    curves = [Curve.identity(bands) for _ in pieces]
+    curves = [ToneCurve.identity(bands) for _ in pieces]
     if master is not pieces[first]:
-        curves[first] = _to(pieces[first], master, Curve.identity(bands))
+        curves[first] = _matched_to(pieces[first], master, ToneCurve.identity(bands))
     for order in (range(first + 1, len(pieces)), range(first - 1, -1, -1)):
         for i in order:
             before = i - 1 if i > first else i + 1
-            curves[i] = _to(pieces[i], pieces[before], curves[before])
+            curves[i] = _matched_to(pieces[i], pieces[before], curves[before])
     return curves
 
 
-def _to(piece: Thumbnail, other: Thumbnail, curve: Curve) -> Curve:
-    found = common(piece, other)
-    if found is None or len(found[0]) < LEAST_CELLS:
+def _matched_to(piece: Thumbnail, other: Thumbnail, curve: ToneCurve) -> ToneCurve:
+    found = common_values(piece, other)
+    if found is None or len(found[0]) < MIN_CELLS:
         found = piece.values[piece.valid > 0], other.values[other.valid > 0]
-    if min(len(found[0]), len(found[1])) < LEAST_CELLS:
-        return Curve.identity(piece.values.shape[2])
-    return match(found[0], curve(found[1]))
+    if min(len(found[0]), len(found[1])) < MIN_CELLS:
+        return ToneCurve.identity(piece.values.shape[2])
+    return matching_curve(found[0], curve(found[1]))
 
 
-def common(one: Thumbnail, other: Thumbnail) -> tuple[AnyArray, AnyArray] | None:
-    """Values (N, bands) of two images where both are known; None where they share nothing."""
+def common_values(one: Thumbnail, other: Thumbnail) -> tuple[AnyArray, AnyArray] | None:
+    """Values (N, bands) of two images where both are valid; None where they share nothing."""
     window = one.window.intersection(other.window)
     if window.empty:
         return None

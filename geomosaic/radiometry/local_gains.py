@@ -1,8 +1,8 @@
-"""Local gains: corrections by place and value on a coarse net, and dodging of slow differences.
+"""Correction fields over an image, and dodging: local gains for slow differences that no other term explains.
 
-What is left between corrected views, relative to their mean, is log dᵢ − log dⱼ at the place of the sample, each log d
-bilinear between the nodes of a net over its image. Nodes are held to 0 and to each other, so that the net follows what
-overlaps show, fades to nothing where there are none, and adds up to no creep.
+Residual differences of corrected views, relative to their mean, are log dᵢ − log dⱼ at the place of the sample, each
+log d bilinear between the nodes of a net over its image. Nodes are drawn to 0 and to each other, so that the net
+follows what overlaps show, fades where there are none, and adds no drift.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ import numpy as np
 
 from geomosaic.interpolation import interval
 from geomosaic.radiometry import bases
-from geomosaic.radiometry.fields import Fields
-from geomosaic.radiometry.normal_equations import LEAST_SIGMA
-from geomosaic.radiometry.overlap_samples import Views
-from geomosaic.radiometry.regression import BIWEIGHT, TO_SIGMA
+from geomosaic.radiometry.fields import ColourModel
+from geomosaic.radiometry.normal_equations import MIN_SIGMA
+from geomosaic.radiometry.overlap_samples import PairedSamples
+from geomosaic.radiometry.regression import BIWEIGHT_LIMIT, MAD_TO_SIGMA
 from geomosaic.types import AnyArray, FloatArray
 
-STEPS = 4096
-"""Steps of a curve over the range of values; between them it is straight."""
+CURVE_STEPS = 4096
+"""Intervals of a tabulated curve over the range of values; linear in between."""
 
 
 @dataclass(frozen=True, eq=False)
-class Shade:
-    """corrected = net(place) · curve(value + dark − haze · path(place)) + offset, per band.
+class CorrectionField:
+    """Correction by place and value, per band: net(place) · curve(value + dark − haze · path(place)) + offset.
 
     Attributes
     ----------
@@ -37,12 +37,14 @@ class Shade:
     spacing : (float, float)
         Output pixels between nodes, across and down.
     dark, offset : array (bands,)
-    curve : array (bands, STEPS + 1)
-        Values for dark-corrected ones of 0, reach / STEPS, ... reach; (bands, 0) where they stay as they are.
+    curve : array (bands, CURVE_STEPS + 1)
+        Values for dark-corrected ones of 0, reach / CURVE_STEPS, ... reach; (bands, 0) where they stay as they are.
     reach : float
+        Range of values.
     path : array (rows, cols)
-        At the nodes of the net; (0, 0) where there is no haze.
+        Excess air path at the nodes of the net; (0, 0) where there is no haze.
     haze : array (bands,)
+        Grey values in the corners.
     """
 
     net: FloatArray
@@ -65,24 +67,24 @@ class Shade:
         gamma: FloatArray,
         reach: float,
         pivot: float,
-    ) -> Shade:
-        """Tabulate curves of a power that leaves `pivot` as it is; `net` holds all gains."""
+    ) -> CorrectionField:
+        """Field with tabulated powers that leave `pivot` unchanged; `net` holds all gains."""
         bands = len(dark)
         curve = np.zeros((bands, 0))
         if (gamma != 1.0).any():
-            curve = pivot * (reach / pivot * np.arange(STEPS + 1) / STEPS)[None, :] ** gamma[:, None]
+            curve = pivot * (reach / pivot * np.arange(CURVE_STEPS + 1) / CURVE_STEPS)[None, :] ** gamma[:, None]
         return cls(np.ascontiguousarray(net, dtype=np.float64), origin, spacing, dark, np.zeros(bands), curve, reach)
 
-    def then(self, gain: FloatArray, offset: FloatArray) -> Shade:
-        """Gain · corrected + offset."""
+    def then(self, gain: FloatArray, offset: FloatArray) -> CorrectionField:
+        """Field followed by gain · corrected + offset."""
         return replace(self, net=np.ascontiguousarray(self.net * gain), offset=self.offset * gain + offset)
 
     def at(self, col: float, row: float) -> tuple[float, float]:
-        """Place in the net, in nodes, of a place in output pixels."""
+        """Position in the net, in nodes, of a position in output pixels."""
         return (col - self.origin[0]) / self.spacing[0], (row - self.origin[1]) / self.spacing[1]
 
     def __call__(self, values: AnyArray, cols: FloatArray, rows: FloatArray) -> FloatArray:
-        """Correct values (R, C, bands) of a raster whose columns (C,) and rows (R,) lie there in output pixels."""
+        """Corrected values of a raster (R, C, bands) with columns (C,) and rows (R,) in output pixels."""
         i, u = interval((cols - self.origin[0]) / self.spacing[0], self.net.shape[1])
         j, v = interval((rows - self.origin[1]) / self.spacing[1], self.net.shape[0])
         lines = self.net[j] + (self.net[j + 1] - self.net[j]) * v[:, None, None]
@@ -98,14 +100,14 @@ class Shade:
         plain = values + self.dark
         if not self.curve.shape[1]:
             return plain
-        at = np.maximum(plain * (STEPS / self.reach), 0.0)
-        step = np.minimum(at.astype(np.int64), STEPS - 1)
+        at = np.maximum(plain * (CURVE_STEPS / self.reach), 0.0)
+        step = np.minimum(at.astype(np.int64), CURVE_STEPS - 1)
         band = np.arange(self.curve.shape[0])
         low, high = self.curve[band, step], self.curve[band, step + 1]
         return np.asarray(low + (high - low) * (at - step))
 
     def line(self) -> tuple[FloatArray, FloatArray]:
-        """Gain and offset (bands,) that the correction comes to in the middle of values and places."""
+        """Gain and offset (bands,) of the correction at the mean of the net, from a quarter to half of the range."""
         mean = self.net.mean(axis=(0, 1))
         ends = np.stack([np.full(len(self.dark), self.reach / 4), np.full(len(self.dark), self.reach / 2)])
         veil = self.haze * self.path.mean() if self.path.size else 0.0
@@ -114,7 +116,7 @@ class Shade:
         return gain, low - gain * ends[0]
 
     def digest(self) -> bytes:
-        """All that decides about values."""
+        """Bytes of all that decides about values."""
         numbers = np.array([*self.origin, *self.spacing, self.reach])
         return b"".join(
             part.tobytes() for part in (self.net, numbers, self.dark, self.offset, self.curve, self.path, self.haze)
@@ -122,21 +124,31 @@ class Shade:
 
 
 NODES = 6
-SIGMA_NODE, SIGMA_BEND = 0.1, 0.05
-"""Of a node, and of a second difference of nodes."""
-ROUNDS = 3
+SIGMA_NODE, SIGMA_ROUGHNESS = 0.1, 0.05
+"""Prior standard deviations of a node, and of a second difference of nodes."""
+ITERATIONS = 3
 
 
-def dodge(fields: Fields, views: Views) -> Fields:
-    """Add nets to a solution."""
+def solve_dodging(fields: ColourModel, views: PairedSamples) -> ColourModel:
+    """Colour model with dodging nets solved from its residual differences.
+
+    Parameters
+    ----------
+    fields : ColourModel
+    views : PairedSamples
+
+    Returns
+    -------
+    ColourModel
+    """
     from scipy.sparse import block_diag, coo_matrix, csr_matrix
     from scipy.sparse.linalg import cg
 
     images, size = fields.setting.images, NODES * NODES
     one, other = fields.corrected(views)
     known = views.known
-    number_a, weight_a = bases.hats(views.image_a[known], NODES)
-    number_b, weight_b = bases.hats(views.image_b[known], NODES)
+    number_a, weight_a = bases.bilinear_weights(views.image_a[known], NODES)
+    number_b, weight_b = bases.bilinear_weights(views.image_b[known], NODES)
     index_a = np.broadcast_to(views.first[:, None], known.shape)[known]
     index_b = np.broadcast_to(views.second[:, None], known.shape)[known]
     camera = fields.setting.camera
@@ -147,7 +159,7 @@ def dodge(fields: Fields, views: Views) -> Fields:
     )
     rows = np.repeat(np.arange(count), 8)
     design = csr_matrix(coo_matrix((values.ravel(), (rows, cols.ravel())), shape=(count, images * size)))
-    smooth = np.eye(size) / SIGMA_NODE**2 + bases.roughness(NODES, NODES) / SIGMA_BEND**2
+    smooth = np.eye(size) / SIGMA_NODE**2 + bases.roughness(NODES, NODES) / SIGMA_ROUGHNESS**2
     prior = csr_matrix(block_diag([smooth] * images))
     per_overlap = np.repeat(known.sum(axis=1), known.sum(axis=1))
     nets = np.zeros((images, size, one.shape[2]))
@@ -155,11 +167,11 @@ def dodge(fields: Fields, views: Views) -> Fields:
         a, b = one[..., band][known], other[..., band][known]
         left = (b - a) / np.maximum((np.abs(a) + np.abs(b)) / 2, 1e-9)
         net: FloatArray = np.zeros(images * size)
-        for _ in range(ROUNDS):
+        for _ in range(ITERATIONS):
             off = left - design @ net
-            sigma = max(TO_SIGMA * float(np.median(np.abs(off))), 1e-4)
-            weight = np.maximum(1 - (off / (BIWEIGHT * sigma)) ** 2, 0.0) ** 2 / sigma**2
-            weight = np.minimum(weight, 4 / (LEAST_SIGMA**2 * per_overlap))
+            sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(off))), 1e-4)
+            weight = np.maximum(1 - (off / (BIWEIGHT_LIMIT * sigma)) ** 2, 0.0) ** 2 / sigma**2
+            weight = np.minimum(weight, 4 / (MIN_SIGMA**2 * per_overlap))
             normal = (design.T @ design.multiply(weight[:, None]) + prior).tocsr()
             scale = normal.diagonal()
             net, _ = cg(normal, design.T @ (weight * left), x0=net, rtol=1e-6, M=_diagonal(scale))

@@ -1,8 +1,8 @@
-"""Which terms are warranted: those that make images agree where they were not asked.
+"""Selection of colour terms by cross-validation: those that predict held-back samples better.
 
 Each overlap is cut into eight bands; the odd ones are held back while the even ones are solved, and the other way
-round. A term is kept if it brings the held-back differences down by a given share. More parameters always fit better
-what they were fitted to; that they predict better must be earned.
+round. A term is kept if it reduces the held-back differences by a given part. More parameters always fit the samples
+better that they were fitted to; whether they predict better has to be shown.
 """
 
 from __future__ import annotations
@@ -12,33 +12,33 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.radiometry.fields import Fields, solve_fields
-from geomosaic.radiometry.normal_equations import Setting
-from geomosaic.radiometry.overlap_samples import Views
+from geomosaic.radiometry.fields import ColourModel, solve_fields
+from geomosaic.radiometry.normal_equations import ColourSetting
+from geomosaic.radiometry.overlap_samples import PairedSamples
 from geomosaic.types import FloatArray
 
-WARRANTED = 0.03
-"""Share by which held-back differences must fall."""
-LEAST_SAMPLES = 2000
-"""Of all overlaps: fewer are no ground for a choice."""
+MIN_IMPROVEMENT = 0.03
+"""Part by which a term must reduce the held-back differences."""
+MIN_SAMPLES = 2000
+"""Samples of all overlaps without which no term is tried."""
 ORDER = ("vignetting", "trend", "hotspot", "haze", "gamma", "dodging")
-NEEDS = {"hotspot": "trend", "haze": "vignetting"}
-"""Terms that show as another first."""
-ROUNDS = 4
-"""Steps of a trial, which need not be exact."""
-BEYOND = 3.0
-"""Robust deviations beyond which a difference counts no more: moving things and clouds."""
+PREREQUISITES = {"hotspot": "trend", "haze": "vignetting"}
+"""Terms that are only tried after another was kept, which explains part of the same effect."""
+ITERATIONS = 4
+"""Gauss-Newton steps of a trial, which need not converge."""
+OUTLIER_LIMIT = 3.0
+"""Robust standard deviations at which differences are capped: moving objects and clouds."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A set of terms and how well it predicts.
+    """Set of terms and how well it predicts.
 
     Attributes
     ----------
     terms : tuple of str
     left : float
-        RMS of held-back differences of corrected values, in parts of their mean.
+        RMS of held-back differences of corrected values, relative to their mean.
     kept : bool
     """
 
@@ -48,33 +48,38 @@ class Trial:
 
 
 def solve_terms(
-    views: Views, setting: Setting, gain: FloatArray, offset: FloatArray, linear: Collection[int] = ()
-) -> Fields:
-    """Solve what the setting's terms name, nets of dodging included."""
+    views: PairedSamples, setting: ColourSetting, gain: FloatArray, offset: FloatArray, linear: Collection[int] = ()
+) -> ColourModel:
+    """Colour model with the terms of a setting, dodging included; parameters as in `fields.solve_fields`."""
     fields = solve_fields(views, setting, gain, offset, linear)
     if "dodging" in setting.terms:
-        from geomosaic.radiometry.local_gains import dodge
+        from geomosaic.radiometry.local_gains import solve_dodging
 
-        return dodge(fields, views)
+        return solve_dodging(fields, views)
     return fields
 
 
-def choose(
-    views: Views, setting: Setting, gain: FloatArray, offset: FloatArray, linear: Collection[int] = ()
+def select_terms(
+    views: PairedSamples, setting: ColourSetting, gain: FloatArray, offset: FloatArray, linear: Collection[int] = ()
 ) -> tuple[frozenset[str], list[Trial]]:
-    """Terms that are warranted, and all that were tried.
+    """Terms that improve the prediction of held-back samples, and all trials.
 
-    A hotspot is only looked for where a trend is, and haze where light changes towards the corners. Images of too
+    A hotspot is only tried where a trend was kept, and haze where light changes towards the corners. Images of too
     little overlap keep gain and offset.
+
+    Parameters
+    ----------
+    views, setting, gain, offset, linear
+        As in `fields.solve_fields`.
     """
     kept: frozenset[str] = frozenset()
-    if np.count_nonzero(views.known) < LEAST_SAMPLES:
+    if np.count_nonzero(views.known) < MIN_SAMPLES:
         return kept, []
     halves = views.halves()
     limits = _limits(views, setting, gain, offset, linear)
 
     def score(terms: frozenset[str]) -> float:
-        own = replace(setting, terms=terms, rounds=ROUNDS)
+        own = replace(setting, terms=terms, rounds=ITERATIONS)
         total, count = np.zeros(views.a.shape[2]), 0
         for learnt, asked in (halves, halves[::-1]):
             off = _differences(solve_terms(views.only(learnt), own, gain, offset, linear), views.only(asked))
@@ -85,10 +90,10 @@ def choose(
     best = score(kept)
     trials = [Trial((), best, True)]
     for term in ORDER:
-        if NEEDS.get(term, term) not in kept | {term}:
+        if PREREQUISITES.get(term, term) not in kept | {term}:
             continue
         left = score(kept | {term})
-        good = left < (1 - WARRANTED) * best
+        good = left < (1 - MIN_IMPROVEMENT) * best
         trials.append(Trial(tuple(t for t in ORDER if t in kept | {term}), left, good))
         if good:
             kept, best = kept | {term}, left
@@ -96,21 +101,22 @@ def choose(
 
 
 def _limits(
-    views: Views, setting: Setting, gain: FloatArray, offset: FloatArray, linear: Collection[int]
+    views: PairedSamples, setting: ColourSetting, gain: FloatArray, offset: FloatArray, linear: Collection[int]
 ) -> FloatArray:
+    """Largest difference (bands,) that counts in full, from the model of gain and offset."""
     plain = solve_terms(views, replace(setting, terms=frozenset()), gain, offset, linear)
-    return np.asarray(BEYOND * 1.4826 * np.median(np.abs(_differences(plain, views)), axis=0) + 1e-12)
+    return np.asarray(OUTLIER_LIMIT * 1.4826 * np.median(np.abs(_differences(plain, views)), axis=0) + 1e-12)
 
 
-def _differences(fields: Fields, views: Views) -> FloatArray:
-    """Differences (N, bands) of corrected values, in parts of the mean value.
+def _differences(fields: ColourModel, views: PairedSamples) -> FloatArray:
+    """Differences (N, bands) of corrected values, relative to the mean value.
 
-    They are told in values as they came: a correction that makes everything smaller makes noise smaller too, and is no
-    better for it.
+    Divided by the slope of the correction: one that makes all values smaller makes noise smaller too, and is no better
+    for it.
     """
     known, step = views.known, 1e-3 * fields.setting.reach
     one, other = (side[known] for side in fields.corrected(views))
     more = fields.corrected(replace(views, a=views.a + step, b=views.b + step))
-    steep = np.sqrt((((more[0][known] - one) / step) ** 2 + ((more[1][known] - other) / step) ** 2) / 2)
+    slope = np.sqrt((((more[0][known] - one) / step) ** 2 + ((more[1][known] - other) / step) ** 2) / 2)
     level = np.abs(views.a + views.b)[known].mean(axis=0) / 2
-    return np.asarray((one - other) / np.maximum(steep, 1e-9) / np.maximum(level, 1e-12))
+    return np.asarray((one - other) / np.maximum(slope, 1e-9) / np.maximum(level, 1e-12))

@@ -1,9 +1,9 @@
-"""Normal equations of one band of the block's colour.
+"""Normal equations of one band of the colour model.
 
 The derivative of a difference D = c_a − c_b by the logarithm of a gain is taken as the mean M = (c_a + c_b) / 2 of both
-views: like the standardised major axis of `relation` it treats both alike, and noise, which M and D do not share, does
-not pull gains towards 0 (J. Riggs et al., Fitting straight lines when both variables are subject to error, Life Sci.
-22, 1978).
+views: like the standardised major axis of `regression` it treats both alike, and noise, which M and D do not share,
+does not pull gains towards 0 (J. Riggs et al., Fitting straight lines when both variables are subject to error, Life
+Sci. 22, 1978).
 """
 
 from __future__ import annotations
@@ -13,25 +13,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.radiometry import bases, drift
-from geomosaic.radiometry.overlap_samples import Views
+from geomosaic.radiometry.overlap_samples import PairedSamples
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
-ROUNDS = 10
-LEAST_SIGMA = 0.003
-"""With which one overlap is believed at best, as in `gain_offset`."""
+MAX_ITERATIONS = 10
+MIN_SIGMA = 0.003
+"""Smallest standard deviation of the gain of one overlap, as in `gain_offset`."""
 SIGMA_LEVEL = 0.15
-"""Of the logarithm of the level of the ground that a photo shows, about that of its neighbours."""
+"""Standard deviation of the logarithm of a photo's median level about that of its neighbours: the ground differs."""
 SIGMA_GAIN, SIGMA_DARK, SIGMA_GAMMA, SIGMA_HAZE = 1.0, 0.1, 0.3, 0.1
-"""Priors; of the dark offset and of haze in mean grey values."""
-MOST_DENSE = 1500
+"""Standard deviations of the priors; of the dark offset and of haze in mean grey values."""
+MAX_DENSE = 1500
 """Parameters of a band beyond which the normal equations are kept sparse."""
-LEAST_LIGHT = 1e-3
-"""Of the range: values after the dark offset are no less, so that powers exist."""
+MIN_LIGHT = 1e-3
+"""Smallest value after the dark offset, in parts of the range, so that powers exist."""
 
 
 @dataclass(frozen=True)
-class Setting:
-    """What is to be solved.
+class ColourSetting:
+    """Images, cameras and terms of a colour model to be solved.
 
     Attributes
     ----------
@@ -45,9 +45,9 @@ class Setting:
     level : array (images, bands), optional
         Median of all that each image shows, NaN where unknown: after correction they are about alike.
     rounds : int
-        Most steps.
+        Largest number of Gauss-Newton steps.
     middle : float
-        Value that powers leave as it is, so that they change no level; `reach` unless given.
+        Value that powers leave unchanged, so that they change no level; `reach` unless given.
     """
 
     images: int
@@ -56,17 +56,17 @@ class Setting:
     terms: frozenset[str]
     reach: float
     level: FloatArray | None = None
-    rounds: int = ROUNDS
+    rounds: int = MAX_ITERATIONS
     middle: float = 0.0
 
     @property
     def pivot(self) -> float:
-        """Value that powers leave as it is."""
+        """Value that powers leave unchanged."""
         return self.middle or self.reach
 
 
-def levels_of(setting: Setting, bands: int) -> FloatArray:
-    """The images' own levels (images, bands); NaN where they say nothing."""
+def image_levels(setting: ColourSetting, bands: int) -> FloatArray:
+    """Median levels (images, bands) of the images; NaN where they are unknown or not to be used."""
     level = np.full((setting.images, bands), np.nan)
     if setting.level is not None:
         known = np.isfinite(setting.level).all(axis=1) & (setting.level > 0).all(axis=1) & (setting.camera >= 0)
@@ -76,11 +76,29 @@ def levels_of(setting: Setting, bands: int) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Band:
-    """What one band is solved from."""
+class BandProblem:
+    """Samples, positions and fixed parameters of one band.
 
-    views: Views
-    setting: Setting
+    Attributes
+    ----------
+    views : PairedSamples
+    setting : ColourSetting
+    shared_a, shared_b : array (P, K, width)
+        Values of the shared functions.
+    a, b : array (P, K)
+        Values of the band.
+    firm : bool array (images,)
+        Whether gamma is fixed to 1.
+    near : list of int array
+        Neighbourhoods over which drift is bounded.
+    level : array (images,)
+        Median levels of the images; NaN where unknown.
+    path_a, path_b : array (P, K)
+        Excess of the path through the air.
+    """
+
+    views: PairedSamples
+    setting: ColourSetting
     shared_a: FloatArray
     shared_b: FloatArray
     a: FloatArray
@@ -88,17 +106,16 @@ class Band:
     firm: BoolArray
     near: list[IntArray]
     level: FloatArray
-    """The images' own levels (images,); NaN where they say nothing."""
     path_a: FloatArray
     path_b: FloatArray
 
     @property
     def kinds(self) -> list[int]:
-        """Parameters of each image's own that are solved, as numbers in the state: gain, dark, gamma, haze."""
+        """Kinds of parameters of single images that are solved, as numbers in the state: gain, dark, gamma, haze."""
         return [0, 1, *([] if self.firm.all() else [2]), *([3] if "haze" in self.setting.terms else [])]
 
-    def look(self, state: list[FloatArray]) -> tuple[FloatArray, FloatArray, list[FloatArray], list[FloatArray]]:
-        """Difference and mean of both views (P, K), and derivatives of each by its image's own parameters."""
+    def residuals(self, state: list[FloatArray]) -> tuple[FloatArray, FloatArray, list[FloatArray], list[FloatArray]]:
+        """Differences and means of both views (P, K), and derivatives of each by its image's own parameters."""
         gain, dark, gamma, haze, shared = state
         reach, shown, light, slope = self.setting.pivot, [], [], []
         for number, values, base, path in (
@@ -107,7 +124,7 @@ class Band:
         ):
             factor = np.exp(gain[number][:, None] + base @ shared)
             clear = values + dark[number][:, None] - haze[number][:, None] * path
-            plain = np.maximum(clear / reach, LEAST_LIGHT)
+            plain = np.maximum(clear / reach, MIN_LIGHT)
             power = gamma[number][:, None]
             shown.append(factor * reach * plain**power)
             slope.append(factor * power * plain ** (power - 1))
@@ -121,7 +138,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Prior:
-    """Weights of what is known beforehand of each image's own parameters and of the shared ones."""
+    """Weights of the prior observations of each image's own parameters and of the shared ones."""
 
     own: FloatArray
     shared: FloatArray
@@ -130,7 +147,7 @@ class Prior:
     held: FloatArray
 
     @classmethod
-    def of(cls, band: Band) -> Prior:
+    def of(cls, band: BandProblem) -> Prior:
         """Weights for a band."""
         setting, images = band.setting, band.setting.images
         known = band.views.known
@@ -139,15 +156,17 @@ class Prior:
         own[0], own[1] = SIGMA_GAIN**-2, (SIGMA_DARK * max(grey, 1e-12)) ** -2
         own[2] = np.where(band.firm, 1e16, SIGMA_GAMMA**-2)
         own[3] = (SIGMA_HAZE * max(grey, 1e-12)) ** -2
-        # Overlaps cannot tell a ramp of gains from a trend: held gains leave long ramps to the trend.
+        # Overlaps cannot tell a ramp of gains from a trend: with bounded drift, long ramps go to the trend.
         strength = (drift.FIRM * 0.1) ** -2
         return cls(
-            own, bases.prior(setting.terms & set(bases.SHARED), setting.cameras), *drift.entries(band.near, strength)
+            own,
+            bases.prior_normal_matrix(setting.terms & set(bases.SHARED), setting.cameras),
+            *drift.entries(band.near, strength),
         )
 
 
-def change_of(
-    band: Band,
+def gauss_newton_step(
+    band: BandProblem,
     state: list[FloatArray],
     prior: Prior,
     weight: FloatArray,
@@ -156,7 +175,7 @@ def change_of(
     by_a: list[FloatArray],
     by_b: list[FloatArray],
 ) -> list[FloatArray]:
-    """Changes of the state; parameters are ordered image by image, shared ones last."""
+    """Gauss-Newton step of the state; unknowns are ordered image by image, shared ones last."""
     views, images, shared = band.views, band.setting.images, state[4]
     chosen = band.kinds
     kinds, size = len(chosen), shared.size
@@ -175,19 +194,19 @@ def change_of(
     push = (weighted @ difference[..., None])[..., 0].ravel()
     pull = -np.asarray(np.bincount(number.ravel(), push, total), dtype=np.float64)
     at = np.arange(images * kinds).reshape(images, kinds)
-    beforehand, known = [state[0], state[1], state[2] - 1.0, state[3]], prior.own[chosen].T
-    pull[at] -= known * np.stack([beforehand[kind] for kind in chosen], axis=1)
+    deviation, known = [state[0], state[1], state[2] - 1.0, state[3]], prior.own[chosen].T
+    pull[at] -= known * np.stack([deviation[kind] for kind in chosen], axis=1)
     held = np.zeros(images)
     np.add.at(held, prior.rows, prior.held * state[0][prior.cols])
     pull[at[:, 0]] -= held
     parts = [(rows, cols, values), (at.ravel(), at.ravel(), known.ravel())]
     parts.append((prior.rows * kinds, prior.cols * kinds, prior.held))
-    told, off, by_dark = _levels(band.level, state, band.setting.pivot)
-    if len(told):
-        weight_of = np.full(len(told), SIGMA_LEVEL**-2)
-        pull[at[told, 0]] -= weight_of * off
-        pull[at[told, 1]] -= weight_of * off * by_dark
-        gain_at, dark_at = at[told, 0], at[told, 1]
+    with_level, off, by_dark = _level_residuals(band.level, state, band.setting.pivot)
+    if len(with_level):
+        weight_of = np.full(len(with_level), SIGMA_LEVEL**-2)
+        pull[at[with_level, 0]] -= weight_of * off
+        pull[at[with_level, 1]] -= weight_of * off * by_dark
+        gain_at, dark_at = at[with_level, 0], at[with_level, 1]
         parts += [(gain_at, gain_at, weight_of), (dark_at, dark_at, weight_of * by_dark**2)]
         parts += [(gain_at, dark_at, weight_of * by_dark), (dark_at, gain_at, weight_of * by_dark)]
     if size:
@@ -206,17 +225,19 @@ def change_of(
     return [*own_change, change[images * kinds :]]
 
 
-def _levels(level: FloatArray, state: list[FloatArray], pivot: float) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Images whose level is known, how far its logarithm is off the mean once corrected, and derivatives by dark."""
-    told = np.flatnonzero(np.isfinite(level))
-    light = np.maximum(level[told] + state[1][told], 0.05 * level[told])
-    reached = state[0][told] + state[2][told] * np.log(light / pivot)
-    return told, reached - np.log(level[told] / pivot).mean() if len(told) else reached, state[2][told] / light
+def _level_residuals(
+    level: FloatArray, state: list[FloatArray], pivot: float
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Images of known level, deviation of its corrected logarithm from the mean, and derivatives by dark offset."""
+    known = np.flatnonzero(np.isfinite(level))
+    light = np.maximum(level[known] + state[1][known], 0.05 * level[known])
+    reached = state[0][known] + state[2][known] * np.log(light / pivot)
+    return known, reached - np.log(level[known] / pivot).mean() if len(known) else reached, state[2][known] / light
 
 
 def _solution(total: int, parts: list[tuple[IntArray, IntArray, FloatArray]], pull: FloatArray) -> FloatArray:
     rows, cols, values = (np.concatenate([part[k] for part in parts]) for k in range(3))
-    if total <= MOST_DENSE:
+    if total <= MAX_DENSE:
         normal = np.bincount(rows * total + cols, values, total * total).reshape(total, total)
         return np.asarray(np.linalg.solve(normal, pull))
     from scipy.sparse import coo_matrix

@@ -1,4 +1,4 @@
-"""Overlap samples: what pairs of images show of the same ground, as few samples as serve."""
+"""Overlap samples: values of the same ground in pairs of images, as few as suffice."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from geomosaic.geo.grid import Window
 from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 
-LEAST_CELLS = 25
-"""An overlap of fewer cells says nothing."""
-MOST_CELLS = 500
-"""Cells that are kept of an overlap: sampling then leaves (1 − ρ²)^½ · 4.5 % of a ratio of gains open."""
+MIN_CELLS = 25
+"""Cells of the smallest overlap that is used."""
+MAX_CELLS = 500
+"""Cells kept of an overlap: the sampling error of a ratio of gains is then (1 − ρ²)^½ · 4.5 %."""
 _GOLDEN = (5**0.5 - 1) / 2
 
 
 @dataclass(frozen=True)
 class Overlap:
-    """The same ground in two images.
+    """Samples of the same ground in two images.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Overlap:
 
 @dataclass(frozen=True)
 class Thumbnail:
-    """One image on the coarse grid that all share.
+    """Image on the coarse grid that all share.
 
     Attributes
     ----------
@@ -56,7 +56,9 @@ class Thumbnail:
 
 
 class Overlaps:
-    """Overlaps of thumbnails that come one by one, in any order.
+    """Overlaps of thumbnails that arrive one by one, in any order.
+
+    Each thumbnail is dropped when its last partner has come, so that memory is that of a few strips.
 
     Parameters
     ----------
@@ -77,16 +79,16 @@ class Overlaps:
 
     @property
     def kept(self) -> int:
-        """Thumbnails that wait for a partner."""
+        """Number of thumbnails that wait for a partner."""
         return len(self._kept)
 
     @property
     def found(self) -> list[Overlap]:
-        """All pairs so far, by their numbers."""
+        """All overlaps so far, by their numbers."""
         return sorted(self._found, key=lambda pair: (pair.first, pair.second))
 
     def add(self, index: int, piece: Thumbnail) -> None:
-        """Compare a thumbnail with those that came before, and forget those that have met all their partners."""
+        """Overlaps of a thumbnail with those that came before."""
         common = np.minimum(self._high, self._high[index]) - np.maximum(self._low, self._low[index])
         partners = (common > 0).all(axis=1)
         partners[index] = False
@@ -95,7 +97,7 @@ class Overlaps:
         self._missing[index] = np.count_nonzero(partners & ~self._came)
         for other in np.flatnonzero(partners & self._came).tolist():
             first, second = min(index, other), max(index, other)
-            pair = compare(first, second, self._kept[first], self._kept[second], self._clipped)
+            pair = overlap_of(first, second, self._kept[first], self._kept[second], self._clipped)
             if pair is not None:
                 self._found.append(pair)
             self._missing[other] -= 1
@@ -105,10 +107,19 @@ class Overlaps:
             del self._kept[index]
 
 
-def compare(
+def overlap_of(
     first: int, second: int, one: Thumbnail, other: Thumbnail, clipped: tuple[float, float] | None = None
 ) -> Overlap | None:
-    """Values that both have, at most `MOST_CELLS` of them; None where there are too few."""
+    """Samples of the cells that are valid in both thumbnails, at most `MAX_CELLS`; None where there are too few.
+
+    Parameters
+    ----------
+    first, second : int
+        Numbers of the images.
+    one, other : Thumbnail
+    clipped : (float, float), optional
+        Ends of the range of values; cells at them are left out.
+    """
     common = one.window.intersection(other.window)
     if common.empty:
         return None
@@ -121,43 +132,45 @@ def compare(
             seen &= (values > clipped[0] + 0.5).all(axis=2) & (values < clipped[1] - 0.5).all(axis=2)
         views.append(values)
     rows, cols = np.nonzero(seen)
-    if len(rows) < LEAST_CELLS:
+    if len(rows) < MIN_CELLS:
         return None
-    chosen = spread_out(len(rows))
+    chosen = golden_ratio_sample(len(rows))
     rows, cols = rows[chosen], cols[chosen]
     a, b = (values[rows, cols] for values in views)
     return Overlap(first, second, a, b, np.stack([cols + common.col, rows + common.row], axis=1))
 
 
-def spread_out(count: int) -> AnyArray:
-    """Indices of at most `MOST_CELLS` of `count` items, evenly and in no rhythm.
+def golden_ratio_sample(count: int) -> AnyArray:
+    """Indices of at most `MAX_CELLS` of `count` items, evenly spread without a period.
 
-    A plain stride could fall in step with the columns, and see one side of each image only. Multiples of the golden
-    ratio modulo 1 are as even, and in step with nothing.
+    A plain stride could be in phase with the columns, and sample one side of each image only. Multiples of the golden
+    ratio modulo 1 are as even, and in phase with nothing.
     """
-    if count <= MOST_CELLS:
+    if count <= MAX_CELLS:
         return np.arange(count)
-    return np.unique((np.arange(MOST_CELLS) * _GOLDEN % 1.0 * count).astype(np.int64))
+    return np.unique((np.arange(MAX_CELLS) * _GOLDEN % 1.0 * count).astype(np.int64))
 
 
-MOST_SAMPLES = 40_000
-"""Of all overlaps together: fields that images share need no more, and time stays bounded."""
-Places = Callable[[int, AnyArray], tuple[FloatArray, FloatArray]]
-"""Image and cells (N, 2) of the coarse grid → places in the image and on the ground, each (N, 2); see `bases`."""
+MAX_SAMPLES = 40_000
+"""Samples of all overlaps together: shared fields need no more, and time stays bounded."""
+SamplePositions = Callable[[int, AnyArray], tuple[FloatArray, FloatArray]]
+"""Image and cells (N, 2) of the coarse grid → positions in the image and on the ground, each (N, 2); see `bases`."""
 
 
 @dataclass(frozen=True)
-class Views:
-    """The same ground in pairs of images; P pairs of at most K samples, the rest is padding.
+class PairedSamples:
+    """Samples of the same ground in pairs of images; P pairs of at most K samples, the rest is padding.
 
     Attributes
     ----------
     first, second : int array (P,)
+        Numbers of the images.
     a, b : array (P, K, bands)
         Values, finite.
     known : bool array (P, K)
+        False for padding.
     image_a, view_a, image_b, view_b : array (P, K, 2)
-        Places in each image and on the ground, see `bases`.
+        Positions in each image and on the ground, see `bases`.
     """
 
     first: IntArray
@@ -170,8 +183,8 @@ class Views:
     image_b: FloatArray
     view_b: FloatArray
 
-    def only(self, known: BoolArray) -> Views:
-        """With some of the samples."""
+    def only(self, known: BoolArray) -> PairedSamples:
+        """Subset of the samples."""
         return replace(self, known=self.known & known)
 
     def halves(self) -> tuple[BoolArray, BoolArray]:
@@ -181,16 +194,25 @@ class Views:
         return ~odd & self.known, odd & self.known
 
 
-def gather(overlaps: Sequence[Overlap], places: Places, most: int = MOST_SAMPLES) -> Views | None:
-    """Put the samples of all overlaps together; None where there are none with places.
+def paired_samples(
+    overlaps: Sequence[Overlap], places: SamplePositions, most: int = MAX_SAMPLES
+) -> PairedSamples | None:
+    """Samples of all overlaps with their positions; None where no overlap has positions.
 
-    Places are asked for once per image. An overlap that has more than its part of `most` gives every second, third ...
-    sample.
+    Positions are computed once per image. Of an overlap that has more than its part of `most` samples, every second,
+    third ... is used.
+
+    Parameters
+    ----------
+    overlaps : sequence of Overlap
+    places : SamplePositions
+    most : int
+        Largest number of samples of all overlaps together.
     """
     used = [pair for pair in overlaps if len(pair.a) and pair.cells is not None]
     if not used:
         return None
-    each = max(LEAST_CELLS, most // len(used))
+    each = max(MIN_CELLS, most // len(used))
     chosen = [np.arange(0, len(pair.a), -(-len(pair.a) // each)) for pair in used]
     shape, bands = (len(used), max(len(own) for own in chosen)), used[0].a.shape[1]
     a, b, known = np.ones((*shape, bands)), np.ones((*shape, bands)), np.zeros(shape, dtype=bool)
@@ -213,7 +235,7 @@ def gather(overlaps: Sequence[Overlap], places: Places, most: int = MOST_SAMPLES
     place = np.where(known[None, :, :, None], place, 0.0)
     a, b = (np.where(known[..., None], values, 1.0) for values in (a, b))
     first, second = np.array([(pair.first, pair.second) for pair in used], dtype=np.int64).T
-    return Views(first, second, a, b, known, place[0], place[1], place[2], place[3])
+    return PairedSamples(first, second, a, b, known, place[0], place[1], place[2], place[3])
 
 
 def _cells(pair: Overlap, chosen: AnyArray) -> AnyArray:

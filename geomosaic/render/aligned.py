@@ -8,7 +8,7 @@ import numpy as np
 
 from geomosaic.block.footprint import Footprint
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.radiometry.histogram_matching import Curve
+from geomosaic.radiometry.histogram_matching import ToneCurve
 from geomosaic.raster.preview import block_sum
 from geomosaic.raster.source import Source
 from geomosaic.resample.warp import CELL, Colour, value_range
@@ -192,7 +192,7 @@ def cell_means(source: Source, offset: Offset, window: Window, size: int, out: A
         out_valid[here] = 2 * count >= size * size
 
 
-def table_of(colour: Colour | Curve, scale: float, source: np.dtype[Any], out: np.dtype[Any]) -> AnyArray | None:
+def table_of(colour: Colour | ToneCurve, scale: float, source: np.dtype[Any], out: np.dtype[Any]) -> AnyArray | None:
     """What a correction makes of every value (bands, values) of 8 or 16 bits without sign; None for other types.
 
     Whole numbers are rounded, halves up, and kept within the type of the output.
@@ -200,7 +200,7 @@ def table_of(colour: Colour | Curve, scale: float, source: np.dtype[Any], out: n
     if source.kind != "u" or source.itemsize > 2:
         return None
     plain = np.arange(np.iinfo(source).max + 1, dtype=np.float64)
-    if isinstance(colour, Curve):
+    if isinstance(colour, ToneCurve):
         bands = len(colour.knots)
         values = colour(np.repeat((plain * scale)[:, None], bands, axis=1)).T
     else:

@@ -11,8 +11,8 @@ from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
-from geomosaic.radiometry.histogram_matching import Curve
-from geomosaic.radiometry.local_gains import Shade
+from geomosaic.radiometry.histogram_matching import ToneCurve
+from geomosaic.radiometry.local_gains import CorrectionField
 from geomosaic.raster.source import Source
 from geomosaic.render.aligned import Offset, copied, is_identity, offset_on, table_of
 from geomosaic.resample.engine import Engine
@@ -43,7 +43,7 @@ class Photo:
     offset: Offset | None = None
     tables: dict[tuple[int, str], tuple[object, AnyArray | None]] = field(default_factory=dict, compare=False)
 
-    def table(self, colour: Colour | Curve, out: np.dtype[Any]) -> AnyArray | None:
+    def table(self, colour: Colour | ToneCurve, out: np.dtype[Any]) -> AnyArray | None:
         """What a correction makes of every value the image can hold, where those are few; computed once."""
         key = id(colour), str(out)
         if key not in self.tables:  # the correction is kept too: no other can come to have its id
@@ -94,7 +94,7 @@ def pull(
     ground: BlockGround,
     resampling: str,
     tolerance: float,
-    colour: Colour | Curve | Shade,
+    colour: Colour | ToneCurve | CorrectionField,
     out: AnyArray,
     out_valid: ByteArray,
     need: ByteArray | None = None,
@@ -110,7 +110,7 @@ def pull(
     """
     if ground.unknown:
         return []
-    if photo.offset is not None and grid is photo.grid and not isinstance(colour, Shade):
+    if photo.offset is not None and grid is photo.grid and not isinstance(colour, CorrectionField):
         identity = isinstance(colour, Colour) and is_identity(colour) and photo.scale == 1.0
         table = None if identity else photo.table(colour, out.dtype)
         if identity or table is not None:
@@ -123,7 +123,7 @@ def pull(
             engine, photo, grid, ground, resampling, tolerance, same, plain, seen, need, most_samples, lattices, shades,
             only,
         )  # fmt: skip
-        if isinstance(colour, Shade):
+        if isinstance(colour, CorrectionField):
             window = ground.window
             place = (*colour.at(window.col + 0.5, window.row + 0.5), 1 / colour.spacing[0], 1 / colour.spacing[1])
             engine.shade(

@@ -22,8 +22,8 @@ from geomosaic.jobs.manifest import heard, read_json, tell, write_json
 from geomosaic.jobs.step import Context, Machine
 from geomosaic.jobs.step_keys import versions
 from geomosaic.jobs.steps.orient import area_of, restore_block
-from geomosaic.mosaicking.colour.facts import colour_facts, picture
-from geomosaic.mosaicking.reruns.reuse import Memory
+from geomosaic.mosaicking.colour.facts import colour_facts, correction_picture
+from geomosaic.mosaicking.reruns.memory import Memory
 from geomosaic.options.declaration import paths_of, stage_values
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.from_inputs import reference_of
@@ -103,7 +103,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         "warnings": notes,
         "seam_quality": judged,
     }
-    drawn = picture(result.balance)
+    drawn = correction_picture(result.balance)
     seen = None if drawn is None else data_uri(png_bytes(drawn, np.ones(drawn.shape[:2], dtype=np.uint8)))
     facts["colour"]["picture"] = seen
     write_json(layout.places, place_pictures(result.places, judged["rows"] if judged else []))
@@ -161,12 +161,13 @@ def _memory(project: Project, options: MosaicOptions, context: Context) -> Memor
 
 def _remembered(memory: Memory) -> FindOutlines:
     """Outlines of the images, as an earlier run has found them where nothing they depend on has changed."""
-    from geomosaic.mosaicking.reruns.earlier_results import VERSION, Recall
+    from geomosaic.mosaicking.reruns.earlier_results import VERSION
+    from geomosaic.mosaicking.reruns.memory import ResultCache
     from geomosaic.render.extent import footprints
 
     def find(scenes: tuple[OrientedImage, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
         key = digest_of(VERSION, *memory.scenes, memory.ground, crs.to_wkt())
-        return Recall(memory.found).get("footprints", key, lambda: footprints(scenes, surface, crs))
+        return ResultCache(memory.found).get("footprints", key, lambda: footprints(scenes, surface, crs))
 
     return find
 

@@ -1,4 +1,4 @@
-"""One block of a mosaic: geometry, value, colour, blend, in one go from the raw images."""
+"""Blocks of a mosaic: geometry, values, colour and blending, in one step from the raw images."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any, Self
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.mosaicking.blending.ghosting import Shown, limit
-from geomosaic.mosaicking.blending.weights import Share, halo, reduction, signed_distance, weights
-from geomosaic.mosaicking.unit import MosaicUnit
-from geomosaic.radiometry.histogram_matching import Curve
-from geomosaic.radiometry.local_gains import Shade
+from geomosaic.mosaicking.blending.ghosting import ImageValues, suppress_ghosts
+from geomosaic.mosaicking.blending.weights import ImageWeight, halo, image_weight, reduction, signed_distance
+from geomosaic.mosaicking.outputs import MosaicUnit
+from geomosaic.radiometry.histogram_matching import ToneCurve
+from geomosaic.radiometry.local_gains import CorrectionField
 from geomosaic.raster.info import SourceInfo
 from geomosaic.raster.validity import burn
 from geomosaic.render.occlusion import Shades, Visibility, hidden_label
@@ -26,26 +26,26 @@ from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.types import AnyArray, BoolArray, ByteArray
 
 Lattices = dict[int, list[Lattice]]
-"""Of one block, by image."""
+"""Interpolation lattices of one block, by image."""
 
 
 @dataclass(frozen=True)
 class Seams:
-    """Who shows what.
+    """Seam polygons of a mosaic and the transition across them.
 
     Attributes
     ----------
-    regions : list of geometry
-        The share of each image, in the output map.
+    polygons : list of geometry
+        Seam polygon of each image, in the output map.
     outlines : list of geometry
         Footprints.
     feather : float
         Width of the transition in output pixels.
     smooth : bool
-        3t² − 2t³ in place of t: ramps without a kink at their ends.
+        Ramps of 3t² − 2t³ in place of t, without a kink at their ends.
     """
 
-    regions: list[Any]
+    polygons: list[Any]
     outlines: list[Any]
     feather: float
     smooth: bool = False
@@ -53,21 +53,41 @@ class Seams:
 
 @dataclass(frozen=True)
 class Blender:
-    """Renders blocks of a mosaic; a block depends on nothing but itself."""
+    """Blender of images across seams, block by block; a block depends on no other block.
+
+    Attributes
+    ----------
+    photos : Photos
+    grid : Grid
+        Of the output.
+    ground : Ground
+        Heights below the output.
+    seams : Seams
+    colours : sequence of Correction
+        Correction of each image.
+    engine : Engine
+    resampling : str
+    tolerance : float
+        Largest error of the interpolated geometry, in image pixels.
+    dtype : str
+        Sample type of the output.
+    visibility : Visibility, optional
+        Of a true ortho: what buildings and terrain hide is not taken.
+    anti_ghosting : bool
+        Whether images are not blended where they differ by more than noise.
+    """
 
     photos: Photos
     grid: Grid
-    below: Ground
+    ground: Ground
     seams: Seams
-    colours: Sequence[Colour | Curve | Shade]
+    colours: Sequence[Colour | ToneCurve | CorrectionField]
     engine: Engine
     resampling: str
     tolerance: float
     dtype: str
-    """Of the output."""
-    sight: Visibility | None
-    limited: bool
-    """Whether what images show differently is not blended."""
+    visibility: Visibility | None = None
+    anti_ghosting: bool = False
 
     @property
     def info(self) -> SourceInfo:
@@ -81,32 +101,33 @@ class Blender:
         return (halo(self.seams.feather, factor) + 1) * factor
 
     @property
-    def said(self) -> str:
-        """What else pixels depend on, the same for all blocks, as text."""
-        return "".join(word for word, asked in (("limited", self.limited), (" smooth", self.seams.smooth)) if asked)
+    def fingerprint(self) -> str:
+        """Text of all that pixels depend on in every block alike, besides attributes that reruns compare one by one."""
+        words = (("limited", self.anti_ghosting), (" smooth", self.seams.smooth))
+        return "".join(word for word, asked in words if asked)
 
     @property
-    def wide(self) -> bool:
-        """Whether images beside a block can change it."""
+    def uses_neighbours(self) -> bool:
+        """Whether images beside a block, not above it, can change it."""
         return False
 
-    def by(self, engine: Engine) -> Self:
-        """The same with another engine, which gives the same bytes."""
+    def with_engine(self, engine: Engine) -> Self:
+        """Blender with another engine, which gives the same bytes."""
         return replace(self, engine=engine)
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
-        """Render one block into its place in a unit."""
+        """Block rendered into its place in a unit."""
         near = close = self.photos.near(window)
         if not near:
             return
-        ground = self.below.block(window)
+        ground = self.ground.block(window)
         if ground.unknown:
             return
         place = window.slices_in(unit.window)
         values, valid, label = unit.values[place], unit.valid[place], unit.label[place]
         shares = self._shares(window, near)
         lattices: Lattices = {}
-        shades = None if self.sight is None else self.sight.block(ground)
+        shades = None if self.visibility is None else self.visibility.block(ground)
         if len(shares) == 1:
             index = shares[0].index
             self._pull(index, ground, values, valid, None, lattices, shades)
@@ -124,7 +145,7 @@ class Blender:
         unit.facts.extend((lattice.error, lattice.scale) for used in lattices.values() for lattice in used)
 
     def _mark_hidden(self, shades: Shades | None, valid: ByteArray, label: AnyArray) -> bool:
-        """Label what images cover and none shows; whether there is any."""
+        """Label pixels that images cover and the surface hides from all; whether there are any."""
         if shades is None or not shades.mask.any():
             return False
         label[(shades.mask > 0) & (valid == 0)] = hidden_label(len(self.photos))
@@ -148,7 +169,7 @@ class Blender:
                 only=only,
             )  # fmt: skip
 
-    def _shares(self, window: Window, near: list[int]) -> list[Share]:
+    def _shares(self, window: Window, near: list[int]) -> list[ImageWeight]:
         """Weights of the images that have any in the block."""
         import shapely
 
@@ -157,25 +178,26 @@ class Blender:
         margin = halo(feather, factor)
         reduced = self._reduced(window, factor, margin)
         frame = shapely.box(*reduced.bounds)
-        close = [i for i in near if self.seams.regions[i].intersects(frame)]
-        if len(close) == 1 and self.seams.regions[close[0]].covers(frame):
-            return [Share(close[0], None, factor, margin)]
-        label = burn([(self.seams.regions[i], i) for i in close], reduced)
+        close = [i for i in near if self.seams.polygons[i].intersects(frame)]
+        if len(close) == 1 and self.seams.polygons[close[0]].covers(frame):
+            return [ImageWeight(close[0], None, factor, margin)]
+        label = burn([(self.seams.polygons[i], i) for i in close], reduced)
         distance: dict[int, AnyArray] = {}
-        if feather > 0 and len(close) == 2 and label.min() >= 0:  # what is beyond the one's seam is within the other's
+        # Of two images, the distance to the seam is that of the other with its sign turned: one transform saved.
+        if feather > 0 and len(close) == 2 and label.min() >= 0:
             distance[close[0]] = signed_distance(label == close[0], feather / 2 / factor)
             distance[close[1]] = -distance[close[0]]
-        shares = []
+        weighted = []
         for i in close:
             footprint = None
             if feather > 0 and not self.seams.outlines[i].covers(frame):
                 footprint = burn([(self.seams.outlines[i], 1)], reduced) == 1
-            weight = weights(label, i, footprint, feather, factor, distance.get(i))
+            weight = image_weight(label, i, footprint, feather, factor, distance.get(i))
             if self.seams.smooth:
                 weight = weight * weight * (3 - 2 * weight)
             if weight.any():
-                shares.append(Share(i, weight, factor, margin))
-        return shares
+                weighted.append(ImageWeight(i, weight, factor, margin))
+        return weighted
 
     def _reduced(self, window: Window, factor: int, margin: int) -> Grid:
         """Grid of the weights: the block in cells of `factor` pixels, with a margin."""
@@ -191,7 +213,7 @@ class Blender:
     def _blend(
         self,
         ground: BlockGround,
-        shares: list[Share],
+        shares: list[ImageWeight],
         values: AnyArray,
         valid: ByteArray,
         label: AnyArray,
@@ -199,7 +221,7 @@ class Blender:
         shades: Shades | None = None,
     ) -> None:
         shape, bands = valid.shape, values.shape[2]
-        needs = [share.need(shape) for share in shares]
+        needs = [share.cells(shape) for share in shares]
         mixed = (np.sum(needs, axis=0) > 1).astype(np.uint8)
         seen = np.zeros(shape, dtype=np.uint8)
         for share, need in zip(shares, needs, strict=True):
@@ -211,26 +233,27 @@ class Blender:
                 label += seen * label.dtype.type(share.index + 1)
         if not mixed.any():
             return
-        # Sums of numbers of 32 bits and more need more digits than those of photos.
+        # Cells with weight of one image only are written at once; the others are summed up with their weights.
+        # Sums of integers of 32 bits, and of doubles, need more digits than float32 holds.
         kind = np.float32 if values.dtype.itemsize < 4 or values.dtype == np.float32 else np.float64
         total, own = np.zeros((*shape, bands), dtype=kind), np.zeros((*shape, bands), dtype=kind)
         sums, best = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
-        kept: list[Shown] = []
+        kept: list[ImageValues] = []
         for share, need in zip(shares, needs, strict=True):
             shared = need & mixed
             if not shared.any():
                 continue
-            if self.limited and kept:
+            if self.anti_ghosting and kept:
                 own, seen = np.zeros_like(own), np.zeros_like(seen)
             else:
-                seen.fill(0)  # and what the last image left in `own` counts no more
+                seen.fill(0)  # values of the last image in `own` are no longer valid
             self._pull(share.index, ground, own, seen, shared, lattices, shades)
             self.engine.accumulate(
                 own, seen, share.weight, share.factor, share.margin, share.index + 1, shared, total, sums, best, label
             )
-            if self.limited:
-                kept.append(Shown(share, own, seen, shared))
-        limit(kept, self.engine, str(values.dtype), label, total)
+            if self.anti_ghosting:
+                kept.append(ImageValues(share, own, seen, shared))
+        suppress_ghosts(kept, self.engine, str(values.dtype), label, total)
         low, high, whole = value_range(str(values.dtype))
         self.engine.finish(total, sums, mixed, low, high, whole, values, valid)
 
@@ -244,28 +267,28 @@ class Blender:
         lattices: Lattices,
         shades: Shades | None = None,
     ) -> bool:
-        """Where the seams' choice shows nothing (nodata, its edge, what is hidden), take the nearest that does."""
+        """Gaps filled where the seams' choice shows nothing (nodata, its edge, hidden ground): by the nearest image."""
         if valid.view(np.bool_).all():
             return False
         filled = False
         window = ground.window
         middle = self.grid.xy(np.array([[window.col + window.width / 2, window.row + window.height / 2]]))[0]
-        centres = {i: np.hypot(*(np.array(self.photos.outlines[i].centre) - middle)) for i in near}
+        distances = {i: np.hypot(*(np.array(self.photos.outlines[i].centre) - middle)) for i in near}
         own, seen, missing = np.empty_like(values), np.zeros_like(valid), np.empty(valid.shape, dtype=bool)
-        for i in sorted(near, key=lambda i: (centres[i], i)):
-            # Outlines are drawn through a hundred points and cut corners of high relief: the image itself is asked.
+        for i in sorted(near, key=lambda i: (distances[i], i)):
+            # Footprints have a hundred points and cut corners in high relief: only the image itself knows its pixels.
             np.equal(valid, 0, out=missing)
             if not missing.any():
                 break
-            wanted: AnyArray = missing
+            useful: AnyArray = missing
             if shades is not None:
                 with self.photos.using(i) as photo:
-                    wanted = shades.worthwhile(photo.mapper, missing)
-            need = cells_of(wanted).astype(np.uint8)
+                    useful = shades.worthwhile(photo.mapper, missing)
+            need = cells_of(useful).astype(np.uint8)
             if not need.any():
                 continue
             seen.fill(0)
-            self._pull(i, ground, own, seen, need, lattices, shades, wanted)
+            self._pull(i, ground, own, seen, need, lattices, shades, useful)
             new = np.flatnonzero(np.greater(seen, valid, out=missing))
             if not len(new):
                 continue
@@ -276,7 +299,7 @@ class Blender:
 
 
 def cells_of(mask: AnyArray) -> AnyArray:
-    """Cells of 64 × 64 pixels with any pixel of a mask."""
+    """Cells of 64 × 64 pixels that contain any pixel of a mask."""
     rows, cols = -(-mask.shape[0] // CELL), -(-mask.shape[1] // CELL)
     padded = mask
     if mask.shape != (rows * CELL, cols * CELL) or not mask.flags.c_contiguous:

@@ -1,4 +1,4 @@
-"""Blending limited where images disagree: no ghosts of what moved, or leans another way."""
+"""Ghosting suppressed: no blending where images differ by more than noise, as of moving cars or relief displacement."""
 
 from __future__ import annotations
 
@@ -7,38 +7,60 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.mosaicking.blending.weights import Share
+from geomosaic.mosaicking.blending.weights import ImageWeight
 from geomosaic.resample.agreement import box_of, doubt_of
 from geomosaic.resample.engine import Engine
 from geomosaic.resample.pyramid import steps
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
-_SPARSE = 8
-"""Every so many pixels serve for a mean level."""
-_PART, _LEAST = 1e-4, 1e-12
-"""Of the values of floating point, differences of rounding; and the least such, whose square 32 bits still hold."""
+# A mean level needs no more than every eighth pixel.
+_SAMPLE_STEP = 8
+# Rounding of floating-point values, relative to their size; and the smallest noise whose square float32 still holds.
+_RELATIVE_NOISE, _MIN_NOISE = 1e-4, 1e-12
 
 
 @dataclass(frozen=True)
-class Shown:
-    """What an image shows of a block: values (rows, cols, bands) and where they are seen, of some cells."""
+class ImageValues:
+    """Values of an image in some cells of a block, before blending.
 
-    share: Share
+    Attributes
+    ----------
+    share : ImageWeight
+    values : array (rows, cols, bands)
+    seen : uint8 array (rows, cols)
+        Pixels with a value.
+    cells : uint8 array (rows, cols)
+        Cells of 64 × 64 pixels that were rendered.
+    """
+
+    share: ImageWeight
     values: AnyArray
     seen: ByteArray
     cells: ByteArray
 
 
-def limit(shown: Sequence[Shown], engine: Engine, dtype: str, label: AnyArray, total: AnyArray) -> None:
-    """Take back, from a block's weighted sums, what other images show differently than that of a pixel.
+def suppress_ghosts(shown: Sequence[ImageValues], engine: Engine, dtype: str, label: AnyArray, total: AnyArray) -> None:
+    """Weighted sums of a block, without the contribution of images that differ from a pixel's main image.
 
-    Images are judged by pairs, from nothing but the block itself. What they show alike stays as it is, to the bit.
+    Images are compared in pairs, from nothing but the block itself. Where they agree the sums stay as they are, to the
+    bit.
+
+    Parameters
+    ----------
+    shown : sequence of ImageValues
+    engine : Engine
+    dtype : str
+        Sample type of the values.
+    label : array (rows, cols)
+        Number of the main image from 1, 0 where none.
+    total : array (rows, cols, bands)
+        Weighted sums, changed in place.
     """
     if len(shown) < 2:
         return
-    by = steps(compiled=bool(engine.block_kernels))
-    whole = np.issubdtype(np.dtype(dtype), np.integer)
-    levels = [_level(one) for one in shown]
+    pyramid_steps = steps(compiled=bool(engine.block_kernels))
+    integers = np.issubdtype(np.dtype(dtype), np.integer)
+    levels = [_mean_level(one) for one in shown]
     for at, (one, level) in enumerate(zip(shown, levels, strict=True)):
         for other, other_level in zip(shown[at + 1 :], levels[at + 1 :], strict=True):
             cells = one.cells & other.cells
@@ -48,8 +70,10 @@ def limit(shown: Sequence[Shown], engine: Engine, dtype: str, label: AnyArray, t
             moments = np.zeros((5, total.shape[2], rows, cols), dtype=np.float32)
             known = np.zeros((rows, cols), dtype=np.float32)
             engine.compare(one.values, other.values, one.seen, other.seen, level, cells, corner, moments, known)
-            least = 0.5 if whole else max(_PART * max(_size(level), _size(other_level)), _LEAST)
-            doubt = doubt_of(moments, known, level, least, by)
+            least = (
+                0.5 if integers else max(_RELATIVE_NOISE * max(_magnitude(level), _magnitude(other_level)), _MIN_NOISE)
+            )
+            doubt = doubt_of(moments, known, level, least, pyramid_steps)
             if doubt is None:
                 continue
             a, b = one.share, other.share
@@ -59,11 +83,11 @@ def limit(shown: Sequence[Shown], engine: Engine, dtype: str, label: AnyArray, t
             )  # fmt: skip
 
 
-def _size(level: FloatArray) -> float:
+def _magnitude(level: FloatArray) -> float:
     return float(np.abs(level).mean())
 
 
-def _level(one: Shown) -> FloatArray:
-    some = one.seen[::_SPARSE, ::_SPARSE] > 0
-    values = one.values[::_SPARSE, ::_SPARSE][some]
+def _mean_level(one: ImageValues) -> FloatArray:
+    some = one.seen[::_SAMPLE_STEP, ::_SAMPLE_STEP] > 0
+    values = one.values[::_SAMPLE_STEP, ::_SAMPLE_STEP][some]
     return values.mean(axis=0, dtype=np.float64) if len(values) else np.zeros(one.values.shape[2])

@@ -1,4 +1,4 @@
-"""Blocks of a mosaic blended by differences: multiband, and over all that images share."""
+"""Multiband and overlap-wide blending of blocks, by the differences of images."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender, Lattices
-from geomosaic.mosaicking.blending.weights import between
-from geomosaic.mosaicking.unit import MosaicUnit
+from geomosaic.mosaicking.blending.weights import interpolated
+from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.options.mosaic import BlendOptions
 from geomosaic.raster.validity import burn
 from geomosaic.render.occlusion import Shades
@@ -25,14 +25,14 @@ from geomosaic.resample.warp import CELL
 from geomosaic.sensor.map_to_image import BlockGround
 from geomosaic.types import AnyArray, Float32Array, IntArray
 
-MOST_LEVELS = 8
+MAX_LEVELS = 8
+# Pixels between nodes of the distance from an image's edge, which is linear almost everywhere.
 _NODES = 32
-"""Pixels between the places where the distance from an image's edge is computed."""
 
 
-@dataclass(frozen=True)
-class BandBlender(Blender):
-    """Renders blocks of a mosaic; `seams.feather` is 0: what the seams cut hard is blended here.
+@dataclass(frozen=True, kw_only=True)
+class MultibandBlender(Blender):
+    """Blender of blocks in frequency bands, or over whole overlaps; `seams.feather` is 0: hard seams are blended here.
 
     Attributes
     ----------
@@ -41,9 +41,9 @@ class BandBlender(Blender):
         Of the transition in output pixels.
     steps : Steps
     noise : float, optional
-        Usual difference of images, where what differs more is not to be blended.
+        Standard deviation of the difference of images, where larger differences are not to be blended.
     room : Room
-        For what the images show of a block: where photos are small or overlap much, many show something of it.
+        Memory for the values of all images of a block: where photos are small or overlap much, these are many.
     """
 
     blending: BlendOptions
@@ -55,16 +55,16 @@ class BandBlender(Blender):
     @property
     def levels(self) -> int:
         """Coarser levels of the pyramid: the coarsest band is about `width` pixels wide."""
-        return min(MOST_LEVELS, max(1, round(math.log2(max(self.width, 2.0)))))
+        return min(MAX_LEVELS, max(1, round(math.log2(max(self.width, 2.0)))))
 
     @property
     def cell(self) -> int:
-        """Pixels of the cells that are blended or not, each whole."""
+        """Side in pixels of the cells that are blended, or not, as a whole."""
         return max(CELL, 1 << self.levels if self.blending.blend == "multiband" else CELL)
 
     @property
     def margin(self) -> int:
-        """Pixels beyond a seam that its blending changes, and beyond those that they depend on; in whole cells."""
+        """Pixels beyond a seam that its blending changes, in whole cells; as many more are read."""
         if self.blending.blend == "multiband":
             pixels = spread(self.levels)
         else:
@@ -77,48 +77,52 @@ class BandBlender(Blender):
         return 2 * self.margin + self.cell
 
     @property
-    def said(self) -> str:
-        """What else pixels depend on, the same for all blocks, as text."""
+    def fingerprint(self) -> str:
+        """Text of all that pixels depend on in every block alike."""
         return f"{self.blending} {self.width!r} {self.noise!r}"
 
     @property
-    def wide(self) -> bool:
-        """Whether images beside a block can change it."""
+    def uses_neighbours(self) -> bool:
+        """Whether images beside a block, not above it, can change it."""
         return True
 
-    def by(self, engine: Engine) -> Self:
-        """The same with another engine, which gives the same bytes."""
+    def with_engine(self, engine: Engine) -> Self:
+        """Blender with another engine, which gives the same bytes."""
         return replace(self, engine=engine, steps=steps(compiled=bool(engine.block_kernels)))
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
-        """Render one block into its place in a unit."""
+        """Block rendered into its place in a unit."""
         label, around = self._label(window)
         if self.blending.blend == "overlap" and len(self.photos.near(around)) == 1:
             label = None
         zone = None if label is None else self._zone(window, label, around)
-        ground = None if zone is None else self.below.block(self._with_margin(zone))
+        ground = None if zone is None else self.ground.block(self._with_margin(zone))
         if label is None or zone is None or ground is None or ground.unknown:
             super().fill(window, unit)
             return
         place = window.slices_in(unit.window)
         values, valid, number = unit.values[place], unit.valid[place], unit.label[place]
         lattices: list[Lattices] = [{}, {}]
-        below = self.below.block(window)
-        shades, wide = (None, None) if self.sight is None else (self.sight.block(below), self.sight.block(ground))
-        if not below.unknown:
-            self._outside(window, zone, label, around, (values, valid, number), lattices[0], shades)
+        block_ground = self.ground.block(window)
+        block_shades, zone_shades = (
+            (None, None)
+            if self.visibility is None
+            else (self.visibility.block(block_ground), self.visibility.block(ground))
+        )
+        if not block_ground.unknown:
+            self._outside(window, zone, label, around, (values, valid, number), lattices[0], block_shades)
         with self.room.of(self._bytes(label, around, ground.window)):
-            self._inside(window, ground, zone, label, around, (values, valid, number), lattices[1], wide)
-        if not below.unknown:
-            self._fill(below, self.photos.near(window), values, valid, number, lattices[0], shades)
-        self._mark_hidden(shades, valid, number)
+            self._inside(window, ground, zone, label, around, (values, valid, number), lattices[1], zone_shades)
+        if not block_ground.unknown:
+            self._fill(block_ground, self.photos.near(window), values, valid, number, lattices[0], block_shades)
+        self._mark_hidden(block_shades, valid, number)
         unit.counts[:] += np.bincount(number.ravel(), minlength=len(unit.counts))
         unit.facts.extend((one.error, one.scale) for two in lattices for used in two.values() for one in used)
 
     def _bytes(self, label: IntArray, around: Window, wide: Window) -> int:
-        """About what the images of a block hold at once: values and differences, sums and weights.
+        """Estimated bytes that the images of a block hold at once: values, differences, sums and weights.
 
-        Those that only fill gaps are not known yet.
+        Images that only fill gaps are not known yet.
         """
         sample, whole = np.dtype(self.dtype).itemsize, wide.width * wide.height
         if self.blending.blend == "overlap":
@@ -130,7 +134,7 @@ class BandBlender(Blender):
         return self.photos.info.bands * (whole * (images * sample + 24) + apart * max(4, sample))
 
     def _parts(self, label: IntArray, images: int) -> list[Part | None]:
-        """Where differences of each image are needed."""
+        """Parts of the window in which differences of each image are needed."""
         if self.blending.blend == "overlap":
             return [Part.whole(label.shape)] * images
         return parts_of(label, images, spread(self.levels), self.levels)
@@ -140,7 +144,7 @@ class BandBlender(Blender):
         return Window(zone.col - by, zone.row - by, zone.width + 2 * by, zone.height + 2 * by)
 
     def _label(self, window: Window) -> tuple[IntArray | None, Window]:
-        """Image of each pixel by the seams, −1 where none, over the block in whole cells and a margin; None if one."""
+        """Image of each pixel by the seams, −1 where none, over the block in whole cells with a margin; None if one."""
         import shapely
 
         size = self.cell
@@ -148,14 +152,14 @@ class BandBlender(Blender):
         around = self._with_margin(Window(window.col, window.row, wide, tall))
         grid = self.grid.crop(around)
         frame = shapely.box(*grid.bounds)
-        shapes = self.seams.regions
+        shapes = self.seams.polygons
         close = [i for i, shape in enumerate(shapes) if not shape.is_empty and shape.intersects(frame)]
         if not close or (len(close) == 1 and self.blending.blend != "overlap" and shapes[close[0]].covers(frame)):
             return None, around
         return burn([(shapes[i], i) for i in close], grid).astype(np.int64), around
 
     def _zone(self, window: Window, label: IntArray, around: Window) -> Window | None:
-        """The part of a block, in whole cells, that seams are near."""
+        """Part of a block, in whole cells, that lies within the margin of seams."""
         size = self.cell
         if self.blending.blend == "overlap":
             return Window(window.col, window.row, around.width - 2 * self.margin, around.height - 2 * self.margin)
@@ -186,14 +190,14 @@ class BandBlender(Blender):
         lattices: Lattices,
         shades: Shades | None,
     ) -> None:
-        """Cells of the block that no seam is near: one image each."""
+        """Cells of the block away from seams, of one image each."""
         values, valid, number = target
         rows, cols = -(-window.height // CELL), -(-window.width // CELL)
         top, left = window.row - around.row, window.col - around.col
         own = label[top : top + rows * CELL : CELL, left : left + cols * CELL : CELL].copy()
         first_row, first_col = (zone.row - window.row) // CELL, (zone.col - window.col) // CELL
         own[first_row : first_row + zone.height // CELL, first_col : first_col + zone.width // CELL] = -1
-        ground = self.below.block(window)
+        ground = self.ground.block(window)
         for i in np.unique(own[own >= 0]).tolist():
             seen = np.zeros_like(valid)
             self._pull(i, ground, values, seen, (own == i).astype(np.uint8), lattices, shades)
@@ -211,7 +215,7 @@ class BandBlender(Blender):
         lattices: Lattices,
         shades: Shades | None,
     ) -> None:
-        """The zone with its margin, blended; what lies in the block is kept."""
+        """Zone around seams, blended with its margin; what lies in the block is kept."""
         wide = self._with_margin(zone)
         label = label[wide.slices_in(around)].copy()
         images, views = self._views(ground, label, lattices, shades)
@@ -234,7 +238,7 @@ class BandBlender(Blender):
     def _views(
         self, ground: BlockGround, label: IntArray, lattices: Lattices, shades: Shades | None
     ) -> tuple[list[int], list[View]]:
-        """What the images of the seams show of a window; and others, where those leave gaps or all are wanted."""
+        """Images that the seams choose in a window, with values; others where those leave gaps, or all are blended."""
         wide = ground.window
         info, shape = self.photos.info, label.shape
         bounds = np.array([[wide.col, wide.row], [wide.stop_col, wide.stop_row]], dtype=np.float64)
@@ -249,7 +253,7 @@ class BandBlender(Blender):
                 break
             values, seen = np.zeros((*shape, info.bands), dtype=self.dtype), np.zeros(shape, dtype=np.uint8)
             self._pull(i, ground, values, seen, None, lattices, shades)
-            # Beyond all images the gap stays, however many are asked: only those that show something of it are kept.
+            # Beyond all images a gap stays, however many are tried: only those that show something of it are kept.
             if (seen if wanted else seen * gap).any():
                 images.append(i)
                 views.append(View(values, seen > 0))
@@ -268,7 +272,7 @@ class BandBlender(Blender):
     def _weights(
         self, wide: Window, images: Sequence[int], views: Sequence[View], local: IntArray
     ) -> list[Float32Array] | None:
-        """Weights that sum to one, by image; None for multiband, which has them by level."""
+        """Weights of the images, with sum one; None for multiband, which has weights by level."""
         if self.blending.blend == "multiband":
             return None
         raw = [self._from_edge(wide, i) * view.valid for i, view in zip(images, views, strict=True)]
@@ -284,7 +288,7 @@ class BandBlender(Blender):
         ]
 
     def _from_edge(self, wide: Window, index: int) -> AnyArray:
-        """Distance of pixels (rows, cols) from an image's edge, in the width or the image's own, 0 outside to 1."""
+        """Distance of pixels (rows, cols) from an image's edge, 0 outside to 1 at `width` or the root of its area."""
         import shapely
 
         outline = self.seams.outlines[index]
@@ -297,4 +301,4 @@ class BandBlender(Blender):
         most = self.width * pixel if math.isfinite(self.width) else math.sqrt(outline.area)
         nodes = np.clip(distance / most, 0.0, 1.0).reshape(rows, cols)
         at = [(np.arange(size) + 0.5) / _NODES for size in (wide.height, wide.width)]
-        return between(between(nodes, at[0], 0), at[1], 1)
+        return interpolated(interpolated(nodes, at[0], 0), at[1], 1)

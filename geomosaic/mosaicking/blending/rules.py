@@ -1,4 +1,4 @@
-"""Mosaics by rule: each pixel the first, last, least, greatest, mean, median value or the number of images."""
+"""Mosaics by rule: first, last, min, max, mean, median, sum or count of the images that show a pixel."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.blending.block import Lattices, cells_of
-from geomosaic.mosaicking.unit import MosaicUnit
-from geomosaic.radiometry.histogram_matching import Curve
-from geomosaic.radiometry.local_gains import Shade
+from geomosaic.mosaicking.outputs import MosaicUnit
+from geomosaic.radiometry.histogram_matching import ToneCurve
+from geomosaic.radiometry.local_gains import CorrectionField
 from geomosaic.raster.info import SourceInfo
 from geomosaic.render.photo import pull
 from geomosaic.render.photos import Photos
@@ -21,17 +21,18 @@ from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.types import AnyArray, BoolArray, ByteArray
 
-LABELLED = ("first", "last")
-"""Rules under which every pixel has one source."""
-MOST_BYTES = 32 << 20
-"""Bytes of all images' values of the same ground, held at once for a median."""
+RULES = ("first", "last", "min", "max", "mean", "median", "sum", "count")
+SINGLE_SOURCE_RULES = ("first", "last")
+"""Rules under which every pixel has one source image."""
+MEDIAN_MEMORY = 32 << 20
+"""Bytes of the stack of all images' values that a median holds at once, however many images overlap."""
 
-Pulled = tuple[int, AnyArray, BoolArray]
+Layer = tuple[int, AnyArray, BoolArray]
 """Number of an image, its values (rows, cols, bands), and where they are valid (rows, cols)."""
 
 
 def output_info(info: SourceInfo, rule: str) -> SourceInfo:
-    """Bands and sample type that a rule gives.
+    """Bands and sample type of the output of a rule.
 
     A count is one band of uint16. Sums of 8 and 16 bits are uint32 or int32, and others float64: nothing overflows.
     """
@@ -45,30 +46,34 @@ def output_info(info: SourceInfo, rule: str) -> SourceInfo:
 
 
 @dataclass(frozen=True)
-class Ruler:
-    """Renders blocks of a mosaic by rule; a block depends on nothing but itself.
+class RuleBlender:
+    """Blender of blocks by a rule; a block depends on no other block.
 
     Attributes
     ----------
     photos : Photos
     grid : Grid
-    below : Ground
-    colours : sequence of Colour, Curve or Shade
+        Of the output.
+    ground : Ground
+        Heights below the output.
+    colours : sequence of Correction
+        Correction of each image.
     engine : Engine
     resampling : str
     tolerance : float
+        Largest error of the interpolated geometry, in image pixels.
     rule : str
         One of `RULES`.
     order : sequence of int
-        All images, the most wanted first.
+        All images in order of precedence.
     info : SourceInfo
         Bands and sample type of the output.
     """
 
     photos: Photos
     grid: Grid
-    below: Ground
-    colours: Sequence[Colour | Curve | Shade]
+    ground: Ground
+    colours: Sequence[Colour | ToneCurve | CorrectionField]
     engine: Engine
     resampling: str
     tolerance: float
@@ -78,11 +83,11 @@ class Ruler:
 
     @property
     def dtype(self) -> str:
-        """Of the output."""
+        """Sample type of the output."""
         return self.info.dtype
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
-        """Render one block into its place in a unit."""
+        """Block rendered into its place in a unit."""
         around = set(self.photos.near(window))
         near = [i for i in self.order if i in around]
         if not near:
@@ -90,13 +95,13 @@ class Ruler:
         lattices: Lattices = {}
         rows_at_once = self._rows(window, len(near)) if self.rule == "median" else window.height
         for part in window.split(window.width, rows_at_once):
-            ground = self.below.block(part)
+            ground = self.ground.block(part)
             if ground.unknown:
                 continue
             place = part.slices_in(unit.window)
             target = unit.values[place], unit.valid[place], unit.label[place]
             lattices = {}
-            if self.rule in LABELLED:
+            if self.rule in SINGLE_SOURCE_RULES:
                 self._lay(ground, near if self.rule == "first" else near[::-1], target, lattices)
             else:
                 self._combine(ground, near, target, lattices)
@@ -104,9 +109,9 @@ class Ruler:
             unit.facts.extend((lattice.error, lattice.scale) for used in lattices.values() for lattice in used)
 
     def _rows(self, window: Window, images: int) -> int:
-        """Rows of which the values of so many images may be held, in whole cells."""
+        """Rows of whole cells for which the values of so many images fit in `MEDIAN_MEMORY`."""
         row = window.width * self.photos.info.bands * images * 8
-        return min(window.height, max(CELL, MOST_BYTES // row // CELL * CELL))
+        return min(window.height, max(CELL, MEDIAN_MEMORY // row // CELL * CELL))
 
     def _lay(
         self,
@@ -115,13 +120,13 @@ class Ruler:
         target: tuple[AnyArray, ByteArray, AnyArray],
         lattices: Lattices,
     ) -> None:
-        """Images one below the other: what is seen already stays."""
+        """Images below each other: pixels that have a value keep it."""
         values, valid, label = target
         for i in near:
             missing = valid == 0
             if not missing.any():
                 break
-            if missing.all():  # nothing to spoil
+            if missing.all():  # the first image needs no copy: there is nothing to overwrite
                 lattices[i] = self._pull(i, ground, values, valid, None)
                 label[valid > 0] = i + 1
                 continue
@@ -152,8 +157,8 @@ class Ruler:
 
     def _pulled(
         self, ground: BlockGround, near: Sequence[int], valid: ByteArray, label: AnyArray, lattices: Lattices
-    ) -> Iterator[Pulled]:
-        """Images one after the other; then, and not before, what each has seen is noted."""
+    ) -> Iterator[Layer]:
+        """Images one after the other; label and validity follow after each was used: rules look at those before it."""
         info = self.photos.info
         for i in near:
             own, seen = np.zeros((*valid.shape, info.bands), dtype=info.dtype), np.zeros_like(valid)
@@ -175,41 +180,42 @@ class Ruler:
             )  # fmt: skip
 
 
-def _extreme(choose: np.ufunc, pulled: Iterator[Pulled], values: AnyArray, valid: ByteArray) -> None:
+def _extreme(choose: np.ufunc, pulled: Iterator[Layer], values: AnyArray, valid: ByteArray) -> None:
     for _, own, seen in pulled:
         before = valid > 0
         np.copyto(values, own, where=(seen & ~before)[..., None])
         choose(values, own, out=values, where=(seen & before)[..., None])
 
 
-def _sum(pulled: Iterator[Pulled], values: AnyArray, *, mean: bool) -> None:
-    """Sums in 64 bits: those of whole numbers of up to 32 bits are exact."""
+def _sum(pulled: Iterator[Layer], values: AnyArray, *, mean: bool) -> None:
+    """Sums in 64 bits: those of integers of up to 32 bits are exact."""
     total, count = np.zeros(values.shape), np.zeros(values.shape[:2])
     for _, own, seen in pulled:
         np.add(total, own, out=total, where=seen[..., None])
         count += seen
     if mean:
         total /= np.maximum(count, 1.0)[..., None]
-    values[:] = _stored(total, values)
+    values[:] = _to_sample_type(total, values)
 
 
-def _median(pulled: Sequence[Pulled], values: AnyArray) -> None:
-    """Middle value, or the mean of the two in the middle, of the images that show a pixel."""
+def _median(pulled: Sequence[Layer], values: AnyArray) -> None:
+    """Median of the images that show a pixel; of an even number, the mean of the middle two."""
     if not pulled:
         return
     stack = np.full((len(pulled), *values.shape), np.inf)
     for layer, (_, own, seen) in zip(stack, pulled, strict=True):
         np.copyto(layer, own, where=seen[..., None])
-    stack.sort(axis=0)  # what is not seen comes last
+    stack.sort(axis=0)  # missing values, infinite, come last
     count = np.sum([seen for _, _, seen in pulled], axis=0)
     low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, len(pulled) - 1)
     middle = [np.take_along_axis(stack, place[None, ..., None], axis=0)[0] for place in (low, high)]
     seen_by_any = (count > 0)[..., None]
+    # Halved before they are added: the sum of two large numbers would overflow.
     mean = np.where(seen_by_any, middle[0], 0.0) / 2 + np.where(seen_by_any, middle[1], 0.0) / 2
-    np.copyto(values, _stored(mean, values), where=seen_by_any)
+    np.copyto(values, _to_sample_type(mean, values), where=seen_by_any)
 
 
-def _stored(exact: AnyArray, values: AnyArray) -> AnyArray:
-    """As the output holds it: whole numbers rounded, halves up."""
+def _to_sample_type(exact: AnyArray, values: AnyArray) -> AnyArray:
+    """Values in the sample type of the output: integers rounded half up and clipped to the range."""
     low, high, whole = value_range(str(values.dtype))
     return (np.clip(np.floor(exact + 0.5), low, high) if whole else exact).astype(values.dtype)

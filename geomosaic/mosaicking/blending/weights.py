@@ -1,4 +1,4 @@
-"""Blending weights: ramps across seams and towards image edges, the weight of one image in a block."""
+"""Blending weights: ramps across seams and towards image edges; the weight of one image in a block."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ import numpy as np
 from geomosaic.resample.warp import CELL
 from geomosaic.types import AnyArray, BoolArray, ByteArray, Float32Array
 
-MOST_REDUCTION = 32
-_MOST_CELLS = 48
+MAX_REDUCTION = 32
+# Cells up to which the distance transform below is used: its work grows with the distance, and its squares must fit in
+# 16 bits. Beyond, SciPy's.
+_MAX_SEPARABLE = 48
 
 
 def reduction(feather: float) -> int:
-    """How much coarser than the output the weights may be: a power of two, eight steps to a ramp; 1 for hard seams."""
+    """Pixels per cell of the weights: a power of two with at least eight cells to a ramp; 1 for hard seams."""
     factor = 1
-    while factor * 2 <= min(feather / 8, MOST_REDUCTION):
+    while factor * 2 <= min(feather / 8, MAX_REDUCTION):
         factor *= 2
     return factor
 
@@ -26,7 +28,7 @@ def halo(feather: float, factor: int) -> int:
     return int(np.ceil(feather / factor)) + 2
 
 
-def weights(
+def image_weight(
     label: AnyArray,
     index: int,
     footprint: BoolArray | None,
@@ -34,14 +36,14 @@ def weights(
     factor: int,
     distance: AnyArray | None = None,
 ) -> Float32Array:
-    """Weight of one image on a reduced lattice.
+    """Blending weight of one image on a reduced lattice.
 
     Parameters
     ----------
     label : int array (rows, cols)
-        Image number that the seams give each cell.
+        Number of the image that the seams choose for each cell.
     index : int
-        The image.
+        Number of the image.
     footprint : bool array (rows, cols) or None
         Cells that the image shows; None where it shows all, to a feather beyond what matters.
     feather : float
@@ -65,34 +67,44 @@ def weights(
         distance = signed_distance(own, feather / 2 / factor)
     weight: AnyArray = np.clip(0.5 + distance * factor / feather, 0.0, 1.0)
     if footprint is not None:
+        # Not to 0: where no other image has weight, the edge pixels still have a value.
         inside = np.clip(signed_distance(footprint, feather / factor) * factor / feather, 1e-4, 1.0)
         weight = weight * np.where(footprint | own, inside, 0.0)
     return weight.astype(np.float32)
 
 
 def signed_distance(mask: BoolArray, reach: float) -> AnyArray:
-    """Distance of cell centres to the edge of a mask, in cells; positive inside, exact up to `reach`.
+    """Signed distance of cell centres to the edge of a mask.
 
-    Beyond it, and where there is no edge, ± infinity.
+    Parameters
+    ----------
+    mask : bool array (rows, cols)
+    reach : float
+        Distance in cells up to which the result is exact.
+
+    Returns
+    -------
+    array (rows, cols)
+        Cells; positive inside. ± infinity beyond `reach`, and where there is no edge.
     """
     if mask.all():
         return np.full(mask.shape, np.inf)
     if not mask.any():
         return np.full(mask.shape, -np.inf)
     cells = int(np.ceil(reach + 0.5))
-    if cells > _MOST_CELLS:
+    if cells > _MAX_SEPARABLE:
         from scipy.ndimage import distance_transform_edt
 
         exact: AnyArray = np.where(mask, distance_transform_edt(mask) - 0.5, 0.5 - distance_transform_edt(~mask))
         return np.where(np.abs(exact) > cells - 0.5, np.copysign(np.inf, exact), exact)
-    near = _about(mask, 0, cells), _about(mask, 1, cells)
+    near = _edge_span(mask, 0, cells), _edge_span(mask, 1, cells)
     distance = np.full(mask.shape, np.inf)
-    distance[near] = _to_edge(mask[near], cells) - 0.5
+    distance[near] = _distance_transform(mask[near], cells) - 0.5
     return np.where(mask, distance, -distance)
 
 
-def _about(mask: BoolArray, axis: int, cells: int) -> slice:
-    """Rows or columns that lie within so many cells of those that the edge of a mask touches."""
+def _edge_span(mask: BoolArray, axis: int, cells: int) -> slice:
+    """Rows or columns within so many cells of the edge of a mask."""
     touched: BoolArray = np.asarray(mask.any(axis=1 - axis) & ~mask.all(axis=1 - axis))  # of both kinds
     other = np.moveaxis(mask, axis, 0)
     changes = np.asarray((other[1:] != other[:-1]).any(axis=1))  # to the next one
@@ -102,11 +114,11 @@ def _about(mask: BoolArray, axis: int, cells: int) -> slice:
     return slice(max(0, int(at[0]) - cells), int(at[-1]) + cells + 1)
 
 
-def _to_edge(mask: BoolArray, cells: int) -> AnyArray:
+def _distance_transform(mask: BoolArray, cells: int) -> AnyArray:
     """Distance of each cell to the nearest one of the other kind, infinite beyond `cells`.
 
     Separable: the distance along rows first, then the least of squares over columns (Saito and Toriwaki, 1994), both no
-    farther than is asked.
+    farther than asked for.
     """
     rows, cols = mask.shape
     along = np.full(mask.shape, 4 * cells * cells, dtype=np.uint16)  # _MOST_CELLS keeps sums of two within 16 bits
@@ -124,28 +136,49 @@ def _to_edge(mask: BoolArray, cells: int) -> AnyArray:
     return distance
 
 
-def between(nodes: AnyArray, at: AnyArray, axis: int) -> AnyArray:
-    """Values between nodes, linearly."""
+def interpolated(nodes: AnyArray, at: AnyArray, axis: int) -> AnyArray:
+    """Linear interpolation between nodes along one axis.
+
+    Parameters
+    ----------
+    nodes : array (rows, cols)
+    at : array (N,)
+        Positions in node numbers.
+    axis : int
+        0 or 1.
+    """
     first = at.astype(np.int64)
     shape = [1, 1]
     shape[axis] = len(at)
-    share = (at - first).reshape(shape)
+    part = (at - first).reshape(shape)
     one, two = nodes.take(first, axis=axis), nodes.take(first + 1, axis=axis)
-    between: AnyArray = one + (two - one) * share
-    return between
+    values: AnyArray = one + (two - one) * part
+    return values
 
 
 @dataclass(frozen=True)
-class Share:
-    """Weight of one image on a reduced lattice; None is 1 everywhere."""
+class ImageWeight:
+    """Weight of one image in a block, on a lattice of cells of `factor` pixels with `margin` cells around the block.
+
+    Attributes
+    ----------
+    index : int
+        Number of the image.
+    weight : float32 array (rows, cols) or None
+        None is 1 everywhere.
+    factor : int
+        Output pixels per cell.
+    margin : int
+        Cells beyond the block on each side.
+    """
 
     index: int
     weight: AnyArray | None
     factor: int
     margin: int
 
-    def need(self, shape: tuple[int, int]) -> ByteArray:
-        """Cells of the block in which the image has weight."""
+    def cells(self, shape: tuple[int, int]) -> ByteArray:
+        """Cells of 64 × 64 pixels of the block in which the image has weight."""
         assert self.weight is not None
         per = CELL // self.factor
         rows, cols = -(-shape[0] // CELL), -(-shape[1] // CELL)

@@ -7,11 +7,11 @@ import math
 import numpy as np
 
 from geomosaic.geo.grid import Grid
+from geomosaic.geo.units import linear_unit
 from geomosaic.options.mosaic import BlendOptions, Width
 
 PIXELS = 32.0
 """Width unless one is given."""
-_EARTH = 6371008.8
 
 
 def width_px(width: Width, grid: Grid) -> float:
@@ -33,10 +33,8 @@ def transition_px(options: BlendOptions, grid: Grid) -> float:
 
 
 def _units_per_metre(grid: Grid) -> float:
-    crs = grid.crs
-    if crs.is_geographic:
+    metres = linear_unit(grid.crs)
+    if grid.crs.is_geographic:  # the mean of both axes
         bottom, top = grid.bounds[1::2]
-        degrees = math.degrees(1.0 / _EARTH)
-        return degrees / math.sqrt(max(0.01, float(np.cos(np.radians((bottom + top) / 2)))))
-    factor = crs.axis_info[0].unit_conversion_factor if crs.axis_info else 1.0
-    return 1.0 / (factor or 1.0)
+        metres *= math.sqrt(max(0.01, float(np.cos(np.radians((bottom + top) / 2)))))
+    return 1.0 / (metres or 1.0)

@@ -1,4 +1,4 @@
-"""Gather what overlapping images show of the same ground, and solve their colour balance."""
+"""Overlap samples of a block on a coarse grid, and the gain and offset that they give."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.mosaicking.seams.image_order import image_index
 from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH, RenderOptions
-from geomosaic.radiometry.gain_offset import Balance, solve
+from geomosaic.radiometry.gain_offset import Balance, solve_gain_offset
 from geomosaic.radiometry.overlap_samples import Overlap, Overlaps, Thumbnail
 from geomosaic.render.aligned import cell_means, picked
 from geomosaic.render.photo import Photo, pull
@@ -23,32 +24,48 @@ from geomosaic.surface.model import Surface
 from geomosaic.types import ByteArray, FloatArray
 
 CELLS = 96
-"""Cells across a footprint at which images are compared: coarse, so that small misfits of geometry do not count."""
-NEAR_ENOUGH = 0.1
-"""Cells that the geometry may be off where only colours are compared."""
-MOST_SAMPLES = 3
+"""Cells across a footprint on which images are compared: coarse, so that small errors of geometry do not count."""
+LATTICE_TOLERANCE = 0.1
+"""Largest error of the interpolated geometry in cells, as only colours are compared."""
+MAX_SAMPLES = 3
 """Samples along each side of a cell, of an image reduced on reading; two take 0.6 of the time and double the noise."""
 
 
 def balance(photos: Photos, options: RenderOptions) -> Balance:
-    """Solve gain and offset of all photos over their overlaps."""
-    return solve(len(photos), photos.info.bands, meet(photos, options, comparison_grid(photos))[0])
+    """Gain and offset of all photos over their overlaps."""
+    return solve_gain_offset(
+        len(photos), photos.info.bands, overlap_samples(photos, options, comparison_grid(photos))[0]
+    )
 
 
-def meet(
+def overlap_samples(
     photos: Photos, options: RenderOptions, grid: Grid, hidden: Sequence[Any] = ()
 ) -> tuple[list[Overlap], FloatArray]:
-    """Samples of all overlaps of the photos on a coarse grid, without what lies in the areas `hidden`; and medians.
+    """Samples of all overlaps of the photos on a coarse grid, and the median level of each photo.
 
-    The medians (images, bands) are of all that each photo shows; NaN where it shows nothing.
+    Parameters
+    ----------
+    photos : Photos
+    options : RenderOptions
+        Threads and progress.
+    grid : Grid
+        Coarse grid of the samples.
+    hidden : sequence of Polygon or MultiPolygon
+        Areas to leave out, in the output map.
+
+    Returns
+    -------
+    overlaps : list of Overlap
+    level : array (images, bands)
+        Median of all that each photo shows; NaN where it shows nothing.
     """
     level = np.full((len(photos), photos.info.bands), np.nan)
     low, high, whole = value_range(photos.info.dtype)
     windows = [grid.window_of(outline.bounds) for outline in photos.outlines]
-    overlaps, cells = Overlaps(windows, (low, high) if whole else None), cells_in(windows)
+    overlaps, cells = Overlaps(windows, (low, high) if whole else None), cell_count(windows)
 
     def piece(index: int) -> Thumbnail:
-        return without(_mean(photos, index, windows[index], grid, cells), grid, hidden)
+        return outside_areas(_mean(photos, index, windows[index], grid, cells), grid, hidden)
 
     rendered = in_order(piece, range(len(photos)), options.threads, ahead=1)
     for done, (index, found) in enumerate(rendered):
@@ -59,8 +76,8 @@ def meet(
     return overlaps.found, level
 
 
-def without(piece: Thumbnail, grid: Grid, hidden: Sequence[Any]) -> Thumbnail:
-    """Leave out cells whose centres lie in some areas."""
+def outside_areas(piece: Thumbnail, grid: Grid, hidden: Sequence[Any]) -> Thumbnail:
+    """Thumbnail without the cells whose centres lie in some areas."""
     if not hidden or piece.window.empty:
         return piece
     from geomosaic.raster.validity import burn
@@ -69,8 +86,8 @@ def without(piece: Thumbnail, grid: Grid, hidden: Sequence[Any]) -> Thumbnail:
     return piece
 
 
-def within(piece: Thumbnail, grid: Grid, region: Sequence[Any] | None) -> Thumbnail:
-    """Leave out cells whose centres lie in none of some areas; all stay where no areas are given."""
+def inside_areas(piece: Thumbnail, grid: Grid, region: Sequence[Any] | None) -> Thumbnail:
+    """Thumbnail of the cells whose centres lie in some areas; of all cells where no areas are given."""
     if region is None or piece.window.empty:
         return piece
     from geomosaic.raster.validity import burn
@@ -80,28 +97,28 @@ def within(piece: Thumbnail, grid: Grid, region: Sequence[Any] | None) -> Thumbn
 
 
 def comparison_grid(photos: Photos, cells: int = CELLS) -> Grid:
-    """Output grid coarsened until a footprint is about so many cells across."""
+    """Output grid coarsened until the median footprint is about so many cells across."""
     areas = [np.prod(np.ptp(outline.ring, axis=0)) for outline in photos.outlines]
     cell = np.sqrt(float(np.median(areas))) / cells
     return photos.grid.coarser(max(1, round(cell / photos.grid.resolution[0])))
 
 
-def cells_in(windows: Sequence[Window]) -> int:
-    """Cells of so many thumbnails."""
+def cell_count(windows: Sequence[Window]) -> int:
+    """Cells of all thumbnails of these windows."""
     return sum(window.width * window.height for window in windows if not window.empty)
 
 
 def _mean(photos: Photos, index: int, window: Window, grid: Grid, cells: int) -> Thumbnail:
     with photos.using(index) as photo:
         found = thumbnail(photo, photos.block.surface, grid, window, "average", "float32", cells)
-    return replace(found, valid=_inner(found.valid))
+    return replace(found, valid=_with_valid_neighbours(found.valid))
 
 
-def _inner(valid: ByteArray) -> ByteArray:
+def _with_valid_neighbours(valid: ByteArray) -> ByteArray:
     """Cells whose eight neighbours are valid as well.
 
-    Along the edge of an image a cell may be half seen, and its mean is that of the seen half: other ground than in the
-    image that goes on there. Tiles that share a line of pixels only would be balanced by nothing else.
+    A cell on the edge of an image may be half covered, and its mean is that of the covered half: other ground than in
+    the image that goes on there. Tiles that share no more than a line of pixels would be balanced by nothing else.
     """
     wide = np.pad(valid, 1)
     rows, cols = valid.shape
@@ -115,9 +132,21 @@ def _inner(valid: ByteArray) -> ByteArray:
 def thumbnail(
     photo: Photo, surface: Surface | None, grid: Grid, window: Window, resampling: str, dtype: str, cells: int = 0
 ) -> Thumbnail:
-    """Render one photo on a coarse grid: means of cells ('average'), or one pixel of each ('nearest').
+    """Thumbnail of one photo on a coarse grid.
 
-    `cells`: of all thumbnails that will be made, if this is one of many; they decide on compiled kernels.
+    Parameters
+    ----------
+    photo : Photo
+    surface : Surface, optional
+    grid : Grid
+    window : Window
+        Of the grid.
+    resampling : str
+        'average' for means of cells, 'nearest' for one pixel of each.
+    dtype : str
+        Sample type of the values.
+    cells : int
+        Of all thumbnails that will be made, if this is one of many; they decide on compiled kernels.
     """
     bands = photo.source.info.bands
     values = np.zeros((max(window.height, 0), max(window.width, 0), bands), dtype=dtype)
@@ -140,7 +169,15 @@ def thumbnail(
         ground = below.block(part)
         here = part.slices_in(window)
         pull(
-            engine, photo, grid, ground, resampling, NEAR_ENOUGH, colour, values[here], valid[here],
-            most_samples=MOST_SAMPLES,
+            engine, photo, grid, ground, resampling, LATTICE_TOLERANCE, colour, values[here], valid[here],
+            most_samples=MAX_SAMPLES,
         )  # fmt: skip
     return Thumbnail(window, values, valid)
+
+
+def master_index(photos: Photos, master: str | None) -> int | None:
+    """Number of the master image, with or without its suffix; None without a master."""
+    if master is None:
+        return None
+    hint = "; a raster besides the images is a reference"
+    return image_index(master, photos.block.scenes, where="master", hint=hint)

@@ -1,4 +1,4 @@
-"""The corrections of an image's values, whatever their kind: applied on a coarse grid, and continued."""
+"""Corrections of an image's values, of any kind: applied on a coarse grid, and followed by a gain and an offset."""
 
 from __future__ import annotations
 
@@ -9,35 +9,53 @@ import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.radiometry.histogram_matching import Curve
-from geomosaic.radiometry.local_gains import Shade
+from geomosaic.radiometry.histogram_matching import ToneCurve
+from geomosaic.radiometry.local_gains import CorrectionField
 from geomosaic.resample.warp import Colour
 from geomosaic.types import AnyArray, FloatArray
 
-Correction = Colour | Curve | Shade
+Correction = Colour | ToneCurve | CorrectionField
 
 
 def corrections(solved: Balance) -> Sequence[Correction]:
-    """What a balance does to each image."""
+    """Corrections of all images in a balance."""
     plain = [Colour(gain, offset) for gain, offset in zip(solved.gain, solved.offset, strict=True)]
     return solved.curves or plain
 
 
-def then(own: Correction, gain: float, offset: float) -> Correction:
-    """Gain · corrected + offset, in all bands."""
-    if isinstance(own, Shade):
-        bands = len(own.dark)
-        return own.then(np.full(bands, gain), np.full(bands, offset))
-    if isinstance(own, Curve):
-        return replace(own, knots=[(x, y * gain + offset) for x, y in own.knots], slope=own.slope * gain)
-    return Colour(own.gain * gain, own.offset * gain + offset)
+def with_gain_offset(correction: Correction, gain: float, offset: float) -> Correction:
+    """Correction followed by gain · value + offset, in all bands."""
+    if isinstance(correction, CorrectionField):
+        bands = len(correction.dark)
+        return correction.then(np.full(bands, gain), np.full(bands, offset))
+    if isinstance(correction, ToneCurve):
+        return replace(
+            correction, knots=[(x, y * gain + offset) for x, y in correction.knots], slope=correction.slope * gain
+        )
+    return Colour(correction.gain * gain, correction.offset * gain + offset)
 
 
-def corrected(own: Correction, values: AnyArray, window: Window, coarse: Grid, output: Grid) -> FloatArray:
-    """Correct values (rows, cols, bands) of a window of a grid coarser than the output."""
-    if isinstance(own, Shade):
+def corrected(correction: Correction, values: AnyArray, window: Window, coarse: Grid, output: Grid) -> FloatArray:
+    """Corrected values of a window of a grid coarser than the output.
+
+    Parameters
+    ----------
+    correction : Correction
+    values : array (rows, cols, bands)
+    window : Window
+        Of the coarse grid.
+    coarse, output : Grid
+        With the same upper left corner; gains by place are laid out over the output.
+
+    Returns
+    -------
+    array (rows, cols, bands)
+    """
+    if isinstance(correction, CorrectionField):
         factor = coarse.resolution[0] / output.resolution[0]
         cols = factor * np.arange(window.col + 0.5, window.stop_col, dtype=np.float64)
         rows = factor * np.arange(window.row + 0.5, window.stop_row, dtype=np.float64)
-        return own(values, cols, rows)
-    return np.asarray(own(values) if isinstance(own, Curve) else values * own.gain + own.offset)
+        return correction(values, cols, rows)
+    return np.asarray(
+        correction(values) if isinstance(correction, ToneCurve) else values * correction.gain + correction.offset
+    )

@@ -1,4 +1,4 @@
-"""What was done to colours, as plain values and in words."""
+"""Facts of the colour balance: values for JSON, a line in words, a picture of the correction fields."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from geomosaic.radiometry import bases
 from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.radiometry.local_gains import Shade
+from geomosaic.radiometry.local_gains import CorrectionField
 
 NAMES = {
     "vignetting": "fall of light to the corners",
@@ -22,7 +22,14 @@ NAMES = {
 
 
 def colour_facts(balance: Balance, names: Sequence[str] | None) -> dict[str, Any]:
-    """Plain values: terms, trials, what each image was given, and the fields of light that images share."""
+    """Facts of a colour balance for JSON: terms, trials, parameters of each image, fields that images share.
+
+    Parameters
+    ----------
+    balance : Balance
+    names : sequence of str, optional
+        Of the images.
+    """
     fields = balance.fields
     terms = [] if fields is None else [term for term in bases.TERMS if term in fields.setting.terms]
     facts: dict[str, Any] = {
@@ -51,7 +58,7 @@ def colour_facts(balance: Balance, names: Sequence[str] | None) -> dict[str, Any
     if fields.haze is not None:
         facts["haze"] = fields.haze[:images].tolist()
     facts["gamma"] = fields.gamma[:images].tolist()
-    shades = [shade for shade in balance.curves or () if isinstance(shade, Shade)]
+    shades = [shade for shade in balance.curves or () if isinstance(shade, CorrectionField)]
     facts["field"] = [
         {
             "image": str(i + 1) if names is None else names[i],
@@ -63,8 +70,8 @@ def colour_facts(balance: Balance, names: Sequence[str] | None) -> dict[str, Any
     return facts
 
 
-def said_of(balance: Balance) -> list[str]:
-    """Say in a line or two what was solved besides gain and offset."""
+def term_notes(balance: Balance) -> list[str]:
+    """Lines of text on what was solved besides gain and offset."""
     lines = list(balance.notes)
     if balance.fields is not None:
         terms = [NAMES[term] for term in bases.TERMS if term in balance.fields.setting.terms]
@@ -74,9 +81,15 @@ def said_of(balance: Balance) -> list[str]:
     return lines
 
 
-def picture(balance: Balance, side: int = 96) -> np.ndarray | None:
-    """Correction fields of the first images side by side, uint8 (rows, cols, 3): grey is 1, a tenth is 64 steps."""
-    shades = [shade for shade in balance.curves or () if isinstance(shade, Shade)][:12]
+def correction_picture(balance: Balance, side: int = 96) -> np.ndarray | None:
+    """Correction fields of the first twelve images side by side.
+
+    Returns
+    -------
+    uint8 array (rows, cols, 3) or None
+        128 is a factor of 1, a tenth is 64 grey values; None without fields.
+    """
+    shades = [shade for shade in balance.curves or () if isinstance(shade, CorrectionField)][:12]
     if not shades:
         return None
     tiles = []

@@ -1,4 +1,4 @@
-"""Sample all images on one coarse grid, and match their histograms to a master's."""
+"""Histogram matching of a mosaic: all images sampled on one coarse grid and matched to a master or a reference."""
 
 from __future__ import annotations
 
@@ -10,12 +10,23 @@ from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint, footprint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail, within, without
-from geomosaic.mosaicking.colour.solve import named
+from geomosaic.mosaicking.colour.balance import (
+    comparison_grid,
+    inside_areas,
+    master_index,
+    outside_areas,
+    thumbnail,
+)
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.radiometry.histogram_matching import Curve, common, match_overlaps, match_sequence, match_whole
+from geomosaic.radiometry.histogram_matching import (
+    ToneCurve,
+    common_values,
+    match_overlaps,
+    match_sequence,
+    match_whole,
+)
 from geomosaic.radiometry.overlap_samples import Thumbnail
 from geomosaic.render.areas import read_areas
 from geomosaic.render.photo import Photo
@@ -23,55 +34,64 @@ from geomosaic.render.photos import Photos
 from geomosaic.render.workers import in_order
 
 CELLS = 192
-"""Cells across a footprint at which values are taken, one pixel each: ranks are then known to about a hundredth."""
+"""Cells across a footprint of which one pixel each is sampled: ranks are then known to about a hundredth."""
 
 
 def match_histograms(photos: Photos, options: MosaicOptions, reference: OrientedImage | None = None) -> Balance:
-    """Match the images of a mosaic to one of them, or to a georeferenced raster.
+    """Curves that match the histograms of all images to one of them, or to a georeferenced raster.
 
     Parameters
     ----------
     photos : Photos
     options : MosaicOptions
         Their `histogram` is 'overlap', 'whole' or 'sequence'; `master` the name of an image (unless given, the one that
-        shares most, or the first of a sequence); only what lies in the areas `region` and not in the areas `mask` is
-        looked at.
+        shares most, or the first of a sequence); only samples in the areas `region` and outside the areas `mask` count.
     reference : OrientedImage, optional
         Georeferenced raster of the same bands and sample type to match to instead.
 
     Returns
     -------
     Balance
-        With curves; its gains and offsets are what the curves do on the whole.
+        With curves; its gains and offsets are straight lines through them.
+
+    Raises
+    ------
+    InputError
+        No such master, or a reference of other bands or outside the mosaic.
+
+    Warns
+    -----
+    GeomosaicWarning
+        Images that no overlaps join to the master.
     """
     method, master, render = options.colours.histogram, options.colours.master, options.render
     region = None if options.colours.region is None else read_areas(options.colours.region, photos.grid, must_meet=True)
     hidden = () if options.colours.mask is None else read_areas(options.colours.mask, photos.grid)
     grid = comparison_grid(photos, CELLS)
-    chosen = named(photos, master)
+    master_number = master_index(photos, master)
     pieces: list[Thumbnail] = []
 
-    def looked_at(found: Thumbnail) -> Thumbnail:
-        return within(without(found, grid, hidden), grid, region)
+    def in_region(found: Thumbnail) -> Thumbnail:
+        return inside_areas(outside_areas(found, grid, hidden), grid, region)
 
     def piece(index: int) -> Thumbnail:
-        return looked_at(_piece(photos, index, grid))
+        return in_region(_piece(photos, index, grid))
 
     rendered = in_order(piece, range(len(photos)), render.threads, ahead=1)
     for done, (_, found) in enumerate(rendered):
         pieces.append(found)
         render.report(done + 1, len(photos), "histograms")
     if reference is not None:
-        target = looked_at(_reference(photos, reference, grid, render))
+        target = in_region(_reference(photos, reference, grid, render))
     elif method == "sequence":
-        target = pieces[chosen or 0]
+        target = pieces[master_number or 0]
     else:
-        target = pieces[_most_shared(pieces) if chosen is None else chosen]
+        target = pieces[_most_overlapping(pieces) if master_number is None else master_number]
     alone: list[int] = []
     if method == "whole":
         curves = match_whole(pieces, target)
     elif method == "sequence":
-        curves = match_sequence(pieces, target, chosen or 0)
+        curves = match_sequence(pieces, target, master_number or 0)
     else:
         curves, alone = match_overlaps(pieces, target)
     if alone:
@@ -115,24 +135,24 @@ def _reference(photos: Photos, scene: OrientedImage, grid: Grid, options: Render
         photo.source.close()
 
 
-def _most_shared(pieces: list[Thumbnail]) -> int:
-    """The image whose window shares most with those of the others; of equals, the first."""
+def _most_overlapping(pieces: list[Thumbnail]) -> int:
+    """Image whose window shares most cells with those of the others; of equals, the first."""
     windows = [piece.window for piece in pieces]
 
     def shares(i: int) -> int:
-        common = (windows[i].intersection(other) for j, other in enumerate(windows) if j != i)
-        return sum(w.width * w.height for w in common if not w.empty)
+        common_values = (windows[i].intersection(other) for j, other in enumerate(windows) if j != i)
+        return sum(w.width * w.height for w in common_values if not w.empty)
 
     return max(range(len(pieces)), key=lambda i: (shares(i), -i))
 
 
-def _differences(pieces: list[Thumbnail], curves: list[Curve]) -> tuple[np.ndarray, np.ndarray, int]:
-    """Root mean square difference (bands,) over all overlaps, before and after; pairs."""
+def _differences(pieces: list[Thumbnail], curves: list[ToneCurve]) -> tuple[np.ndarray, np.ndarray, int]:
+    """RMS difference (bands,) over all overlaps, before and after; number of overlaps."""
     bands = pieces[0].values.shape[2]
     before, after, count, pairs = np.zeros(bands), np.zeros(bands), 0, 0
     for i, one in enumerate(pieces):
         for j in range(i + 1, len(pieces)):
-            found = common(one, pieces[j])
+            found = common_values(one, pieces[j])
             if found is None:
                 continue
             a, b = (values.astype(np.float64) for values in found)

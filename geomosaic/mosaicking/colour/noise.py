@@ -1,4 +1,4 @@
-"""How much images of the same ground differ as a rule: what is much more than that is not the same ground."""
+"""Noise of images: how much two images of the same ground differ where nothing has moved."""
 
 from __future__ import annotations
 
@@ -16,33 +16,34 @@ from geomosaic.resample.pyramid import reduce
 from geomosaic.types import FloatArray
 
 SIDE = 128
-"""Pixels of a place at which two images are compared."""
-MOST = 48
-"""Places."""
+"""Side in pixels of a place at which two images are compared."""
+MAX_PLACES = 48
+"""Largest number of places: enough for a median."""
+# Few digits, so that a small change of one image leaves the noise, and with it all pixels of other images, the same.
 _DIGITS = 2
 
 
-def usual_difference(blender: Blender) -> float:
+def image_noise(blender: Blender) -> float:
     """Standard deviation of the difference of two corrected images of the same ground, at half the resolution.
 
     Where neighbours meet, up to three places of 128 × 128 pixels are compared for each pair, 48 for all. In each, the
-    median difference is colour; the median distance from it, times 1.4826 (Huber, 1981), is noise. The median over
-    places is given, to two digits, so that the change of one image does not change it; but not less than rounding
-    makes: half of 1 for whole numbers, 1e-4 of the values for others. Infinite where nothing could be compared.
+    median difference is colour; the median distance from it, times 1.4826 (Huber, 1981), is noise. The result is the
+    median over places, but at least rounding: half of 1 for integers, 1e-4 of the values for others. Infinite where
+    nothing could be compared.
     """
     found = []
-    # Not where seams are now: an edited seam is not to change what is blended elsewhere.
+    # Along Voronoi borders, not along the seams: an edited seam must not change what is blended elsewhere.
     places = _places(voronoi_regions(blender.seams.outlines, blender.photos.centres), blender.seams.outlines)
-    step = max(1, -(-len(places) // MOST))
+    step = max(1, -(-len(places) // MAX_PLACES))
     for i, j, x, y in places[::step]:
-        spread = _spread(blender, i, j, np.array([[x, y]]))
+        spread = _difference_noise(blender, i, j, np.array([[x, y]]))
         if spread is not None:
             found.append(spread)
     return float(f"{np.median(found):.{_DIGITS}g}") if found else math.inf
 
 
 def _places(regions: Sequence[Any], outlines: Sequence[Any]) -> list[tuple[int, int, float, float]]:
-    """Pairs of images that share ground, and places along the middle of it."""
+    """Pairs of images that share ground, and places along the middle of it in the output map."""
     import shapely
 
     tree = shapely.STRtree(list(outlines))
@@ -67,10 +68,11 @@ def _places(regions: Sequence[Any], outlines: Sequence[Any]) -> list[tuple[int, 
     return places
 
 
-def _spread(blender: Blender, i: int, j: int, xy: FloatArray) -> float | None:
+def _difference_noise(blender: Blender, i: int, j: int, xy: FloatArray) -> float | None:
+    """Robust standard deviation of the difference of two images at a place; None where they share too little."""
     col, row = np.floor(blender.grid.colrow(xy)[0]).astype(int)
     window = Window(int(col) - SIDE // 2, int(row) - SIDE // 2, SIDE, SIDE)
-    ground = blender.below.block(window)
+    ground = blender.ground.block(window)
     views = []
     for index in (i, j):
         values = np.zeros((SIDE, SIDE, blender.photos.info.bands), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""A reference for the colour of a mosaic: another mosaic, or a satellite image of any resolution and CRS."""
+"""Reference raster for the colour of a mosaic: another mosaic, or a satellite image of any resolution and CRS."""
 
 from __future__ import annotations
 
@@ -11,27 +11,48 @@ from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaicking.colour.balance import thumbnail, without
+from geomosaic.mosaicking.colour.balance import outside_areas, thumbnail
 from geomosaic.options.render import RenderOptions
-from geomosaic.radiometry.overlap_samples import Overlap, Thumbnail, compare
+from geomosaic.radiometry.overlap_samples import Overlap, Thumbnail, overlap_of
 from geomosaic.render.photo import Photo
 from geomosaic.render.photos import Photos
 from geomosaic.resample.warp import value_range
 
 
-def meet_reference(
+def reference_samples(
     photos: Photos, options: RenderOptions, grid: Grid, reference: OrientedImage, hidden: Sequence[Any] = ()
 ) -> tuple[list[Overlap], str]:
-    """Samples of each photo and the reference, which gets the number after the last photo; and what was done, in words.
+    """Samples of each photo and a reference raster, which has the number after the last photo.
 
     Both are compared at the coarser of the grid's cells and the reference's pixels. A reference of another sample type
-    is scaled by one number for all bands, so that its median is that of the photos: its colours and contrast count, not
+    is scaled by one factor for all bands, so that its median is that of the photos: its colours and contrast count, not
     its units.
+
+    Parameters
+    ----------
+    photos : Photos
+    options : RenderOptions
+    grid : Grid
+        Coarse grid of the samples.
+    reference : OrientedImage
+    hidden : sequence of Polygon or MultiPolygon
+        Areas to leave out, in the output map.
+
+    Returns
+    -------
+    overlaps : list of Overlap
+    note : str
+        How the reference was compared.
+
+    Raises
+    ------
+    InputError
+        It shows nothing of the mosaic, or has other bands.
     """
     outline = footprint(reference, None, photos.grid.crs)
     factor = max(1, round(outline.sampling / grid.resolution[0]))
     coarse = grid.coarser(factor) if factor > 1 else grid
-    shown = _shown(reference, photos, coarse)
+    shown = _reference_thumbnail(reference, photos, coarse)
     low, high, whole = value_range(photos.info.dtype)
     clipped = (low, high) if whole else None
     found, number = [], len(photos)
@@ -39,7 +60,7 @@ def meet_reference(
         window = coarse.window_of(photos.outlines[index].bounds)
         with photos.using(index) as photo:
             piece = thumbnail(photo, photos.block.surface, coarse, window, "average", "float32")
-        pair = compare(index, number, without(piece, coarse, hidden), shown, None)
+        pair = overlap_of(index, number, outside_areas(piece, coarse, hidden), shown, None)
         if pair is not None:
             found.append(_unclipped(pair, clipped))
         options.report(index + 1, len(photos), "reference")
@@ -72,7 +93,7 @@ def meet_reference(
 
 
 def _unclipped(pair: Overlap, clipped: tuple[float, float] | None) -> Overlap:
-    """Leave out cells where the photo has reached an end of its range; the reference has a range of its own."""
+    """Samples without those where the photo is at an end of its range; the reference has a range of its own."""
     if clipped is None:
         return pair
     good = ((pair.a > clipped[0] + 0.5) & (pair.a < clipped[1] - 0.5)).all(axis=1)
@@ -81,7 +102,7 @@ def _unclipped(pair: Overlap, clipped: tuple[float, float] | None) -> Overlap:
     )
 
 
-def _shown(reference: OrientedImage, photos: Photos, coarse: Grid) -> Thumbnail:
+def _reference_thumbnail(reference: OrientedImage, photos: Photos, coarse: Grid) -> Thumbnail:
     outline = footprint(reference, None, photos.grid.crs)
     photo = Photo.open(reference, None, coarse, outline, 1 << 28)
     try:

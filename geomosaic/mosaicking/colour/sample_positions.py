@@ -1,4 +1,4 @@
-"""Where samples lie in their images and about their nadir, and fields of light laid out over the output."""
+"""Positions of samples in their images and relative to the nadir; correction fields laid out over the output."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ import numpy as np
 
 from geomosaic.geo.grid import Grid
 from geomosaic.radiometry import bases
-from geomosaic.radiometry.fields import Fields
-from geomosaic.radiometry.local_gains import Shade
-from geomosaic.radiometry.overlap_samples import Places
+from geomosaic.radiometry.fields import ColourModel
+from geomosaic.radiometry.local_gains import CorrectionField
+from geomosaic.radiometry.overlap_samples import SamplePositions
 from geomosaic.render.photos import Photos
 from geomosaic.types import AnyArray, FloatArray, IntArray
 
 NODES = 48
-"""Intervals of the net of a photo's gains across its footprint: between nodes a fall of light by half is 1e-4 off."""
-ALIKE = 0.05
-"""Share by which sizes of images of one camera may differ, as orthos' do."""
+"""Intervals of the net of gains across a footprint: between nodes, vignetting by half is interpolated to 1e-4."""
+SIZE_TOLERANCE = 0.05
+"""Relative difference of the sizes of images of one camera: orthos of one camera are not of equal size."""
 
 
 def cameras(photos: Photos) -> IntArray:
-    """Number of each photo's camera: photos of one sensor and of about one size were taken by one."""
+    """Number (images,) of each photo's camera: photos of one sensor and of about one size share a camera."""
     known: list[tuple[str, float, float]] = []
     numbers = []
     for scene in photos.block.scenes:
         width, height = scene.model.size
         for number, (sensor, w, h) in enumerate(known):
-            if sensor == scene.sensor and abs(width / w - 1) < ALIKE and abs(height / h - 1) < ALIKE:
+            if sensor == scene.sensor and abs(width / w - 1) < SIZE_TOLERANCE and abs(height / h - 1) < SIZE_TOLERANCE:
                 numbers.append(number)
                 break
         else:
@@ -37,24 +37,28 @@ def cameras(photos: Photos) -> IntArray:
 
 
 def view_radius(photos: Photos) -> float:
-    """Half a footprint's diagonal in map units, the median of all."""
+    """Half the diagonal of a footprint in map units, the median of all."""
     radii = [np.hypot(*(outline.ring - np.array(outline.centre)).T).max() for outline in photos.outlines]
     return float(np.median(radii))
 
 
-def places_of(photos: Photos, grid: Grid) -> Places:
-    """Finder of places of cells of a coarse grid; see `radiometry.bases`. Beyond the photos (a reference) all are 0."""
+def sample_positions(photos: Photos, grid: Grid) -> SamplePositions:
+    """Function that gives the positions of cells of a coarse grid in an image and about its nadir.
+
+    See `radiometry.bases`. For a reference, numbered after the photos, all positions are 0.
+    """
     radius = view_radius(photos)
 
     def find(index: int, cells: AnyArray) -> tuple[FloatArray, FloatArray]:
         if index >= len(photos):
             return np.zeros((len(cells), 2)), np.zeros((len(cells), 2))
-        return _places(photos, index, grid.xy(np.asarray(cells, dtype=np.float64) + 0.5), radius)
+        return _positions(photos, index, grid.xy(np.asarray(cells, dtype=np.float64) + 0.5), radius)
 
     return find
 
 
-def _places(photos: Photos, index: int, xy: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
+def _positions(photos: Photos, index: int, xy: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
+    """Positions in the image (N, 2), corners at distance 1, and about the nadir (N, 2), in units of `radius`."""
     surface, size = photos.block.surface, np.array(photos.block.scenes[index].model.size, dtype=np.float64)
     with photos.using(index) as photo:
         mapper = photo.mapper
@@ -66,8 +70,8 @@ def _places(photos: Photos, index: int, xy: FloatArray, radius: float) -> tuple[
     return image, np.clip(view, -1.2, 1.2)
 
 
-def shade_of(photos: Photos, index: int, fields: Fields) -> Shade:
-    """Lay the correction of one photo out over its footprint."""
+def correction_field(photos: Photos, index: int, fields: ColourModel) -> CorrectionField:
+    """Correction of one photo, laid out over its footprint in the output."""
     window = photos.grid.window_of(photos.outlines[index].bounds)
     longer = max(window.width, window.height, 1)
     spacing = longer / NODES
@@ -75,7 +79,7 @@ def shade_of(photos: Photos, index: int, fields: Fields) -> Shade:
     rows = window.row + spacing * np.arange(max(2, int(np.ceil(window.height / spacing)) + 1))
     c, r = np.meshgrid(cols, rows)
     xy = photos.grid.xy(np.column_stack([c.ravel(), r.ravel()]))
-    image, view = _places(photos, index, xy, view_radius(photos))
+    image, view = _positions(photos, index, xy, view_radius(photos))
     log = np.full((len(xy), fields.gain.shape[1]), np.nan)
     seen = np.isfinite(image).all(axis=1)
     if seen.any():
@@ -83,12 +87,12 @@ def shade_of(photos: Photos, index: int, fields: Fields) -> Shade:
         log[~seen] = log[seen].mean(axis=0)
     else:
         log[:] = 0.0
-    # Rounded, so that the last bits of sums in another order do not show.
+    # Rounded: sums in another order differ in the last bits, and equal runs must give equal pixels.
     net = np.round(np.exp(log + fields.gain[index]), 9).reshape(len(rows), len(cols), -1)
-    shade = Shade.of(
+    shade = CorrectionField.of(
         net, (float(cols[0]), float(rows[0])), (spacing, spacing), fields.dark[index], fields.gamma[index],
         fields.setting.reach, fields.setting.pivot,
     )  # fmt: skip
     if fields.haze is None:
         return shade
-    return replace(shade, path=bases.path(view).reshape(len(rows), len(cols)), haze=fields.haze[index])
+    return replace(shade, path=bases.excess_air_path(view).reshape(len(rows), len(cols)), haze=fields.haze[index])

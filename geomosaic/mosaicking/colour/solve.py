@@ -1,4 +1,4 @@
-"""The colour of a mosaic: gather what overlaps show, choose what is warranted, solve, and lay it out."""
+"""Colour balance of a mosaic: overlaps sampled, terms selected, solved, and laid out over each image."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geomosaic.block.block import OrientedImage
-from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaicking.colour.balance import comparison_grid, meet
-from geomosaic.mosaicking.colour.sample_positions import cameras, places_of, shade_of
-from geomosaic.radiometry.gain_offset import Balance, solve
+from geomosaic.mosaicking.colour.balance import comparison_grid, master_index, overlap_samples
+from geomosaic.mosaicking.colour.sample_positions import cameras, correction_field, sample_positions
+from geomosaic.radiometry.gain_offset import Balance, solve_gain_offset
 from geomosaic.radiometry.overlap_samples import Overlap
 from geomosaic.render.photos import Photos
 from geomosaic.resample.warp import value_range
@@ -20,21 +19,59 @@ from geomosaic.types import FloatArray
 
 if TYPE_CHECKING:
     from geomosaic.options.mosaic import MosaicOptions
-    from geomosaic.radiometry.fields import Fields
-    from geomosaic.radiometry.overlap_samples import Views
+    from geomosaic.radiometry.fields import ColourModel
+    from geomosaic.radiometry.overlap_samples import PairedSamples
 
 
-MOST_TRIED = 6_000
-"""Samples from which terms are chosen."""
-MOST_SPLINES = 16_000
-"""Samples for a hotspot, which has many parameters."""
+SELECTION_SAMPLES = 6_000
+"""Samples for the selection of terms, which solves many times."""
+HOTSPOT_SAMPLES = 16_000
+"""Samples for a hotspot, whose splines have many parameters."""
 
 
-def colours(photos: Photos, options: MosaicOptions, reference: OrientedImage | None = None) -> Balance:
-    """Solve the colour of all photos: gain and offset, and more where it is asked for or warranted.
+def colour_balance(photos: Photos, options: MosaicOptions, reference: OrientedImage | None = None) -> Balance:
+    """Corrections of all images that the options ask for: histogram matching, a colour balance, or none.
+
+    Parameters
+    ----------
+    photos : Photos
+    options : MosaicOptions
+    reference : OrientedImage, optional
+        Georeferenced raster that colours are matched to.
+
+    Returns
+    -------
+    Balance
+        Gain 1 and offset 0 where colours are not to be changed.
+    """
+    if options.colours.histogram is not None:
+        from geomosaic.mosaicking.colour.histogram import match_histograms
+
+        return match_histograms(photos, options, reference)
+    return (
+        solve_colours(photos, options, reference)
+        if options.balanced
+        else solve_gain_offset(len(photos), photos.info.bands, [])
+    )
+
+
+def solve_colours(photos: Photos, options: MosaicOptions, reference: OrientedImage | None = None) -> Balance:
+    """Colour balance of all photos: gain and offset, and further terms that are asked for or selected.
 
     Without reference or master the mean level of the photos is kept. With a master, everything is brought to its
     values; with a reference, to that raster's.
+
+    Parameters
+    ----------
+    photos : Photos
+    options : MosaicOptions
+        `colours`: terms, mask and master.
+    reference : OrientedImage, optional
+        Georeferenced raster that colours are matched to.
+
+    Returns
+    -------
+    Balance
     """
     grid = comparison_grid(photos)
     hidden: list[Any] = []
@@ -42,26 +79,26 @@ def colours(photos: Photos, options: MosaicOptions, reference: OrientedImage | N
         from geomosaic.render.areas import read_areas
 
         hidden = read_areas(options.colours.mask, photos.grid)
-    (pairs, level), count = meet(photos, options.render, grid, hidden), len(photos)
+    (pairs, level), count = overlap_samples(photos, options.render, grid, hidden), len(photos)
     notes: list[str] = []
-    anchor = named(photos, options.colours.master)
+    anchor = master_index(photos, options.colours.master)
     if reference is not None:
-        from geomosaic.mosaicking.colour.reference import meet_reference
+        from geomosaic.mosaicking.colour.reference import reference_samples
 
-        more, note = meet_reference(photos, options.render, grid, reference, hidden)
+        more, note = reference_samples(photos, options.render, grid, reference, hidden)
         pairs, anchor, count = [*pairs, *more], count, count + 1
         notes.append(note)
-    notes += _alone(photos, pairs)
-    start = solve(count, photos.info.bands, pairs)
+    notes += _notes_of_isolated(photos, pairs)
+    start = solve_gain_offset(count, photos.info.bands, pairs)
     anchored = _anchored(start, anchor, pairs)
     if options.colours.colour == ("gain",) or not start.overlaps:
-        return _without(anchored, len(photos), pairs, notes)
+        return _images_only(anchored, len(photos), pairs, notes)
     level = np.concatenate([level, np.full((count - len(photos), level.shape[1]), np.nan)])
-    return _with_fields(photos, options, grid, pairs, level, start, anchored, anchor, notes)
+    return _solve_fields(photos, options, grid, pairs, level, start, anchored, anchor, notes)
 
 
-def _alone(photos: Photos, pairs: list[Overlap]) -> list[str]:
-    """Say which images show too little of what others show to be compared."""
+def _notes_of_isolated(photos: Photos, pairs: list[Overlap]) -> list[str]:
+    """Note of the images that share too little with others to be compared."""
     met = {i for pair in pairs for i in (pair.first, pair.second)}
     alone = [scene.name for i, scene in enumerate(photos.block.scenes) if i not in met]
     if not alone or len(photos) == 1:
@@ -72,25 +109,7 @@ def _alone(photos: Photos, pairs: list[Overlap]) -> list[str]:
     return [f"shows too little of what others show to have its colour compared with theirs: {names}"]
 
 
-def named(photos: Photos, master: str | None) -> int | None:
-    """Number of an image by its name, with or without suffix."""
-    names = [scene.name for scene in photos.block.scenes]
-    if master is None:
-        return None
-    stems = [name.rpartition(".")[0] or name for name in names]
-    if master not in names and stems.count(master) == 1:
-        return stems.index(master)
-    if master not in names:
-        hint = did_you_mean(master, names)
-        raise InputError(
-            f"no image is named '{master}'",
-            where="`master`",
-            hint=f"{hint} name one of the images; a raster besides them is a reference (`reference`)".strip(),
-        )
-    return names.index(master)
-
-
-def _with_fields(
+def _solve_fields(
     photos: Photos,
     options: MosaicOptions,
     grid: Grid,
@@ -101,30 +120,38 @@ def _with_fields(
     anchor: int | None,
     notes: list[str],
 ) -> Balance:
-    from geomosaic.radiometry.model_selection import choose, solve_terms
-    from geomosaic.radiometry.normal_equations import Setting
-    from geomosaic.radiometry.overlap_samples import MOST_SAMPLES, gather
+    from geomosaic.radiometry.model_selection import select_terms, solve_terms
+    from geomosaic.radiometry.normal_equations import ColourSetting
+    from geomosaic.radiometry.overlap_samples import MAX_SAMPLES, paired_samples
 
-    find = places_of(photos, grid)
+    find = sample_positions(photos, grid)
     kinds = cameras(photos)
     camera = np.concatenate([kinds, np.full(len(start.gain) - len(kinds), -1)])
-    setting = Setting(
-        len(camera), int(kinds.max()) + 1, camera, frozenset(), _reach(photos, pairs), level, middle=_middle(pairs)
+    setting = ColourSetting(
+        len(camera),
+        int(kinds.max()) + 1,
+        camera,
+        frozenset(),
+        _value_range(photos, pairs),
+        level,
+        middle=_median_sample(pairs),
     )
     linear = () if anchor is None else (anchor,)
     asked = None if options.colours.colour == ("auto",) else frozenset(options.colours.colour) - {"gain"}
-    few = gather(pairs, find, MOST_TRIED) if asked is None else None
+    few = paired_samples(pairs, find, SELECTION_SAMPLES) if asked is None else None
     trials: list[Any] = []
     if asked is None:
-        asked, trials = (frozenset(), []) if few is None else choose(few, setting, start.gain, start.offset, linear)
+        asked, trials = (
+            (frozenset(), []) if few is None else select_terms(few, setting, start.gain, start.offset, linear)
+        )
     if not asked:
-        return _without(replace(anchored, trials=tuple(trials)), len(photos), pairs, notes)
-    views = gather(pairs, find, MOST_SPLINES if "hotspot" in asked else MOST_SAMPLES)
+        return _images_only(replace(anchored, trials=tuple(trials)), len(photos), pairs, notes)
+    views = paired_samples(pairs, find, HOTSPOT_SAMPLES if "hotspot" in asked else MAX_SAMPLES)
     if views is None:
-        return _without(anchored, len(photos), pairs, notes)
+        return _images_only(anchored, len(photos), pairs, notes)
     fields = solve_terms(views, replace(setting, terms=asked), start.gain, start.offset, linear)
     gain, offset = _to_anchor(fields, anchor)
-    shades = tuple(shade_of(photos, i, fields).then(gain, offset) for i in range(len(photos)))
+    shades = tuple(correction_field(photos, i, fields).then(gain, offset) for i in range(len(photos)))
     lines = [shade.line() for shade in shades]
     before, after = _differences(views, fields, gain, len(photos))
     return Balance(
@@ -133,19 +160,19 @@ def _with_fields(
     )  # fmt: skip
 
 
-def _reach(photos: Photos, pairs: list[Overlap]) -> float:
-    """The range of values: of the sample type, or of the samples where that has none."""
+def _value_range(photos: Photos, pairs: list[Overlap]) -> float:
+    """Range of values: of the sample type, or of the samples where that has none."""
     _, high, whole = value_range(photos.info.dtype)
     return high if whole else max(float(np.abs(pair.a).max()) for pair in pairs) or 1.0
 
 
-def _middle(pairs: list[Overlap]) -> float:
-    """Median of the samples, of the first views of all overlaps; 0 where it is no light."""
+def _median_sample(pairs: list[Overlap]) -> float:
+    """Median of the samples, of the first views of all overlaps; at least 0."""
     return max(float(np.median(np.concatenate([pair.a.ravel() for pair in pairs if len(pair.a)]))), 0.0)
 
 
-def _to_anchor(fields: Fields, anchor: int | None) -> tuple[FloatArray, FloatArray]:
-    """Gain and offset (bands,) that give the anchor its own values back."""
+def _to_anchor(fields: ColourModel, anchor: int | None) -> tuple[FloatArray, FloatArray]:
+    """Gain and offset (bands,) that restore the anchor's own values."""
     bands = fields.gain.shape[1]
     if anchor is None:
         return np.ones(bands), np.zeros(bands)
@@ -153,34 +180,34 @@ def _to_anchor(fields: Fields, anchor: int | None) -> tuple[FloatArray, FloatArr
 
 
 def _anchored(solved: Balance, anchor: int | None, pairs: list[Overlap]) -> Balance:
-    """Bring a linear solution to the values of one image; groups of images it is not joined to stay as they are."""
+    """Linear solution in the values of one image; groups of images that overlaps do not join to it stay unchanged."""
     if anchor is None or not solved.overlaps:
         return solved
-    from geomosaic.radiometry.drift import groups
+    from geomosaic.radiometry.drift import connected_groups
 
     first, second = np.array([(pair.first, pair.second) for pair in pairs if len(pair.a)], dtype=np.int64).T
-    group = groups(len(solved.gain), first, second)
+    group = connected_groups(len(solved.gain), first, second)
     own = (group == group[anchor])[:, None]
     gain = np.where(own, solved.gain / solved.gain[anchor], solved.gain)
     offset = np.where(own, (solved.offset - solved.offset[anchor]) / solved.gain[anchor], solved.offset)
     return replace(solved, gain=gain, offset=offset)
 
 
-def _without(solved: Balance, images: int, pairs: list[Overlap], notes: list[str]) -> Balance:
-    """A linear solution of the images alone, with the differences between them."""
+def _images_only(solved: Balance, images: int, pairs: list[Overlap], notes: list[str]) -> Balance:
+    """Linear solution of the images without the reference, with the differences between them."""
     gain, offset = solved.gain[:images], solved.offset[:images]
     own = [pair for pair in pairs if pair.second < images and len(pair.a)]
     if len(gain) == len(solved.gain) and not notes:
-        return replace(solved, after=_after(own, gain, offset)) if own else solved
-    before = _after(own, np.ones_like(gain), np.zeros_like(offset))
+        return replace(solved, after=_rms_difference(own, gain, offset)) if own else solved
+    before = _rms_difference(own, np.ones_like(gain), np.zeros_like(offset))
     return replace(
-        solved, gain=gain, offset=offset, before=before, after=_after(own, gain, offset), overlaps=len(own),
+        solved, gain=gain, offset=offset, before=before, after=_rms_difference(own, gain, offset), overlaps=len(own),
         notes=tuple(notes),
     )  # fmt: skip
 
 
-def _after(pairs: list[Overlap], gain: FloatArray, offset: FloatArray) -> FloatArray:
-    """Root mean square difference (bands,) over overlaps."""
+def _rms_difference(pairs: list[Overlap], gain: FloatArray, offset: FloatArray) -> FloatArray:
+    """RMS difference (bands,) over overlaps after a linear correction."""
     total, count = np.zeros(gain.shape[1]), 0
     for pair in pairs:
         i, j = pair.first, pair.second
@@ -190,8 +217,10 @@ def _after(pairs: list[Overlap], gain: FloatArray, offset: FloatArray) -> FloatA
     return np.sqrt(total / count) if count else np.full(len(total), np.nan)
 
 
-def _differences(views: Views, fields: Fields, gain: FloatArray, images: int) -> tuple[FloatArray, FloatArray]:
-    """Root mean square differences (bands,) between images before and after."""
+def _differences(
+    views: PairedSamples, fields: ColourModel, gain: FloatArray, images: int
+) -> tuple[FloatArray, FloatArray]:
+    """RMS differences (bands,) between images before and after."""
     known = views.known & (views.second < images)[:, None]
     one, other = (values[known] for values in fields.corrected(views))
     before = views.a[known] - views.b[known]

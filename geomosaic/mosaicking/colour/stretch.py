@@ -1,8 +1,8 @@
-"""The last stretch of a finished mosaic: to eight bits, between two percentiles or two values.
+"""Stretch of a finished mosaic to eight bits, between two percentiles or two values.
 
-Ends are taken from the corrected images before the mosaic is made, on a coarse grid of their means, so that the stretch
-goes into each image's correction and the mosaic is still made in one pass. One pair of ends serves all bands: colours
-stay what they are. Values go to 1 … 255; 0 is left for what is not seen.
+The ends are taken from the corrected images before the mosaic is made, on a coarse grid of their means, so that the
+stretch goes into each image's correction and the mosaic is still made in one pass. One pair of ends serves all bands:
+hues stay as they are. Values go to 1 … 255; 0 is left for missing pixels.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
-from geomosaic.mosaicking.colour.corrections import Correction, corrected, then
+from geomosaic.mosaicking.colour.corrections import Correction, corrected, with_gain_offset
 from geomosaic.options.render import RenderOptions
 from geomosaic.render.photos import Photos
 from geomosaic.render.workers import in_order
@@ -27,19 +27,26 @@ LOWEST, HIGHEST = 1.0, 255.0
 
 @dataclass(frozen=True)
 class Stretch:
-    """What was done: `low` and `high` of the corrected values went to 1 and 255."""
+    """Linear stretch of corrected values: `low` to 1 and `high` to 255; `how` says where the ends come from."""
 
     low: float
     high: float
     how: str
 
 
-def read(text: str) -> tuple[bool, float, float]:
-    """Read '2,98' (percentiles) or 'v100,v3000' (values): whether values, and both ends.
+def parse_stretch(text: str) -> tuple[bool, float, float]:
+    """Ends of a stretch from text: '2,98' (percentiles) or 'v100,v3000' (values).
+
+    Returns
+    -------
+    values : bool
+        Whether the ends are values.
+    low, high : float
 
     Raises
     ------
     InputError
+        Another form, or ends that do not rise.
     """
     hint = "give two percentiles such as 2,98, or two values such as v100,v3000"
     parts = [part.strip() for part in text.split(",")]
@@ -56,24 +63,30 @@ def read(text: str) -> tuple[bool, float, float]:
 
 
 def stretch_of(photos: Photos, options: RenderOptions, applied: Sequence[Correction], text: str) -> Stretch:
-    """The stretch of images of these corrections that a text such as '2,98' asks for."""
-    values, low, high = read(text)
+    """Stretch that a text such as '2,98' asks for, of images with these corrections.
+
+    Raises
+    ------
+    InputError
+        No valid text, or nothing between the ends.
+    """
+    values, low, high = parse_stretch(text)
     how = "values" if values else f"percentiles {low:g} and {high:g}"
     if not values:
-        low, high = (float(end) for end in np.percentile(_shown(photos, options, applied), [low, high]))
+        low, high = (float(end) for end in np.percentile(_corrected_values(photos, options, applied), [low, high]))
     if not low < high:
         raise InputError(f"all of the mosaic is {low:g}: it cannot be stretched", hint="leave out `stretch`")
     return Stretch(low, high, how)
 
 
 def stretched(stretch: Stretch, applied: Sequence[Correction]) -> list[Correction]:
-    """Corrections with the stretch in them."""
+    """Corrections followed by the stretch."""
     gain = (HIGHEST - LOWEST) / (stretch.high - stretch.low)
     offset = LOWEST - gain * stretch.low
-    return [then(colour, gain, offset) for colour in applied]
+    return [with_gain_offset(colour, gain, offset) for colour in applied]
 
 
-def _shown(photos: Photos, options: RenderOptions, applied: Sequence[Correction]) -> FloatArray:
+def _corrected_values(photos: Photos, options: RenderOptions, applied: Sequence[Correction]) -> FloatArray:
     """Corrected values of all images on a coarse grid, all bands together."""
     grid = comparison_grid(photos)
 

@@ -1,10 +1,11 @@
-"""What goes with a mosaic: footprints and seamlines as vectors, and a STAC item."""
+"""Vector and STAC records of a mosaic: footprints, seam polygons, seamlines, STAC item."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
+from geomosaic.mosaicking.outputs import MosaicFiles
 from geomosaic.mosaicking.records.provenance import time_span
 from geomosaic.mosaicking.seams.seamlines import SeamQuality, Segment, seam_segments
 from geomosaic.radiometry.gain_offset import Balance
@@ -32,22 +34,43 @@ STAC_EXTENSIONS = (
 COG = "image/tiff; application=geotiff; profile=cloud-optimized"
 
 
+@dataclass(frozen=True)
+class SourceImages:
+    """Source images of a mosaic: geometry, corrections and further facts.
+
+    Attributes
+    ----------
+    outlines : list of Footprint
+        In the map of the mosaic.
+    shares : list of Polygon or MultiPolygon
+        Seam polygons; empty where an image shows nothing.
+    pixels : list of int
+        Pixels that each image shows.
+    balance : Balance
+        Gains and offsets.
+    facts : mapping of str to sequence
+        Columns of further facts, see `provenance.source_facts`.
+    """
+
+    outlines: list[Footprint]
+    shares: list[Any]
+    pixels: list[int]
+    balance: Balance
+    facts: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+
+
 def write_vectors(
     path: Path,
     grid: Grid,
-    outlines: list[Footprint],
-    shares: list[Any],
-    balance: Balance,
-    pixels: list[int],
+    sources: SourceImages,
     parts: Sequence[Segment] | None = None,
     quality: Sequence[SeamQuality] = (),
-    sources: Mapping[str, Sequence[Any]] | None = None,
     *,
     overwrite: bool,
 ) -> None:
-    """Write a GeoPackage with the layers `footprints`, `seams` (areas) and `seamlines` (what divides them).
+    """GeoPackage with the layers `footprints`, `seams` (seam polygons) and `seamlines`.
 
-    An image keeps its `label`, a piece of a seam its `id`, as long as the images of the block stay the same.
+    An image keeps its `label`, a seam segment its `id`, as long as the images of the block stay the same.
 
     Parameters
     ----------
@@ -55,19 +78,11 @@ def write_vectors(
         Ends in .gpkg.
     grid : Grid
         Of the mosaic; geometries are in its CRS.
-    outlines : list of Footprint
-    shares : list of Polygon or MultiPolygon
-        What each image shows; empty where it shows nothing.
-    balance : Balance
-        Gains and offsets.
-    pixels : list of int
-        Number that each image shows.
+    sources : SourceImages
     parts : sequence of Segment, optional
-        Pieces of seams; whole ones unless given.
+        Seam segments; whole seams unless given.
     quality : sequence of SeamQuality
-        Of each piece, where judged.
-    sources : mapping of str to sequence, optional
-        Columns of facts by image, for `footprints`.
+        Of each segment, where measured.
     overwrite : bool
 
     Raises
@@ -75,18 +90,17 @@ def write_vectors(
     OutputExistsError, OutputError
         The name is taken; writing failed.
     """
-    parts = seam_segments(shares, grid.resolution[0], math.inf) if parts is None else parts
+    parts = seam_segments(sources.shares, grid.resolution[0], math.inf) if parts is None else parts
     layers = {
-        "footprints": _footprints(grid.crs, outlines, balance, pixels, sources or {}),
-        "seams": _areas(grid.crs, outlines, shares),
-        "seamlines": _lines(grid, outlines, parts, quality),
+        "footprints": _footprints(grid.crs, sources),
+        "seams": _seam_polygons(grid.crs, sources),
+        "seamlines": _seamlines(grid, sources.outlines, parts, quality),
     }
     write_layers(path, layers, overwrite=overwrite)
 
 
-def _footprints(
-    crs: CRS, outlines: list[Footprint], balance: Balance, pixels: list[int], sources: Mapping[str, Sequence[Any]]
-) -> Layer:
+def _footprints(crs: CRS, sources: SourceImages) -> Layer:
+    outlines = sources.outlines
     columns: dict[str, list[Any]] = {
         "label": list(range(1, len(outlines) + 1)),
         "image": [outline.name for outline in outlines],
@@ -94,17 +108,17 @@ def _footprints(
         "centre_y": [outline.centre[1] for outline in outlines],
         "sampling": [outline.sampling for outline in outlines],
         "complete": [outline.complete for outline in outlines],
-        "pixels": pixels,
+        "pixels": sources.pixels,
     }
-    columns.update(gains(balance))
-    columns.update({name: list(values) for name, values in sources.items()})
+    columns.update(gains(sources.balance))
+    columns.update({name: list(values) for name, values in sources.facts.items()})
     shapes = [outline.polygon for outline in outlines]
     kind = "Polygon" if all(shape.geom_type == "Polygon" for shape in shapes) else "MultiPolygon"
     return Layer(crs, kind, shapes, columns)
 
 
 def gains(balance: Balance) -> dict[str, list[float]]:
-    """Columns of gains and offsets, one of each per band."""
+    """Columns of gains and offsets by image, one of each per band."""
     columns = {}
     for band in range(balance.gain.shape[1]):
         columns[f"gain_{band + 1}"] = [float(value) for value in balance.gain[:, band]]
@@ -112,13 +126,16 @@ def gains(balance: Balance) -> dict[str, list[float]]:
     return columns
 
 
-def _areas(crs: CRS, outlines: list[Footprint], shares: list[Any]) -> Layer:
+def _seam_polygons(crs: CRS, sources: SourceImages) -> Layer:
+    outlines, shares = sources.outlines, sources.shares
     kept = [i for i, share in enumerate(shares) if not share.is_empty]
     columns: dict[str, list[Any]] = {"label": [i + 1 for i in kept], "image": [outlines[i].name for i in kept]}
     return Layer(crs, "MultiPolygon", [shares[i] for i in kept], columns)
 
 
-def _lines(grid: Grid, outlines: list[Footprint], parts: Sequence[Segment], quality: Sequence[SeamQuality]) -> Layer:
+def _seamlines(
+    grid: Grid, outlines: list[Footprint], parts: Sequence[Segment], quality: Sequence[SeamQuality]
+) -> Layer:
     names = [outline.name for outline in outlines]
     first, second = [names[part.first] for part in parts], [names[part.second] for part in parts]
     columns: dict[str, list[Any]] = {
@@ -134,37 +151,32 @@ def _lines(grid: Grid, outlines: list[Footprint], parts: Sequence[Segment], qual
 
 
 def write_item(
-    path: Path,
-    mosaic: Path,
-    labels: Path | None,
-    vectors: Path | None,
+    files: MosaicFiles,
     grid: Grid,
-    outlines: list[Any],
+    shapes: list[Any],
     images: list[Path],
     checksums: Mapping[Path, str],
-    sources: Mapping[str, Sequence[Any]] | None = None,
-    views: Path | None = None,
+    facts: Mapping[str, Sequence[Any]] | None = None,
     *,
     overwrite: bool,
 ) -> None:
-    """Write a STAC item (version 1.1) whose assets are the files beside it.
+    """STAC item (version 1.1) whose assets are the mosaic and its companions.
 
-    Its times are the span in which the images were taken (`taken.py`); `geomosaic:times` says how it is known. Equal
-    runs make equal bytes.
+    Its times are the span in which the images were taken, see `provenance.time_span`; `geomosaic:times` says how it is
+    known. Equal runs make equal bytes.
 
     Parameters
     ----------
-    path : Path
-    mosaic : Path
-    labels, vectors, views : Path or None
-        As far as they were written.
+    files : MosaicFiles
+        `item` is written; the others are assets.
     grid : Grid
         Of the mosaic.
-    outlines : list of Footprint
+    shapes : list of Polygon or MultiPolygon
+        Valid outlines of the images, in the map of the mosaic.
     images : list of Path
     checksums : mapping of Path to str
         SHA-256 of files, as far as known.
-    sources : mapping of str to sequence, optional
+    facts : mapping of str to sequence, optional
         Columns of facts by image, for the property `geomosaic:sources`.
     overwrite : bool
 
@@ -173,9 +185,11 @@ def write_item(
     OutputExistsError, OutputError
         The name is taken; writing failed.
     """
+    path = files.item
+    assert path is not None
     check_output(path, overwrite=overwrite)
-    geometry, box = _outline(grid, outlines)
-    start, end, known = time_span([str(text) for text in (sources or {}).get("acquired", ())], images)
+    geometry, box = _outline(grid, shapes)
+    start, end, known = time_span([str(text) for text in (facts or {}).get("acquired", ())], images)
     first, last = (f"{time:%Y-%m-%dT%H:%M:%SZ}" for time in (start, end))
     code, t = horizontal(grid.crs).to_authority(), grid.transform
     properties: dict[str, Any] = {
@@ -191,17 +205,17 @@ def write_item(
     }
     if code is None:
         properties["proj:projjson"] = horizontal(grid.crs).to_json_dict()
-    if sources:
-        rows = zip(*sources.values(), strict=True)
+    if facts:
+        rows = zip(*facts.values(), strict=True)
         properties["geomosaic:sources"] = [
-            {"image": image.name, **{k: _plain(v) for k, v in zip(sources, row, strict=True)}}
+            {"image": image.name, **{k: _json_number(v) for k, v in zip(facts, row, strict=True)}}
             for image, row in zip(images, rows, strict=True)
         ]
     item = {
         "type": "Feature",
         "stac_version": "1.1.0",
         "stac_extensions": list(STAC_EXTENSIONS),
-        "id": mosaic.stem,
+        "id": files.mosaic.stem,
         "geometry": geometry,
         **({"bbox": box} if box else {}),
         "properties": properties,
@@ -209,10 +223,10 @@ def write_item(
         "assets": {
             key: _asset(file, kind, role, checksums.get(file) or sha256(file))
             for key, file, kind, role in (
-                ("mosaic", mosaic, COG, "data"),
-                ("labels", labels, COG, "metadata"),
-                ("views", views, COG, "metadata"),
-                ("seams", vectors, "application/geopackage+sqlite3", "metadata"),
+                ("mosaic", files.mosaic, COG, "data"),
+                ("labels", files.labels, COG, "metadata"),
+                ("views", files.views, COG, "metadata"),
+                ("seams", files.vectors, "application/geopackage+sqlite3", "metadata"),
             )
             if file is not None
         },
@@ -230,16 +244,16 @@ def _asset(file: Path, kind: str, role: str, checksum: str) -> dict[str, Any]:
     }
 
 
-def _outline(grid: Grid, outlines: list[Any]) -> tuple[dict[str, Any] | None, list[float] | None]:
-    """GeoJSON of what the images cover, in longitude and latitude, and its bounds; None where the datum is unknown."""
+def _outline(grid: Grid, shapes: list[Any]) -> tuple[dict[str, Any] | None, list[float] | None]:
+    """GeoJSON of the covered ground in longitude and latitude, and its bounds; None where the datum is unknown."""
     import shapely
 
     try:
         to_degrees = Transform(horizontal(grid.crs), parse_crs("OGC:CRS84"))
     except InputError:
-        return None, None  # a STAC item may do without a place; the mosaic needs none
+        return None, None  # a STAC item may have no geometry, and a mosaic needs none
 
-    hull = shapely.union_all(outlines)
+    hull = shapely.union_all(shapes)
     outer = hull if hull.geom_type == "Polygon" else hull.convex_hull
     ring = to_degrees(np.asarray(outer.exterior.coords)[:, :2])
     geometry: dict[str, Any] = shapely.geometry.mapping(shapely.Polygon(ring).normalize())
@@ -252,8 +266,8 @@ def _metres(grid: Grid) -> float:
     return float(grid.resolution[1] * metres_per_unit(grid.crs, middle)[1])
 
 
-def _plain(value: Any) -> Any:
-    """JSON knows no NaN."""
+def _json_number(value: Any) -> Any:
+    """Value, or None for NaN and infinity, which JSON does not know."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -1,4 +1,4 @@
-"""Provenance of pixels: facts of each source, acquisition times, view angle and resolution rasters."""
+"""Provenance of pixels: facts of each source image, acquisition times, rasters of view angle and resolution."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ if TYPE_CHECKING:
 
 
 BANDS = ("view angle, degrees", "ground sampling distance, metres")
-UNIT = 512
-"""Pixels along a unit of work: a tile of the raster."""
+TILE = 512
+"""Side in pixels of a unit of work: a tile of the raster."""
 NODES = 33
-"""Along each side of a unit: every 16 pixels."""
-HANDS = 4
-"""Files whose checksums are found at once."""
+"""Nodes of the view geometry along each side of a unit: every 16 pixels."""
+CHECKSUM_THREADS = 4
+"""Files whose checksums are computed at once."""
 
 
-def source_facts(photos: Photos, given: Mapping[str, Mapping[str, Any]]) -> dict[str, list[Any]]:
-    """Columns of what is known of each source: when and how it was taken, its checksum, what the caller knows besides.
+def source_facts(photos: Photos, further: Mapping[str, Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Facts of each source image as columns: acquisition time, view direction, resolution, checksum, further facts.
 
     View angle, azimuth and ground sampling distance are those at the place that an image sees best.
 
@@ -47,38 +47,58 @@ def source_facts(photos: Photos, given: Mapping[str, Mapping[str, Any]]) -> dict
     photos : Photos
     given : mapping of str to mapping
         Further facts by name of the image.
+
+    Returns
+    -------
+    dict of str to list
+        `acquired` (ISO 8601), `view_angle` and `view_azimuth` (degrees), `gsd_metres`, `sha256`, and those given.
     """
     rows: list[dict[str, Any]] = []
     files = [Path(scene.path) for scene in photos.block.scenes]
     for index, scene in enumerate(photos.block.scenes):
         outline = photos.outlines[index]
         with photos.using(index) as photo:
-            seen = seen_from(photo, photos, photos.grid, np.array([outline.centre]))
+            geometry = view_geometry(photo, photos, photos.grid, np.array([outline.centre]))
         row: dict[str, Any] = {
             "acquired": acquired(scene.path) or "",
-            "view_angle": float(seen.angle[0]),
-            "view_azimuth": float(seen.azimuth[0]),
-            "gsd_metres": float(seen.sampling[0]),
+            "view_angle": float(geometry.angle[0]),
+            "view_azimuth": float(geometry.azimuth[0]),
+            "gsd_metres": float(geometry.sampling[0]),
         }
-        rows.append({**row, **given.get(scene.name, {})})
+        rows.append({**row, **further.get(scene.name, {})})
     unknown = [(row, path) for row, path in zip(rows, files, strict=True) if "sha256" not in row and path.is_file()]
-    with ThreadPoolExecutor(HANDS) as executor:
+    with ThreadPoolExecutor(CHECKSUM_THREADS) as executor:
         sums = executor.map(sha256, [path for _, path in unknown])
         for (row, _), checksum in zip(unknown, sums, strict=True):
             row["sha256"] = checksum
     names = dict.fromkeys(name for row in rows for name in row)
-    return {name: [_filled(row.get(name), [other.get(name) for other in rows]) for row in rows] for name in names}
+    return {name: [_without_none(row.get(name), [other.get(name) for other in rows]) for row in rows] for name in names}
 
 
-def _filled(value: Any, others: Sequence[Any]) -> Any:
-    """What a column holds in place of nothing: NaN among numbers, else an empty text."""
+def _without_none(value: Any, others: Sequence[Any]) -> Any:
+    """Value of a column; in place of None, NaN among numbers, else an empty text."""
     if value is not None:
         return value
     return "" if any(isinstance(other, str) for other in others) else float("nan")
 
 
-def seen_from(photo: Photo, photos: Photos, grid: Grid, xy: FloatArray) -> Views:
-    """How an image sees places (N, 2) of the output map, on its surface."""
+def view_geometry(photo: Photo, photos: Photos, grid: Grid, xy: FloatArray) -> Views:
+    """View geometry of an image at places of the output map, on its surface.
+
+    Parameters
+    ----------
+    photo : Photo
+    photos : Photos
+    grid : Grid
+        Of the output.
+    xy : array (N, 2)
+        In the output map.
+
+    Returns
+    -------
+    Views
+        Angle and azimuth in degrees, ground sampling distance in metres.
+    """
     surface = photos.block.surface
     z = np.zeros(len(xy)) if surface is None else surface.height(photo.mapper.surface_xy(xy))
     z = np.where(np.isfinite(z), z, np.nanmedian(z)) if np.isfinite(z).any() else np.zeros(len(xy))
@@ -87,21 +107,21 @@ def seen_from(photo: Photo, photos: Photos, grid: Grid, xy: FloatArray) -> Views
 
 
 def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions, reuse: Reuse | None = None) -> None:
-    """Write view angle and ground sampling distance of each pixel's main source, NaN where there is none.
+    """Raster of view angle and ground sampling distance in each pixel's main source; NaN where there is none.
 
     Parameters
     ----------
     path : Path
-        Two bands of 32-bit numbers.
+        Two bands of float32.
     labels : Path
         Raster of source images.
     photos : Photos
     options : RenderOptions
     reuse : Reuse, optional
-        Says which units of the mosaic are as they were; so are their views.
+        Says which units of the mosaic are unchanged; so are their views.
     """
     grid = photos.grid
-    units = grid.window.split(UNIT, UNIT)
+    units = grid.window.split(TILE, TILE)
 
     def one(window: Window) -> AnyArray | None:
         if window in kept:
@@ -111,7 +131,7 @@ def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions
         for number in np.unique(label[(label > 0) & (label <= len(photos))]).tolist():
             here = label == number
             with photos.using(number - 1) as photo:
-                found[here] = between(photo, photos, grid, window, NODES)[here]
+                found[here] = view_raster(photo, photos, grid, window, NODES)[here]
         return found
 
     with (
@@ -122,7 +142,7 @@ def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions
         ) as sink,
     ):  # fmt: skip
         same = reuse is not None and reuse.views and sink.copies(path)
-        kept = {part for unit in reuse.taken for part in unit.split(UNIT, UNIT)} if same and reuse else set()
+        kept = {part for unit in reuse.taken for part in unit.split(TILE, TILE)} if same and reuse else set()
         for done, (window, values) in enumerate(in_order(one, units, options.threads)):
             if values is None:
                 sink.keep(window)
@@ -132,19 +152,34 @@ def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions
         sink.finish()
 
 
-def between(photo: Photo, photos: Photos, grid: Grid, window: Window, nodes: int) -> FloatArray:
-    """View angle and ground sampling distance (rows, cols, 2) of one image over a window of a grid.
+def view_raster(photo: Photo, photos: Photos, grid: Grid, window: Window, nodes: int) -> FloatArray:
+    """View angle and ground sampling distance of one image over a window of a grid.
 
-    Found at so many nodes along each side. Between them the slopes of the line of sight change nearly linearly, the
-    angle does not: below the camera it has a tip.
+    Computed at nodes. Between them the slopes of the line of sight change nearly linearly, the angle does not: at the
+    nadir it has a cusp. So the slopes are interpolated.
+
+    Parameters
+    ----------
+    photo : Photo
+    photos : Photos
+    grid : Grid
+    window : Window
+        Of the grid.
+    nodes : int
+        Along each side of the window.
+
+    Returns
+    -------
+    array (rows, cols, 2)
+        Degrees and metres.
     """
     from scipy.ndimage import map_coordinates
 
     cols, rows = (np.linspace(0, size, nodes) for size in (window.width, window.height))
     c, r = np.meshgrid(window.col + cols, window.row + rows)
-    seen = seen_from(photo, photos, grid, grid.xy(np.column_stack([c.ravel(), r.ravel()])))
-    lean, azimuth = np.tan(np.radians(seen.angle)), np.radians(seen.azimuth)
-    layers = lean * np.sin(azimuth), lean * np.cos(azimuth), seen.sampling
+    geometry = view_geometry(photo, photos, grid, grid.xy(np.column_stack([c.ravel(), r.ravel()])))
+    slope, azimuth = np.tan(np.radians(geometry.angle)), np.radians(geometry.azimuth)
+    layers = slope * np.sin(azimuth), slope * np.cos(azimuth), geometry.sampling
     at = [(np.arange(size) + 0.5) / size * (nodes - 1) for size in (window.height, window.width)]
     places = np.meshgrid(*at, indexing="ij")
     east, north, sampling = (
@@ -153,16 +188,16 @@ def between(photo: Photo, photos: Photos, grid: Grid, window: Window, nodes: int
     return np.stack([np.degrees(np.arctan(np.hypot(east, north))), sampling], axis=-1)
 
 
-EARLIEST = datetime(1826, 1, 1, tzinfo=UTC)
-"""Before the first photograph."""
-BEHIND, AHEAD = timedelta(hours=12), timedelta(hours=14)
-"""How far clocks of the world are behind UTC and ahead of it at most."""
+FIRST_PHOTOGRAPH = datetime(1826, 1, 1, tzinfo=UTC)
+"""Year of the first photograph: the start of a span that nothing else limits."""
+MAX_BEHIND_UTC, MAX_AHEAD_UTC = timedelta(hours=12), timedelta(hours=14)
+"""Largest offsets of time zones from UTC, to the west and to the east."""
 
 
 def time_span(acquired: Sequence[str], images: Sequence[Path]) -> tuple[datetime, datetime, str]:
-    """First and last moment at which images can have been taken, and how that is known.
+    """Time span in which images can have been taken, and how it is known.
 
-    The time of a file is none of acquisition. It only ends the span where an image does not say when it was taken:
+    The time of a file is not that of acquisition. It only ends the span where an image does not say when it was taken:
     that was before its file was written.
 
     Parameters
@@ -180,15 +215,19 @@ def time_span(acquired: Sequence[str], images: Sequence[Path]) -> tuple[datetime
         "taken"; "taken, zone unknown", with the span of every zone; or "not known", from before the first photograph.
     """
     times = [datetime.fromisoformat(text) for text in acquired if text]
-    first = [time if time.tzinfo else time.replace(tzinfo=UTC) - AHEAD for time in times]
-    last = [time if time.tzinfo else time.replace(tzinfo=UTC) + BEHIND for time in times]
+    first = [time if time.tzinfo else time.replace(tzinfo=UTC) - MAX_AHEAD_UTC for time in times]
+    last = [time if time.tzinfo else time.replace(tzinfo=UTC) + MAX_BEHIND_UTC for time in times]
     if not times or len(times) < len(images):
-        return min([EARLIEST, *first]).astimezone(UTC), max([_written(images), *last]).astimezone(UTC), "not known"
+        return (
+            min([FIRST_PHOTOGRAPH, *first]).astimezone(UTC),
+            max([_newest_file(images), *last]).astimezone(UTC),
+            "not known",
+        )
     known = "taken" if all(time.tzinfo for time in times) else "taken, zone unknown"
     return min(first).astimezone(UTC), max(last).astimezone(UTC), known
 
 
-def _written(images: Sequence[Path]) -> datetime:
-    """Time of the newest file, whole seconds."""
+def _newest_file(images: Sequence[Path]) -> datetime:
+    """Time of the newest file, in whole seconds."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     return datetime.fromtimestamp(int(epoch) if epoch else max(int(image.stat().st_mtime) for image in images), UTC)

@@ -1,7 +1,7 @@
-"""Relief displacement: how far each pixel's source shows it from where it would on level ground.
+"""Relief displacement: how far each pixel's source shows it from its place on level ground.
 
 For a vertical photo that is the textbooks' d = r · h / H: r the distance of the image from the nadir point, h the
-height over level ground, H the height of the camera over it. For a scanner it lies across the flight alone. Both, and
+height above level ground, H the flying height above it. For a scanner it lies across the flight alone. Both, and
 every other sensor's, are the difference of one map: image(x, y, z) − image(x, y, level).
 """
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.mosaicking.records.provenance import NODES, UNIT, between
+from geomosaic.mosaicking.records.provenance import NODES, TILE, view_raster
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
@@ -22,17 +22,18 @@ from geomosaic.render.workers import in_order
 from geomosaic.types import AnyArray, FloatArray
 
 BANDS = ("columns, pixels of the image", "rows, pixels of the image", "on level ground, metres")
+# Chebyshev nodes of four heights, and the matrix from values there to the coefficients of a cubic.
 _LEVELS = np.cos((2 * np.arange(4) + 1) * np.pi / 8)
 _TO_CUBIC = np.linalg.inv(np.vander(_LEVELS, 4, increasing=True))
 
 
 def write_displacement(path: Path, labels: Path, photos: Photos, level: float, options: RenderOptions) -> None:
-    """Write the relief displacement of each pixel in its main source, NaN where there is none or no height is known.
+    """Raster of the relief displacement of each pixel in its main source; NaN without source or height.
 
     Parameters
     ----------
     path : Path
-        Three bands of 32-bit numbers: columns and rows in pixels of the source, and metres on level ground.
+        Three bands of float32: columns and rows in pixels of the source, and metres on level ground.
     labels : Path
         Raster of source images.
     photos : Photos
@@ -41,7 +42,7 @@ def write_displacement(path: Path, labels: Path, photos: Photos, level: float, o
     options : RenderOptions
     """
     grid = photos.grid
-    units = grid.window.split(UNIT, UNIT)
+    units = grid.window.split(TILE, TILE)
 
     def one(window: Window) -> AnyArray:
         label = source.read(window)[0][..., 0]
@@ -69,10 +70,11 @@ def write_displacement(path: Path, labels: Path, photos: Photos, level: float, o
 def displacement(
     photo: Photo, photos: Photos, grid: Grid, window: Window, z: FloatArray, level: float, nodes: int = NODES
 ) -> FloatArray:
-    """Relief displacement (rows, cols, 3) of one image over a window of a grid, at heights z (rows, cols).
+    """Relief displacement of one image over a window of a grid.
 
-    At nodes the image is a cubic in height, and between them its coefficients are interpolated. On the ground it is the
-    way of the line of sight between both heights, |z − level| · tan(view angle).
+    At nodes the image position is a cubic in height, and between them its coefficients are interpolated. On the ground
+    it
+    is the length of the line of sight between both heights in plan, |z − level| · tan(view angle).
 
     Parameters
     ----------
@@ -114,7 +116,7 @@ def displacement(
         change = t**power - zero**power
         for axis in (0, 1):
             found[..., axis] += change * map_coordinates(cubic[power, axis], places, order=1, mode="nearest")
-    angle = between(photo, photos, grid, window, nodes)[..., 0]
+    angle = view_raster(photo, photos, grid, window, nodes)[..., 0]
     found[..., 2] = np.abs(z - level) * np.tan(np.radians(angle))
     return found
 
@@ -126,6 +128,6 @@ def _heights(photos: Photos, grid: Grid, window: Window) -> FloatArray:
     if surface is None:
         return np.zeros(shape)
     c, r = np.meshgrid(window.col + np.arange(shape[1]) + 0.5, window.row + np.arange(shape[0]) + 0.5)
-    with photos.using(0) as photo:  # the way to the surface's map is that of all
+    with photos.using(0) as photo:  # all images transform to the surface's map alike
         xy = photo.mapper.surface_xy(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
     return surface.height(xy).reshape(shape)

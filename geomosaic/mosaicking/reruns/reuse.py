@@ -1,9 +1,9 @@
-"""Units of an earlier run of the same mosaic, for those whose ingredients are the same.
+"""Units of an earlier run of the same mosaic, reused where nothing they depend on has changed.
 
 A unit of the output depends on the images near it, their models and corrections, the heights below, and the parts of
-the shares and footprints that lie within reach of its seams. All that goes into its key. Where the key is known from
-the run that made the files at hand, the compressed tiles are taken from those, and the bytes of the new ones are the
-same as if they had been computed.
+the seam polygons and footprints that lie within reach of its seams. All that goes into its key. Where the key is known
+from the run that made the present files, the compressed tiles are taken from those, and the bytes of the new files are
+the same as if they had been computed.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import geomosaic
-from geomosaic.digests import digest_of, sha256
+from geomosaic.digests import digest_of
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import Correction
-from geomosaic.mosaicking.unit import MosaicUnit
+from geomosaic.mosaicking.outputs import MosaicUnit
+from geomosaic.mosaicking.reruns.memory import Memory
 from geomosaic.options.render import RenderOptions
-from geomosaic.radiometry.histogram_matching import Curve
-from geomosaic.radiometry.local_gains import Shade
+from geomosaic.radiometry.histogram_matching import ToneCurve
+from geomosaic.radiometry.local_gains import CorrectionField
 from geomosaic.types import IntArray
 from geomosaic.whole_files import write_atomic
 
@@ -41,39 +42,8 @@ Fact = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Memory:
-    """Where the keys of a mosaic are kept, and what identifies its ingredients.
-
-    Attributes
-    ----------
-    file : Path
-        JSON; need not exist.
-    scenes : sequence of str
-        Digest of each image and its model.
-    ground : str
-        Digest of the surface, and of all else that every pixel depends on.
-    colour, seams : str
-        Digest of what the balance depends on besides, and what the program's own seams do.
-    digest : callable
-        SHA-256 of a file, perhaps remembered.
-    """
-
-    file: Path
-    scenes: Sequence[str]
-    ground: str
-    colour: str = ""
-    seams: str = ""
-    digest: Callable[[Path], str] = sha256
-
-    @property
-    def found(self) -> Path:
-        """Folder of what else was found."""
-        return self.file.with_name("found")
-
-
-@dataclass(frozen=True)
 class KeptUnit:
-    """A unit that is as it was.
+    """Unit whose pixels are those of the earlier run.
 
     Attributes
     ----------
@@ -97,12 +67,12 @@ class Reuse:
     files : mapping of str to Path
         Rasters of the earlier run, which the new ones replace; `mosaic`, and perhaps `labels` and `views`.
     render : RenderOptions
-    said : str
-        What else all pixels depend on.
+    water : str
+        Fingerprint of water that is filled with a tone.
     """
 
     def __init__(
-        self, memory: Memory, blender: Blender, files: dict[str, Path], render: RenderOptions, said: str = ""
+        self, memory: Memory, blender: Blender, files: dict[str, Path], render: RenderOptions, water: str = ""
     ) -> None:
         self._memory, self._blender, self._files = memory, blender, files
         info, grid = blender.photos.info, blender.grid
@@ -111,9 +81,10 @@ class Reuse:
             [
                 f"{geomosaic.__version__} {VERSION}", memory.ground, blender.dtype, str(info.bands), grid.crs.to_wkt(),
                 repr(tuple(grid.transform)), repr(grid.shape), render.resampling, repr(render.tolerance),
-                repr(render.tile), repr(blender.seams.feather), str(render.true_ortho), blender.said, render.driver,
+                repr(render.tile), repr(blender.seams.feather), str(render.true_ortho), blender.fingerprint,
+                render.driver,
                 repr(render.nodata), str(hidden), json.dumps(dict(render.creation), sort_keys=True),
-                said,
+                water,
             ]
         )  # fmt: skip
         self.views = False
@@ -124,7 +95,7 @@ class Reuse:
         self.taken: set[Window] = set()
 
     def _load(self) -> dict[str, Any]:
-        """What was kept of the files at hand; nothing where they are not those that it was kept of."""
+        """Units of the earlier run; none where the files are not those of that run."""
         try:
             kept = json.loads(self._memory.file.read_text())
             same = {
@@ -139,11 +110,11 @@ class Reuse:
             return {}
 
     def forget(self) -> None:
-        """Take nothing over."""
+        """Compute all units anew."""
         self._known = {}
 
     def left(self, windows: Sequence[Window]) -> int:
-        """How many of these units are not known."""
+        """Number of these units that have to be computed."""
         return sum(self.key(window) not in self._known for window in windows)
 
     def key(self, window: Window) -> str:
@@ -160,20 +131,20 @@ class Reuse:
         around = Window(window.col - reach, window.row - reach, window.width + 2 * reach, window.height + 2 * reach)
         frame = shapely.box(*blender.grid.crop(around).bounds)
         parts: list[Any] = [self._base, str(window)]
-        for i in blender.photos.near(around if blender.wide else window):
+        for i in blender.photos.near(around if blender.uses_neighbours else window):
             outline = blender.photos.outlines[i]
-            # Centres say who fills gaps; their last digits may differ from run to run.
+            # Centres decide who fills gaps; their last digits may differ from run to run.
             centre = [round(v / step) for v in outline.centre]
             parts += [i, self._memory.scenes[i], centre, colour_bytes(blender.colours[i])]
-            for shape in (blender.seams.regions[i], blender.seams.outlines[i]):
+            for shape in (blender.seams.polygons[i], blender.seams.outlines[i]):
                 part = shapely.intersection(shape, frame)
-                # A border that is cut elsewhere is the same here but for its last digits: thousandths of pixels count.
+                # A border whose far end has changed is the same here but for rounding: thousandths of pixels count.
                 part = shapely.transform(part, lambda xy: np.round(xy / step))
                 parts.append(shapely.to_wkb(shapely.normalize(part)))
         return digest_of(*parts)
 
     def unit(self, window: Window, compute: Callable[[Window], MosaicUnit]) -> KeptUnit | MosaicUnit:
-        """A unit, as it was where it is known."""
+        """Unit of the earlier run where its key is known, else computed."""
         key = self.key(window)
         known = self._known.get(key)
         if known is None:
@@ -189,26 +160,26 @@ class Reuse:
         return KeptUnit(window, counted, [(float(e), float(s)) for e, s in known["facts"]])
 
     def save(self) -> None:
-        """Keep the keys of this run for the next."""
+        """Keys of this run written for the next."""
         kept: dict[str, Any] = {name: self._memory.digest(path) for name, path in self._files.items()}
         kept["units"] = self._kept
         write_atomic(self._memory.file, json.dumps(kept))
 
 
 def reuse_of(
-    options: MosaicOptions, memory: Memory | None, blender: Blender, files: dict[str, Path], said: str = ""
+    options: MosaicOptions, memory: Memory | None, blender: Blender, files: dict[str, Path], water: str = ""
 ) -> Reuse | None:
-    """Units of the earlier run, where there is a memory and files hold what was computed."""
+    """Reuse of an earlier run; None without a memory, and where files do not hold exact values (lossy compression)."""
     compression = options.render.creation.get("COMPRESS", "DEFLATE").upper()
     if memory is None or compression not in LOSSLESS:
         return None
-    return Reuse(memory, blender, files, options.render, said)
+    return Reuse(memory, blender, files, options.render, water)
 
 
 def colour_bytes(colour: Correction) -> bytes:
-    """All that decides what a correction does."""
-    if isinstance(colour, Curve):
+    """Bytes of all that decides what a correction does."""
+    if isinstance(colour, ToneCurve):
         return b"".join(x.tobytes() + y.tobytes() for x, y in colour.knots) + repr(colour.slope).encode()
-    if isinstance(colour, Shade):
+    if isinstance(colour, CorrectionField):
         return colour.digest()
     return bytes(colour.gain.tobytes() + colour.offset.tobytes())

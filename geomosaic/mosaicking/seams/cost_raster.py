@@ -11,9 +11,9 @@ import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
-from geomosaic.mosaicking.colour.balance import cells_in, thumbnail
+from geomosaic.mosaicking.colour.balance import cell_count, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction, corrected
-from geomosaic.mosaicking.records.provenance import between
+from geomosaic.mosaicking.records.provenance import view_raster
 from geomosaic.mosaicking.seams.cost_terms import (
     Features,
     edge_proximity,
@@ -85,7 +85,7 @@ def seam_cost(
     neighbours = _overlapping_images(candidates)
     order = sorted(neighbours, key=lambda i: (windows[i].row, i))
     held: dict[int, Features] = {}
-    cells = cells_in([windows[i] for i in order])
+    cells = cell_count([windows[i] for i in order])
 
     def terms(i: int) -> tuple[Features, FloatArray]:
         return _image_terms(photos, i, grid, windows[i], cells, colours[i], weights)
@@ -140,7 +140,7 @@ def _image_terms(
 
 def _angles(photo: Photo, photos: Photos, grid: Grid, window: Window) -> FloatArray:
     """View angles (rows, cols) in degrees; 90 where the model cannot see the ground."""
-    return np.nan_to_num(between(photo, photos, grid, window, NODES)[..., 0], nan=90.0)
+    return np.nan_to_num(view_raster(photo, photos, grid, window, NODES)[..., 0], nan=90.0)
 
 
 def _add_difference(

@@ -52,8 +52,17 @@ def image_order(
     return numbers
 
 
-def image_index(name: str, scenes: Sequence[OrientedImage]) -> int:
+def image_index(name: str, scenes: Sequence[OrientedImage], where: str = "base image", hint: str = "") -> int:
     """Number of the image of a name, with or without its suffix.
+
+    Parameters
+    ----------
+    name : str
+    scenes : sequence of Scene
+    where : str
+        Role of the image, for the error.
+    hint : str
+        What else to say where there is no such image.
 
     Raises
     ------
@@ -68,8 +77,8 @@ def image_index(name: str, scenes: Sequence[OrientedImage]) -> int:
         meant = did_you_mean(name, names)
         raise InputError(
             f"{'several images are' if found else 'no image is'} called '{name}'",
-            where="base image",
-            hint=meant or f"name one of the images, such as {names[0]}",
+            where=where,
+            hint=f"{meant or f'name one of the images, such as {names[0]}'}{hint}",
         )
     return found[0]
 

@@ -12,7 +12,7 @@ from geomosaic.errors import GeomosaicWarning
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction
-from geomosaic.mosaicking.reruns.earlier_results import Earlier
+from geomosaic.mosaicking.reruns.earlier_results import EarlierResults
 from geomosaic.mosaicking.seams.image_order import image_index, image_order, visible_regions, with_base_image
 from geomosaic.mosaicking.seams.partition import canonical
 from geomosaic.mosaicking.seams.voronoi import voronoi_regions
@@ -29,7 +29,7 @@ _STEP = 1e-6
 
 
 def seam_polygons(
-    photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions, earlier: Earlier
+    photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions, earlier: EarlierResults
 ) -> list[Any]:
     """Seam polygons of all images in the output map: drawn cutlines first, then water, then computed seams.
 
@@ -53,7 +53,7 @@ def seam_polygons(
 
 
 def _shares(
-    photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions, earlier: Earlier
+    photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions, earlier: EarlierResults
 ) -> list[Any]:
     def computed() -> list[Any]:
         return earlier.shares(shapes, colours, lambda: _with_water_polygons(photos, shapes, colours, options))
@@ -78,9 +78,9 @@ def _with_water_polygons(
     if options.seamlines.water is None:
         return shares
     from geomosaic.mosaicking.seams.cutlines import with_cutlines
-    from geomosaic.mosaicking.water.filling import calmest, read_water
+    from geomosaic.mosaicking.water.filling import least_glint, read_water
 
-    return with_cutlines(shares, calmest(photos, read_water(options.seamlines.water, photos.grid), shapes, colours))
+    return with_cutlines(shares, least_glint(photos, read_water(options.seamlines.water, photos.grid), shapes, colours))
 
 
 def _automatic(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:

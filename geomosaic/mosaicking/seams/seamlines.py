@@ -250,7 +250,7 @@ def _values_before_and_after(blender: Blender, index: int, window: Window) -> tu
     """Values of an image after and before its correction, and where they are valid; resampled once."""
     shape, bands = (window.height, window.width), blender.photos.info.bands
     before, seen = np.zeros((*shape, bands), dtype=np.float32), np.zeros(shape, dtype=np.uint8)
-    ground, plain = blender.below.block(window), Colour.identity(bands)
+    ground, plain = blender.ground.block(window), Colour.identity(bands)
     with blender.photos.using(index) as photo:
         tolerance = max(blender.tolerance, LATTICE_TOLERANCE)
         pull(blender.engine, photo, blender.grid, ground, blender.resampling, tolerance, plain, before, seen)

@@ -1,8 +1,8 @@
-"""Water in a mosaic: shown by the image with the least glint, or filled with the continuous tone of its shores.
+"""Water in a mosaic: taken from the image with the least glint, or filled with a continuous tone from its shores.
 
-On coarse cells each place of a piece of water has the values of the image that is darkest there: glint is bright. Those
-of the cells along the shore are kept, evened out over a few cells, and what lies between them is the harmonic surface
-that passes through them: the smoothest there is, and never brighter or darker than the shore.
+On coarse cells each place of a water body has the values of the image that is darkest there: glint is bright. The
+values of the cells along the shore are kept, smoothed over a few cells, and between them lies the harmonic surface that
+passes through them: the smoothest there is, and never brighter or darker than the shore.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from geomosaic.digests import digest_of
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction, corrected
+from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.mosaicking.seams.voronoi import polygonal
-from geomosaic.mosaicking.unit import MosaicUnit
 from geomosaic.raster.validity import burn
 from geomosaic.render.areas import read_areas
 from geomosaic.render.photos import Photos
@@ -28,13 +28,13 @@ from geomosaic.types import BoolArray, FloatArray
 
 LAYER = "water"
 CELLS = 256
-"""Cells across a footprint at which glint is looked for."""
-GLINT = 90.0
-"""Percentile of brightness over a piece of water by which images are compared: glint is bright, and not everywhere."""
+"""Cells across a footprint on which glint is measured."""
+GLINT_PERCENTILE = 90.0
+"""Percentile of brightness in a water body by which images are compared: glint is bright, and not everywhere."""
 
 
 def read_water(path: Path, grid: Grid) -> list[Any]:
-    """Pieces of water in the map of a grid, each a polygon; those that touch are one piece.
+    """Water bodies in the map of a grid, each a polygon; areas that touch are one body.
 
     Parameters
     ----------
@@ -54,13 +54,13 @@ def read_water(path: Path, grid: Grid) -> list[Any]:
     return [part for part in getattr(joined, "geoms", [joined]) if part.area > 0]
 
 
-def calmest(
+def least_glint(
     photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours: Sequence[Correction]
 ) -> dict[int, Any]:
-    """Shares of the images in water: of each piece, what the least glinting image shows, then the next.
+    """Seam polygons in water: each body from the image with the least glint that shows it, the rest from the next.
 
-    An image's glint is the 90th percentile of its corrected brightness (mean over bands) in the piece. An image that
-    shows less than half of what another shows of a piece comes after all those that show more.
+    An image's glint is the 90th percentile of its corrected brightness (mean over bands) in the body. An image that
+    shows less than half of what another shows of a body comes after all those that show more.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def calmest(
             part, bright, valid = seen[i]
             here = (burn([(piece, 1)], part) == 1) & valid if bright.size else np.zeros((0, 0), dtype=bool)
             shown = shapely.intersection(piece, outlines[i]).area
-            glint = float(np.percentile(bright[here], GLINT)) if here.any() else np.inf
+            glint = float(np.percentile(bright[here], GLINT_PERCENTILE)) if here.any() else np.inf
             ranked.append((shown, glint, i))
         most = max((shown for shown, _, _ in ranked), default=0.0)
         ranked.sort(key=lambda entry: (entry[0] < most / 2, entry[1], entry[2]))
@@ -104,7 +104,7 @@ def calmest(
 
 
 def _brightness(photos: Photos, index: int, grid: Grid, colour: Correction) -> tuple[Grid, Any, Any]:
-    """Mean over bands of what an image shows, corrected, on its part of a coarse grid."""
+    """Corrected brightness (mean over bands) of an image on its part of a coarse grid, and the valid cells."""
     window = grid.window_of(photos.outlines[index].bounds)
     if window.empty:
         return grid, np.zeros((0, 0)), np.zeros((0, 0), dtype=bool)
@@ -114,13 +114,13 @@ def _brightness(photos: Photos, index: int, grid: Grid, colour: Correction) -> t
     return grid.crop(window), values.mean(axis=2), piece.valid > 0
 
 
-EVEN = 2.0
-"""Cells, standard deviation: over which the tone of the shore is evened out."""
+SMOOTHING = 2.0
+"""Standard deviation in cells of the Gaussian that smooths the tone of the shore."""
 
 
 @dataclass(frozen=True)
 class Pool:
-    """A piece of water in the output map, and its tone (rows, cols, bands) on a coarse grid around it."""
+    """Water body in the output map, and its tone (rows, cols, bands) on a coarse grid around it."""
 
     shape: Any
     grid: Grid
@@ -147,7 +147,7 @@ class Pool:
 
 
 def pools(photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours: Sequence[Correction]) -> list[Pool]:
-    """Tones of pieces of water; one that no image shows has none.
+    """Water bodies with their tones; bodies that no image shows are left out.
 
     Parameters
     ----------
@@ -157,6 +157,10 @@ def pools(photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours
     outlines : sequence of Polygon or MultiPolygon
         What each image shows.
     colours : sequence of Correction
+
+    Returns
+    -------
+    list of Pool
     """
     coarse = comparison_grid(photos, CELLS)
     found = []
@@ -177,28 +181,40 @@ def pools(photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours
         grid = coarse.crop(window)
         inside = burn([(piece, 1)], grid) == 1
         if (inside & known).any():
-            found.append(Pool(piece, grid, spread(darkest, inside & known)))
+            found.append(Pool(piece, grid, harmonic_tone(darkest, inside & known)))
     return found
 
 
-def spread(values: FloatArray, inside: BoolArray) -> FloatArray:
-    """Tone (rows, cols, bands) of water `inside`: harmonic between its outermost cells; beyond them as the nearest."""
+def harmonic_tone(values: FloatArray, inside: BoolArray) -> FloatArray:
+    """Tone of water: harmonic between its outermost cells, and constant beyond them.
+
+    Parameters
+    ----------
+    values : array (rows, cols, bands)
+    inside : bool array (rows, cols)
+        Cells of the water body.
+
+    Returns
+    -------
+    array (rows, cols, bands)
+    """
     from scipy.ndimage import binary_erosion, distance_transform_edt, gaussian_filter
     from scipy.sparse import csr_array
     from scipy.sparse.linalg import splu
 
     inner = binary_erosion(inside)
     shore = inside & ~inner
-    weight = gaussian_filter(shore.astype(float), EVEN)
+    weight = gaussian_filter(shore.astype(float), SMOOTHING)
     tone = np.zeros(values.shape)
     for band in range(values.shape[2]):
-        even = gaussian_filter(np.where(shore, values[..., band], 0.0), EVEN)
+        even = gaussian_filter(np.where(shore, values[..., band], 0.0), SMOOTHING)
         tone[shore, band] = (even / np.maximum(weight, 1e-12))[shore]
     number = np.full(inside.shape, -1)
     number[inner] = np.arange(int(inner.sum()))
     if inner.any():
         r, c = np.nonzero(inner)
         around = [(r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)]
+        # Discrete Laplace equation: four times a cell minus its neighbours is 0, with the shore as boundary values.
         right, links = np.zeros((len(r), values.shape[2])), [(number[r, c], number[r, c], np.full(len(r), 4.0))]
         for place in around:
             free = number[place] >= 0
@@ -210,6 +226,6 @@ def spread(values: FloatArray, inside: BoolArray) -> FloatArray:
     return np.asarray(tone[tuple(nearest)])
 
 
-def said(found: Sequence[Pool]) -> str:
-    """What pixels depend on, as text."""
+def fingerprint(found: Sequence[Pool]) -> str:
+    """Digest of the water that pixels depend on."""
     return digest_of(*(part for pool in found for part in (pool.shape.wkb, pool.tone))) if found else ""

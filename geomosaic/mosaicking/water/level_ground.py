@@ -1,8 +1,8 @@
-"""Where water may lie: level ground in a DEM that looks even and lies lower than its shores.
+"""Water detection: level ground in a DEM that looks even and lies lower than its shores.
 
-Cells are taken as water to begin with where the ground is level and neighbouring cells look alike. Groups of such cells
-that are level as a whole grow to their shores, and count if the land around them rises: water would run out elsewhere.
-These are proposals. A level, even field between banks passes as well, and a rough DEM over water hides it.
+Seeds are cells where the ground is level and neighbouring cells look alike. Groups of seeds that are level as a whole
+grow to their shores, and count if the land around them rises: elsewhere water would run out. The result is a proposal.
+A level, even field between banks passes as well, and a rough DEM over water hides it.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ import numpy as np
 
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
-EVEN = 0.15
-"""Parts of the picture's contrast that neighbouring cells of water differ by (standard deviation of 3 × 3)."""
-ALIKE = 0.6
-"""The same, by which the shallows may differ from the middle of the water."""
-STEEP = 0.02
-"""Slope of the DEM over four of its nodes on water: their noise."""
-RISE = 0.2
-"""Metres by which the land around rises above water at least, in the middle; and the most that it may lie below it."""
-RUN_OUT = 0.1
+MAX_DEVIATION = 0.15
+"""Largest standard deviation of 3 × 3 cells of water, in units of the image's contrast."""
+MAX_DIFFERENCE = 0.6
+"""Largest difference of shallow water from the middle of the body, in units of the image's contrast."""
+MAX_SLOPE = 0.02
+"""Largest slope of the DEM over four of its nodes on water: the noise of their heights."""
+MIN_RISE = 0.2
+"""Smallest median rise of the shore above water, in metres; and the most that its parts may lie below."""
+MAX_OUTLET = 0.1
 """Part of a shore that may lie lower: an outlet, a dam."""
 SHORE = 6
-"""Cells: how far water grows beyond its level, even middle, and how far the shore is looked at."""
+"""Cells by which water may grow beyond its seeds, and width of the shore whose heights are compared."""
 
 
 @dataclass(frozen=True)
 class Lake:
-    """A group of cells that may be water, and why.
+    """Group of cells that may be water, and the evidence.
 
     Attributes
     ----------
@@ -37,15 +37,15 @@ class Lake:
         In the raster of numbers.
     cells : int
     level : float
-        Metres: median height.
+        Median height in metres.
     tilt : float
         Slope of the plane through its heights.
     roughness : float
-        Metres: RMS of the heights about that plane.
+        RMS of the heights about that plane in metres.
     rise : float
-        Metres: median height of the shore above the nearest water.
+        Median height of the shore above the nearest water in metres.
     unevenness : float
-        Parts of the picture's contrast: median of the local standard deviation.
+        Median local standard deviation, in units of the image's contrast.
     """
 
     number: int
@@ -60,25 +60,25 @@ class Lake:
 def find_lakes(
     values: FloatArray, valid: BoolArray, heights: FloatArray, cell: float, *, smallest: int, tilt: float
 ) -> tuple[IntArray, list[Lake]]:
-    """Propose water.
+    """Water bodies, as level, even and low-lying groups of cells.
 
     Parameters
     ----------
     values : array (rows, cols, bands)
-        What cells look like.
+        Means of the image over cells.
     valid : bool array (rows, cols)
     heights : array (rows, cols)
         Metres; NaN where unknown.
     cell : float
-        Metres.
+        Size of a cell in metres.
     smallest : int
-        Cells of the smallest water.
+        Cells of the smallest water body.
     tilt : float
         Largest slope of a group as a whole.
 
     Returns
     -------
-    array (rows, cols)
+    int array (rows, cols)
         Numbers of lakes, −1 elsewhere.
     list of Lake
         The largest first; numbers count from 0 in this order.
@@ -91,14 +91,14 @@ def find_lakes(
         return out, []
     looks = values / np.maximum(_contrast(values[valid]), 1e-9)
     uneven = _local_deviation(looks, valid)
-    middle = known & (uneven <= EVEN) & (_slope(heights, cell) <= STEEP)
+    middle = known & (uneven <= MAX_DEVIATION) & (_slope(heights, cell) <= MAX_SLOPE)
     groups, _ = label(binary_opening(middle, np.ones((3, 3))))
     found: list[tuple[Lake, tuple[slice, slice], BoolArray]] = []
     for number, box in enumerate(find_objects(groups), start=1):
-        around = _wider(box[0], known.shape[0]), _wider(box[1], known.shape[1])
+        around = _padded(box[0], known.shape[0]), _padded(box[1], known.shape[1])
         own = groups[around] == number
         if own.sum() >= smallest / 4:
-            lake, shape = _judged(own, looks[around], uneven[around], heights[around], known[around], cell, tilt)
+            lake, shape = _grown(own, looks[around], uneven[around], heights[around], known[around], cell, tilt)
             if lake is not None and lake.cells >= smallest:
                 found.append((lake, around, shape))
     found.sort(key=lambda entry: -entry[0].cells)
@@ -110,12 +110,12 @@ def find_lakes(
     return out, lakes
 
 
-def _wider(box: slice, size: int) -> slice:
-    """Rows or columns of a box, and those around it in which water may grow and its shore is looked at."""
+def _padded(box: slice, size: int) -> slice:
+    """Rows or columns of a box, extended by growth and shore."""
     return slice(max(0, box.start - 2 * SHORE), min(size, box.stop + 2 * SHORE))
 
 
-def _judged(
+def _grown(
     own: BoolArray,
     looks: FloatArray,
     uneven: FloatArray,
@@ -124,7 +124,7 @@ def _judged(
     cell: float,
     tilt: float,
 ) -> tuple[Lake | None, BoolArray]:
-    """Let a group grow to its shores, and see whether it is level and lies low."""
+    """Lake that a group of seeds grows to, and its cells; None where it is not level or not low."""
     from scipy.ndimage import binary_dilation, binary_propagation, distance_transform_edt
 
     slope, roughness = _plane(own, heights, cell)
@@ -132,9 +132,9 @@ def _judged(
         return None, own
     distance, nearest = distance_transform_edt(~own, return_indices=True)
     above = heights - np.where(own, heights, np.nan)[tuple(nearest)]
-    within = max(RISE, 3 * roughness)
+    within = max(MIN_RISE, 3 * roughness)
     typical = np.median(looks[own], axis=0)
-    alike = (np.abs(looks - typical) <= ALIKE).all(axis=2)
+    alike = (np.abs(looks - typical) <= MAX_DIFFERENCE).all(axis=2)
     level = known & (np.abs(above) <= within)
     whole = binary_propagation(own, mask=own | (level & alike & (distance <= SHORE)))
     whole = _without_glint(whole, level)
@@ -142,7 +142,7 @@ def _judged(
     if shore.sum() < 0.3 * (binary_dilation(whole, iterations=SHORE) & ~whole).sum() or not shore.any():
         return None, own  # most of its shores lie beyond what is known
     rise = above[shore]
-    if np.median(rise) < within or (rise < -within).mean() > RUN_OUT:
+    if np.median(rise) < within or (rise < -within).mean() > MAX_OUTLET:
         return None, own
     lake = Lake(
         0, int(whole.sum()), float(np.median(heights[own])), slope, roughness, float(np.median(rise)),
@@ -152,7 +152,7 @@ def _judged(
 
 
 def _without_glint(whole: BoolArray, level: BoolArray) -> BoolArray:
-    """Fill holes that are level with the water: glint, boats, foam; islands stay."""
+    """Water with those holes filled that are level with it: glint, boats, foam; islands stay."""
     from scipy.ndimage import binary_fill_holes, label
 
     holes, count = label(binary_fill_holes(whole) & ~whole)
@@ -165,9 +165,9 @@ def _without_glint(whole: BoolArray, level: BoolArray) -> BoolArray:
 
 
 def _contrast(values: FloatArray) -> FloatArray:
-    """Contrast (bands,) of a picture as a standard deviation, whatever its few brightest places."""
+    """Contrast (bands,) of an image as a standard deviation, robust against its brightest places."""
     low, high = np.percentile(values, [5, 95], axis=0)
-    return np.asarray((high - low) / 3.29)
+    return np.asarray((high - low) / 3.29)  # of a normal distribution, 90 % lie within ± 1.645 standard deviations
 
 
 def _local_deviation(looks: FloatArray, valid: BoolArray) -> FloatArray:
@@ -182,7 +182,7 @@ def _local_deviation(looks: FloatArray, valid: BoolArray) -> FloatArray:
 
 
 def _slope(heights: FloatArray, cell: float) -> FloatArray:
-    """Slope over eight cells, four nodes of a DEM, of heights evened out over 3 × 3; infinite where unknown."""
+    """Slope over eight cells (four nodes of a DEM) of heights smoothed over 3 × 3; infinite where unknown."""
     from scipy.ndimage import uniform_filter
 
     even = uniform_filter(np.nan_to_num(heights), 3)

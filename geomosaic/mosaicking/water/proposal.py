@@ -1,4 +1,4 @@
-"""Proposal of water: areas for the option `water`, from a mosaic and a DEM, for a person to judge and edit."""
+"""Water proposals: areas for the option `water`, from a mosaic and a DEM, for a person to judge and edit."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from geomosaic.surface.dem import Dem
 from geomosaic.types import BoolArray, FloatArray, PathLike
 
 LAYER = "water"
-MOST_CELLS = 4_000_000
-LEAST_CELLS = 40
-"""Cells of the smallest water that can be told from chance."""
-TILT = 0.003
+MAX_CELLS = 4_000_000
+MIN_CELLS = 40
+"""Cells of the smallest water body that is not mere chance."""
+MAX_TILT = 0.003
 """Largest slope of water as a whole: lakes have none, rivers of the plains less."""
 
 
 @dataclass(frozen=True)
 class WaterResult:
-    """What was proposed.
+    """Proposed water areas and the resolution of the search.
 
     Attributes
     ----------
@@ -39,9 +39,9 @@ class WaterResult:
     areas : tuple of float
         Square metres, the largest first.
     cell : float
-        Metres: the cells that were looked at.
+        Size of the cells in metres.
     smallest : float
-        Square metres.
+        Square metres of the smallest area searched for.
     heights : str
         Vertical datum of the levels.
     """
@@ -59,13 +59,13 @@ def propose_water(
     output: PathLike,
     *,
     min_area: float | None = None,
-    tilt: float = TILT,
+    tilt: float = MAX_TILT,
     dem_heights: str | None = None,
     overwrite: bool = False,
 ) -> WaterResult:
-    """Write areas that may be water as layer `water` of a GeoPackage.
+    """GeoPackage with areas that may be water, in a layer `water`.
 
-    Columns: `area` (m²), `level`, `rise`, `roughness` (metres), `tilt` (slope), `unevenness`, as `Lake` has them.
+    Columns: `area` (m²), `level`, `rise`, `roughness` (metres), `tilt` (slope), `unevenness`, as in `Lake`.
 
     Parameters
     ----------
@@ -106,8 +106,8 @@ def propose_water(
     if not (valid & np.isfinite(under)).any():
         raise InputError("the DEM has no height where the image shows something", where=str(dem), hint="check both CRS")
     cell = grid.resolution[0] * metre
-    min_area = LEAST_CELLS * cell**2 if min_area is None else min_area
-    cells = max(LEAST_CELLS, math.ceil(min_area / cell**2))
+    min_area = MIN_CELLS * cell**2 if min_area is None else min_area
+    cells = max(MIN_CELLS, math.ceil(min_area / cell**2))
     number, lakes = find_lakes(values, valid, under, cell, smallest=cells, tilt=tilt)
     shapes = _shapes(number, grid, lakes)
     areas = [shapely.area(shape) * metre**2 for shape in shapes]
@@ -124,7 +124,7 @@ def propose_water(
 
 
 def _grid(source: Source) -> Grid:
-    """Grid of the image, on which cells can be counted."""
+    """Grid of the image; refused unless north up, with square pixels, in a projected CRS."""
     info = source.info
     t, where = info.transform, info.path
     if info.crs is None or t is None:
@@ -140,12 +140,12 @@ def _grid(source: Source) -> Grid:
 
 
 def _pixels_per_cell(grid: Grid, surface: Dem) -> int:
-    """Pixels of the image along a cell: two cells to a node of the DEM, and not more cells than memory should hold."""
+    """Pixels of the image along a cell: two cells to a node of the DEM, at most `MAX_CELLS` in all."""
     middle = np.array([[grid.width / 2, grid.height / 2], [grid.width / 2 + 1, grid.height / 2]])
     a, b = surface.grid.colrow(Transform(grid.crs, surface.grid.crs)(grid.xy(middle)))
     nodes = float(np.hypot(*(b - a)))
     per_node = 1 / nodes if np.isfinite(nodes) and nodes > 0 else 1.0
-    return max(1, round(per_node / 2), math.ceil(math.sqrt(grid.width * grid.height / MOST_CELLS)))
+    return max(1, round(per_node / 2), math.ceil(math.sqrt(grid.width * grid.height / MAX_CELLS)))
 
 
 def _read(source: Source, shrink: int) -> tuple[FloatArray, BoolArray]:
@@ -165,7 +165,7 @@ def _heights(surface: Dem, grid: Grid) -> FloatArray:
 
 
 def _shapes(number: np.ndarray, grid: Grid, lakes: list[Lake]) -> list[object]:
-    """One MultiPolygon for each lake; stairs of cells are smoothed."""
+    """One MultiPolygon for each lake, the staircase of its cells smoothed."""
     import shapely
 
     parts = traced(number, grid)

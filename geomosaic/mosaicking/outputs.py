@@ -1,0 +1,120 @@
+"""Files of a mosaic, and the units of pixels on their way to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.raster.output_files import check_geotiff, check_output
+from geomosaic.types import AnyArray, ByteArray, IntArray
+
+if TYPE_CHECKING:
+    from geomosaic.options.mosaic import MosaicOptions
+
+
+def companion(output: Path, mark: str, suffix: str) -> Path:
+    """Path of a file named after the mosaic: mosaic-labels.tif, mosaic.gpkg beside mosaic.tif."""
+    return output.with_name(f"{output.stem}{mark}{suffix}")
+
+
+@dataclass(frozen=True)
+class MosaicFiles:
+    """Paths of a mosaic and of the files that go with it; None where a file is not asked for.
+
+    Attributes
+    ----------
+    mosaic : Path
+    labels : Path, optional
+        Raster of source images.
+    views : Path, optional
+        Raster of view angles and ground sampling distances.
+    displacement : Path, optional
+        Raster of relief displacements.
+    vectors : Path, optional
+        GeoPackage of footprints, seam polygons and seamlines.
+    item : Path, optional
+        STAC item.
+    """
+
+    mosaic: Path
+    labels: Path | None = None
+    views: Path | None = None
+    displacement: Path | None = None
+    vectors: Path | None = None
+    item: Path | None = None
+
+    @classmethod
+    def of(cls, output: Path, options: MosaicOptions, grid: Grid | None = None) -> MosaicFiles:
+        """Files that the options ask for; a grid without a place on the Earth has no STAC item."""
+
+        def path(wanted: bool, mark: str, suffix: str) -> Path | None:
+            return companion(output, mark, suffix) if wanted else None
+
+        return cls(
+            output,
+            path(options.records.labels, "-labels", ".tif"),
+            path(options.records.views, "-views", ".tif"),
+            path(options.records.displacement is not None, "-displacement", ".tif"),
+            path(options.records.vectors, "", ".gpkg"),
+            path(options.writes_item and not (grid is not None and grid.crs.is_engineering), "", ".stac.json"),
+        )
+
+    @property
+    def companions(self) -> list[Path]:
+        """All files but the mosaic itself."""
+        paths = (self.labels, self.views, self.displacement, self.vectors, self.item)
+        return [path for path in paths if path is not None]
+
+    def check(self, *, overwrite: bool) -> None:
+        """Refuse names that are taken or cannot be written: before an hour's work, not after it.
+
+        Raises
+        ------
+        OutputExistsError, OutputError
+        """
+        check_geotiff(self.mosaic, overwrite=overwrite)
+        for path in self.companions:
+            check_output(path, overwrite=overwrite)
+
+
+def label_type(images: int) -> str:
+    """Sample type of a label raster: the smallest that numbers so many images from 1, and pixels hidden from all."""
+    return "uint8" if images < 255 else "uint16" if images < 65535 else "int32"
+
+
+@dataclass(frozen=True)
+class MosaicUnit:
+    """Unit of work: pixels of one or more adjoining blocks, filled block by block.
+
+    Attributes
+    ----------
+    window : Window
+    values : array (rows, cols, bands)
+        Zero where not valid.
+    valid : uint8 array (rows, cols)
+    label : array (rows, cols)
+        Number of the image with the most weight, counted from 1; 0 where none; the number after the last image where
+        the surface hides the ground from all images that cover it.
+    counts : int array (images + 2,)
+        Pixels by label.
+    facts : list of (error, scale)
+        Of the lattices used: largest error in pixels, image pixels per output pixel.
+    """
+
+    window: Window
+    values: AnyArray
+    valid: ByteArray
+    label: AnyArray
+    counts: IntArray
+    facts: list[tuple[float, float]]
+
+    @classmethod
+    def empty(cls, window: Window, bands: int, dtype: str, images: int) -> MosaicUnit:
+        """Unit without any valid pixel."""
+        shape = window.height, window.width
+        label, counts = np.zeros(shape, dtype=label_type(images)), np.zeros(images + 2, dtype=np.int64)
+        return cls(window, np.zeros((*shape, bands), dtype=dtype), np.zeros(shape, dtype=np.uint8), label, counts, [])
