@@ -157,11 +157,11 @@ class Prior:
         own[2] = np.where(band.firm, 1e16, SIGMA_GAMMA**-2)
         own[3] = (SIGMA_HAZE * max(grey, 1e-12)) ** -2
         # Overlaps cannot tell a ramp of gains from a trend: with bounded drift, long ramps go to the trend.
-        strength = (drift.FIRM * 0.1) ** -2
+        strength = (drift.SIGMA_RATIO * 0.1) ** -2
         return cls(
             own,
             bases.prior_normal_matrix(setting.terms & set(bases.SHARED), setting.cameras),
-            *drift.entries(band.near, strength),
+            *drift.normal_entries(band.near, strength),
         )
 
 
