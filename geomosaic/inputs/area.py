@@ -30,7 +30,7 @@ FindOutlines = Callable[[tuple[OrientedImage, ...], Surface | None, CRS], list[F
 
 @dataclass(frozen=True)
 class Area:
-    """Where the output lies; what is not given follows from the images.
+    """Area and pixel size of the output; what is not given follows from the images.
 
     Attributes
     ----------

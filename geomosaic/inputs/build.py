@@ -129,7 +129,7 @@ def _scenes(
     control: Sequence[ControlPoint],
     surface: Surface | None,
 ) -> tuple[OrientedImage, ...]:
-    """Images with their models."""
+    """Oriented images of the photos."""
     camera = read_camera(inputs.camera) if inputs.camera else None
     marks = read_fiducials(inputs.fiducials, [photo.name for photo in photos]) if inputs.fiducials else {}
     return tuple(
@@ -146,7 +146,7 @@ def _scenes(
 
 
 def _corrected(inputs: Block, photo: Photo, model: SensorModel) -> SensorModel:
-    """Put the correction grid behind a model, where one is given."""
+    """Model with the correction grid behind it, where one is given."""
     if inputs.corrections is None:
         return model
     grid = read_corrections(corrections_file(inputs.corrections, photo.name))

@@ -19,7 +19,7 @@ ROLES = ("control", "check")
 
 
 def read_control(path: PathLike, images: Sequence[str]) -> tuple[ControlPoint, ...]:
-    """Read control points.
+    """Control points of a table.
 
     Parameters
     ----------

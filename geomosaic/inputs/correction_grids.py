@@ -24,7 +24,7 @@ RASTERS = (".tif", ".tiff")
 
 
 def read_corrections(path: PathLike) -> CorrectionGrid:
-    """Read a correction grid; see `geomosaic.sensor.corrected` for what is added to what.
+    """Correction grid of a file; see `geomosaic.sensor.corrected` for what is added to what.
 
     Raises
     ------

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlanarInputs:
-    """How photos of flat ground are placed together, without a rigorous model.
+    """Inputs of a planar block: photos of flat ground placed together, without a rigorous model.
 
     Attributes
     ----------
@@ -257,5 +257,5 @@ def _named_in(value: Any, base: Path) -> tuple[Path, ...]:
 
 
 def wrong_policy(robust: bool, insist: bool) -> str:
-    """What is done with wrong points; to leave them out comes first."""
+    """Policy for wrong points; to leave them out comes first."""
     return "leave" if robust else "keep" if insist else "stop"

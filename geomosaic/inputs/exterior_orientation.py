@@ -165,7 +165,7 @@ class ExteriorRow:
 
 @dataclass(frozen=True, eq=False)
 class ExteriorTable:
-    """All rows, by image name."""
+    """Rows of an orientation table, by image name."""
 
     path: str
     system: str
@@ -180,7 +180,7 @@ class ExteriorTable:
         return self.path
 
     def row(self, image: str) -> ExteriorRow:
-        """Return the row of an image file, by name with or without extension."""
+        """Row of an image file, by name with or without extension."""
         found = find_by_name(self.rows, image)
         if found is None:
             raise missing_row(self.path, image, [stem(name) for name in self.rows])
@@ -231,7 +231,7 @@ def undeclared_reconstruction(path: PathLike | ExteriorTable | None, system: str
 
 
 def read_exterior(path: PathLike, system: str) -> ExteriorTable:
-    """Read an orientation table.
+    """Orientation table of a file.
 
     Parameters
     ----------
@@ -360,7 +360,7 @@ _FRAME = ("systeme", "grid_alti")
 
 
 def frame_words(path: Path | None) -> tuple[str, str]:
-    """What a file of IGN calls its map and its heights, in brackets; empty where it says nothing."""
+    """Names that a file of IGN gives its map and its heights, in brackets; empty where it says nothing."""
     try:
         text = "" if path is None else path.read_bytes()[:FIRST].decode("utf-8", "replace")
     except OSError:

@@ -19,7 +19,7 @@ def with_declared_heights(crs: CRS, heights: str | None, where: str | None = Non
 
 
 def positions_crs(crs: str, heights: str | None, where: str | None = None) -> CRS:
-    """Read the CRS of positions and join its declared vertical datum.
+    """CRS of positions with its declared vertical datum.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def crs_name(crs: CRS) -> str:
 
 
 def frame_description(crs: CRS | None) -> str:
-    """Say a frame in words: its name, unit and vertical datum."""
+    """CRS in words: its name, unit and vertical datum."""
     if crs is None:
         return "none"
     unit = crs.axis_info[0].unit_name if crs.axis_info else "unknown unit"
@@ -69,7 +69,7 @@ def undeclared_heights_error(
     place: tuple[float, float],
     reach: float | None = None,
 ) -> HeightDatumError:
-    """Say what heights of unknown meaning could do, and which option settles it.
+    """Error that says what heights of unknown meaning could do, and which option settles it.
 
     Parameters
     ----------

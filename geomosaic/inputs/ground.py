@@ -1,4 +1,4 @@
-"""The ground of a block: its surface, what undeclared heights put at stake, and how high it lies below a photo."""
+"""Ground of a block: its surface, the cost of undeclared heights, and its height below a photo."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def build_surface(
     photos: Sequence[Photo] = (),
     of_model: Callable[[], float | None] = lambda: None,
 ) -> Surface | None:
-    """Make the surface of a DEM or of one height; None where neither is given.
+    """Surface of a DEM or of one height; None where neither is given.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def build_surface(
 
 
 def undeclared_positions(inputs: Block, crs: CRS, photos: Sequence[Photo]) -> HeightDatumError:
-    """Say what positions without a vertical datum could do at the first photo, over the DEM or height that is given."""
+    """Error of positions without a vertical datum, with its cost at the first photo over the ground that is given."""
     ground = 0.0 if inputs.height is None else inputs.height
     if inputs.dem is not None:
         ground = _as_written(inputs.dem, crs, photos)[1]
@@ -97,7 +97,7 @@ def undeclared_positions(inputs: Block, crs: CRS, photos: Sequence[Photo]) -> He
 def _undeclared_dem(
     path: Path, crs: CRS | None, photos: Sequence[Photo], of_model: Callable[[], float | None]
 ) -> HeightDatumError:
-    """Say what a DEM without a vertical datum could do at the first photo, else in its middle."""
+    """Error of a DEM without a vertical datum, with its cost at the first photo, else in its middle."""
     dem = Dem.open(path, heights="ellipsoidal")
     grid = dem.grid
     dem.close()
@@ -125,7 +125,7 @@ def _as_written(path: Path | Dem, crs: CRS, photos: Sequence[Photo]) -> tuple[Fl
 
 
 def _place(photos: Sequence[Photo]) -> tuple[float, float]:
-    """Where the first photo was taken; NaN where that is not known."""
+    """Place of the first photo; NaN where that is not known."""
     first = next((photo.exterior for photo in photos if photo.exterior), None)
     return first.position[:2] if first else (math.nan, math.nan)
 

@@ -1,4 +1,4 @@
-"""Image files with what is known of them: orientation, camera description, names in tables."""
+"""Photos: image files with their rows of the orientation table."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _table(inputs: Block, path: Path | ExteriorTable) -> ExteriorTable:
 
 
 def photos_of(inputs: Block) -> tuple[list[Photo], CRS | None]:
-    """Look at the images and their rows of the orientation table; no pixel is read.
+    """Images with their rows of the orientation table; no pixel is read.
 
     Returns
     -------

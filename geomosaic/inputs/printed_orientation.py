@@ -33,7 +33,7 @@ AGREE = 2e-4
 
 @dataclass(frozen=True)
 class PrintedList:
-    """How a list is to be read.
+    """Declaration of how a printed list of orientations is to be read.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class PrintedList:
 
 
 def read_printed(path: Path, how: PrintedList, unit: str | None, direction: str | None) -> ExteriorTable:
-    """Read a list.
+    """Orientation table of a printed list.
 
     Parameters
     ----------

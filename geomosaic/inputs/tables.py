@@ -52,14 +52,14 @@ class Row:
         return f"{self.path}, line {self.line}"
 
     def text(self, column: str) -> str:
-        """Return a value that must not be empty."""
+        """Text of a column, which must not be empty."""
         value = self.values[column].strip()
         if not value:
             raise InputError(f"column '{column}' is empty", where=self.where)
         return value
 
     def number(self, column: str, default: float | None = None) -> float:
-        """Return a finite number with a decimal point; an empty or missing one is the default, where there is one."""
+        """Finite number with a decimal point; an empty or missing one is the default, where there is one."""
         value = self.values.get(column, "").strip()
         if not value and default is not None:
             return default
@@ -97,7 +97,7 @@ class Table:
 
 
 def read_text(path: PathLike, what: str, largest: int = LARGEST) -> str:
-    """Read a text file as UTF-8, of limited size."""
+    """Text of a UTF-8 file of limited size."""
     file = Path(path)
     try:
         if file.stat().st_size > largest:
@@ -118,7 +118,7 @@ def read_text(path: PathLike, what: str, largest: int = LARGEST) -> str:
 
 
 def read_table(path: PathLike, what: str, example: str) -> Table:
-    """Read a table.
+    """Table of a text file.
 
     The first line that is neither blank nor a comment (#) is the header; a header may itself start with #. The
     delimiter is the one among tab, semicolon and comma that the header has most of, else blanks. Values may stand in
@@ -230,7 +230,7 @@ COLUMNS = ("image", "id", "col", "row")
 
 
 def read_fiducials(path: PathLike, images: Sequence[str]) -> dict[str, dict[str, list[float]]]:
-    """Read the marks of each image.
+    """Fiducial marks of each image.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ def find_by_name(rows: Mapping[str, Value], image: str) -> Value | None:
 
 
 def missing_row(path: str, image: str, known: Iterable[str]) -> InputError:
-    """Say that a table has no row for an image."""
+    """Error that a table has no row for an image."""
     hint = did_you_mean(stem(image), known)
     return InputError(
         f"the table has no row for {PurePath(image).name}",

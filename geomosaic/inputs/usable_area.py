@@ -1,4 +1,4 @@
-"""The part of each image that may be used: without fiducial marks, clock faces and the border of the film."""
+"""Usable area of each image: without fiducial marks, clock faces and the border of the film."""
 
 from __future__ import annotations
 

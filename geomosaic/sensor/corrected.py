@@ -1,4 +1,4 @@
-"""A power every sensor has: its image coordinates corrected by a grid.
+"""Sensor model with a correction grid: an optional part of every sensor.
 
     corrected = ideal + d(ideal)
 
@@ -47,7 +47,7 @@ class Corrected:
 
     @staticmethod
     def of(model: SensorModel, grid: CorrectionGrid, sensor: str) -> Corrected:
-        """Wrap a model; the result has rays where the model has them."""
+        """Corrected model; it has rays where the wrapped model has them."""
         return (CorrectedWithRays if isinstance(model, HasRays) else Corrected)(model, grid, sensor)
 
     @property
@@ -82,7 +82,7 @@ class Corrected:
         return turn @ by_parameters, turn @ by_ground
 
     def with_values(self, values: FloatArray) -> Self:
-        """Return the model with other parameter values (P,) behind the same grid."""
+        """Model with other parameter values (P,) behind the same grid."""
         return replace(self, model=self.model.with_values(values))
 
     def to_dict(self) -> dict[str, Any]:
@@ -92,7 +92,7 @@ class Corrected:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild a model from `to_dict`; the sensor's plugin must be installed."""
+        """Model of a state, as `to_dict` gives it; the sensor's plugin must be installed."""
         inner = (
             Corrected.from_dict(state["corrected"])
             if "corrected" in state

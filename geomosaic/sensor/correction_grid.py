@@ -174,7 +174,7 @@ class CorrectionGrid:
         return np.column_stack(parts) / 2
 
     def ideal(self, colrow: FloatArray) -> FloatArray:
-        """Find the ideal positions (N, 2) whose corrected positions are given (N, 2), to 1e-9 pixel.
+        """Ideal positions (N, 2) whose corrected positions are given (N, 2), to 1e-9 pixel.
 
         Solves p + d(p) = given by Newton's method; the corrections are too flat (`STEEPEST`) for a second solution.
         """
@@ -206,5 +206,5 @@ class CorrectionGrid:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild a grid from `to_dict`."""
+        """Grid of a state, as `to_dict` gives it."""
         return cls(state["origin"], state["spacing"], state["nodes"], state["method"], state["beyond"])

@@ -198,7 +198,7 @@ class DevelopedModel:
         return uvh[shown, :2], pixels[shown]
 
     def with_values(self, values: FloatArray) -> Self:
-        """Return the model with other parameter values (P,) over the same surface."""
+        """Model with other parameter values (P,) over the same surface."""
         return replace(self, model=self.model.with_values(values))
 
     def to_dict(self) -> dict[str, Any]:
@@ -208,6 +208,6 @@ class DevelopedModel:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild a model from `to_dict`; the sensor's plugin must be installed."""
+        """Model of a state, as `to_dict` gives it; the sensor's plugin must be installed."""
         inner, surface = state_of.model_from_dict(state["model"]), Developed.from_dict(state["surface"])
         return cls(inner, surface, state["model"]["sensor"], float(state["oblique"]))

@@ -212,7 +212,7 @@ def _parts(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
 
 
 def _first_step(window: Window) -> int:
-    """Return the largest step that is not much longer than the window."""
+    """Largest step that is not much longer than the window."""
     step = FIRST_STEP
     while step > CLOSE_STEP and step >= 2 * max(window.width, window.height):
         step //= 2

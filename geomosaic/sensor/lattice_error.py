@@ -1,4 +1,4 @@
-"""How far a lattice is from the exact model, measured where its cells may show the image."""
+"""Error of a lattice against the exact model, measured where its cells may show the image."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def at_heights(nodes: FloatArray, heights: Sequence[float]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class LatticeError:
-    """What was measured of a lattice.
+    """Errors of a lattice against the exact model.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Cells:
     scale: float
 
     def measure(self, admissible: float, *, thorough: bool) -> LatticeError:
-        """Hold the lattice against the model at nodes, edges and centres of cells, at both ends of the height range.
+        """Error against the model at nodes, edges and centres of cells, at both ends of the height range.
 
         Between nodes a smooth mapping errs most there: at the centres where it bends alike in both directions, at the
         middles of edges where it bends one way along and the other way across, as every conformal one does.

@@ -176,7 +176,7 @@ class Ground:
 
     @classmethod
     def under(cls, grid: Grid, surface: Surface | None, detail: float = 1.0) -> Ground:
-        """Put a surface under a grid; `detail` is in how many parts of an output pixel its heights may differ."""
+        """Surface under a grid; `detail` is in how many parts of an output pixel its heights may differ."""
         if surface is None:
             return cls(None, grid, None)
         to_surface = Transform(horizontal(grid.crs), horizontal(surface.crs))
@@ -186,7 +186,7 @@ class Ground:
         return cls(surface, grid, to_surface, spacing / detail if np.isfinite(spacing) else 0.0)
 
     def block(self, window: Window) -> BlockGround:
-        """Read the heights of one block."""
+        """Heights of one block."""
         if self.surface is None or self.to_surface is None:
             return BlockGround(window, None, (0.0, 0.0))
         cols = np.linspace(window.col, window.stop_col, 5)

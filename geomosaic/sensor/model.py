@@ -47,13 +47,13 @@ class Parameters:
         return len(self.names)
 
     def with_values(self, values: FloatArray) -> Parameters:
-        """Return the same parameters with new values (P,)."""
+        """Same parameters with new values (P,)."""
         return replace(self, values=np.asarray(values, dtype=np.float64))
 
 
 @runtime_checkable
 class SensorModel(Protocol):
-    """A frozen map ground → image.
+    """Sensor model: a frozen map ground → image.
 
     Image coordinates are (col, row), (0.5, 0.5) being the centre of the upper-left pixel. A point that the model cannot
     see in principle (behind the camera) is NaN, never an exception; one bad point never spoils the others. Points that
@@ -70,7 +70,7 @@ class SensorModel(Protocol):
 
     @property
     def parameters(self) -> Parameters:
-        """What an adjustment may change."""
+        """Parameters that an adjustment may change."""
 
     @property
     def seed(self) -> tuple[float, float, float]:
@@ -80,14 +80,14 @@ class SensorModel(Protocol):
         """Ground (N, 3) in `crs` to image (N, 2) in pixels."""
 
     def with_values(self, values: FloatArray) -> Self:
-        """Return a new model with other parameter values (P,)."""
+        """New model with other parameter values (P,)."""
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values; `from_dict` of the same class gives the model back."""
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild a model from `to_dict`."""
+        """Model of a state, as `to_dict` gives it."""
 
 
 @runtime_checkable

@@ -39,7 +39,7 @@ def centre_dip(model: SensorModel) -> float | None:
 
 
 def unit_suspicion(angles_deg: FloatArray, positions: FloatArray, crs: CRS | None = None) -> str | None:
-    """Say which unit the angles of a block probably have, when degrees do not fit the flight and another unit does.
+    """Unit that the angles of a block probably have, when degrees do not fit the flight and another unit does.
 
     A frame camera is mounted along or across the aircraft, so kappa, counter-clockwise from the map's x axis, is the
     direction of flight up to multiples of 90°. That direction is taken from each photo to its nearest neighbour.

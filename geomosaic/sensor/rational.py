@@ -53,7 +53,7 @@ class RationalRefinement(Protocol):
 
     @property
     def used(self) -> BoolArray:
-        """Which points (N,) took part."""
+        """Mask (N,) of the points that took part."""
 
     @property
     def rms_before(self) -> float:
@@ -77,7 +77,7 @@ class RationalTieCorrection(Protocol):
 
     @property
     def used(self) -> BoolArray:
-        """Which tie points took part."""
+        """Mask of the tie points that took part."""
 
     @property
     def rms_before(self) -> float:
@@ -96,15 +96,15 @@ class HasRational(Protocol):
     """Corrections it knows, and how many control points each needs."""
 
     def fit_rational(self, model: SensorModel, heights: tuple[float, float]) -> RationalFit:
-        """Fit to any model with heights, between two ellipsoidal heights in metres."""
+        """RPC fitted to any model with heights, between two ellipsoidal heights in metres."""
 
     def rewrite_rational(self, model: Any) -> RationalFit | None:
-        """Fit again what no format has a place for, such as drift; None where all can be written as it is."""
+        """RPC fitted again where no format has a place for its correction, such as drift; None where none is needed."""
 
     def refine_rational(
         self, model: Any, xyz: FloatArray, colrow: FloatArray, kind: str, sigmas_px: FloatArray | None
     ) -> RationalRefinement:
-        """Correct a rational model with control points: (N, 3) in `model.crs`, (N, 2) pixels; wrong ones left out."""
+        """RPC corrected by control points: (N, 3) in `model.crs`, (N, 2) pixels; wrong ones are left out."""
 
     def correct_rational_by_ties(
         self,
@@ -116,7 +116,7 @@ class HasRational(Protocol):
         sigma_px: float,
         fixed: Sequence[int],
     ) -> RationalTieCorrection:
-        """Correct rational models by tie points: image (M,) and point (M,) of each measurement, colrow (M, 2)."""
+        """RPCs corrected by tie points: image (M,) and point (M,) of each measurement, colrow (M, 2)."""
 
     def rational_tags(self, model: Any) -> dict[str, str]:
         """GDAL's RPC domain of a rational model."""

@@ -1,4 +1,4 @@
-"""The state of any model as JSON values, with the name of its sensor, and back."""
+"""State of any model as JSON values, with the name of its sensor, and back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The guard of every sensor against heights that count from nobody knows where."""
+"""Vertical datum of positions: required of every sensor, with the cost of a wrong guess."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def require_vertical_datum(crs: CRS, what: str, where: str, build: Callable[[CRS
 
 
 def datum_risk(model: SensorModel) -> str:
-    """What confusing the ellipsoid with the geoid would cost, in words that follow a statement; '' if not known."""
+    """Cost of confusing the ellipsoid with the geoid, in words that follow a statement; '' if not known."""
     level = geographic(model.crs)
     x, y, _ = Transform(model.crs, level)(np.array([model.seed]))[0]
     shift = undulation(horizontal(level), float(x), float(y))

@@ -1,4 +1,4 @@
-"""How an image sees a place: from which direction, and how finely. The same for every model, by differences."""
+"""View geometry: direction and scale in which an image sees a place, for every model, by differences."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Views:
 
 
 def views(mapper: MapToImage, xy: FloatArray, z: FloatArray, metres: FloatArray, step: float) -> Views:
-    """How an image sees places.
+    """Directions and scale in which an image sees places.
 
     The image position does not change along the line of sight, so its direction v solves J · v = 0 with the derivatives
     J (2, 3) of (col, row) after (x, y, z): v is the cross product of J's rows. Models without heights look down.

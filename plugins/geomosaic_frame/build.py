@@ -1,4 +1,4 @@
-"""A photo's model from what the user gives: camera, position, orientation."""
+"""Frame model of a photo from its camera, position and orientation."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TREATMENTS = ("rigorous", "planar")
 
 
 def build_frame(request: SensorRequest) -> FrameModel:
-    """Make the model of one photo.
+    """Model of one photo.
 
     Raises
     ------

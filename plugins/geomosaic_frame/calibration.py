@@ -34,7 +34,7 @@ LARGEST = 2000.0
 
 @dataclass(frozen=True)
 class Certificate:
-    """What a certificate says, in the axes of the fiducials: mm, x right, y up.
+    """Calibration certificate in the axes of the fiducials: mm, x right, y up.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Certificate:
 
 
 def read_certificate(table: Mapping[str, Any], where: str) -> Certificate:
-    """Read a certificate's table.
+    """Certificate of a table.
 
     Parameters
     ----------

@@ -175,7 +175,7 @@ class Camera:
 
     @classmethod
     def from_dict(cls, state: Mapping[str, Any]) -> Camera:
-        """Rebuild a camera from `to_dict`."""
+        """Camera of a state, as `to_dict` gives it."""
         w, h = state["size"]
         fx, fy = state["focal_length_px"]
         cx, cy = state["principal_point_px"]

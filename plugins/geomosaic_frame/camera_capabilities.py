@@ -1,4 +1,4 @@
-"""What the inside of a camera can do, whether it counts in pixels or in millimetres of a film."""
+"""Camera models: interior orientation and lens, whether in pixels or in millimetres of a film."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class CameraModel(Protocol):
 
 
 def camera_model_from_dict(state: Mapping[str, Any]) -> CameraModel:
-    """Rebuild a camera from its `to_dict`."""
+    """Camera of a state, as its `to_dict` gives it."""
     if "film" in state:
         from geomosaic_frame.film import FilmCamera
 

@@ -50,7 +50,7 @@ class SparseModel:
 
 @lru_cache(maxsize=4)
 def read_colmap(cameras: str, images: str, where: tuple[str, str]) -> SparseModel:
-    """Read both files.
+    """Sparse model of both files.
 
     Raises
     ------

@@ -45,7 +45,7 @@ class Lens(Protocol):
         """Whether the polynomial is used there as given, not its continuation (N,)."""
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Lens:
-        """Return the lens told how far the image reaches."""
+        """Lens that knows how far the image reaches."""
 
     @property
     def edge(self) -> float:
@@ -119,7 +119,7 @@ class NoDistortion(Perspective):
         return "NoDistortion()"
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> NoDistortion:
-        """Return itself."""
+        """The lens itself: its limit does not depend on the image."""
         return self
 
     def to_dict(self) -> dict[str, Any]:

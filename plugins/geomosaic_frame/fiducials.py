@@ -28,7 +28,7 @@ Pairs = tuple[FloatArray, FloatArray]
 
 
 def read_marks(given: Any, known: Mapping[str, tuple[float, float]], size: tuple[int, int], where: str) -> list[str]:
-    """Check a table {mark: [col, row]} and return the marks that both sides have, in the certificate's order."""
+    """Marks of a table {mark: [col, row]} that the certificate has too, in the certificate's order."""
     table = table_of(given, "fiducials", where)
     for name, place in table.items():
         if str(name) not in known:
@@ -133,7 +133,7 @@ def _words(result: InteriorOrientation, names: list[str]) -> str:
 def _misfit(
     names: list[str], image: FloatArray, film: FloatArray, mirrored: bool, rms: float, where: str
 ) -> InputError:
-    """Say which other numbering would fit."""
+    """Hint at another numbering of the marks that would fit."""
     what = f"the fiducials do not fit the certificate: {rms / 1000.0:.1f} mm RMS"
     back = fit_interior(image, film, "conformal", not mirrored)
     if back.rms <= GROSS and len(names) > 2:

@@ -105,7 +105,7 @@ class FilmLens(Perspective):
         return np.hypot(u * c - self.symmetry[0], -v * c - self.symmetry[1]) <= self.radial.end
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Self:
-        """Return itself."""
+        """The lens itself: its limit does not depend on the image."""
         return self
 
     def to_dict(self) -> dict[str, Any]:
@@ -120,7 +120,7 @@ class FilmLens(Perspective):
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild from `to_dict`."""
+        """Value of a state, as `to_dict` gives it."""
         (sx, sy), (p1, p2) = state["symmetry"], state["tangential"]
         return cls(float(state["constant"]), radial_from_dict(state["radial"]), (sx, sy), (p1, p2))
 
@@ -203,6 +203,6 @@ class FilmCamera:
 
     @classmethod
     def from_dict(cls, state: Mapping[str, Any]) -> FilmCamera:
-        """Rebuild a camera from `to_dict`."""
+        """Camera of a state, as `to_dict` gives it."""
         (w, h), (x, y) = state["size"], state["autocollimation"]
         return cls((int(w), int(h)), FilmLens.from_dict(state["lens"]), (x, y), np.array(state["film"]))

@@ -143,7 +143,7 @@ class Fisheye:
         return inside
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Self:
-        """Return the lens with its limit set from the farthest corner, and a quarter more."""
+        """Lens with its limit at the farthest corner, and a quarter more."""
         widest = float(np.max(self._angle(np.hypot(u, v))))
         return replace(self, limit=min(WIDEST, 1.25 * widest + 0.1))
 

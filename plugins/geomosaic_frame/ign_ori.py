@@ -34,7 +34,7 @@ Photo = tuple[str, dict[str, Any], dict[str, Any]]
 
 @lru_cache(maxsize=256)
 def read_ori(data: bytes, where: str) -> Photo:
-    """Read the orientation of one photo.
+    """Camera and orientation of one photo.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A photo's model at a place: parameters with their steps, and a ground point to start from."""
+"""Initial model of a photo at a place: parameters with their steps, and a ground point to start from."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def frame_model(
     bending: RayCorrection,
     where: str,
 ) -> FrameModel:
-    """Make the model; a photo that looks at the sky is an error."""
+    """Frame model at a place; a photo that looks at the sky is an error."""
     anywhere = allows_any_view(crs, options, where)
     if anywhere:
         # Omega, phi and kappa have no value where a camera looks along x: they count from the attitude given.

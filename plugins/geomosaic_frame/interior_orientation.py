@@ -80,7 +80,7 @@ class InteriorOrientation:
 
 
 def fit_interior(colrow: FloatArray, calibrated: FloatArray, kind: str, mirrored: bool = False) -> InteriorOrientation:
-    """Fit pixels to millimetres by least squares.
+    """Interior orientation, pixels to millimetres, by least squares.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def apply(matrix: FloatArray, xy: FloatArray) -> FloatArray:
 
 
 def _conformal(p: FloatArray, film: FloatArray, mirrored: bool) -> FloatArray:
-    """Fit x = a·m·p₁ + b·p₂ + e,  y = b·m·p₁ − a·p₂ + f, with m = 1, or −1 where mirrored."""
+    """Coefficients of x = a·m·p₁ + b·p₂ + e,  y = b·m·p₁ − a·p₂ + f, with m = 1, or −1 where mirrored."""
     m = -1.0 if mirrored else 1.0
     design = _design("conformal", p, np.eye(3), mirrored)
     a, b, e, f = np.linalg.lstsq(design, film.T.ravel(), rcond=None)[0]

@@ -68,7 +68,7 @@ class DecentredLens:
         return self.lens.trusted(u - self.centre[0], v - self.centre[1])
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Lens:
-        """Return the lens told how far the image reaches."""
+        """Lens that knows how far the image reaches."""
         return replace(self, lens=self.lens.for_corners(u - self.centre[0], v - self.centre[1]))
 
     def to_dict(self) -> dict[str, Any]:
@@ -124,7 +124,7 @@ class ShearedLens:
         return self.lens.trusted(u - self.shear * v, v)
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Lens:
-        """Return the lens told how far the image reaches."""
+        """Lens that knows how far the image reaches."""
         return replace(self, lens=self.lens.for_corners(u - self.shear * v, v))
 
     def to_dict(self) -> dict[str, Any]:

@@ -38,7 +38,7 @@ CALIBRATION = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", 
 
 @lru_cache(maxsize=4)
 def read_metashape(data: bytes, where: str) -> Cameras:
-    """Read all oriented cameras.
+    """Oriented cameras of an XML export.
 
     Returns
     -------
@@ -153,7 +153,7 @@ AGREE = 1e-4
 
 @lru_cache(maxsize=4)
 def read_metashape_text(text: str, where: str) -> dict[str, dict[str, Any]]:
-    """Read all cameras: label → orientation row.
+    """Orientation rows of a text export, by the camera's label.
 
     Raises
     ------

@@ -139,7 +139,7 @@ class FrameModel:
         return out, by_local @ self.frame.axes
 
     def with_values(self, values: FloatArray) -> Self:
-        """Return the photo with other parameter values (6,)."""
+        """Photo with other parameter values (6,)."""
         return replace(self, parameters=self.parameters.with_values(values))
 
     def to_dict(self) -> dict[str, Any]:
@@ -161,7 +161,7 @@ class FrameModel:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild a model from `to_dict`."""
+        """Model of a state, as `to_dict` gives it."""
         frame = LocalFrame(CRS.from_wkt(state["crs"]), np.array(state["origin"]), np.array(state["axes"]))
         sigmas = np.array([np.inf if s is None else s for s in state["sigmas"]])
         parameters = Parameters(

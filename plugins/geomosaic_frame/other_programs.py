@@ -23,7 +23,7 @@ WORLDS = ("map", "geocentric", "local")
 
 
 def read_pose(row: Mapping[str, Any], where: str) -> tuple[FloatArray, FloatArray, str, CRS | None]:
-    """Read a pose.
+    """Rotation, position and frame of a pose.
 
     Parameters
     ----------

@@ -52,7 +52,7 @@ def read_offset(text: str, where: str) -> tuple[float, ...]:
 
 @lru_cache(maxsize=4)
 def read_pix4d(text: str, offset: tuple[float, ...] | None, where: str) -> Cameras:
-    """Read all images.
+    """Cameras and orientations of all images.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def read_pix4d(text: str, offset: tuple[float, ...] | None, where: str) -> Camer
 
 @lru_cache(maxsize=4)
 def read_pmatrix(text: str, offset: tuple[float, ...] | None, where: str) -> Cameras:
-    """Read the projection matrices of all undistorted images; see `read_pix4d`."""
+    """Projection matrices of all undistorted images; see `read_pix4d`."""
     found: Cameras = {}
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip():

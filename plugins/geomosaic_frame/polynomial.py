@@ -189,7 +189,7 @@ class PolynomialLens(Perspective):
         return inside
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Self:
-        """Return itself."""
+        """The lens itself: its limit does not depend on the image."""
         return self
 
 

@@ -28,7 +28,7 @@ class Radial(Protocol):
         """Radius in mm from which on the correction goes on linearly; inf without end."""
 
     def correction(self, r: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return g in mm and dg/dr at radii (N,) in mm."""
+        """Distortion g in mm and dg/dr at radii (N,) in mm."""
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
@@ -72,7 +72,7 @@ class RadialTable:
         return self.radii[-1]
 
     def correction(self, r: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return g in mm and dg/dr at radii (N,) in mm."""
+        """Distortion g in mm and dg/dr at radii (N,) in mm."""
         x, y, bend = self._x, self._y, self._bend
         inside = np.minimum(r, self.end)
         i = np.clip(np.searchsorted(x, np.nan_to_num(inside)) - 1, 0, len(x) - 2)
@@ -119,7 +119,7 @@ class RadialPolynomial:
         return self._end
 
     def correction(self, r: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return g in mm and dg/dr at radii (N,) in mm."""
+        """Distortion g in mm and dg/dr at radii (N,) in mm."""
         inside = np.minimum(r, self._end)
         g, slope = self._polynomial(inside)
         return (g + slope * (r - inside) if np.isfinite(self._end) else g), slope
@@ -130,7 +130,7 @@ class RadialPolynomial:
 
 
 def radial_from_dict(state: Mapping[str, Any]) -> Radial:
-    """Rebuild from `to_dict`."""
+    """Value of a state, as `to_dict` gives it."""
     if state["kind"] == "table":
         return RadialTable(tuple(state["radii"]), tuple(state["values"]))
     return RadialPolynomial(tuple(state["k"]))
@@ -190,7 +190,7 @@ class Corrections(Perspective):
         return inside
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Self:
-        """Return itself."""
+        """The lens itself: its limit does not depend on the image."""
         return self
 
     def to_dict(self) -> dict[str, Any]:

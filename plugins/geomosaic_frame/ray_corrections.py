@@ -123,7 +123,7 @@ class RayCorrection:
         return self.refraction == 0.0 and self.curvature == 0.0
 
     def _factor(self, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return q and dq/dt at t = tan²α; beyond 80° both stay."""
+        """Factor q and dq/dt at t = tan²α; beyond 80° both stay."""
         capped = np.minimum(t, STEEPEST)
         top, bottom = 1.0 + self.refraction * (1.0 + capped), 1.0 + self.curvature * capped
         slope = (self.refraction * bottom - self.curvature * top) / bottom**2
@@ -170,7 +170,7 @@ class RayCorrection:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild from `to_dict`; a state without either is straight."""
+        """Correction of a state, as `to_dict` gives it; a state without either is straight."""
         return cls(float(state.get("refraction", 0.0)), float(state.get("curvature", 0.0)))
 
 
@@ -251,7 +251,7 @@ def requested_correction(
 def omitted_corrections(
     camera: CameraModel, crs: CRS, position: FloatArray, ground: float | None, treatment: str
 ) -> list[str]:
-    """What the corrections that were not asked for would be worth on film, where that is half a pixel or more."""
+    """Notes on corrections that were not asked for and would be half a pixel or more."""
     if ground is None or is_free(crs) or isinstance(camera, Camera):
         return []
     from geomosaic_frame.film import FilmCamera

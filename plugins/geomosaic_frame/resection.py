@@ -64,7 +64,7 @@ def resect_photo(
     notes: tuple[str, ...],
     where: str,
 ) -> FrameModel:
-    """Make the model of a photo from its control points.
+    """Model of a photo from its control points (space resection).
 
     Parameters
     ----------

@@ -103,7 +103,7 @@ def _without_place(request: SensorRequest) -> dict[str, Any]:
 
 
 def _placed(request: SensorRequest) -> PanoramicModel:
-    """Make the model at its place."""
+    """Model at its place."""
     where, options = request.image, request.options
     kind = word(options, "kind", KINDS, where)
     for name, kinds in OF_KIND.items():

@@ -43,7 +43,7 @@ Inside = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Sweeps:
-    """What is special of this kind.
+    """Sweeps of several lines: how many, in which directions, how long each takes.
 
     Attributes
     ----------

@@ -103,7 +103,7 @@ class PanoramicModel:
         return np.column_stack([a[0] * x + a[1] * y + a[2] * z for a in self.frame.axes])
 
     def with_values(self, values: FloatArray) -> Self:
-        """Return the image with other parameter values."""
+        """Image with other parameter values."""
         return replace(self, parameters=self.parameters.with_values(values))
 
     def to_dict(self) -> dict[str, Any]:
@@ -128,7 +128,7 @@ class PanoramicModel:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild a model from `to_dict`, a strip without a place too."""
+        """Model of a state, as `to_dict` gives it, a strip without a place too."""
         if "relative" in state:
             return cast(Self, RelativeStrip.from_dict(state))
         frame = LocalFrame(CRS.from_wkt(state["crs"]), np.array(state["origin"]), np.array(state["axes"]))
@@ -185,7 +185,7 @@ class RelativeStrip:
 
     @property
     def seed(self) -> tuple[float, float, float]:
-        """Where the strip's own lies in this map."""
+        """Seed of the strip in this map."""
         place = np.array([self.model.seed])
         east, north, _ = (self._from_map.inverse()(place) if self.curved else self.model.frame.to_enu(place))[
             0
@@ -195,7 +195,7 @@ class RelativeStrip:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the map is."""
+        """Notes of the strip, and what its map is."""
         return (SAID,)
 
     @cached_property
@@ -226,7 +226,7 @@ class RelativeStrip:
         )
 
     def with_values(self, values: FloatArray) -> Self:
-        """Return the strip with other parameter values."""
+        """Strip with other parameter values."""
         return replace(self, model=self.model.with_values(values))
 
     def to_dict(self) -> dict[str, Any]:
@@ -235,7 +235,7 @@ class RelativeStrip:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild from `to_dict`."""
+        """Value of a state, as `to_dict` gives it."""
         inner = state["relative"]
         return cls(PanoramicModel.from_dict(inner["model"]), inner["above"], inner["curved"])
 

@@ -19,7 +19,7 @@ Three = tuple[FloatArray, FloatArray, FloatArray]
 
 
 class Flight(Protocol):
-    """What a scan asks of a flight."""
+    """Flight as a scan needs it."""
 
     @property
     def pace(self) -> float:
@@ -159,7 +159,7 @@ class Poses:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild from `to_dict`."""
+        """Value of a state, as `to_dict` gives it."""
         return cls(*(np.array(state[name]) for name in ("times", "places", "axes")))
 
 

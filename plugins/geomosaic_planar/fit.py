@@ -200,7 +200,7 @@ def fit_planar(
     axes: str | None = None,
     where: str | None = None,
 ) -> PlanarFit:
-    """Fit a plane transformation ground → image.
+    """Plane transformation ground → image by least squares.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ def fit_planar(
 
 
 def _spline(uv: FloatArray, image: FloatArray, centre: FloatArray, scale: float, where: str | None) -> PlanarFit:
-    """Fit through all points: nothing is left to estimate an error by."""
+    """Spline through all points: nothing is left to estimate an error by."""
     spline.check_nodes(uv, where)
     coefficients, condition = spline.solve(uv, image, where)
     residuals = image - spline.evaluate(uv, coefficients, uv)

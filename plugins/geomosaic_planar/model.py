@@ -87,7 +87,7 @@ class PlanarModel:
         axes: str = "left",
         nodes: FloatArray = NO_NODES,
     ) -> Self:
-        """Make a model and find the ground it shows.
+        """Model of coefficients, with the ground it shows.
 
         Parameters are the attributes of these names; `sigma` is that of every coefficient, and `where` names the image
         in errors.
@@ -117,7 +117,7 @@ class PlanarModel:
 
     @classmethod
     def of_fit(cls, fitted: PlanarFit, crs: CRS, size: tuple[int, int], where: str | None = None) -> Self:
-        """Make the model of a fit; see `of`."""
+        """Model of a fit; see `of`."""
         return cls.of(
             fitted.kind,
             fitted.order,
@@ -214,7 +214,7 @@ class PlanarModel:
         return spline.leave_one_out(self.nodes, self.coefficients) if self.kind == "tps" else None
 
     def with_values(self, values: FloatArray) -> Self:
-        """Return a model with other coefficients (P,)."""
+        """Model with other coefficients (P,)."""
         new = self.parameters.with_values(values).values
         if self.kind == "tps":
             coefficients = spline.solve(self.nodes, new.reshape(2, -1).T)[0]
@@ -242,7 +242,7 @@ class PlanarModel:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild a model from `to_dict`."""
+        """Model of a state, as `to_dict` gives it."""
         width, height = state["size"]
         return cls(
             kind=state["kind"],

@@ -64,7 +64,7 @@ def _indices(order: int) -> tuple[IntArray, IntArray]:
 
 
 def _powers(order: int, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return 1, x, x², ... of u and of v, (order + 1, N) each."""
+    """Powers 1, x, x², ... of u and of v, (order + 1, N) each."""
     powers = np.ones((order + 1, 2, len(uv)))
     for k in range(order):
         np.multiply(powers[k], uv.T, out=powers[k + 1])
@@ -200,7 +200,7 @@ def newton_inverse(
 
 
 def _solve2(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve 2 × 2 systems (N, 2, 2), (N, 2); NaN where singular."""
+    """Solutions (N, 2) of 2 × 2 systems (N, 2, 2), (N, 2); NaN where singular."""
     (a, b), (c, d) = matrix[:, 0].T, matrix[:, 1].T
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         determinant = a * d - b * c

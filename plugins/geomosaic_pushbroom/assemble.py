@@ -1,4 +1,4 @@
-"""From platform and look directions to a model: a ground point to start from, steps of about a pixel, rough rows."""
+"""Initial model of platform and look directions: a ground point to start from, steps of about a pixel, rough rows."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def initial_model(
     crs: CRS = ECEF,
     notes: tuple[str, ...] = (),
 ) -> PushbroomModel:
-    """Make the model.
+    """Model with a ground point to start from and steps of about a pixel.
 
     Parameters
     ----------

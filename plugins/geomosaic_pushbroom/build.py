@@ -1,4 +1,4 @@
-"""A scene's model from what there is: metadata, a track, or control points alone."""
+"""Pushbroom model of a scene from metadata, a track, or control points alone."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OF_POINTS = ("flying_height", "additional")
 
 
 def build_pushbroom(request: SensorRequest) -> PushbroomModel:
-    """Make the model of one image.
+    """Model of one image.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def _sigmas(options: Mapping[str, Any], quality: AprioriSigmas, where: str) -> F
 
 
 def _refined(model: PushbroomModel, control: ImageControl, request: SensorRequest) -> PushbroomModel:
-    """Correct the reported flight by control points, each parameter within its sigma."""
+    """Model with the reported flight corrected by control points, each parameter within its sigma."""
     xyz = Transform(need_crs(request), model.crs)(control.xyz)
     try:
         solved = resect(model, xyz, control.colrow, control.sigmas)

@@ -29,7 +29,7 @@ _STRIP = ".//Data_Strip"
 
 
 def read_spot(root: Element, where: str, band: str | None = None) -> SceneMetadata:
-    """Read a scene.
+    """Metadata of a scene.
 
     Parameters
     ----------

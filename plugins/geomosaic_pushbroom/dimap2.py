@@ -24,7 +24,7 @@ _MARGIN = 0.25
 
 
 def read_refined(root: Element, where: str, band: str | None = None) -> SceneMetadata:
-    """Read a scene.
+    """Metadata of a scene.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ class LookDirections:
 
     @classmethod
     def of(cls, cols: FloatArray, across: FloatArray, along: FloatArray, where: str, angular: bool = False) -> Self:
-        """Check and make.
+        """Look directions of nodes, checked to be smooth and finite.
 
         Raises
         ------
@@ -130,7 +130,7 @@ class LookDirections:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild from `to_dict`."""
+        """Value of a state, as `to_dict` gives it."""
         return cls(np.array(state["cols"]), np.array(state["across"]), np.array(state["along"]), state["angular"])
 
 

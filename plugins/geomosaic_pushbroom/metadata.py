@@ -30,7 +30,7 @@ def find_beside(image: str | None) -> Path | None:
 
 
 def read_metadata(path: Path, band: str | None = None) -> SceneMetadata:
-    """Read a metadata file: DIMAP of SPOT 1 to 7 or Pléiades, or an OSSIM keyword list of SPOT 5.
+    """Metadata of a scene: DIMAP of SPOT 1 to 7 or Pléiades, or an OSSIM keyword list of SPOT 5.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def read_metadata(path: Path, band: str | None = None) -> SceneMetadata:
 
 
 def read_bytes(data: bytes, where: str, band: str | None = None) -> SceneMetadata:
-    """Read the contents of a metadata file."""
+    """Metadata of a scene from the bytes of a file."""
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         return read_ossim(data, where)
     root = parse_dimap(data, where)

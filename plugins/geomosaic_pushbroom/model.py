@@ -184,7 +184,7 @@ class PushbroomModel:
         return position, unit(directions)
 
     def with_values(self, values: FloatArray) -> Self:
-        """Return the scene with other parameter values (P,)."""
+        """Scene with other parameter values (P,)."""
         return replace(self, parameters=self.parameters.with_values(values))
 
     def to_dict(self) -> dict[str, Any]:
@@ -206,7 +206,7 @@ class PushbroomModel:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild a model from `to_dict`."""
+        """Model of a state, as `to_dict` gives it."""
         platform = PLATFORMS[state["platform"]].from_dict(state["flight"])
         sigmas = np.array([np.inf if s is None else s for s in state["sigmas"]])
         values, steps = np.array(state["values"]), np.array(state["steps"])

@@ -38,7 +38,7 @@ class Orbit:
 
     @classmethod
     def through(cls, times: FloatArray, positions: FloatArray, velocities: FloatArray, where: str) -> Self:
-        """Take the eight points about time 0, all where there are fewer.
+        """Orbit through the eight points about time 0, all where there are fewer.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class Orbit:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild from `to_dict`."""
+        """Value of a state, as `to_dict` gives it."""
         first, last = state["range"]
         return cls(state["span"], (first, last), np.array(state["position"]), np.array(state["velocity"]))
 

@@ -19,7 +19,7 @@ _PREFIX = "support_data."
 
 
 def read_ossim(data: bytes, where: str) -> SceneMetadata:
-    """Read a scene. Attitudes are pitch, roll, yaw; lines and detectors count from 1 at the pixel's centre."""
+    """Metadata of a scene. Attitudes are pitch, roll, yaw; lines and detectors count from 1 at the pixel's centre."""
     words = _words(data.decode("utf-8", "replace"), where)
     if words.get("type") != KIND:
         raise InputError(

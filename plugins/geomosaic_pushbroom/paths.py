@@ -55,7 +55,7 @@ class QuaternionTable:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild from `to_dict`."""
+        """Value of a state, as `to_dict` gives it."""
         return cls(Orbit.from_dict(state["orbit"]), np.array(state["times"]), np.array(state["quaternions"]))
 
 
@@ -72,7 +72,7 @@ class Path(Protocol):
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild from `to_dict`."""
+        """Value of a state, as `to_dict` gives it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ class AnglePath:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild from `to_dict`."""
+        """Value of a state, as `to_dict` gives it."""
         return cls(Orbit.from_dict(state["orbit"]), np.array(state["times"]), np.array(state["angles"]))
 
 
@@ -148,7 +148,7 @@ class QuaternionPath:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild from `to_dict`."""
+        """Value of a state, as `to_dict` gives it."""
         return cls(Orbit.from_dict(state["orbit"]), state["offset"], state["scale"], np.array(state["quaternion"]))
 
 
@@ -204,7 +204,7 @@ class TrackPath:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild from `to_dict`."""
+        """Value of a state, as `to_dict` gives it."""
         return cls(np.array(state["times"]), np.array(state["positions"]), np.array(state["quaternions"]))
 
 

@@ -62,7 +62,7 @@ class Platform(Protocol):
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild from `to_dict`."""
+        """Value of a state, as `to_dict` gives it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ class ReportedFlight:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild from `to_dict`."""
+        """Value of a state, as `to_dict` gives it."""
         return cls(PATHS[state["path"]].from_dict(state), state["period"], state["middle"])
 
 
@@ -173,7 +173,7 @@ class StraightFlight:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild from `to_dict`."""
+        """Value of a state, as `to_dict` gives it."""
         frame = LocalFrame(CRS.from_wkt(state["crs"]), np.array(state["origin"]), np.array(state["axes"]))
         return cls(frame, state["rows"], state["focal"])
 

@@ -73,7 +73,7 @@ PART = ".//Sensor_Model_Characteristics"
 
 
 def read_pleiades(root: Element, where: str) -> SceneMetadata:
-    """Read a scene.
+    """Metadata of a scene.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""Control points of one image: read, brought to one CRS, and told of in the model's notes."""
+"""Control points of one image: read, brought to one CRS, and reported in the model's notes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ImageControl:
 
 
 def read_points(points: Any, where: str) -> ImageControl:
-    """Read the input 'points'.
+    """Control points of the input 'points'.
 
     Raises
     ------

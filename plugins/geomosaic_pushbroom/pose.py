@@ -10,7 +10,7 @@ from geomosaic.types import FloatArray
 
 
 class Pose(NamedTuple):
-    """Where a scanner is and how it is turned, for N times.
+    """Position and axes of a scanner at N times.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def turned(axes: FloatArray, pitch: FloatArray, roll: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Turn axes (N, 3, 3) by the SPOT attitude angles (N,), radians.
+    """Axes (N, 3, 3) turned by the SPOT attitude angles (N,), radians.
 
     A look direction u in the turned axes is Mp·Mr·My·u in the axes given, with (SPOT Geometry Handbook, CNES, 2002)
 

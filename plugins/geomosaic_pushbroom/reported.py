@@ -118,7 +118,7 @@ _SKIPPED = frozenset({"Sensor_Calibration", "Image_Display"})
 
 
 def parse_dimap(data: bytes, where: str) -> Element:
-    """Parse the parts of a metadata file that say something of geometry; see `geomosaic.sensor.metadata`."""
+    """Root of a DIMAP document, without the parts that say nothing of geometry; see `geomosaic.sensor.metadata`."""
     return parse_xml(data, where, _SKIPPED)
 
 
@@ -162,7 +162,7 @@ def children(element: Element, path: str, names: tuple[str, ...], where: str) ->
 
 
 def each(element: Element, path: str) -> Iterator[Element]:
-    """All elements at a path."""
+    """Elements at a path."""
     yield from element.iterfind(path)
 
 

@@ -40,7 +40,7 @@ NEEDED = {
 
 
 def read_track(request: SensorRequest) -> tuple[ReportedFlight, LookDirections, AprioriSigmas]:
-    """Read the flight of a strip.
+    """Flight, look directions and a-priori sigmas of a strip.
 
     Raises
     ------

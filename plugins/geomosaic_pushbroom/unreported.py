@@ -100,7 +100,7 @@ class InitialValues:
 
 
 def model_from_control(request: SensorRequest, control: ImageControl) -> PushbroomModel:
-    """Make the model of a scene from its control points.
+    """Model of a scene from its control points alone.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def initial_values(
     options: Mapping[str, Any],
     where: str,
 ) -> InitialValues:
-    """Find first values from control points.
+    """Initial values from control points, by a parallel projection.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ def build_model(request: SensorRequest) -> RpcModel:
 
 
 def _chosen(request: SensorRequest) -> FoundRpc:
-    """Find the RPC that the inputs name, or the one of the image."""
+    """RPC that the inputs name, or the one of the image."""
     named = request.options.get("rpc")
     if named is not None and (not isinstance(named, str) or not named.strip()):
         raise InputError(f"input 'rpc' is {named!r}, not the name of a file", where=request.image)
@@ -84,7 +84,7 @@ def _warn_of_a_part(rpc: Rpc, size: tuple[int, int], where: str) -> None:
 
 
 def _refined(model: RpcModel, request: SensorRequest, kind: str) -> RpcModel:
-    """Correct the model with the control points of the inputs; wrong ones are named."""
+    """Model corrected by the control points of the inputs; wrong ones are named."""
     where = request.image
     if kind == "none":
         raise InputError("there are control points, but refine is 'none'", where=where, hint="leave one of them out")

@@ -27,7 +27,7 @@ _BLOCK = 8192  # points at a time: the terms then stay in the processor's cache
 
 
 def terms(lph: FloatArray) -> FloatArray:
-    """Return the 20 terms (20, N) at normalised ground points (N, 3): longitude, latitude, height."""
+    """Cubic terms (20, N) at normalised ground points (N, 3): longitude, latitude, height."""
     out = np.empty((COUNT, len(lph)))
     L, P, H = lph.T
     out[0] = 1.0
@@ -42,7 +42,7 @@ def terms(lph: FloatArray) -> FloatArray:
 
 
 def slopes(lph: FloatArray) -> FloatArray:
-    """Return the derivatives (3, 20, N) of the terms by L, P and H."""
+    """Derivatives (3, 20, N) of the terms by L, P and H."""
     out = np.zeros((3, COUNT, len(lph)))
     L, P, H = lph.T
     by_l, by_p, by_h = out
@@ -135,7 +135,7 @@ class Rpc:
         return image
 
     def jacobian(self, lonlath: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the image (N, 2) and its derivatives by ground (N, 2, 3), in pixels per degree and per metre."""
+        """Image (N, 2) and its derivatives by ground (N, 2, 3), in pixels per degree and per metre."""
         lph, inside = self.normalised(lonlath)
         values = combine(self.coefficients, terms(lph))
         image, good = self._divided(values)
@@ -160,7 +160,7 @@ class Rpc:
         return np.ascontiguousarray((ratio * self.image_scale[:, None] + self.image_offset[:, None]).T), good
 
     def moved(self, cols: float, rows: float) -> Self:
-        """Return the same map with the image's coordinates counted larger by so many pixels."""
+        """RPC of the same map, the image's coordinates counted larger by so many pixels."""
         return replace(self, image_offset=self.image_offset + np.array([cols, rows]))
 
     def to_dict(self) -> dict[str, Any]:
@@ -171,7 +171,7 @@ class Rpc:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild from `to_dict`."""
+        """Value of a state, as `to_dict` gives it."""
         arrays = {name: np.array(value) for name, value in state.items() if name != "errors"}
         errors = state["errors"]
         return cls(**arrays, errors=None if errors is None else (errors[0], errors[1]))

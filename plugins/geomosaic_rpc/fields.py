@@ -1,4 +1,4 @@
-"""From the numbers of any RPC format to coefficients; every format's pixel origin in one table."""
+"""RPC of the numbers of any format; every format's pixel origin in one table."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ FORMATS = "_RPC.TXT, RPB, DIMAP 2 XML (RPC_....XML), DigitalGlobe XML, OSSIM key
 
 
 def read_rpc(path: Path) -> RpcFields:
-    """Read an RPC file.
+    """RPC of a file of any known format.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def read_rpc(path: Path) -> RpcFields:
 
 
 def read_rpc_bytes(data: bytes, where: str) -> RpcFields:
-    """Read an RPC from the bytes of a file.
+    """RPC of the bytes of a file, whose format is recognised.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def read_rpc_bytes(data: bytes, where: str) -> RpcFields:
 
 
 def rpc_tags(tags: Mapping[str, str], where: str) -> RpcFields | None:
-    """Read an RPC from GDAL's metadata; None where there is none.
+    """RPC of GDAL's metadata; None where there is none.
 
     GDAL may add a unit to a number ('+000.12 degrees'); it has then turned everything into pixels, degrees and metres.
     """
@@ -104,7 +104,7 @@ class FoundRpc:
 
 
 def own_rpc(path: str) -> FoundRpc | None:
-    """Read the RPC that GDAL reports for an image, from its tags or from what it finds beside it."""
+    """RPC that GDAL reports for an image, from its tags or from what it finds beside it."""
     fields = rpc_tags(read_rpc_tags(path), path)
     return None if fields is None else FoundRpc(OWN, fields)
 
@@ -148,7 +148,7 @@ def _named(path: Path) -> tuple[list[Path], list[Path]]:
 
 
 def find_rpc(path: str, where: str) -> FoundRpc:
-    """Find the one RPC of an image.
+    """RPC of an image: the one that it carries or that lies beside it.
 
     Raises
     ------

@@ -60,7 +60,7 @@ class RpcFit:
 
 
 def fit_rpc(model: SensorModel, heights: tuple[float, float]) -> RpcFit:
-    """Fit an RPC to a sensor model.
+    """RPC fitted to a sensor model.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ _RPB_NAMES = {
 
 
 def rpc_txt(text: str, where: str) -> RpcFields:
-    """Read the text form of RPC00B: one 'NAME: number unit' per line, as IKONOS, GeoEye, Planet and others have it."""
+    """RPC of a text: one 'NAME: number unit' per line, as IKONOS, GeoEye, Planet and others have it."""
     found = _colons(text, where)
     numbers = {}
     for name in (*SCALARS, "ERR_BIAS", "ERR_RAND"):
@@ -35,7 +35,7 @@ def rpc_txt(text: str, where: str) -> RpcFields:
 
 
 def ossim(text: str, where: str) -> RpcFields:
-    """Read an OSSIM keyword list (.geom, .kwl) of a sensor with RPC; OSSIM itself counts pixels from 0 at centres."""
+    """RPC of an OSSIM keyword list (.geom, .kwl); OSSIM itself counts pixels from 0 at centres."""
     found = {key.upper(): value.strip().strip('"').strip() for key, value in _colons(text, where).items()}
     if found.get("POLYNOMIAL_FORMAT", "B") != "B":
         raise InputError(
@@ -60,7 +60,7 @@ def ossim(text: str, where: str) -> RpcFields:
 
 
 def rpb(text: str, where: str) -> RpcFields:
-    """Read DigitalGlobe's RPB: 'name = value;' with polynomials in parentheses."""
+    """RPC of DigitalGlobe's RPB: 'name = value;' with polynomials in parentheses."""
     found: dict[str, str] = {}
     for statement in text.split(";"):
         head, equals, value = statement.rpartition("=")  # before it there may be a line without semicolon
@@ -109,7 +109,7 @@ def _once(found: dict[str, str], key: str, value: str, where: str) -> None:
 
 
 def rpc_xml(data: bytes, where: str) -> RpcFields:
-    """Read an RPC from XML, recognised by its root element."""
+    """RPC of an XML document, recognised by its root element."""
     root = parse_xml(data, where)
     tag = root.tag.rpartition("}")[2]
     if tag == "Dimap_Document":

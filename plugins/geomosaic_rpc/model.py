@@ -58,7 +58,7 @@ class RpcModel:
     def of(
         cls, rpc: Rpc, size: tuple[int, int], kind: str = "shift", *, where: str = "RPC", notes: tuple[str, ...] = ()
     ) -> Self:
-        """Make a model that is not corrected yet.
+        """Model that is not corrected yet.
 
         Parameters
         ----------
@@ -82,7 +82,7 @@ class RpcModel:
         return cls(rpc, size, parameters, _middle(rpc, size, where), notes)
 
     def freed(self, kind: str) -> Self:
-        """Return the same model with the parameters of another kind of refinement free."""
+        """Model with the parameters of another kind of refinement free."""
         sigmas = np.where(np.arange(len(NAMES)) < KINDS[kind], np.inf, 0.0)
         return replace(self, parameters=replace(self.parameters, sigmas=sigmas))
 
@@ -117,7 +117,7 @@ class RpcModel:
         return (image[:, 0] - self.size[0] / 2.0) / half, (image[:, 1] - self.size[1] / 2.0) / half
 
     def with_values(self, values: FloatArray) -> Self:
-        """Return the scene with other corrections (6,)."""
+        """Scene with other corrections (6,)."""
         return replace(self, parameters=self.parameters.with_values(values))
 
     def to_dict(self) -> dict[str, Any]:
@@ -133,7 +133,7 @@ class RpcModel:
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
-        """Rebuild a model from `to_dict`."""
+        """Model of a state, as `to_dict` gives it."""
         sigmas = np.array([np.inf if s is None else s for s in state["sigmas"]])
         parameters = Parameters(NAMES, ("px",) * len(NAMES), np.array(state["values"]), sigmas, np.ones(len(NAMES)))
         width, height = state["size"]

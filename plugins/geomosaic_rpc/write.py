@@ -31,7 +31,7 @@ def plain(model: RpcModel) -> Rpc:
 
 
 def rewritten(model: RpcModel) -> RpcFit:
-    """Fit a model with its corrections again, over the heights its RPC was made for."""
+    """RPC fitted to a model with its corrections, over the heights its RPC was made for."""
     middle, half = float(model.rpc.ground_offset[2]), abs(float(model.rpc.ground_scale[2]))
     return fit_rpc(model, (middle - half, middle + half))
 
@@ -48,7 +48,7 @@ def tags_of(rpc: Rpc) -> dict[str, str]:
 
 
 def text_of(rpc: Rpc) -> str:
-    """Return the text of an _RPC.TXT file, in full precision."""
+    """Text of an _RPC.TXT file, in full precision."""
     lines = [
         f"{name}: {_text(value)} {_UNITS[name.partition('_')[0]]}"
         for name, value in zip(SCALARS, _scalars(rpc), strict=True)

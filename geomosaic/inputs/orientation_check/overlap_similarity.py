@@ -30,7 +30,7 @@ FEWEST = 120
 
 @dataclass(frozen=True)
 class ReducedImage:
-    """What stands out of its surroundings in a reduced picture.
+    """Reduced image, each pixel less the mean of its surroundings.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class ReducedImage:
 
 
 def reduced_image(path: str) -> ReducedImage:
-    """Read the small copy of an image."""
+    """Reduced copy of an image."""
     rgb, valid = preview(path, SIDE)
     grey = rgb.mean(axis=2, dtype=np.float64)
     mean = _box_mean(grey)
@@ -111,7 +111,7 @@ def neighbours(places: FloatArray, pairs: int) -> list[tuple[int, int]]:
 
 
 def together(scenes: Sequence[OrientedImage], copies: Sequence[ReducedImage], surface: Surface) -> float:
-    """Median likeness of pairs of scenes: the first with the second, the third with the fourth, and so on."""
+    """Median correlation of pairs of scenes: the first with the second, the third with the fourth, and so on."""
     each = [
         correlation_of_pair(scenes[i], scenes[i + 1], (copies[i], copies[i + 1]), surface)
         for i in range(0, len(scenes) - 1, 2)

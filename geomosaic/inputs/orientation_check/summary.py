@@ -1,4 +1,4 @@
-"""What the inputs of a block say, in words with units and frames: a mistake is seen before it costs a run."""
+"""Summary of a block's inputs, in words with units and frames: a mistake is seen before it costs a run."""
 
 from __future__ import annotations
 

@@ -183,7 +183,7 @@ def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def placement_words(facts: Mapping[str, Any]) -> list[str]:
-    """Say how the photos were placed and how well, in a line or two."""
+    """Lines on how the photos were placed, and how well."""
     kind, model, count = facts["kind"], facts["model"], len(facts["photos"])
     lines = []
     if kind == "uncontrolled":

@@ -29,7 +29,7 @@ CONTROL_COLUMNS = ("id", "x", "y", "image", "col", "row")
 def read_block(
     photos: Sequence[Photo], ties: Path | None, control: Path | None
 ) -> tuple[PlanarBlock, tuple[ControlPoint, ...]]:
-    """Read the tables of a block.
+    """Tables of a planar block.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ def jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def difference_jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return what `jacobian` returns, by central differences over one pixel, whatever closed form the model has.
+    """Derivatives as of `jacobian`, by central differences over one pixel, whatever closed form the model has.
 
     One pixel balances both errors of a difference: curvature over a pixel is about 1e-8 of the derivative, and
     rounding of pixel coordinates about 1e-12 of it.

@@ -42,7 +42,7 @@ def image_to_height(model: SensorModel, colrow: FloatArray, heights: FloatArray 
 
 
 def image_to_ground(model: SensorModel, colrow: FloatArray, surface: Surface | None = None) -> FloatArray:
-    """Where lines of sight first meet a surface.
+    """Ground points where lines of sight first meet a surface.
 
     Parameters
     ----------

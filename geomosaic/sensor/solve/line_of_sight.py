@@ -60,7 +60,7 @@ class SightLines:
 
     @classmethod
     def of(cls, model: SensorModel, colrow: FloatArray, crs: CRS) -> SightLines:
-        """Find the lines at the height of the model's seed, started at the seed.
+        """Lines of sight of image points, found at the height of the model's seed.
 
         Raises
         ------
@@ -125,7 +125,7 @@ HEIGHT_ACCEPTED = 1e-6
 
 
 def first_meeting(lines: SightLines, surface: Surface) -> FloatArray:
-    """Return x, y, z (N, 3) in `surface.crs` of the first meeting of each line; NaN where there is none."""
+    """First meeting x, y, z (N, 3) of each line with the surface, in `surface.crs`; NaN where there is none."""
     low, high = surface.range
     if not (np.isfinite(low) and np.isfinite(high)):
         raise InputError("the surface has no known height", hint="give a DEM with data under the image, or a height")
@@ -252,7 +252,7 @@ class _Bracket:
         return excess, xy
 
     def refine(self, upper: FloatArray, lower: FloatArray, xy_upper: FloatArray, xy_lower: FloatArray) -> FloatArray:
-        """Return x, y, height (M, 3); NaN where the bracket does not hold."""
+        """Meeting x, y, height (M, 3) within the bracket; NaN where it does not hold."""
         everyone = np.arange(len(self.rows))
         result = np.full((len(everyone), 3), np.nan)
         f_upper, xy_upper = self._excess(upper, everyone, xy_upper)

@@ -30,7 +30,7 @@ def solve_pairs(
     step: float,
     accepted: float,
 ) -> FloatArray:
-    """Find xy such that evaluate(xy) = target, for each row by itself.
+    """Solutions xy of evaluate(xy) = target, for each row by itself.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def _newton_step(
     residual: FloatArray,
     step: float,
 ) -> FloatArray:
-    """Solve the 2 × 2 systems of forward differences; (M, 2), NaN where singular."""
+    """Newton steps (M, 2) by forward differences; NaN where singular."""
     columns = []
     for axis in range(2):
         moved = xy.copy()
@@ -113,7 +113,7 @@ def _damped(
     rows: IntArray,
     change: FloatArray,
 ) -> BoolArray:
-    """Take the steps in place, halved where needed; say which rows got better."""
+    """Rows that got better by the steps, which are taken in place, halved where needed."""
     improved = np.zeros(len(rows), dtype=bool)
     waiting = np.flatnonzero(np.isfinite(change).all(axis=1))
     factor = 1.0

@@ -29,7 +29,7 @@ class SyntheticPhoto:
     angles: tuple[float, float, float]
 
     def camera(self, camera: Mapping[str, Any], ground: AnalyticGround) -> PlainCamera:
-        """Return the independent camera at this place."""
+        """Independent camera at this place."""
         return PlainCamera(camera, ground.crs, self.position, self.angles)
 
 

@@ -26,7 +26,7 @@ Texture = Callable[[AnalyticGround, FloatArray], AnyArray]
 
 
 class Camera(Protocol):
-    """What a photo is rendered with: a sensor model with rays, or a `PlainCamera`."""
+    """Camera that a photo is rendered with: a sensor model with rays, or a `PlainCamera`."""
 
     @property
     def crs(self) -> CRS:
@@ -39,7 +39,7 @@ class Camera(Protocol):
 
 @dataclass(frozen=True)
 class Exposure:
-    """What a photo makes of radiance: value = gain·radiance + offset, per band (one number serves all bands)."""
+    """Exposure of a photo: value = gain·radiance + offset, per band (one number serves all bands)."""
 
     gain: tuple[float, ...] = (1.0,)
     offset: tuple[float, ...] = (0.0,)
