@@ -116,7 +116,14 @@ class Cofactors:
 
 
 def sigma0_of(squares: float, redundancy: int) -> float:
-    """Standard deviation of unit weight; NaN without redundancy."""
+    """Standard deviation of unit weight; NaN without redundancy.
+
+    Parameters
+    ----------
+    squares : float
+        Weighted sum of squares of the residuals.
+    redundancy : int
+    """
     return float(np.sqrt(squares / redundancy)) if redundancy > 0 else float("nan")
 
 
@@ -147,6 +154,15 @@ def log_tail_probability(statistic: FloatArray, scale: float, freedom: float) ->
 
     With two degrees of freedom above, the upper tail is (1 + T / (f s²))^(−f/2), and exp(−T / (2 s²)) where the scale s
     is known beforehand, f = ∞.
+
+    Parameters
+    ----------
+    statistic : array (N,)
+        Decreases of the weighted sum of squares, two degrees of freedom each.
+    scale : float
+        Standard deviation of unit weight.
+    freedom : float
+        Redundancy that the scale rests on; inf where it is known.
     """
     ratio = statistic / scale**2
     power: FloatArray = -0.5 * ratio if np.isinf(freedom) else -0.5 * freedom * np.log1p(ratio / freedom)
@@ -154,7 +170,17 @@ def log_tail_probability(statistic: FloatArray, scale: float, freedom: float) ->
 
 
 def tail_probability(statistic: FloatArray, scale: float, freedom: float) -> FloatArray:
-    """Probability of statistics as large by chance, see `log_tail_probability`."""
+    """Probability of statistics as large by chance, see `log_tail_probability`.
+
+    Parameters
+    ----------
+    statistic : array (N,)
+        Decreases of the weighted sum of squares, two degrees of freedom each.
+    scale : float
+        Standard deviation of unit weight.
+    freedom : float
+        Redundancy that the scale rests on; inf where it is known.
+    """
     probability: FloatArray = np.exp(log_tail_probability(statistic, scale, freedom))
     return probability
 

@@ -17,6 +17,7 @@ from geomosaic_planar.terms import AXES, article, basis, derivatives, evaluate, 
 
 WORST_CONDITION = 1e6
 RULES = Stopping(rounds=50, step=1e-11, near=0.0)
+"""Movements are shares of the image size, and end at its rounding: exact points give exact coefficients."""
 SURE = 3.0
 """Logarithm of the ratio of likelihoods from which control is taken for mirrored; e³ is about 20 to 1."""
 

@@ -87,7 +87,17 @@ def _fits(problem: Refit[Fit]) -> bool:
 def snoop_problem(
     problem: Refit[Fit], start: RobustStart, alpha: float = ALPHA, sigma0: float | None = None
 ) -> Snooping[Fit]:
-    """Data snooping from a robust start; see `snoop`."""
+    """Data snooping from a robust start; see `snoop`.
+
+    Parameters
+    ----------
+    problem : Refit
+    start : RobustStart
+    alpha : float
+        Probability below which an error is no chance.
+    sigma0 : float, optional
+        Standard deviation of unit weight, where it is known beforehand.
+    """
     if not 0.0 < alpha < 1.0:
         raise InputError(f"a probability of {alpha} is not between 0 and 1")
     if sigma0 is not None and not (np.isfinite(sigma0) and sigma0 > 0.0):

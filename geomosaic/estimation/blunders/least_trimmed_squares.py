@@ -52,6 +52,12 @@ class RobustStart:
 def points_needed(problem: Refit[Fit], seed: int = 0) -> int:
     """Fewest points the model needs, found by trying: all points together may contradict each other too much.
 
+    Parameters
+    ----------
+    problem : Refit
+    seed : int
+        Of the random samples; the same gives the same.
+
     Raises
     ------
     SolveError
@@ -91,6 +97,12 @@ def _fit(problem: Refit[Fit], chosen: IntArray) -> Any:
 
 def check_count(problem: Refit[Fit], seed: int = 0) -> int:
     """Fewest points the model needs, refusing fewer than two more.
+
+    Parameters
+    ----------
+    problem : Refit
+    seed : int
+        Of the random samples; the same gives the same.
 
     Raises
     ------

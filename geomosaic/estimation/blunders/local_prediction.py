@@ -57,7 +57,13 @@ def predictions(
 
 
 def powers(places: FloatArray, order: int) -> FloatArray:
-    """All powers (N, order · (order + 1) / 2) of x and y below an order."""
+    """All powers (N, order · (order + 1) / 2) of x and y below an order.
+
+    Parameters
+    ----------
+    places : array (N, 2)
+    order : int
+    """
     x, y = places.T
     return np.column_stack([x ** (i - j) * y**j for i in range(order) for j in range(i + 1)])
 

@@ -91,7 +91,15 @@ def search_blunders(
 ) -> BlunderSearch[Fit]:
     """Blunders by data snooping and by an M-estimator, and whether the two agree.
 
-    Parameters are those of `data_snooping.snoop`.
+    Parameters
+    ----------
+    problem : Refit
+    alpha : float
+        Probability below which an error is no chance.
+    sigma0 : float, optional
+        Standard deviation of unit weight, where it is known beforehand.
+    seed : int
+        Of the random samples; the same gives the same.
 
     Raises
     ------
@@ -115,7 +123,15 @@ def m_estimate(
 ) -> MEstimate[Fit]:
     """MM-estimate (Yohai 1987): Tukey's weights from a robust start, whose scale is held.
 
-    Parameters and errors are those of `data_snooping.snoop`.
+    Parameters
+    ----------
+    problem : Refit
+    alpha : float
+        Probability below which an error is no chance.
+    sigma0 : float, optional
+        Standard deviation of unit weight, where it is known beforehand.
+    seed : int
+        Of the random samples; the same gives the same.
     """
     return estimate_problem(problem, trimmed_start(problem, seed), alpha, sigma0)
 
@@ -123,7 +139,17 @@ def m_estimate(
 def estimate_problem(
     problem: Refit[Fit], start: RobustStart, alpha: float = ALPHA, sigma0: float | None = None
 ) -> MEstimate[Fit]:
-    """MM-estimate from a robust start; see `m_estimate`."""
+    """MM-estimate from a robust start; see `m_estimate`.
+
+    Parameters
+    ----------
+    problem : Refit
+    start : RobustStart
+    alpha : float
+        Probability below which an error is no chance.
+    sigma0 : float, optional
+        Standard deviation of unit weight, where it is known beforehand.
+    """
     scale, freedom = (start.scale, float(start.freedom)) if sigma0 is None else (sigma0, float("inf"))
     weights, errors = start.inliers.astype(np.float64), problem.errors(problem.model(start.inliers))
     settled, rounds = False, 0

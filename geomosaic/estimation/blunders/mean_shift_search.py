@@ -154,7 +154,13 @@ def _log_chance(statistic: FloatArray, scale: float, freedom: int) -> FloatArray
 
 
 def minimal_detectable(shifts: MeanShifts, found: ShiftSearch) -> float:
-    """Error in pixels that brings a measurement to the limit (inner reliability), median over the views."""
+    """Error in pixels that brings a measurement to the limit (inner reliability), median over the views.
+
+    Parameters
+    ----------
+    shifts : MeanShifts
+    found : ShiftSearch
+    """
     limit, freedom = float(np.log(ALPHA / max(1, len(shifts)))), found.state.redundancy - 2
     if freedom < 1:
         return float("inf")

@@ -172,6 +172,7 @@ class EdgeProblem(Problem[State]):
 
 
 RULES = Stopping(rounds=50, step=1e-9, near=1e-5, gain=1e-14)
+"""Movements in pixels; 1e-9 is far below what the exact join meets, and about the last digit of map coordinates."""
 WORST_CONDITION = 1e7
 """Of the design. Beyond it half of the digits of a solution are noise."""
 

@@ -29,12 +29,33 @@ _MARGIN = 2
 
 
 def finest_spacing(places: FloatArray, reach: float, most_nodes: int) -> float:
-    """Node spacing in pixels of a grid of `most_nodes` over all that the corrections reach."""
+    """Node spacing in pixels of a grid of `most_nodes` over all that the corrections reach.
+
+    Parameters
+    ----------
+    places : array (K, 2)
+        Points in the image, pixels.
+    reach : float
+        Distance at which a correction has faded away, pixels.
+    most_nodes : int
+        Nodes of the grid at most.
+    """
     return float(np.sqrt(np.prod(np.ptp(places, axis=0) + 2.0 * reach) / most_nodes))
 
 
 def correction_through(places: FloatArray, values: FloatArray, reach: float, most_nodes: int) -> CorrectionGrid | None:
     """Correction grid through corrections (K, 2) at places (K, 2), no two of which are the same.
+
+    Parameters
+    ----------
+    places : array (K, 2)
+        Points in the image, pixels.
+    values : array (K, 2)
+        Corrections there, pixels.
+    reach : float
+        Distance at which a correction has faded away, pixels.
+    most_nodes : int
+        Nodes of the grid at most.
 
     Returns
     -------

@@ -16,6 +16,12 @@ from geomosaic.types import BoolArray, FloatArray
 def own_fits(problem: EdgeProblem, models: list[SensorModel]) -> tuple[list[SensorModel], BoolArray]:
     """Models fitted to each photo's own control points alone: the photos without edge matching.
 
+    Parameters
+    ----------
+    problem : EdgeProblem
+    models : list of SensorModel
+        Of the photos.
+
     Returns
     -------
     models : list of SensorModel
@@ -32,6 +38,14 @@ def extended_to_neighbours(problem: EdgeProblem, models: list[SensorModel], fitt
     """Models of photos without enough control, fitted to common points as their neighbours place them, round by round.
 
     A photo that is not reached keeps the values it came with: they are its start.
+
+    Parameters
+    ----------
+    problem : EdgeProblem
+    models : list of SensorModel
+        Of the photos.
+    fitted : bool array (photos,)
+        Photos that are fitted already.
     """
     while not fitted.all() and fitted.any():
         ground = common_ground(problem, models, fitted)
@@ -44,7 +58,16 @@ def extended_to_neighbours(problem: EdgeProblem, models: list[SensorModel], fitt
 
 
 def common_ground(problem: EdgeProblem, models: list[SensorModel], from_photos: BoolArray) -> FloatArray:
-    """Stations (S, 3) in the map CRS: as given, or the mean of what chosen photos see; NaN where none does."""
+    """Stations (S, 3) in the map CRS: as given, or the mean of what chosen photos see; NaN where none does.
+
+    Parameters
+    ----------
+    problem : EdgeProblem
+    models : list of SensorModel
+        Of the photos.
+    from_photos : bool array (photos,)
+        Photos whose view of common points counts.
+    """
     s = problem.stations
     places = ground_of(problem, models)
     places[~from_photos[s.photo]] = np.nan
@@ -58,7 +81,14 @@ def common_ground(problem: EdgeProblem, models: list[SensorModel], from_photos: 
 
 
 def ground_of(problem: EdgeProblem, models: list[SensorModel]) -> FloatArray:
-    """Places (N, 3) on the map of each measurement by its own photo, at the height of its station."""
+    """Places (N, 3) on the map of each measurement by its own photo, at the height of its station.
+
+    Parameters
+    ----------
+    problem : EdgeProblem
+    models : list of SensorModel
+        Of the photos.
+    """
     s = problem.stations
     places = np.full((len(s.photo), 3), np.nan)
     for index, model in enumerate(models):

@@ -24,7 +24,13 @@ from geomosaic.types import BoolArray, FloatArray
 
 
 def search_blunders(problem: EdgeProblem, solution: EdgeSolution) -> tuple[BlunderReport, list[MeasurementKey]]:
-    """Blunders in a solution, and their keys (point, photo), None for coordinates."""
+    """Blunders in a solution, and their keys (point, photo), None for coordinates.
+
+    Parameters
+    ----------
+    problem : EdgeProblem
+    solution : EdgeSolution
+    """
     s = problem.stations
     images = [problem.photos[k] for k in s.photo]
     shifts, labels, keys = candidate_shifts(solution.network, s.ids, images, s.where, "common point")
@@ -35,7 +41,15 @@ def search_blunders(problem: EdgeProblem, solution: EdgeSolution) -> tuple[Blund
 def without_measurements(
     control: Sequence[ControlPoint], common: Sequence[CommonPoint], left: Sequence[MeasurementKey]
 ) -> tuple[list[ControlPoint], list[CommonPoint]]:
-    """Points without blunders; control with rejected coordinates becomes common, a lone common point goes too."""
+    """Points without blunders; control with rejected coordinates becomes common, a lone common point goes too.
+
+    Parameters
+    ----------
+    control : sequence of ControlPoint
+    common : sequence of CommonPoint
+    left : sequence of MeasurementKey
+        Measurements to leave out.
+    """
     out, places = set(left), {name for name, image in left if image is None}
     points = [p for p in control if (p.id, p.image) not in out]
     shared = [p for p in common if (p.id, p.image) not in out]

@@ -151,6 +151,11 @@ class Stations:
 def map_crs(photos: Sequence[OrientedImage], crs: CRS | None) -> CRS:
     """CRS in which stations are adjusted: the one given, or that of the models where they share one map.
 
+    Parameters
+    ----------
+    photos : sequence of OrientedImage
+    crs : CRS, optional
+
     Raises
     ------
     InputError

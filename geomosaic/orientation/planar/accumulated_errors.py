@@ -59,6 +59,13 @@ def reference(block: PlanarBlock, made: Chain, kind: str) -> tuple[PlanarSolutio
 
     A kind that the whole block does not hold gives way to the conformal one.
 
+    Parameters
+    ----------
+    block : PlanarBlock
+    made : Chain
+    kind : str
+        'conformal', 'affine' or 'projective'.
+
     Returns
     -------
     solution : PlanarSolution
@@ -79,7 +86,19 @@ def reference(block: PlanarBlock, made: Chain, kind: str) -> tuple[PlanarSolutio
 def compare(
     block: PlanarBlock, made: Chain, adjusted: Mapping[str, PlanarTransform], against: str, model: str
 ) -> Accumulated:
-    """Comparison of a chain with the simultaneous solution of the same photos."""
+    """Comparison of a chain with the simultaneous solution of the same photos.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    made : Chain
+    adjusted : mapping of str to PlanarTransform
+        Simultaneous solution, by photo.
+    against : str
+        'control' or 'ties': what holds the simultaneous solution.
+    model : str
+        'conformal', 'affine' or 'projective'.
+    """
     at = {photo.name: _places(photo.size) for photo in block.photos}
     ours = {name: made.transforms[name].to_ground(at[name]) for name in at}
     theirs = {name: adjusted[name].to_ground(at[name]) for name in at}

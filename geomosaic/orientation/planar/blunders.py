@@ -101,7 +101,18 @@ def mean_shifts_of(
 
 
 def tilt_shifts(block: PlanarBlock, kind: str, tilted: frozenset[str], unknowns: FloatArray) -> dict[str, float]:
-    """Largest shift in pixels, at the points of each tilted photo, by the unknowns (U,) that the kind lacks."""
+    """Largest shift in pixels, at the points of each tilted photo, by the unknowns (U,) that the kind lacks.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    tilted : frozenset of str
+        Photos taken as tilted.
+    unknowns : array (U,)
+        Unknowns of all photos; those that the kind lacks come last.
+    """
     names = [photo.name for photo in block.photos if photo.name in tilted]
     count = missing_terms(kind, np.zeros((1, 2))).shape[-1]
     own = unknowns[len(unknowns) - count * len(names) :].reshape(len(names), count)
@@ -171,6 +182,16 @@ def adjust_checked(
 ) -> tuple[PlanarSolution, BlunderReport]:
     """Simultaneous adjustment after a search for blunders; see `simultaneous.adjust` and `BlunderReport.enforce`.
 
+    Parameters
+    ----------
+    block : PlanarBlock
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    policy : str
+        One of `findings.POLICIES`.
+    where : str, optional
+        Named in errors.
+
     Raises
     ------
     InputError
@@ -188,6 +209,14 @@ def search_block(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransf
     """Search for blunders in a simultaneous adjustment.
 
     Where a projective adjustment fails, a wrong point may be why: it is then looked for in the affine one.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    fixed : mapping of str to PlanarTransform
+        Photos that are held, by name.
 
     Raises
     ------
@@ -224,6 +253,14 @@ def search_any_adjustment(block: PlanarBlock, kind: str, uncontrolled: bool) -> 
 
     On ties alone the photo in the middle is held. Where no adjustment is possible, nothing is found: what needs the
     points will say why.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    uncontrolled : bool
+        Whether the mosaic is made of ties alone.
     """
     start = block.photo(middle(block))
     step = half(start.size)
@@ -245,7 +282,14 @@ def search_any_adjustment(block: PlanarBlock, kind: str, uncontrolled: bool) -> 
 
 
 def search_each_photo(block: PlanarBlock, kind: str) -> SearchedBlock:
-    """Search in each photo by itself, adjusted to its own control."""
+    """Search in each photo by itself, adjusted to its own control.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    """
     report, left = list[BlunderReport](), list[MeasurementKey]()
     for photo in block.photos:
         own = PlanarBlock((photo,), (), tuple(point for point in block.control if point.photo == photo.name))
@@ -263,7 +307,14 @@ def search_each_photo(block: PlanarBlock, kind: str) -> SearchedBlock:
 
 
 def without_measurements(block: PlanarBlock, left: Sequence[MeasurementKey]) -> PlanarBlock:
-    """Block without some measurements; points whose coordinates are left out become tie points."""
+    """Block without some measurements; points whose coordinates are left out become tie points.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    left : sequence of MeasurementKey
+        Measurements to leave out.
+    """
     out, places = set(left), {name for name, photo in left if photo is None}
     ties = [tie for tie in block.ties if (tie.id, tie.photo) not in out]
     control = [point for point in block.control if (point.id, point.photo) not in out]

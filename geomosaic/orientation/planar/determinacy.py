@@ -28,6 +28,16 @@ BAD_FIT = 3.0
 def check_determined(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform], where: str | None) -> None:
     """Check by counting: photos with too few points and pieces with too little control are refused.
 
+    Parameters
+    ----------
+    block : PlanarBlock
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    fixed : mapping of str to PlanarTransform
+        Photos that are held, by name.
+    where : str, optional
+        Named in errors.
+
     Raises
     ------
     SolveError
@@ -91,6 +101,13 @@ def elongation(size: tuple[int, int], colrow: FloatArray) -> float:
     """Condition number of the places (N, 2) of points in a photo: their longest extent over the one across it.
 
     Ratio of the singular values of the centred coordinates: 1 for points spread evenly, infinite on a line.
+
+    Parameters
+    ----------
+    size : tuple of int
+        Width and height of the photo, pixels.
+    colrow : array (N, 2)
+        Pixels, corner-based.
     """
     xy = photo_coordinates(size, colrow)
     singular = np.linalg.svd(xy - xy.mean(axis=0), compute_uv=False)
@@ -98,7 +115,20 @@ def elongation(size: tuple[int, int], colrow: FloatArray) -> float:
 
 
 def ill_conditioned(block: PlanarBlock, kind: str, condition: float, photo: str, where: str | None) -> SolveError:
-    """Error of an adjustment whose equations do not determine its unknowns."""
+    """Error of an adjustment whose equations do not determine its unknowns.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    condition : float
+        Condition number of the design.
+    photo : str
+        Name of the photo that is determined worst.
+    where : str, optional
+        Named in errors.
+    """
     number = "infinite" if not np.isfinite(condition) else f"{condition:.1e}"
     several = len(block.photos) > 1
     advice = {
@@ -129,6 +159,14 @@ def check_plausible(solution: PlanarSolution, start: PlanarSolution | None, wher
     Points above and below a plane make residuals, and the perspective terms follow them. In a block they are held by
     little, so errors grow from the points to the corners of the photos. Where they come to more than those of the
     affine adjustment that it started from, or to perspective terms that no near-vertical photo has, it is refused.
+
+    Parameters
+    ----------
+    solution : PlanarSolution
+    start : PlanarSolution, optional
+        Affine solution that a projective one started from.
+    where : str, optional
+        Named in errors.
 
     Raises
     ------

@@ -38,7 +38,14 @@ class Join:
 
 
 def joins(block: PlanarBlock, transforms: Mapping[str, PlanarTransform]) -> list[Join]:
-    """Joins of all pairs of placed photos that show common points, in the order of the block."""
+    """Joins of all pairs of placed photos that show common points, in the order of the block.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    transforms : mapping of str to PlanarTransform
+        By photo.
+    """
     places = positions(block, transforms)
     names = [photo.name for photo in block.photos if photo.name in transforms]
     found = [join(a, b, transforms, places) for i, a in enumerate(names) for b in names[i + 1 :]]
@@ -46,12 +53,25 @@ def joins(block: PlanarBlock, transforms: Mapping[str, PlanarTransform]) -> list
 
 
 def positions(block: PlanarBlock, transforms: Mapping[str, PlanarTransform]) -> dict[str, dict[str, FloatArray]]:
-    """Map position (2,) of each measured point by each placed photo that shows it: photo → point → position."""
+    """Map position (2,) of each measured point by each placed photo that shows it: photo → point → position.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    transforms : mapping of str to PlanarTransform
+        By photo.
+    """
     return {name: positions_by(block, transform) for name, transform in transforms.items()}
 
 
 def positions_by(block: PlanarBlock, transform: PlanarTransform) -> dict[str, FloatArray]:
-    """Map position (2,) of each point that one placed photo shows."""
+    """Map position (2,) of each point that one placed photo shows.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    transform : PlanarTransform
+    """
     own = block.by_photo[transform.photo.name]
     if not own:
         return {}
@@ -65,7 +85,17 @@ def join(
     transforms: Mapping[str, PlanarTransform],
     places: Mapping[str, Mapping[str, FloatArray]],
 ) -> Join | None:
-    """Join of one pair of photos; None where they share no point."""
+    """Join of one pair of photos; None where they share no point.
+
+    Parameters
+    ----------
+    first : str
+    second : str
+    transforms : mapping of str to PlanarTransform
+        By photo.
+    places : mapping
+        Map position (2,) of each point by photo, see `positions`.
+    """
     shared = [point for point in places[first] if point in places[second]]
     if not shared:
         return None

@@ -121,7 +121,14 @@ def views_of(block: PlanarBlock) -> Views:
 
 
 def weights_of_pairs(views: Views, sigma_ground: FloatArray) -> FloatArray:
-    """Weights (M,) of the pairs, from the standard deviations (N,) of the views' positions on the ground."""
+    """Weights (M,) of the pairs, from the standard deviations (N,) of the views' positions on the ground.
+
+    Parameters
+    ----------
+    views : Views
+    sigma_ground : array (N,)
+        Standard deviations of the views' positions on the normalised ground; 0 for control that is held.
+    """
     total = np.zeros(len(views.ids))
     with np.errstate(divide="ignore"):
         weight = 1.0 / sigma_ground**2
@@ -134,7 +141,16 @@ def weights_of_pairs(views: Views, sigma_ground: FloatArray) -> FloatArray:
 
 
 def mean_positions(views: Views, position: FloatArray, sigma_ground: FloatArray) -> FloatArray:
-    """Adjusted ground (P, 2) of the points: the weighted mean of their views' positions (N, 2), or fixed control."""
+    """Adjusted ground (P, 2) of the points: the weighted mean of their views' positions (N, 2), or fixed control.
+
+    Parameters
+    ----------
+    views : Views
+    position : array (N, 2)
+        Positions of the views on the normalised ground.
+    sigma_ground : array (N,)
+        Standard deviations of the views' positions on the normalised ground; 0 for control that is held.
+    """
     with np.errstate(divide="ignore"):
         weight = 1.0 / sigma_ground**2
     fixed = np.isinf(weight)
@@ -241,7 +257,14 @@ class PlanarProblem:
 
 
 def frame_of(block: PlanarBlock, fixed: Mapping[str, PlanarTransform]) -> Frame:
-    """Normalised ground about the control, else about the photos that are held."""
+    """Normalised ground about the control, else about the photos that are held.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    fixed : mapping of str to PlanarTransform
+        Photos that are held, by name.
+    """
     known = [np.array([[point.x, point.y] for point in block.control]).reshape(-1, 2)]
     known += [transform.to_ground(transform.corners()) for transform in fixed.values()]
     places = np.vstack(known)
@@ -251,7 +274,16 @@ def frame_of(block: PlanarBlock, fixed: Mapping[str, PlanarTransform]) -> Frame:
 
 
 def as_kind(transform: PlanarTransform, kind: str, frame: Frame) -> FloatArray:
-    """Parameters of a transformation in another frame, written as another kind; what that kind lacks is dropped."""
+    """Parameters of a transformation in another frame, written as another kind; what that kind lacks is dropped.
+
+    Parameters
+    ----------
+    transform : PlanarTransform
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    frame : Frame
+        Normalised ground of the result.
+    """
     own = transform.frame
     scale = own.scale / frame.scale
     shift = np.array([own.x0 - frame.x0, own.y0 - frame.y0]) / frame.scale

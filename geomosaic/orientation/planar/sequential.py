@@ -66,6 +66,15 @@ def fit_single(
 ) -> PlanarSolution:
     """Fit of one photo to points with known places.
 
+    Parameters
+    ----------
+    photo : PlanarPhoto
+    points : sequence of Control
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    longest : mapping of str to float
+        Largest elongation of the points that each kind takes.
+
     Raises
     ------
     SolveError
@@ -85,7 +94,15 @@ def fit_single(
 
 
 def fit_best(photo: PlanarPhoto, points: Sequence[Control], kind: str) -> tuple[PlanarSolution, str]:
-    """Fit of the kind asked for, or conformal where the points do not hold it; and why."""
+    """Fit of the kind asked for, or conformal where the points do not hold it; and why.
+
+    Parameters
+    ----------
+    photo : PlanarPhoto
+    points : sequence of Control
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    """
     if kind == "conformal":
         return fit_single(photo, points, kind), ""
     try:
@@ -101,6 +118,16 @@ def known_points(
     transforms: Mapping[str, PlanarTransform],
 ) -> tuple[list[Control], tuple[str, ...]]:
     """Points of a photo that photos made before show, as control at the mean of their positions there.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    photo : str
+        Name of the photo.
+    places : mapping
+        Map position (2,) of each point by photo, see `positions`.
+    transforms : mapping of str to PlanarTransform
+        By photo.
 
     Returns
     -------
@@ -128,7 +155,15 @@ def known_points(
 
 
 def merged(ties: Sequence[Control], control: Sequence[Control]) -> list[Control]:
-    """Points from the part made before, and from the map; of a point that comes from both, the map's place."""
+    """Points from the part made before, and from the map; of a point that comes from both, the map's place.
+
+    Parameters
+    ----------
+    ties : sequence of Control
+        Tie points at their mean positions in photos made before.
+    control : sequence of Control
+        Control points of the map.
+    """
     from_map = {point.id for point in control}
     return [*(point for point in ties if point.id not in from_map), *control]
 

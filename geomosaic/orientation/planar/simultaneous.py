@@ -74,7 +74,18 @@ def adjust(
 def adjust_unchecked(
     block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform], where: str | None
 ) -> tuple[PlanarSolution, PlanarSolution | None]:
-    """Simultaneous adjustment, unchecked, and the affine one that a projective one started from."""
+    """Simultaneous adjustment, unchecked, and the affine one that a projective one started from.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    fixed : mapping of str to PlanarTransform
+        Photos that are held, by name.
+    where : str, optional
+        Named in errors.
+    """
     if kind != "projective":
         return _solve(block, kind, fixed, None, where), None
     check_determined(block, kind, fixed, where)

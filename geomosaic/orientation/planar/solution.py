@@ -115,7 +115,14 @@ UNCONTROLLED = 1e-6
 
 
 def cofactor_blocks(problem: PlanarProblem, normals: NormalEquations) -> dict[tuple[int, int], FloatArray]:
-    """Cofactors (P, P) of the parameters of every two photos that show a common point."""
+    """Cofactors (P, P) of the parameters of every two photos that show a common point.
+
+    Parameters
+    ----------
+    problem : PlanarProblem
+    normals : NormalEquations
+        Of the adjustment.
+    """
     photo, count = problem.views.photo, problem.count
     near: dict[int, set[int]] = {i: {i} for i in range(len(problem.block.photos))}
     for a, b in photo[problem.views.pairs]:
@@ -136,7 +143,16 @@ def cofactor_blocks(problem: PlanarProblem, normals: NormalEquations) -> dict[tu
 
 
 def image_residuals(problem: PlanarProblem, values: FloatArray, points: FloatArray) -> FloatArray:
-    """Measured minus computed (col, row) (N, 2) in pixels at the adjusted points (M, 2), normalised ground."""
+    """Measured minus computed (col, row) (N, 2) in pixels at the adjusted points (M, 2), normalised ground.
+
+    Parameters
+    ----------
+    problem : PlanarProblem
+    values : array (K, P)
+        Parameters of each photo, normalised photo to normalised ground.
+    points : array (M, 2)
+        Adjusted points on the normalised ground.
+    """
     views = problem.views
     computed = np.full((len(views.photo), 2), np.nan)
     place = problem.frame.map(points[views.point])
@@ -159,6 +175,20 @@ def standardised(
 
     On the ground a view of weight w at a point of weights W deviates from the adjusted point by e, whose cofactors are
     I/w − I/W − A·Q·Aᵀ, A the derivatives of e by all parameters.
+
+    Parameters
+    ----------
+    problem : PlanarProblem
+    values : array (K, P)
+        Parameters of each photo, normalised photo to normalised ground.
+    at : array (N, 2)
+        Adjusted normalised photo coordinates of the views.
+    sigma : array (N,)
+        Standard deviations of the views on the normalised ground.
+    cofactors : mapping of (int, int) to array (P, P)
+        See `cofactor_blocks`.
+    residuals : array (N, 2)
+        Pixels.
     """
     views = problem.views
     out = np.full_like(residuals, np.nan)

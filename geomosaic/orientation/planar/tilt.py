@@ -111,7 +111,15 @@ def likeliest_tilts(
 
 
 def missing_terms(kind: str, xy: FloatArray) -> FloatArray:
-    """Shifts (N, 2, K) of (x, y) in the image by what a kind lacks, at photo coordinates (N, 2)."""
+    """Shifts (N, 2, K) of (x, y) in the image by what a kind lacks, at photo coordinates (N, 2).
+
+    Parameters
+    ----------
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    xy : array (N, 2)
+        Normalised photo coordinates: from the middle, to the right and upwards.
+    """
     x, y = xy.T
     perspective = np.array([[x * x, x * y], [x * y, y * y]])
     scales = np.array([[x, y], [-y, x]])

@@ -30,7 +30,16 @@ LEAST = {"conformal": 2, "affine": 3, "projective": 4}
 def forward(kind: str, values: FloatArray, xy: FloatArray) -> FloatArray:
     """Ground (N, 2) of photo coordinates (N, 2).
 
-    `values` are (P,), or (N, P) where each point has parameters of its own. NaN where w ≤ 0: beyond the horizon.
+    NaN where w ≤ 0: beyond the horizon.
+
+    Parameters
+    ----------
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    values : array (P,) or (N, P)
+        Parameters as in `NAMES`; with (N, P) each point has its own.
+    xy : array (N, 2)
+        Normalised photo coordinates: from the middle, to the right and upwards.
     """
     x, y = xy[:, 0], xy[:, 1]
     p = np.moveaxis(values, -1, 0)
@@ -42,7 +51,17 @@ def forward(kind: str, values: FloatArray, xy: FloatArray) -> FloatArray:
 
 
 def by_parameters(kind: str, values: FloatArray, xy: FloatArray) -> FloatArray:
-    """Derivatives (N, 2, P) of `forward` by the parameters."""
+    """Derivatives (N, 2, P) of `forward` by the parameters.
+
+    Parameters
+    ----------
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    values : array (P,) or (N, P)
+        Parameters as in `NAMES`; with (N, P) each point has its own.
+    xy : array (N, 2)
+        Normalised photo coordinates: from the middle, to the right and upwards.
+    """
     x, y = xy[:, 0], xy[:, 1]
     out = np.zeros((len(xy), 2, len(NAMES[kind])))
     if kind == "conformal":
@@ -59,7 +78,17 @@ def by_parameters(kind: str, values: FloatArray, xy: FloatArray) -> FloatArray:
 
 
 def by_photo(kind: str, values: FloatArray, xy: FloatArray) -> FloatArray:
-    """Derivatives (N, 2, 2) of `forward` by x and y."""
+    """Derivatives (N, 2, 2) of `forward` by x and y.
+
+    Parameters
+    ----------
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    values : array (P,) or (N, P)
+        Parameters as in `NAMES`; with (N, P) each point has its own.
+    xy : array (N, 2)
+        Normalised photo coordinates: from the middle, to the right and upwards.
+    """
     p = np.broadcast_to(values, (len(xy), len(NAMES[kind])))
     if kind == "conformal":
         a, b = p[:, 0], p[:, 1]
@@ -84,6 +113,15 @@ def reverse(kind: str, values: FloatArray, ground: FloatArray) -> FloatArray:
 
     (9-8) with a3 = b3 = 0 is the reverse of the affine transformation. NaN for ground beyond the horizon: the sign of
     its denominator there is not that of a1·b2 − a2·b1 over w at the place.
+
+    Parameters
+    ----------
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    values : array (P,)
+        Parameters as in `NAMES`.
+    ground : array (N, 2)
+        Normalised ground coordinates.
     """
     X, Y = ground[:, 0], ground[:, 1]
     if kind == "conformal":
@@ -104,7 +142,15 @@ def reverse(kind: str, values: FloatArray, ground: FloatArray) -> FloatArray:
 
 
 def matrix(kind: str, values: FloatArray) -> FloatArray:
-    """Homogeneous matrix (3, 3) photo → ground."""
+    """Homogeneous matrix (3, 3) photo → ground.
+
+    Parameters
+    ----------
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    values : array (P,)
+        Parameters as in `NAMES`.
+    """
     if kind == "conformal":
         a, b, tx, ty = values
         return np.array([[a, -b, tx], [b, a, ty], [0.0, 0.0, 1.0]])
@@ -113,7 +159,15 @@ def matrix(kind: str, values: FloatArray) -> FloatArray:
 
 
 def from_matrix(kind: str, homogeneous: FloatArray) -> FloatArray:
-    """Parameters (P,) of a homogeneous matrix (3, 3) of this kind."""
+    """Parameters (P,) of a homogeneous matrix (3, 3) of this kind.
+
+    Parameters
+    ----------
+    kind : str
+        'conformal', 'affine' or 'projective'.
+    homogeneous : array (3, 3)
+        Of photo to ground.
+    """
     h = homogeneous / homogeneous[2, 2]
     if kind == "conformal":
         return np.array([h[0, 0], h[1, 0], h[0, 2], h[1, 2]])
@@ -152,7 +206,15 @@ def half(size: tuple[int, int]) -> float:
 
 
 def photo_coordinates(size: tuple[int, int], colrow: FloatArray) -> FloatArray:
-    """Normalised photo coordinates (N, 2), from the middle, to the right and upwards, of (col, row) (N, 2)."""
+    """Normalised photo coordinates (N, 2), from the middle, to the right and upwards, of (col, row) (N, 2).
+
+    Parameters
+    ----------
+    size : tuple of int
+        Width and height of the photo, pixels.
+    colrow : array (N, 2)
+        Pixels, corner-based.
+    """
     pixels = np.asarray(colrow, dtype=np.float64)
     width, height = size
     return np.column_stack([pixels[:, 0] - width / 2.0, height / 2.0 - pixels[:, 1]]) / half(size)

@@ -147,6 +147,12 @@ def neighbours(block: PlanarBlock) -> dict[str, list[str]]:
 def rectify_singly(block: PlanarBlock, kind: str = "projective") -> dict[str, PlanarSolution]:
     """Single rectification: each photo fitted to the control points in it; tie points take no part.
 
+    Parameters
+    ----------
+    block : PlanarBlock
+    kind : str
+        'conformal', 'affine' or 'projective'.
+
     Returns
     -------
     dict of str to PlanarSolution

@@ -139,6 +139,17 @@ def check_errors(
 ) -> CheckStatistics:
     """Statistics of errors (N, 2), found minus true, in map units.
 
+    Parameters
+    ----------
+    ids : sequence of str
+        Names of the points.
+    errors : array (N, 2)
+        x and y, found minus true.
+    unit : str
+        Of the errors, for sentences.
+    survey_rms : float
+        RMS length of the errors of the check points' own survey, in the same unit.
+
     Raises
     ------
     InputError

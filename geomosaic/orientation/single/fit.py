@@ -141,7 +141,14 @@ def fit_control(
 
 
 def fit_problem(problem: ControlProblem, *, omission: bool = False) -> ControlFit:
-    """Fit of a model to the points of a problem; see `fit_control`."""
+    """Fit of a model to the points of a problem; see `fit_control`.
+
+    Parameters
+    ----------
+    problem : ControlProblem
+    omission : bool
+        Whether leave-one-out errors are wanted; NaN without.
+    """
     model = problem.model()
     residuals = problem.errors(model)
     problem.need_seen(residuals)

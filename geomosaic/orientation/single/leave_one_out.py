@@ -42,7 +42,14 @@ def cofactors(model: SensorModel, xyz: FloatArray, sigma: FloatArray) -> Cofacto
 
 
 def is_linear(model: SensorModel, xyz: FloatArray) -> bool:
-    """Whether the image is linear in the free parameters, from the Jacobian at other values of them."""
+    """Whether the image is linear in the free parameters, from the Jacobian at other values of them.
+
+    Parameters
+    ----------
+    model : SensorModel
+    xyz : array (N, 3)
+        Places in the CRS of the model.
+    """
     parameters = model.parameters
     free = parameters.sigmas > 0.0
     turns = np.where(np.arange(len(parameters)) % 2, 3.0, -2.0) * free

@@ -86,7 +86,17 @@ class ModelChoice:
 
 
 def planar_builds(request: SensorRequest, ground: AnyArray, colrow: AnyArray) -> dict[str, Build]:
-    """Fitting functions of every kind of `PLANAR`; see `problem.registry_build`."""
+    """Fitting functions of every kind of `PLANAR`; see `problem.registry_build`.
+
+    Parameters
+    ----------
+    request : SensorRequest
+        Image, size and CRS.
+    ground : array (N, 2) or (N, 3)
+        Places in the CRS of the request.
+    colrow : array (N, 2)
+        Pixels, corner-based.
+    """
     return {
         name: registry_build(
             plane_sensor(),

@@ -160,7 +160,14 @@ class ControlProblem:
 
 
 def image_by_map(model: SensorModel, xyz: FloatArray) -> FloatArray:
-    """Derivatives (N, 2, 2) of (col, row) by x and y of the CRS, or by metres east and north where it is geocentric."""
+    """Derivatives (N, 2, 2) of (col, row) by x and y of the CRS, or by metres east and north where it is geocentric.
+
+    Parameters
+    ----------
+    model : SensorModel
+    xyz : array (N, 3)
+        Places in the CRS of the model.
+    """
     by_ground = jacobian(model, xyz)[1]
     if not model.crs.is_geocentric:
         flat: FloatArray = by_ground[:, :, :2]
@@ -172,7 +179,14 @@ def image_by_map(model: SensorModel, xyz: FloatArray) -> FloatArray:
 
 
 def map_by_image(model: SensorModel, xyz: FloatArray) -> FloatArray:
-    """Derivatives (N, 2, 2) of x and y by (col, row); NaN where the image is folded."""
+    """Derivatives (N, 2, 2) of x and y by (col, row); NaN where the image is folded.
+
+    Parameters
+    ----------
+    model : SensorModel
+    xyz : array (N, 3)
+        Places in the CRS of the model.
+    """
     matrices = image_by_map(model, xyz)
     (a, b), (c, d) = matrices[:, 0].T, matrices[:, 1].T
     determinant = a * d - b * c
@@ -185,5 +199,12 @@ def map_by_image(model: SensorModel, xyz: FloatArray) -> FloatArray:
 
 
 def is_mirrored(model: SensorModel, xyz: FloatArray) -> bool:
-    """Whether ground and image (rows downwards) run the same way round: the image axes are right-handed then."""
+    """Whether ground and image (rows downwards) run the same way round: the image axes are right-handed then.
+
+    Parameters
+    ----------
+    model : SensorModel
+    xyz : array (N, 3)
+        Places in the CRS of the model.
+    """
     return bool(np.nanmedian(np.sign(np.linalg.det(image_by_map(model, xyz)))) > 0.0)

@@ -19,6 +19,7 @@ from geomosaic.types import BoolArray, FloatArray
 Model = TypeVar("Model", bound=SensorModel)
 
 WORST_CONDITION = 1e9
+"""Of the scaled design. Beyond it rounding decides what the points do not."""
 
 
 @dataclass(frozen=True)
