@@ -168,6 +168,7 @@ def _model(
     if marks is not None:
         options["fiducials"] = dict(marks)
     row = photo.exterior
+    # The sensor reads camera and orientation from the other program's file itself.
     if inputs.angles in RECONSTRUCTIONS and isinstance(inputs.exterior, Path):
         options["orientation"] = {"system": inputs.angles, "reconstruction": str(inputs.exterior.resolve())}
     if row is not None:
@@ -182,6 +183,7 @@ def _model(
         request = SensorRequest(photo.name, photo.info.size, options, crs, str(inputs.base), str(photo.path))
         return _on_ground(inputs.sensor, request, surface, row.position if row else None)
     except InputError as error:
+        # What is wrong in a row of the table is said with its line, what is the same for all images without one.
         if error.where == photo.name and inputs.exterior is not None:
             if row is not None and not _concerns_all_images(error, inputs):
                 error.where = f"{photo.name} ({inputs.exterior}, line {row.line})"

@@ -39,6 +39,7 @@ def refuse_misplaced(points: Sequence[ControlPoint], crs: CRS, where: str) -> No
     InputError
         Says what they look like, and a hint.
     """
+    # A point measured in several images is one point on the ground.
     once = list({point.id: point for point in points}.values())
     for advice in misplaced(image_control(once, horizontal(crs), where)):
         if advice.code in CERTAIN and len(advice.points) > len(once) / 2:
@@ -174,6 +175,7 @@ def likeliest_cause(
     given : float
         Median of their distances as they were read, pixels.
     """
+    # Some reading always brings one or two points near by chance.
     if len(points) < FEWEST or given <= FAR:
         return "", ""
     sizes = {scene.name: scene.model.size for scene in scenes}

@@ -69,8 +69,10 @@ def unit_suspicion(angles_deg: FloatArray, positions: FloatArray, crs: CRS | Non
     if np.count_nonzero(known) < 2:
         return None
     kappa, flight = angles[known, 2], flight[known]
+    # Degrees fit the flight: nothing is said, whatever else would fit as well.
     if _aligned(kappa, flight):
         return None
+    # Radians never exceed half a turn, gons never a whole one of 400.
     if np.abs(angles).max() <= np.pi + 1e-6 and _aligned(np.degrees(kappa), flight):
         return _sentence("radians", "rad")
     mounted = _aligned(kappa, flight + kappa[0] - flight[0])  # turned in its mount, by the same angle in every photo

@@ -77,6 +77,7 @@ def plugin(name: str) -> SensorPlugin:
         close = difflib.get_close_matches(name, names, 1)
         hint = f"did you mean '{close[0]}'? " if close else ""
         raise SensorError(f"no sensor named '{name}'", hint=f"{hint}installed are: {', '.join(names) or 'none'}")
+    # An editable and a regular installation of one package list the same entry point twice: that is no conflict.
     if len({point.value for point in found}) > 1:
         entries = sorted(map(_entry, found), key=lambda entry: entry.distribution)
         owners = " and ".join(f"{e.distribution} {e.version} ({e.target})" for e in entries)

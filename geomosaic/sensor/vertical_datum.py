@@ -72,6 +72,7 @@ def pixels_per_metre(model: SensorModel) -> float:
     """
     level = geographic(model.crs)
     width, height = model.size
+    # An oblique image moves most at one of its corners, a vertical one at all of them.
     corners = np.array([[0.0, 0.0], [width, 0.0], [0.0, height], [width, height], [width / 2, height / 2]])
     to_model = Transform(level, model.crs)
     try:

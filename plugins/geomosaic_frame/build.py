@@ -58,6 +58,7 @@ def build_frame(request: SensorRequest) -> FrameModel:
     crs = _crs(request, attitude)
     anywhere = allows_any_view(crs, options, where)
     position, attitude = _position(crs, row, attitude, camera, options, where)
+    # Geocentric z is no height, and a facade may lie above the camera.
     if ground is not None and not crs.is_geocentric and not anywhere and position[2] <= ground:
         raise InputError(
             f"the camera, at height {position[2]:.2f}, is not above the ground at {ground:.2f}",

@@ -142,6 +142,7 @@ def from_geocentric(crs: CRS, attitude: Attitude, where: str) -> tuple[FloatArra
         raise InputError("the orientation has no position", where=where)
     earth = attitude.crs or geocentric(crs)
     position = Transform(earth, crs)(attitude.position[None])[0]
+    # Wide about the surface (6.36e6 m and more) and low orbits: what lies outside is another kind of coordinates.
     if not 6.0e6 < np.linalg.norm(attitude.position) < 8.0e6:
         raise InputError(
             f"the camera is {np.linalg.norm(attitude.position) / 1000:.0f} km from the centre of the Earth",
@@ -187,6 +188,7 @@ def undo_linear_alteration(crs: CRS, position: FloatArray, ground_height: float,
         raise InputError("scale_correction is about maps, but the positions are in no map CRS", where=where)
     scale = map_place(crs, position[0], position[1]).scale
     out = position.copy()
+    # The ground itself was not stretched, so the scale acts on the height above it only.
     out[2] = (position[2] - ground_height) / scale + ground_height
     return out
 
@@ -212,6 +214,7 @@ def need_heights(crs: CRS, position: FloatArray, reach: float, where: str) -> No
         heights = Transform(geocentric(crs), geographic(crs))
         shift = abs(float(heights(to_ellipsoid(np.array([[position[0], position[1], 0.0]])))[0, 2]))
         if np.isfinite(shift):
+            # A photo that looks down moves its corner by reach / height per metre; the height above sea stands for it.
             pixels = f" and up to {reach * shift / position[2]:.0f} px in the image" if position[2] > shift else ""
             risk = f": ellipsoidal and geoid heights differ by {shift:.1f} m there{pixels}"
     except GeomosaicError:

@@ -245,6 +245,7 @@ def _seen(model: PanoramicModel, above: float) -> PanoramicModel:
     middle = np.array([[model.size[0] / 2, row]])
     origins, directions = model.rays(middle)
     down = -(directions @ model.frame.axes.T)[0, 2]
+    # Closer to the horizon than 3 degrees, a small error of the attitude moves the seed by kilometres.
     if down <= 0.05:
         raise InputError("the middle of the image looks at the sky", hint="check roll and pitch, in degrees")
     x, y, z = (origins + directions * above / down)[0].tolist()

@@ -50,6 +50,7 @@ def initial_model(
     origin = (0.0, 0.0, 0.0)
     bare = PushbroomModel(platform, look, crs, size, parameters, origin, np.zeros(5), notes)
     width, rows = float(size[0]), float(size[1])
+    # Nine rays, at corners, edges and middle, are enough for a linear guess of the row of a ground point.
     c, r = np.meshgrid([0.0, width / 2, width], [0.0, rows / 2, rows])
     origins, directions = bare.rays(np.column_stack([c.ravel(), r.ravel()]))
     distances = _down_to(crs, origins, directions, height)
@@ -61,6 +62,7 @@ def initial_model(
         )
     middle = len(distances) // 2
     seed = origins[middle] + distances[middle] * directions[middle]
+    # Points above and below the ground too, so that the guess also knows what height does to the row.
     shares = np.repeat([0.98, 1.0, 1.02], len(distances))
     points = np.tile(origins, (3, 1)) + (shares * np.tile(distances, 3))[:, None] * np.tile(directions, (3, 1))
     off = points - seed
@@ -68,6 +70,7 @@ def initial_model(
     design = np.column_stack([np.ones(len(off)), off / scale])
     guess = np.linalg.lstsq(design, np.tile(r.ravel(), 3), rcond=None)[0] / [1.0, scale, scale, scale]
     ground = origins + distances[:, None] * directions
+    # The first step of the secant search needs the change of the misfit over one row.
     ends = [bare.seen_from(ground, r.ravel() + shift)[1] for shift in (-0.5, 0.5)]
     slope = float(np.median(ends[1] - ends[0]))
     if not abs(slope) > 0.0:
@@ -86,6 +89,7 @@ def _down_to(crs: CRS, origins: FloatArray, directions: FloatArray, height: floa
     t = np.zeros(len(origins))
     for _ in range(60):
         over = to_geographic(origins + t[:, None] * directions)[:, 2] - height
+        # One metre further along: ellipsoidal height has no closed derivative along a ray.
         ahead = to_geographic(origins + (t + 1.0)[:, None] * directions)[:, 2] - height
         slope = ahead - over
         step = np.where(slope < -1e-6, -over / np.where(slope < -1e-6, slope, -1.0), np.nan)
@@ -102,6 +106,7 @@ def _steps(model: PushbroomModel, ground: FloatArray) -> FloatArray:
     steps = np.empty(len(values))
     for index, unit in enumerate(model.parameters.units):
         step = {"m": 1.0, "deg": 1e-4, "deg/s": 1e-4, "s": 1e-4, "px": 1.0}[unit]
+        # The image may answer a change non-linearly: the step is scaled to a pixel three times.
         for _ in range(3):
             moved = values.copy()
             moved[index] += step

@@ -150,6 +150,7 @@ class PushbroomModel:
         off = points - np.array(self.seed)
         rows = self.guess[0] + (off[:, 0] * self.guess[1] + off[:, 1] * self.guess[2] + off[:, 2] * self.guess[3])
         limit = _FURTHEST * self.size[1]
+        # Far outside, path and attitude are extrapolated without sense: the search starts no further out.
         row = np.clip(rows, -limit, limit + self.size[1])
         _, miss = self.seen_from(points, row)
         there = np.flatnonzero(np.isfinite(miss))
@@ -158,10 +159,12 @@ class PushbroomModel:
         for _ in range(_ROUNDS):
             if not len(there):
                 break
+            # No step is longer than the image: a bad slope at the start must not throw the search out of the orbit.
             step = np.clip(-miss / slope, -self.size[1], self.size[1])
             col, next_miss = self.seen_from(points[there], row + step)
             with np.errstate(divide="ignore", invalid="ignore"):
                 secant = (next_miss - miss) / step
+            # A secant of two equal misfits is no slope: the one before it serves once more.
             slope = np.where(np.isfinite(secant) & (secant != 0.0), secant, slope)
             row, miss = row + step, next_miss
             done = np.abs(step) < _GOAL

@@ -84,7 +84,9 @@ def fit_rpc(model: SensorModel, heights: tuple[float, float]) -> RpcFit:
         raise SolveError("this sensor model has no heights, so it has no RPC", hint="use its own transformation")
     ground, image = _exact(model, _places(model.size, _COLUMNS), np.linspace(low, high, _LEVELS))
     between = 0.5 * (np.linspace(low, high, _LEVELS)[1:] + np.linspace(low, high, _LEVELS)[:-1])
+    # Checked half-way between the nodes in all three directions, where a fit that swings is worst.
     check_ground, check_image = _exact(model, _places(model.size, _COLUMNS - 1, 0.0), between)
+    # Each axis has 39 unknowns; twice as many points leave the fit no room to swing between them.
     if len(ground) < 4 * COUNT or not len(check_ground):
         raise SolveError(
             f"the model sees ground at {len(ground)} of {_COLUMNS**2 * _LEVELS} places between {low} and {high} m",
@@ -162,9 +164,11 @@ def _fitted(frame: Rpc, ground: FloatArray, image: FloatArray, damping: float) -
         right = (image[:, axis] - frame.image_offset[axis]) / frame.image_scale[axis]
         design = np.hstack([each, -right[:, None] * each[:, 1:]])
         ridge = damping * np.sqrt(len(right)) * np.eye(design.shape[1])
+        # The constant term is no cause of poles and is not damped.
         ridge[0, 0] = 0.0
         bottom = np.ones(len(right))
         for _ in range(_ROUNDS):
+            # Multiplied by the denominator the equation is linear; divided by its last value the residuals are pixels.
             weighted = np.vstack([design / bottom[:, None], ridge])
             target = np.concatenate([right / bottom, np.zeros(len(ridge))])
             found = np.linalg.lstsq(weighted, target, rcond=None)[0]
