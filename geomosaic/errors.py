@@ -1,11 +1,11 @@
-"""What can go wrong, said with a hint how to go on.
+"""Errors: what is wrong, where, and a hint how to go on; parameters of the library stand in backticks.
 
 GeomosaicError                what, where, hint; exit code 1
 ├── InputError                the user's files or values
 │   ├── HeightDatumError      heights whose vertical datum is missing, unknown or has no grid
 │   ├── SensorInputError      an input of a sensor is missing, unknown or out of range
 │   ├── RasterReadError       an image or DEM is missing, truncated or damaged
-│   └── OutputExistsError     the output is there and --overwrite was not given
+│   └── OutputExistsError     the output exists and `overwrite` is not asked for
 ├── OutputError               writing failed: disk full, no permission
 ├── SensorError               no such sensor, a broken or a doubled plugin
 ├── SolveError                a least squares problem that is not determined or does not converge
@@ -26,7 +26,7 @@ class GeomosaicError(Exception):
     what : str
         What is wrong, in one sentence.
     where : str, optional
-        File, line, image, point or option.
+        File, line, image, point or, in backticks, parameter.
     hint : str, optional
         What the reader can do about it.
     """

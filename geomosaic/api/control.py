@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from geomosaic.api.orthos import render_options
 from geomosaic.control.points import ControlPoints
 from geomosaic.fiducials.find import Search, find_marks, write_marks
 from geomosaic.geo.grid import Bounds
@@ -13,8 +14,6 @@ from geomosaic.georeferencing.request import ControlInput, FitRequest, Place
 from geomosaic.georeferencing.run import Georeferenced
 from geomosaic.georeferencing.run import georeference as georeference_image
 from geomosaic.match.marks import Mark
-from geomosaic.options.declaration import compose
-from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import refuse_existing
 from geomosaic.types import PathLike
 
@@ -99,7 +98,7 @@ def georeference(
     fit = FitRequest(model, fit_crs, threshold, robust, insist)
     place = Place(dst_crs, resolution, bounds)
     return georeference_image(
-        Path(image), Path(output), given, fit, place, compose(RenderOptions, options), bands=bands, report=report
+        Path(image), Path(output), given, fit, place, render_options(options), bands=bands, report=report
     )
 
 

@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pyproj import CRS
+
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.datum import doubt, operation_between
@@ -59,7 +61,7 @@ def ortho(
     like : path or Grid, optional
         Raster or grid whose CRS, pixels and extent the output takes, instead of the three.
     **options
-        Of `RenderOptions`: `resampling`, `tolerance`, `true_ortho`, `overwrite`, `threads`, ...
+        Of `RenderOptions`, flat: `resampling`, `tolerance`, `true_ortho`, `overwrite`, ...; or whole as `render`.
 
     Returns
     -------
@@ -72,7 +74,7 @@ def ortho(
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's name.
     """
     block = on_ground(scene if isinstance(scene, Block) else Scene((Path(scene),)), dem, dem_heights)
-    return make_ortho(block, area(dst_crs, resolution, bounds, like), Path(output), compose(RenderOptions, options))
+    return make_ortho(block, area(dst_crs, resolution, bounds, like), Path(output), render_options(options))
 
 
 def reproject(
@@ -121,26 +123,35 @@ def reproject(
     path = Path(source)
     if is_vector(path):
         given = {"resolution": resolution, "bounds": bounds, "snap": snap or None, **options}
-        useless = [f"`{name}`" for name, value in given.items() if value is not None and name != "overwrite"]
+        useless = [
+            f"`{name}`" for name, value in given.items() if value is not None and name not in ("overwrite", "render")
+        ]
         if useless:
             raise InputError(f"vectors have no pixels: {', '.join(useless)} would do nothing", hint="leave it out")
-        return reproject_vectors(path, target, Path(output), source=own, overwrite=options.get("overwrite", False))
+        return reproject_vectors(path, target, Path(output), source=own, overwrite=render_options(options).overwrite)
+    return reproject_raster(path, Path(output), target, place, src_crs, render_options(options))
+
+
+def reproject_raster(
+    path: Path, output: Path, target: CRS, place: Area, src_crs: str | None, render: RenderOptions
+) -> OrthoResult:
+    """Georeferenced raster in another CRS; notes what its file says of it that is doubtful."""
+    own = parse_map(src_crs, "`src_crs`") if src_crs else None
     info = inspect(path)
     check_placed(info, own)
-    render = compose(RenderOptions, options)
     if "palette" in info.colors and render.resampling == "nearest":
         warnings.warn(
-            "the numbers of the palette are kept, its colours are not carried over", GeomosaicWarning, stacklevel=2
+            "the numbers of the palette are kept, its colours are not carried over", GeomosaicWarning, stacklevel=3
         )
     if own is None and info.crs is not None and (suspicious := doubt(info.crs)):
         if not operation_between(horizontal(info.crs), horizontal(target)).possible:
             what, _, hint = suspicious.partition("; ")
             raise InputError(f"{what}; no operation leads from it to '{target.name}'", where=info.path, hint=hint)
-        warnings.warn(suspicious, GeomosaicWarning, stacklevel=2)
+        warnings.warn(suspicious, GeomosaicWarning, stacklevel=3)
     placed: dict[str, Any] = {}
     if src_crs is not None and info.transform is not None:
         placed["transform"] = list(info.transform[:6])
-    return make_ortho(Scene((path,), options=placed, crs=src_crs), place, Path(output), render)
+    return make_ortho(Scene((path,), options=placed, crs=src_crs), place, output, render)
 
 
 def deskew(
@@ -177,7 +188,15 @@ def deskew(
     GeomosaicError
     """
     strip = Scene((Path(image),), sensor or relative_sensor(), options={**nominal, "relative": True}, bands=bands)
-    return make_ortho(strip, area(None, resolution, bounds, None), Path(output), compose(RenderOptions, options))
+    return make_ortho(strip, area(None, resolution, bounds, None), Path(output), render_options(options))
+
+
+def render_options(given: Mapping[str, Any]) -> RenderOptions:
+    """Options of rendering from flat values, or given whole as `render`."""
+    if "render" not in given:
+        return compose(RenderOptions, given)
+    whole: RenderOptions = given["render"]
+    return replace(whole, **{name: value for name, value in given.items() if name != "render"})
 
 
 def on_ground(block: Block, dem: PathLike | Dem | float | None, dem_heights: str | None) -> Block:

@@ -11,7 +11,6 @@ from geomosaic.cli.declared_options import FILE, json_value, options_of, stack
 from geomosaic.cli.declared_options import command as grouped_command
 from geomosaic.cli.memory import check_memory
 from geomosaic.cli.options import area_options, band_option, output_option, running_options
-from geomosaic.cli.request import area
 from geomosaic.cli.results import ortho_facts, ortho_words
 from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.values import pairs
@@ -47,19 +46,25 @@ def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **
       geomosaic deskew strip.tif --option kind=scanner --option field_of_view=90 \\
         --option height_above_ground=3000 --option v_over_h=0.00133 -o flat.tif
     """
+    from geomosaic.api.orthos import deskew
     from geomosaic.errors import InputError
-    from geomosaic.inputs.declarations import Block
-    from geomosaic.products.from_inputs import make_ortho
-    from geomosaic.sensor.registry import relative_sensor
 
     if flags["dst_crs"] is not None:
         raise InputError(
             "--dst-crs is given, but a strip without a place lies in no CRS",
             hint="leave it out, or use `geomosaic ortho` with a position",
         )
-    nominal = {name: json_value(text) for name, text in flags["sensor_options"].items()} | {"relative": True}
-    inputs = Block((image,), flags["sensor"] or relative_sensor(), options=nominal, bands=flags["bands"])
+    nominal = {name: json_value(text) for name, text in flags["sensor_options"].items()}
     check_memory()
     with notes(), progress(as_json) as report:
-        result = make_ortho(inputs, area(flags), output, options.with_progress(report))
+        result = deskew(
+            image,
+            output,
+            nominal,
+            sensor=flags["sensor"],
+            bands=flags["bands"],
+            resolution=flags["res"],
+            bounds=flags["bounds"],
+            render=options.with_progress(report),
+        )
     answer(ortho_facts(result), ortho_words(result), as_json)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,6 @@ from geomosaic.cli.memory import check_memory
 from geomosaic.cli.options import area_options, output_option, running_options
 from geomosaic.cli.results import ortho_facts, ortho_words
 from geomosaic.cli.talk import answer, notes, progress
-from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.options.render import RenderOptions
 
 if TYPE_CHECKING:
@@ -65,36 +63,18 @@ def command(
         _refuse_for_rasters()
         _vectors(source, src_crs, like, output, as_json, options.overwrite, flags)
         return
-    from geomosaic.geo.crs import horizontal, parse_map
-    from geomosaic.geo.datum import doubt, operation_between
+    from geomosaic.api.orthos import reproject_raster
+    from geomosaic.geo.crs import parse_map
     from geomosaic.inputs.area import Area, grid_of
-    from geomosaic.inputs.declarations import Block
     from geomosaic.inputs.rasters import check_placed
-    from geomosaic.products.from_inputs import make_ortho
     from geomosaic.raster.info import inspect
-    from geomosaic.sensor.registry import plane_sensor
 
     check_memory()
     with notes(), progress(as_json) as report:
-        info = inspect(source)
-        own = check_placed(info, parse_map(src_crs, "--src-crs") if src_crs else None)
-        if "palette" in info.colors and options.resampling == "nearest":
-            warnings.warn(
-                "the numbers of the palette are kept, its colours are not carried over", GeomosaicWarning, stacklevel=1
-            )
-        if src_crs is None and info.crs is not None and (suspicious := doubt(info.crs)):
-            target = grid_of(like).crs if like is not None else parse_map(flags["dst_crs"], "--dst-crs")
-            if not operation_between(horizontal(info.crs), horizontal(target)).possible:
-                what, _, hint = suspicious.partition("; ")
-                raise InputError(f"{what}; no operation leads from it to '{target.name}'", where=info.path, hint=hint)
-            warnings.warn(suspicious, GeomosaicWarning, stacklevel=1)
-        placed: dict[str, Any] = {}
-        if src_crs is not None and info.transform is not None:
-            t = info.transform
-            placed["transform"] = [t.a, t.b, t.c, t.d, t.e, t.f]
-        inputs = Block((source,), plane_sensor(), options=placed, crs=src_crs)
+        target = grid_of(like).crs if like is not None else parse_map(flags["dst_crs"], "--dst-crs")
+        own = check_placed(inspect(source), parse_map(src_crs, "--src-crs") if src_crs else None)
         area = Area(flags["dst_crs"], flags["res"], flags["bounds"], snap, like)
-        result = make_ortho(inputs, area, output, options.with_progress(report))
+        result = reproject_raster(source, output, target, area, src_crs, options.with_progress(report))
     words = _operation(own, result.grid.crs)
     answer({**ortho_facts(result), "operation": words}, f"{ortho_words(result)}\n{words}", as_json)
 
