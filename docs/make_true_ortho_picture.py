@@ -16,11 +16,11 @@ import rasterio
 sys.path.insert(0, "tests")
 from city_rig import CORNER, FOCAL, GROUND_CLASS, PIXEL, SIDE, WALL_CLASS, City, photograph
 
-from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.render.extent import Area
 
 PART = np.s_[230:470, 250:490]
 BOUNDS = (CORNER[0], CORNER[1], CORNER[0] + SIDE, CORNER[1] + SIDE)

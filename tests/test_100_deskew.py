@@ -16,10 +16,10 @@ from rasterio.errors import NotGeoreferencedWarning
 
 from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning
-from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_ortho
+from geomosaic.render.extent import Area
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground

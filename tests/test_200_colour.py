@@ -16,11 +16,11 @@ import rasterio
 from rasterio.enums import Resampling
 from rasterio.warp import reproject
 
-from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.result import MosaicResult
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.render.extent import Area
 
 RealData = Callable[[str], Path]
 

@@ -18,11 +18,12 @@ from geomosaic.accuracy.check_points import check
 from geomosaic.control.read import read_control
 from geomosaic.errors import InputError
 from geomosaic.georeferencing.examination import BadControlError
-from geomosaic.georeferencing.request import ControlInput, FitRequest, Place
+from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import fit_crs, georeference
 from geomosaic.georeferencing.solution import Solution, solve
 from geomosaic.match.shift import shifts
 from geomosaic.options.render import RenderOptions
+from geomosaic.render.extent import Area
 
 RealData = Callable[[str], Path]
 PLAIN = RenderOptions(threads=2, driver="GTiff", overwrite=True)
@@ -48,7 +49,7 @@ def test_radar_as_gdal_has_it(radar, tmp_path, model, order):
     """The same grid, points and order through GDAL's warper: the same picture, to some hundredths of a pixel."""
     request = FitRequest(model, crs="EPSG:4326", insist=True)
     made = georeference(
-        radar, tmp_path / "map.tif", request=request, place=Place(crs="EPSG:4326"), options=PLAIN, report=False
+        radar, tmp_path / "map.tif", request=request, place=Area(crs="EPSG:4326"), options=PLAIN, report=False
     )
     assert made.facts["accuracy"]["points"] == 210
     assert made.facts["fit"]["mirrored"]
@@ -217,7 +218,7 @@ def test_control_in_several_photos(real_data, tmp_path):
             tmp_path / "map.tif",
             ControlInput(control),
             FitRequest("conformal"),
-            Place(resolution=0.05),
+            Area(resolution=0.05),
             PLAIN,
         )
         assert "no-redundancy" in {a.code for a in made.solution.advice}

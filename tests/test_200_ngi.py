@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 
 from geomosaic.accuracy.product_check import against_reference
-from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.result import MosaicResult
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_mosaic, make_ortho
+from geomosaic.render.extent import Area
 
 RealData = Callable[[str], Path]
 

@@ -20,7 +20,7 @@ import rasterio
 from geomosaic.block.block import OrientedBlock
 from geomosaic.errors import InputError
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.area import Area, plan
+from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.match.shift import Shifts, shifts
@@ -28,6 +28,7 @@ from geomosaic.mosaicking.outputs import companion
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.render.extent import Area
 from geomosaic.render.ortho import ortho
 
 RealData = Callable[[str], Path]

@@ -16,10 +16,10 @@ from rasterio.transform import RPCTransformer
 from geomosaic.accuracy.product_check import against_reference
 from geomosaic.errors import InputError
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_ortho
+from geomosaic.render.extent import Area
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground

@@ -13,12 +13,12 @@ import shapely
 from affine import Affine
 
 from geomosaic.errors import InputError
-from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.colour.stretch import parse_stretch
 from geomosaic.mosaicking.result import MosaicResult
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.render.extent import Area
 from geomosaic.resample.engine import numba_engine, numpy_engine
 
 SIZE = (240, 180)

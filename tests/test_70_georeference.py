@@ -20,10 +20,11 @@ from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.georeferencing.examination import BadControlError
-from geomosaic.georeferencing.request import ControlInput, FitRequest, Place
+from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import Georeferenced, georeference
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.vector import read_layer
+from geomosaic.render.extent import Area
 from geomosaic.sensor.state import model_from_dict
 
 CRS = "EPSG:32633"
@@ -105,7 +106,7 @@ def table(path: Path, colrow: np.ndarray, xy: np.ndarray, roles: list[str] | Non
 def run(folder: Path, to_map: Map, model: str, colrow: np.ndarray | None = None, **more: object) -> Georeferenced:
     points = places(6, 5) if colrow is None else colrow
     request = FitRequest(model, **{k: v for k, v in more.items() if k in ("threshold", "robust", "insist", "crs")})
-    place = Place(**{k: v for k, v in more.items() if k in ("resolution", "bounds")} | {"crs": more.get("dst")})
+    place = Area(**{k: v for k, v in more.items() if k in ("resolution", "bounds")} | {"crs": more.get("dst")})
     return georeference(
         image(folder / "scan.tif", to_map),
         folder / "map.tif",
@@ -325,7 +326,7 @@ def test_a_fit_that_folds_the_image_is_not_drawn(tmp_path):
             tmp_path / "map.tif",
             given,
             FitRequest("poly5"),
-            Place(bounds=(LEFT + 300, TOP - 1500, LEFT + 1500, TOP - 300), resolution=4.0),
+            Area(bounds=(LEFT + 300, TOP - 1500, LEFT + 1500, TOP - 300), resolution=4.0),
             PLAIN,
         )
 
@@ -346,7 +347,7 @@ def test_control_and_output_in_other_crs(tmp_path):
     table(tmp_path / "gcps.csv", colrow, affine_map(colrow))
     given = ControlInput(tmp_path / "gcps.csv", CRS)
     other = georeference(
-        scan, tmp_path / "map2.tif", given, FitRequest("affine"), Place(crs="EPSG:3035", resolution=2.0), PLAIN
+        scan, tmp_path / "map2.tif", given, FitRequest("affine"), Area(crs="EPSG:3035", resolution=2.0), PLAIN
     )
     assert other.facts["fit"]["crs"].endswith("(EPSG:32633)")
     assert other.facts["product"]["crs"].endswith("(EPSG:3035)")
@@ -354,7 +355,7 @@ def test_control_and_output_in_other_crs(tmp_path):
     assert again["registration_rms_px"] < 0.05
     # And in degrees, where a conformal fit would not be one.
     flat = georeference(
-        scan, tmp_path / "map3.tif", given, FitRequest("affine"), Place(crs="EPSG:4326"), PLAIN, report=False
+        scan, tmp_path / "map3.tif", given, FitRequest("affine"), Area(crs="EPSG:4326"), PLAIN, report=False
     )
     assert flat.product.grid.crs.is_geographic
     assert against_reference(tmp_path / "map3.tif", tmp_path / "truth.tif", tile=48)["registration_rms_px"] < 0.05
@@ -408,7 +409,7 @@ def test_the_same_bytes_for_any_number_of_threads(tmp_path):
         scan = image(tmp_path / "scan.tif", bent_map)
         given = ControlInput(table(tmp_path / "gcps.csv", colrow, bent_map(colrow)), CRS)
         options = RenderOptions(threads=threads)
-        georeference(scan, folder / "map.tif", given, FitRequest("tps"), Place(resolution=0.8), options)
+        georeference(scan, folder / "map.tif", given, FitRequest("tps"), Area(resolution=0.8), options)
         outputs.append([(folder / name).read_bytes() for name in ("map.tif", "map-control.gpkg")])
     assert outputs[0] == outputs[1]
 

@@ -13,10 +13,12 @@ from test_70_georeference import CRS, PLAIN, affine_map, image, places, table, t
 from geomosaic.accuracy.check_points import check
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
+from geomosaic.geo.grid import Window
 from geomosaic.geo.transform import Transform
 from geomosaic.georeferencing.examination import BadControlError
-from geomosaic.georeferencing.request import ControlInput, FitRequest, Place
+from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import georeference
+from geomosaic.render.extent import Area
 
 
 @pytest.mark.parametrize("crs", ["EPSG:2193", "EPSG:3031", "EPSG:32601"])
@@ -26,7 +28,7 @@ def test_a_far_output_crs_is_reported_and_drawn_rightly(tmp_path: Path, crs: str
     given = ControlInput(table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), CRS)
     scan = image(tmp_path / "scan.tif", affine_map)
     with pytest.warns(GeomosaicWarning, match="far outside the area"):
-        made = georeference(scan, tmp_path / "map.tif", given, FitRequest("affine"), Place(crs, _pixel(crs)), PLAIN)
+        made = georeference(scan, tmp_path / "map.tif", given, FitRequest("affine"), Area(crs, _pixel(crs)), PLAIN)
     with rasterio.open(tmp_path / "map.tif") as file:
         values, seen = file.read(), file.dataset_mask() > 0
     grid = made.product.grid
@@ -45,6 +47,16 @@ def test_a_far_output_crs_is_reported_and_drawn_rightly(tmp_path: Path, crs: str
     assert found.pixel_rms_total < 1e-3
 
 
+def test_the_output_takes_the_grid_of_another_raster(tmp_path: Path) -> None:
+    colrow = places()
+    given = ControlInput(table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), CRS)
+    scan, fit = image(tmp_path / "scan.tif", affine_map), FitRequest("affine")
+    first = georeference(scan, tmp_path / "first.tif", given, fit, Area(resolution=8.0), PLAIN).product.grid
+    part = first.crop(Window(first.width // 4, first.height // 4, first.width // 2, first.height // 2))
+    made = georeference(scan, tmp_path / "map.tif", given, fit, Area(like=part), PLAIN)
+    assert made.product.grid == part
+
+
 def _pixel(crs: str) -> float:
     """About 4 m on the ground: polar stereographic of the other pole enlarges eightfold."""
     return 32.0 if crs == "EPSG:3031" else 4.0
@@ -55,7 +67,7 @@ def test_an_output_crs_without_a_place_for_the_image_is_refused(tmp_path: Path) 
     given = ControlInput(table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), CRS)
     scan = image(tmp_path / "scan.tif", affine_map)
     with pytest.raises(InputError, match="has no place in") as refused:
-        georeference(scan, tmp_path / "map.tif", given, FitRequest("affine"), Place("EPSG:5070"), PLAIN)
+        georeference(scan, tmp_path / "map.tif", given, FitRequest("affine"), Area("EPSG:5070"), PLAIN)
     assert refused.value.where == "`dst_crs`"
     assert not (tmp_path / "map.tif").exists()
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.mosaic import BlendOptions, MosaicOptions
 from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.render.extent import Area
 
 
 def two(folder: Path, one: np.ndarray, other: np.ndarray, **more: object) -> list[Path]:

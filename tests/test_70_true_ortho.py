@@ -17,12 +17,12 @@ from rpc_rig import SIZE as RPC_SIZE
 from geomosaic.geo.crs import with_heights
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.area import Area
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.products.from_inputs import make_mosaic, make_ortho
 from geomosaic.raster.vector import read_layer
+from geomosaic.render.extent import Area
 from geomosaic.render.occlusion import Visibility
 from geomosaic.sensor import registry
 from geomosaic.sensor.map_to_image import Ground, MapToImage

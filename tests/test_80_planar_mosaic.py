@@ -15,12 +15,12 @@ from planar_rig import FLAT, Flight, flight
 from scipy.ndimage import binary_erosion
 
 from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
-from geomosaic.inputs.area import Area
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block, PlanarInputs
 from geomosaic.inputs.missing_inputs import list_missing_inputs
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.from_inputs import make_planar_mosaic
+from geomosaic.render.extent import Area
 from geomosaic.testing.synthetic import coordinates, render
 
 CRS = "EPSG:32633"

@@ -10,11 +10,12 @@ from geomosaic.api.orthos import render_options
 from geomosaic.control.points import ControlPoints
 from geomosaic.fiducials.find import Search, find_marks, write_marks
 from geomosaic.geo.grid import Bounds
-from geomosaic.georeferencing.request import ControlInput, FitRequest, Place
+from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import Georeferenced
 from geomosaic.georeferencing.run import georeference as georeference_image
 from geomosaic.match.marks import Mark
 from geomosaic.products.from_inputs import refuse_existing
+from geomosaic.render.extent import Area
 from geomosaic.types import PathLike
 
 
@@ -96,7 +97,7 @@ def georeference(
     own = gcps if isinstance(gcps, ControlPoints) or gcps is None else Path(gcps)
     given = ControlInput(own, crs, rows, pixels, tuple(without), near)
     fit = FitRequest(model, fit_crs, threshold, robust, insist)
-    place = Place(dst_crs, resolution, bounds)
+    place = Area(dst_crs, resolution, bounds)
     return georeference_image(
         Path(image), Path(output), given, fit, place, render_options(options), bands=bands, report=report
     )

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from geomosaic.cli.declared_options import json_value
 
 if TYPE_CHECKING:
-    from geomosaic.inputs.area import Area
     from geomosaic.inputs.declarations import Block, PlanarInputs
+    from geomosaic.render.extent import Area
 
 
 def block_inputs(
@@ -97,6 +97,6 @@ def planar_inputs(flags: Mapping[str, Any]) -> PlanarInputs | None:
 
 def area(flags: Mapping[str, Any]) -> Area:
     """Make the description of the output's place."""
-    from geomosaic.inputs.area import Area
+    from geomosaic.render.extent import Area
 
     return Area(flags["dst_crs"], flags["res"], flags["bounds"], like=flags.get("like"))

@@ -14,12 +14,11 @@ from geomosaic.developed.surface_file import SurfaceFile, read_surface
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.local_frames import is_free
-from geomosaic.inputs.area import Area
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS
 from geomosaic.products.from_inputs import reference_of, refuse_existing
-from geomosaic.render.extent import check_size, output_grid
+from geomosaic.render.extent import Area, check_size, output_grid
 from geomosaic.sensor.developed import DevelopedModel
 from geomosaic.sensor.registry import capabilities
 from geomosaic.surface.developed.base import Axes

@@ -9,7 +9,6 @@ from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ControlPoints
 from geomosaic.control.read import read_control
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.geo.grid import Bounds
 from geomosaic.raster.info import SourceInfo, control_point_count
 
 MODELS = ("conformal", "affine", "projective", "poly1", "poly2", "poly3", "poly4", "poly5", "tps")
@@ -76,25 +75,6 @@ class FitRequest:
             )
         if self.threshold is not None and not self.threshold > 0.0:
             raise InputError(f"a threshold of {self.threshold} pixels cannot be reached", hint="above 0")
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where the output lies; what is not given follows from the image and its control.
-
-    Attributes
-    ----------
-    crs : str, optional
-        CRS of the output.
-    resolution : float, optional
-        Pixel size in its units.
-    bounds : tuple of float, optional
-        Left, bottom, right, top in it.
-    """
-
-    crs: str | None = None
-    resolution: float | None = None
-    bounds: Bounds | None = None
 
 
 def kind_order(model: str) -> tuple[str, int]:

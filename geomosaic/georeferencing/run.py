@@ -19,12 +19,12 @@ from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import short_unit
 from geomosaic.georeferencing.examination import BadControlError, fold_advice, stop_on_errors
-from geomosaic.georeferencing.request import ControlInput, FitRequest, Place, find_control
+from geomosaic.georeferencing.request import ControlInput, FitRequest, find_control
 from geomosaic.georeferencing.solution import Solution, first_look, solve
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.info import inspect
 from geomosaic.raster.output_files import check_output
-from geomosaic.render.extent import check_size, note_far_crs, output_grid, utm_zone
+from geomosaic.render.extent import Area, check_size, grid_of, note_far_crs, output_grid, utm_zone
 from geomosaic.render.ortho import OrthoResult, ortho
 from geomosaic.sensor.registry import plane_sensor
 
@@ -74,7 +74,7 @@ def georeference(
     output: Path,
     given: ControlInput | None = None,
     request: FitRequest | None = None,
-    place: Place | None = None,
+    place: Area | None = None,
     options: RenderOptions | None = None,
     *,
     bands: tuple[int, ...] | None = None,
@@ -89,7 +89,7 @@ def georeference(
         Where the control is.
     request : FitRequest
         Which fit.
-    place : Place
+    place : Area
         Where the output lies.
     options : RenderOptions
         How it is drawn.
@@ -108,14 +108,15 @@ def georeference(
         A file cannot be read or written.
     """
     given, request = given or ControlInput(), request or FitRequest()
-    place, options = place or Place(), options or RenderOptions()
+    place, options = place or Area(), options or RenderOptions()
     info = inspect(image, bands)
     reading = find_control(info, given)
     files = {end: output.with_name(f"{output.stem}-control{end}") for end in (".json", ".html", ".gpkg")}
     for file in (output, *(files.values() if report else ())):
         _refuse(file, (image, *([given.path] if isinstance(given.path, Path) else [])), overwrite=options.overwrite)
     first_look(reading.control, info.size, request, given.near)
-    target = None if place.crs is None else parse_map(place.crs, "`dst_crs`")
+    like = None if place.like is None else grid_of(place.like)
+    target = like.crs if like else None if place.crs is None else parse_map(place.crs, "`dst_crs`")
     crs = fit_crs(reading.control, request.crs, target)
     if reading.format == "world" and request.model == "auto":
         request = replace(request, model="affine")
@@ -125,7 +126,7 @@ def georeference(
     where = reading.control.origins[0].path
     outline = _outline(scene, out_crs, solution.model, where)
     note_far_crs(out_crs, [outline])
-    grid = output_grid(out_crs, [outline], place.resolution, place.bounds)
+    grid = like or output_grid(out_crs, [outline], place.resolution, place.bounds, snap=place.snap)
     check_size(grid)
     folds = fold_advice(solution.fit.model, solution.fit.xyz, grid)
     solution = replace(solution, advice=_sorted((*solution.advice, *folds)))

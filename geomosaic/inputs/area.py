@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 from affine import Affine
@@ -16,41 +15,25 @@ from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import horizontal, parse_map
-from geomosaic.geo.grid import Bounds, Grid
+from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.raster.info import inspect
-from geomosaic.render.extent import check_size, footprints, note_far_crs, output_crs, output_grid, refuse_torn_crs
+from geomosaic.render.extent import (
+    Area,
+    check_size,
+    footprints,
+    grid_of,
+    note_far_crs,
+    output_crs,
+    output_grid,
+    refuse_torn_crs,
+)
 from geomosaic.surface.model import Surface
 
 MANY_PIXELS, FINER = 10_000_000_000, 10.0
 """Pixels of an output, and how many times finer than the images they are, that together nobody can mean."""
 
 FindOutlines = Callable[[tuple[OrientedImage, ...], Surface | None, CRS], list[Footprint]]
-
-
-@dataclass(frozen=True)
-class Area:
-    """Area and pixel size of the output; what is not given follows from the images.
-
-    Attributes
-    ----------
-    crs : str, optional
-        CRS of the output.
-    resolution : float, optional
-        Pixel size in its units.
-    bounds : tuple of float, optional
-        Left, bottom, right, top in it.
-    snap : bool
-        Widen the bounds to whole multiples of the pixel size; without bounds that is always done.
-    like : Path or Grid, optional
-        Raster or grid whose CRS, pixels and extent the output takes; nothing else is given then.
-    """
-
-    crs: str | None = None
-    resolution: float | None = None
-    bounds: Bounds | None = None
-    snap: bool = False
-    like: Path | Grid | None = None
 
 
 def plan(
@@ -69,16 +52,6 @@ def plan(
     check_size(grid)
     _check_fineness(grid, outlines)
     return grid, outlines
-
-
-def grid_of(path: Path | Grid) -> Grid:
-    """Grid of a georeferenced raster."""
-    if isinstance(path, Grid):
-        return path
-    info = inspect(path)
-    if info.crs is None or info.transform is None:
-        raise InputError("the raster is not georeferenced", where=str(path), hint="name one that is")
-    return Grid(horizontal(info.crs), info.transform, info.width, info.height)
 
 
 def _check_fineness(grid: Grid, outlines: list[Footprint]) -> None:

@@ -15,13 +15,14 @@ from pyproj import CRS
 from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
 from geomosaic.geo.crs import parse_map
-from geomosaic.inputs.area import Area, plan
+from geomosaic.inputs.area import plan
 from geomosaic.inputs.control_points import read_control
 from geomosaic.inputs.planar.tables import check_control
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.orientation.edges import CommonPoint, EdgeMatch, match_edges
 from geomosaic.products.from_inputs import reference_of, refuse_existing
 from geomosaic.raster.info import inspect
+from geomosaic.render.extent import Area
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build, plane_sensor
 from geomosaic.sensor.solve import image_to_height

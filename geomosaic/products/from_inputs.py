@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geomosaic.block.block import OrientedImage
-from geomosaic.inputs.area import Area, plan
+from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block, PlanarInputs
 from geomosaic.raster.output_files import check_output
+from geomosaic.render.extent import Area
 from geomosaic.sensor.registry import plane_sensor
 
 if TYPE_CHECKING:

@@ -78,15 +78,16 @@ def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **
     from geomosaic.cli.measured_results import georeference_words
     from geomosaic.cli.results import ortho_facts
     from geomosaic.georeferencing.examination import BadControlError
-    from geomosaic.georeferencing.request import ControlInput, FitRequest, Place
+    from geomosaic.georeferencing.request import ControlInput, FitRequest
     from geomosaic.georeferencing.run import georeference
+    from geomosaic.render.extent import Area
 
     check_memory()
     given = ControlInput(
         flags["gcps"], flags["crs"], flags["rows"], flags["pixels"], tuple(flags["without"]), flags["near"]
     )
     request = FitRequest(flags["model"], flags["fit_crs"], flags["threshold"], flags["robust"], flags["insist"])
-    place = Place(flags["dst_crs"], flags["res"], flags["bounds"])
+    place = Area(flags["dst_crs"], flags["res"], flags["bounds"])
     try:
         with notes(), progress(as_json) as bars:
             made = georeference(

@@ -65,9 +65,9 @@ def command(
         return
     from geomosaic.api.orthos import reproject_raster
     from geomosaic.geo.crs import parse_map
-    from geomosaic.inputs.area import Area, grid_of
     from geomosaic.inputs.rasters import check_placed
     from geomosaic.raster.info import inspect
+    from geomosaic.render.extent import Area, grid_of
 
     check_memory()
     with notes(), progress(as_json) as report:
@@ -103,7 +103,7 @@ def _vectors(
     flags: dict[str, Any],
 ) -> None:
     from geomosaic.geo.crs import parse_map
-    from geomosaic.inputs.area import grid_of
+    from geomosaic.render.extent import grid_of
     from geomosaic.reprojection.vectors import reproject_vectors
 
     with notes():

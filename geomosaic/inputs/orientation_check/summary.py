@@ -8,7 +8,7 @@ import numpy as np
 
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import has_heights
-from geomosaic.inputs.area import Area, plan
+from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.control_points import read_control
@@ -18,6 +18,7 @@ from geomosaic.inputs.frames import crs_name, frame_description
 from geomosaic.inputs.missing_inputs import list_missing_inputs
 from geomosaic.inputs.photos import Photo, photos_of
 from geomosaic.raster.info import inspect
+from geomosaic.render.extent import Area
 
 
 def summarise_inputs(inputs: Block) -> tuple[list[str], str | None]:

@@ -10,7 +10,6 @@ from typing import Any
 from geomosaic.accuracy.product_check import check_control, rms
 from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.inputs.area import Area
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.camera import read_camera
 from geomosaic.inputs.control_diagnostics import control_discrepancies
@@ -24,6 +23,7 @@ from geomosaic.jobs.layout import Layout
 from geomosaic.jobs.manifest import heard, read_json, write_json
 from geomosaic.jobs.step import Context
 from geomosaic.project.load import Project
+from geomosaic.render.extent import Area
 from geomosaic.sensor.state import model_from_dict, model_to_dict
 
 
