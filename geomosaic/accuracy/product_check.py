@@ -1,4 +1,4 @@
-"""Holding a product against what is known better: control and check points, a reference image."""
+"""Accuracy of a product: residuals at control and check points, registration and colour against a reference image."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SHIFTS = ("places", "shifts", "correlation")
 
 @dataclass(frozen=True)
 class ControlResidual:
-    """One measurement of a point against the oriented image: measured minus computed, in pixels."""
+    """Residual of one image measurement, measured minus computed, in pixels."""
 
     id: str
     image: str
@@ -115,7 +115,7 @@ def against_reference(
 
 @dataclass
 class _Totals:
-    """Sums over pixels, per band (bands,)."""
+    """Sums and sums of squares over pixels, per band (bands,)."""
 
     sums: FloatArray
     squares: FloatArray

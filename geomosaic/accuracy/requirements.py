@@ -1,4 +1,4 @@
-"""A finished map held against the target that its flight was planned for."""
+"""Verdicts on a finished map: accuracy and pixel size against the target that its flight was planned for."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ EVEN = 1e-9
 
 @dataclass(frozen=True)
 class Verdict:
-    """A requirement and what the map has.
+    """Requirement, and the value that the map has.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Verdict:
 
     @property
     def words(self) -> str:
-        """In a line."""
+        """Verdict in one line of text."""
         r = self.requirement
         least = None if r.least is None else f">= {r.least:g}"
         limits = " and ".join(part for part in (least, None if r.most is None else f"<= {r.most:g}") if part)
@@ -47,7 +47,7 @@ class Verdict:
 
 
 def read_target(path: Path) -> tuple[Requirement, ...]:
-    """Read what `geomosaic plan product --json` wrote, or a TOML file of largest values by name.
+    """Requirements from the JSON of `geomosaic plan product --json`, or a TOML file of largest values by name.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def _text(name: str) -> str:
 
 
 def judge(found: MapCheck, target: tuple[Requirement, ...]) -> tuple[Verdict, ...]:
-    """Hold a map against all of a target that it shows.
+    """Verdicts on all requirements of a target that a finished map shows.
 
     Parameters
     ----------

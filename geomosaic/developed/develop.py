@@ -1,4 +1,4 @@
-"""Developed images of facades, towers and domes."""
+"""Developed images of facades, towers and domes: orthos and mosaics on developable surfaces."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DevelopedResult:
-    """A developed image.
+    """Developed image, as an ortho of one image or a mosaic of several.
 
     Attributes
     ----------
     facts : dict
         The surface, see `SurfaceFile.facts`.
     notes : tuple of str
-        What is to be said of the surface and of the images' orientation.
+        On the surface and on the images' orientation.
     ortho : OrthoResult or None
         Of one image.
     mosaic : MosaicResult or None

@@ -1,4 +1,4 @@
-"""What images show of a developed surface: outlines on (u, v), and cameras on the wrong side."""
+"""Footprints of images on a developed surface, in (u, v), and the check for cameras on the wrong side."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ CELLS = 256
 
 @dataclass(frozen=True)
 class DevelopedFootprint(Footprint):
-    """An outline of one part or, where the surface is cut, several.
+    """Footprint on a developed surface, of several parts where the surface is cut.
 
     Attributes
     ----------
     parts : shapely Polygon or MultiPolygon
-        All that the image shows, to a cell; `ring` is the rectangle about it.
+        All that the image shows, to a cell; `ring` is its bounding rectangle.
     """
 
     parts: Any = None
@@ -78,12 +78,12 @@ def developed_footprint(scene: OrientedImage, model: DevelopedModel) -> Develope
 
 
 def check_side(scene: OrientedImage, model: DevelopedModel) -> None:
-    """Refuse a camera from which the drawn side cannot be seen.
+    """Check that the camera stands on the side of the surface that is drawn.
 
     Raises
     ------
     InputError
-        The camera lies inside a body that is looked at from outside, or the other way round, or behind a plane.
+        The camera lies inside a body that is seen from outside, or the other way round, or behind a plane.
     """
     origin = model.origin()
     if origin is None:

@@ -1,4 +1,4 @@
-"""Control points: how many a model needs, where they should lie, and the balance of a block of photos."""
+"""Number and layout of control points, and the redundancy of a block of photos."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ FOR_FILTERING = 20
 
 @dataclass(frozen=True)
 class ControlNumber:
-    """How many control points.
+    """Number of control points that a model needs.
 
     Attributes
     ----------
     unknowns : int
     least : int
-        Points that determine the model, with nothing left over.
+        Points that determine the model without redundancy.
     redundant : int
-        Points with which twice as many equations as unknowns check each other.
+        Points with which there are twice as many equations as unknowns.
     recommended : tuple of int
-        From where to where: `ROUGHLY`, and more where `redundant` is.
+        Range: `ROUGHLY`, and more where `redundant` is.
     """
 
     unknowns: int
@@ -62,7 +62,7 @@ def control_number(model: str) -> ControlNumber:
 
 
 def models_of(count: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Models that so many points determine, and those for which they make twice as many equations as unknowns."""
+    """Models that so many points determine, and those with twice as many equations as unknowns."""
     need = {name: control_number(name) for name in COEFFICIENTS}
     return (
         tuple(name for name, number in need.items() if number.least <= count),
@@ -71,7 +71,7 @@ def models_of(count: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def control_layout(count: int) -> FloatArray:
-    """Where control should lie: one in each corner, then each in the middle of the largest gap (Wolf, section 9-3).
+    """Layout of control points: one in each corner, then each in the middle of the largest gap (Wolf, section 9-3).
 
     Parameters
     ----------
@@ -81,8 +81,12 @@ def control_layout(count: int) -> FloatArray:
     Returns
     -------
     array (count, 2)
-        Shares of width and height, from 0.05 to 0.95, in the order in which to measure: the first n are
-        well spread too.
+        Parts of width and height, from 0.05 to 0.95, in the order of measurement: the first n are well spread too.
+
+    Raises
+    ------
+    InputError
+        Fewer than 4.
     """
     if count < 4:
         raise InputError("a layout begins with the four corners", where="`points`", hint="give 4 or more")
@@ -109,12 +113,12 @@ class BlockBalance:
 
     @property
     def redundancy(self) -> int:
-        """Equations beyond the unknowns."""
+        """Number of equations beyond the unknowns."""
         return self.tie_equations + self.control_equations - self.unknowns
 
 
 def block_balance(photos: int, model: str, ties: int, control: int) -> BlockBalance:
-    """Balance of a semi-controlled mosaic.
+    """Equations and unknowns of a semi-controlled mosaic.
 
     Parameters
     ----------

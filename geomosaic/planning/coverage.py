@@ -1,4 +1,4 @@
-"""How many photos and strips an area takes, and how large its raster becomes."""
+"""Coverage: photos and strips over an area, and the size of its raster."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ class Coverage:
 
     @property
     def overlap(self) -> float:
-        """Per cent along the strip."""
+        """Forward overlap in per cent."""
         return 100 * (1 - self.base / self.footprint[0])
 
     @property
     def sidelap(self) -> float:
-        """Per cent of strips."""
+        """Side overlap of strips in per cent."""
         return 100 * (1 - self.spacing / self.footprint[1])
 
     @property
     def photos(self) -> int:
-        """All of them."""
+        """Number of photos in all strips."""
         return self.strips * self.photos_in_strip
 
 

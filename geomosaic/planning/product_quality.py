@@ -1,4 +1,4 @@
-"""From the quality a photo map shall have to what its inputs must be."""
+"""Requirements on the inputs of a photo map, from the quality that it shall have."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ HEIGHTS = "K-2.8: m_O · 140/r · c/150"
 
 @dataclass(frozen=True)
 class Requirement:
-    """One line of a plan: what, its least and largest value (None where open), unit, and where it comes from."""
+    """Requirement of a plan: least and largest value (None where open), unit, and source."""
 
     name: str
     text: str

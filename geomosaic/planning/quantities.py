@@ -1,4 +1,4 @@
-"""Quantities of planning: names, units, meanings and sensible values."""
+"""Quantities of planning: names, units, meanings and valid ranges."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from geomosaic.errors import InputError, did_you_mean
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number with a name.
+    """Named number with its unit and valid range.
 
     Attributes
     ----------
     unit : str
         Of the number; '1:' for the denominator of a scale, empty for a plain ratio.
     text : str
-        Meaning, as the help has it.
+        Meaning, as in the help.
     least, most : float
         The value lies above `least` (at it, where `closed`) and below `most`.
     closed : bool
@@ -69,7 +69,7 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 def checked(name: str, value: float) -> float:
-    """Value of a quantity, if it makes sense.
+    """Value of a quantity within its range.
 
     Raises
     ------

@@ -16,27 +16,27 @@ Values = Mapping[str, float]
 
 
 class Relation(Protocol):
-    """An equation between named quantities."""
+    """Equation between named quantities."""
 
     @property
     def formula(self) -> str:
-        """The equation, as people write it."""
+        """Equation as text."""
 
     @property
     def source(self) -> str:
-        """Where it comes from."""
+        """Source of the equation."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Its quantities."""
+        """Names of its quantities."""
 
     def solve(self, name: str, values: Values) -> float | None:
-        """One quantity from all the others; None where these leave it open."""
+        """Value of one quantity from all others; None where these leave it open."""
 
 
 @dataclass(frozen=True)
 class Power:
-    """The product of powers is a constant: Π values[name]^exponent = constant."""
+    """Product of powers that is a constant: Π values[name]^exponent = constant."""
 
     formula: str
     source: str
@@ -61,7 +61,7 @@ class Power:
 
 @dataclass(frozen=True)
 class Curve:
-    """An equation with a solution written out for each of its quantities."""
+    """Equation with a solution written out for each of its quantities."""
 
     formula: str
     source: str

@@ -1,4 +1,4 @@
-"""From what is given to all that follows from it, in whatever direction the formulas allow."""
+"""Derivation of quantities: all that follows from the given ones, in whatever direction the formulas allow."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from geomosaic.planning.quantities import QUANTITIES, checked, parameters, shown
 from geomosaic.planning.relations import Relation
 
 AGREES = 1e-6
-"""Relative difference below which two ways to one quantity agree."""
+"""Relative difference below which two derivations of one quantity agree."""
 
 
 @dataclass(frozen=True)
 class Derived:
-    """A quantity that follows: its value, and the relation it came from."""
+    """Derived quantity: its value, and the relation it came from."""
 
     name: str
     value: float
@@ -24,7 +24,7 @@ class Derived:
 
 
 def derive(relations: Sequence[Relation], given: Mapping[str, float]) -> list[Derived]:
-    """Everything that follows from the given quantities, in the order in which it does.
+    """Quantities that follow from the given ones, in the order of derivation.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def derive(relations: Sequence[Relation], given: Mapping[str, float]) -> list[De
 
 @dataclass(frozen=True)
 class Limit:
-    """A limit to a quantity that was given, and whether it is kept."""
+    """Limit of a given quantity, and whether the quantity keeps it."""
 
     name: str
     limit: float
@@ -71,12 +71,12 @@ class Limit:
 
 
 def bound(relation: Relation) -> str | None:
-    """'>=' or '<=' where a formula is a limit to its first quantity, None of an equation."""
+    """Sign of a limit, '>=' or '<=', where a formula limits its first quantity; None of an equation."""
     return next((sign for sign in (">=", "<=") if f" {sign} " in relation.formula), None)
 
 
 def limits(relations: Sequence[Relation], known: Mapping[str, float]) -> list[Limit]:
-    """Limits to quantities that are all known, each with whether it is kept."""
+    """Limits of quantities that are all known, each with whether it is kept."""
     found = []
     for relation in relations:
         sign, name = bound(relation), relation.names[0]
@@ -114,7 +114,7 @@ def _inside(name: str, value: float, relation: Relation) -> float:
 
 
 def _agree(relation: Relation, known: Mapping[str, float]) -> None:
-    """Refuse values that contradict a relation."""
+    """Check of known values against a relation; values that contradict it are refused."""
     if any(name not in known for name in relation.names):
         return
     for name in relation.names:

@@ -1,4 +1,4 @@
-"""Photos with tables of control and common points to a mosaic whose edges meet."""
+"""Edge-matched mosaics: photos with tables of control and common points, joined so that their edges meet."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ COLUMNS = ("id", "image", "col", "row")
 
 @dataclass(frozen=True)
 class EdgeInputs:
-    """Photos and tables.
+    """Photos and tables of an edge-matched mosaic.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ def read_common(path: PathLike, images: Sequence[str]) -> tuple[CommonPoint, ...
 
 
 def match_photos(inputs: EdgeInputs) -> EdgeMatch:
-    """Read the tables and match the edges."""
+    """Edge matching of photos by their tables."""
     names = [path.name for path in inputs.images]
     control, common = read_control(inputs.control, names), read_common(inputs.common, names)
     crs = parse_map(inputs.crs, "CRS of the control")

@@ -1,4 +1,4 @@
-"""One ortho or one mosaic from plain declarations."""
+"""Orthos and mosaics from plain declarations of inputs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def refuse_existing(path: Path, overwrite: bool, inputs: Block | None = None) ->
 
 
 def make_ortho(inputs: Block, area: Area, output: Path, options: RenderOptions) -> OrthoResult:
-    """Rectify the one image of `inputs`.
+    """Ortho of the one image of `inputs`.
 
     Parameters
     ----------

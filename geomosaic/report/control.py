@@ -25,7 +25,7 @@ CROWD = 40
 
 @dataclass(frozen=True)
 class Mark:
-    """A point in the picture: place and vector in its pixels."""
+    """Control point in the figure: position and residual vector in pixels of the preview."""
 
     name: str
     state: str
@@ -39,9 +39,9 @@ class Mark:
 
 @dataclass(frozen=True)
 class ControlFigure:
-    """The image with its points, in pixels of its preview, `margin` around it for points beyond the edges.
+    """Image with its control points, in pixels of its preview, with `margin` around it for points beyond the edges.
 
-    `enlarged` says how many times as long as in the image the vectors are drawn.
+    Vectors are drawn `enlarged` times as long as in the image.
     """
 
     width: int
@@ -56,7 +56,7 @@ class ControlFigure:
 
 
 def control_figure(points: Sequence[Mapping[str, Any]], size: tuple[int, int], image: Path) -> ControlFigure:
-    """Draw the points of a control report.
+    """Figure of a control report: points and enlarged residual vectors on the image.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ WORDS = {
 
 
 def render_control(data: Mapping[str, Any], image: Path) -> str:
-    """Make the page.
+    """HTML page of a control report.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Pictures of the report as plain values: a preview with footprints and seams on it, residuals, and bars."""
+"""Figures of the report as plain values: preview with footprints and seams, residual vectors, scale bars."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LONGEST = 1100
 
 @dataclass(frozen=True)
 class Outline:
-    """One image on the map: path data, and where its name stands."""
+    """Footprint of one image on the map: SVG path, and the position of its name."""
 
     name: str
     path: str
@@ -32,7 +32,7 @@ class Outline:
 
 @dataclass(frozen=True)
 class MosaicMap:
-    """The mosaic with what it is made of, in pixels of its preview."""
+    """Mosaic with footprints and seamlines, in pixels of its preview."""
 
     width: int
     height: int
@@ -45,7 +45,7 @@ class MosaicMap:
 
 @dataclass(frozen=True)
 class Vector:
-    """A residual in a picture of the image plane."""
+    """Residual vector in a picture of the image plane."""
 
     x: float
     y: float
@@ -57,7 +57,7 @@ class Vector:
 
 @dataclass(frozen=True)
 class ResidualPlot:
-    """All residuals in one image plane, enlarged."""
+    """Residual vectors of all images in one image plane, enlarged."""
 
     width: float
     height: float
@@ -67,7 +67,7 @@ class ResidualPlot:
 
 
 def mosaic_map(mosaic: Path, vectors: Path, bounds: Sequence[float], unit: str) -> MosaicMap:
-    """Picture of the mosaic with footprints and seamlines.
+    """Map of the mosaic with footprints and seamlines.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def mosaic_map(mosaic: Path, vectors: Path, bounds: Sequence[float], unit: str) 
 def residual_plot(
     points: Sequence[Mapping[str, Any]], size: tuple[int, int], measured: Mapping[str, Any]
 ) -> ResidualPlot:
-    """Residual vectors at the places where they were measured, in one image plane 400 wide.
+    """Residual vectors at their image points, in one image plane 400 wide.
 
     Parameters
     ----------
@@ -146,13 +146,13 @@ def path_data(points: FloatArray, closed: bool = False) -> str:
 
 
 def nice_length(length: float) -> float:
-    """Largest of 1, 2, 5 times a power of ten that is not longer."""
+    """Length of a scale bar: the largest of 1, 2, 5 times a power of ten that is not longer."""
     power = 10.0 ** math.floor(math.log10(length))
     return float(max(step * power for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))
 
 
 def data_uri(picture: bytes, kind: str = "image/png") -> str:
-    """Picture to be put into a page."""
+    """Image as a data URI for a page."""
     return f"data:{kind};base64,{base64.b64encode(picture).decode('ascii')}"
 
 

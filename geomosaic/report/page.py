@@ -1,4 +1,4 @@
-"""Report pages: templates, and numbers with the decimals that their unit asks for."""
+"""Report pages: Jinja environment, and numbers with the decimals that their unit asks for."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def decimals(scale: float | None, least: int = 0) -> int:
-    """Decimals that show three figures of a number of this size, and at least so many.
+    """Number of decimals that show three figures of a value of this size, at least `least`.
 
     Pixels of 0.5 m take 3, of 0.00001 degrees 7; grey values of bytes keep the least, reflectances of 0.02 take 4.
     """
@@ -25,14 +25,14 @@ def decimals(scale: float | None, least: int = 0) -> int:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Write a number, or a dash where there is none."""
+    """Number as text, or a dash for None and NaN."""
     if value is None or not math.isfinite(value):
         return "–"
     return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")
 
 
 def words(values: Mapping[str, Any]) -> str:
-    """Write a table of inputs in one line, tables in it in brackets."""
+    """Table of inputs as one line of text, nested tables in brackets."""
     parts = []
     for key, value in values.items():
         if isinstance(value, Mapping):
@@ -46,7 +46,7 @@ def words(values: Mapping[str, Any]) -> str:
 
 
 def byte_size(size: float) -> str:
-    """Bytes in a unit that can be read."""
+    """Bytes as text in a readable unit."""
     for unit in ("bytes", "kB", "MB", "GB"):
         if size < 1000 or unit == "GB":
             return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.1f} {unit}"
@@ -61,7 +61,7 @@ def rms(values: Sequence[float | None]) -> float | None:
 
 
 def share(part: float, whole: float) -> str:
-    """Per cent."""
+    """Part of a whole as text, in per cent."""
     return f"{100 * part / whole:.1f} %"
 
 
@@ -70,9 +70,10 @@ _COMPILED = _FOLDER / "__pycache__"
 
 
 def environment() -> Environment:
-    """Return templates of this folder; text is escaped, and a name that is not given is an error.
+    """Jinja environment of the templates in this folder; text is escaped, and an undefined name is an error.
 
-    Compiled they are kept where Python keeps its modules, if it may: to compile them takes a fifth of a second.
+    Compiled templates are cached beside Python's own bytecode where that is possible: compiling takes a fifth of a
+    second.
     """
     import jinja2
 

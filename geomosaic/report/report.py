@@ -1,4 +1,4 @@
-"""Report of a mosaic as one HTML file: pictures, figures, seams."""
+"""Report of a mosaic as one HTML file: pictures, key figures, seams."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ASPRS = 2.0
 
 
 def seam_facts(parts: Sequence[Segment], quality: Sequence[SeamQuality], names: Sequence[str]) -> dict[str, Any] | None:
-    """Plain values of all pieces and of the whole; None where they were not judged."""
+    """Facts of all seam segments and of the whole for JSON; None where the quality was not measured."""
     if not quality:
         return None
     rows = [
@@ -56,13 +56,13 @@ def seam_facts(parts: Sequence[Segment], quality: Sequence[SeamQuality], names: 
 
 
 def seam_limit(orient: Mapping[str, Any], made: Mapping[str, Any]) -> float | None:
-    """Largest admissible mismatch in output pixels, from the check points; None where there are none."""
+    """Largest admissible mismatch at seams in output pixels, from the RMSE of check points; None without any."""
     rms, scale = orient.get("rms_check_px"), made.get("scale")
     return ASPRS * rms / scale if rms and scale else None
 
 
 def place_pictures(places: Sequence[SeamPlace], rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """The worst places: figures and one picture each, of the first image, the second one and the mosaic."""
+    """Worst seam places: figures and one picture each, of the first image, the second one and the mosaic."""
     from geomosaic.raster.preview import png_bytes
 
     return [
@@ -72,7 +72,7 @@ def place_pictures(places: Sequence[SeamPlace], rows: Sequence[Mapping[str, Any]
 
 
 def strip(views: Sequence[AnyArray]) -> ByteArray:
-    """Pictures (rows, cols, bands) side by side in one stretch, so that their colours can be compared."""
+    """Images (rows, cols, bands) side by side in one contrast stretch, so that their colours can be compared."""
     from geomosaic.raster.preview import stretch
 
     bands = 3 if views[0].shape[2] >= 3 else 1
@@ -93,12 +93,12 @@ MOST_ROWS = 100
 
 
 def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path, places: Sequence[Mapping[str, Any]] = ()) -> str:
-    """Make the page.
+    """HTML page of the report.
 
     Parameters
     ----------
     data : mapping
-        What goes into report.json: `name`, `geomosaic`, `versions`, `inputs`, `outputs`, `warnings`, and the facts
+        Content of report.json: `name`, `geomosaic`, `versions`, `inputs`, `outputs`, `warnings`, and the facts
         `orient`, `mosaic`, `check`.
     mosaic, vectors : Path
         The raster and its GeoPackage, for the pictures.
