@@ -162,6 +162,7 @@ class CorrectionGrid:
         zero, one = np.zeros_like(t), np.ones_like(t)
         if self.method == "bilinear":
             return np.column_stack([zero, -one, one, zero] if order else [zero, one - t, t, zero])
+        # Cubic convolution with a = -1/2 (Keys, IEEE Trans. ASSP 29 (1981), p. 1153): it passes through the nodes.
         if order:
             parts = ((-3 * t + 4) * t - 1, (9 * t - 10) * t, (-9 * t + 8) * t + 1, (3 * t - 2) * t)
         else:

@@ -140,6 +140,7 @@ class DevelopedModel:
                 inside = np.clip(image[known], 0.0, np.array(self.size, dtype=np.float64))
                 direction[known] = points[known] - self._to_local(self.model.rays(inside)[0])
         else:
+            # A tenth of a metre both ways: far more than rounding, far less than the curvature of any image.
             step = 0.1
             slopes = []
             for axis in range(3):
@@ -189,6 +190,7 @@ class DevelopedModel:
     def seen(self, across: int = 64) -> tuple[FloatArray, FloatArray]:
         """Drawn places (N, 2), u and v, and their pixels (N, 2): those of a net of pixels that show the surface."""
         width, height = self.size
+        # Just inside the edges, where a pixel still counts as in the image.
         t = np.linspace(0.0, 1.0, across + 1) * (1 - 2e-9) + 1e-9
         c, r = np.meshgrid(t * width, t * height)
         pixels = np.column_stack([c.ravel(), r.ravel()])

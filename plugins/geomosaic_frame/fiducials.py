@@ -156,6 +156,7 @@ def _misfit(
             where=where,
             hint="renumber these marks",
         )
+    # With three marks any two fit a conformal transformation, so none can be named.
     alone = [(fit_interior(*_without(image, film, i), "conformal", mirrored).rms, i) for i in range(len(names))]
     if len(names) > 3 and min(alone)[0] <= GROSS:
         left, i = min(alone)
@@ -204,11 +205,13 @@ def _warn_of_rotated_numbers(
     """
     if result.redundancy == 0:
         return
+    # Marks in the order of their directions: a turn of the frame moves every number on by the same count.
     around = np.argsort(np.arctan2(*(film - film.mean(axis=0)).T[::-1])).tolist()
     for step in range(1, len(names)):
         moved = np.empty(len(names), dtype=int)
         moved[around] = around[step:] + around[:step]
         other = fit_interior(image, film[moved], result.kind, mirrored)
+        # Marks are measured to some micrometres: a numbering that fits so well is not doubted.
         if max(CLEARLY * other.rms, 5.0) < result.rms:
             first = around[0]
             warnings.warn(

@@ -203,6 +203,7 @@ def _table(request: SensorRequest, periods: float) -> tuple[np.ndarray | None, n
 
 def _field(options: Mapping[str, Any], kind: str, where: str) -> float:
     field = number(options, "field_of_view", where)
+    # A scanner's ground cells grow with sec² of the angle and have no end at 90 degrees to the side.
     limit = 180.0 if kind == "panoramic" else 170.0
     if not 0.0 < field < limit:
         raise SensorInputError(

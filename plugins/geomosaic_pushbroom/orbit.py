@@ -60,6 +60,7 @@ class Orbit:
                 where=where,
                 hint="at least four are needed, of different times, before and after the middle of the scene",
             )
+        # From the Earth's surface to beyond the geostationary orbit: another unit or another frame falls outside.
         for values, least, most, words in ((p, 6.4e6, 5e7, "positions"), (v, 1e3, 2e4, "velocities")):
             known = np.isfinite(values).all() and np.abs(values).max() < most
             length = np.linalg.norm(values, axis=1) if known else np.zeros(1)
@@ -71,8 +72,10 @@ class Orbit:
                 )
         first = int(np.clip(np.searchsorted(t, 0.0) - NODES // 2, 0, max(0, len(t) - NODES)))
         chosen = slice(first, first + NODES)
+        # A polynomial through many points swings at its ends; eight about the scene put it in the middle of the curve.
         t, p, v = t[chosen], p[chosen], v[chosen]
         span = float(np.abs(t).max())
+        # Times of -1 to 1 keep the powers of the polynomial apart: in seconds the system would be singular.
         powers = np.vander(t / span, increasing=True)
         both = np.asarray(np.linalg.solve(powers, np.column_stack([p, v])), dtype=np.float64)
         return cls(span, (float(t[0]), float(t[-1])), both[:, :3], both[:, 3:])
