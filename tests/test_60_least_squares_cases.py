@@ -9,7 +9,7 @@ import edge_rig
 import numpy as np
 import planar_rig
 import pytest
-import test_60_bodies as bodies
+import quadric_rig
 from scipy.optimize import least_squares
 from solve_rig import Camera, camera, control
 
@@ -47,9 +47,9 @@ def edges(kind: str) -> np.ndarray:
 
 
 def body(name: str) -> np.ndarray:
-    points = bodies.on_body(*bodies.CASES[name], 60, 3)
+    points = quadric_rig.on_body(*quadric_rig.CASES[name], 60, 3)
     noise = np.random.default_rng(2).normal(0.0, 0.01, points.shape)
-    return fit_body(bodies.CASES[name][0], points + noise, bodies.CASES[name][1]).residuals
+    return fit_body(quadric_rig.CASES[name][0], points + noise, quadric_rig.CASES[name][1]).residuals
 
 
 def planar(kind: str) -> np.ndarray:
