@@ -215,7 +215,13 @@ def off(case: Case, values: np.ndarray, transform: Any, folder: Path) -> np.ndar
     return np.hypot(*(camera.project(shown) - there)[inner].T)
 
 
-@pytest.mark.parametrize("name", CASES)
+# Every kind of surface and of projection; each projection of each dome is judged in test_30_developed.
+LONG = ("sphere equidistant", "sphere dome-plan", "flat dome-equal-area")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in CASES]
+)
 def test_the_development_is_the_thing(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """At each pixel the photo's own x, y, z are those of the development's formula, to 0.01 px RMS."""
     case = CASES[name]()

@@ -44,7 +44,15 @@ def radar(real_data: RealData) -> Path:
     return real_data("rio-tiler-gcps") / "cog_gcps.tif"
 
 
-@pytest.mark.parametrize(("model", "order"), [("poly1", 1), ("poly2", 2), ("poly3", 3), ("tps", 0)])
+@pytest.mark.parametrize(
+    ("model", "order"),
+    [
+        pytest.param("poly1", 1, marks=pytest.mark.slow),
+        pytest.param("poly2", 2, marks=pytest.mark.slow),
+        ("poly3", 3),
+        ("tps", 0),
+    ],
+)
 def test_radar_as_gdal_has_it(radar, tmp_path, model, order):
     """The same grid, points and order through GDAL's warper: the same picture, to some hundredths of a pixel."""
     request = FitRequest(model, crs="EPSG:4326", insist=True)

@@ -70,9 +70,17 @@ def dense(r: Rig, m: EdgeMatch) -> tuple[np.ndarray, np.ndarray, np.ndarray, flo
     return values, cofactors, place, float(np.sqrt(2.0 * found.cost / redundancy))
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("photos", [2, 4])
-@pytest.mark.parametrize("sigma_xy", [0.0, 0.8])
+FOUR = [(kind, 4, sigma_xy) for kind in KINDS for sigma_xy in (0.0, 0.8)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "photos", "sigma_xy"),
+    [
+        *((kind, 2, sigma_xy) for kind in KINDS for sigma_xy in (0.0, 0.8)),
+        *FOUR[-1:],
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in FOUR[:-1]),
+    ],
+)
 def test_against_an_independent_dense_solution(kind: str, photos: int, sigma_xy: float) -> None:
     noisy = rig(photos, kind)
     for k, point in enumerate(noisy.control):

@@ -63,16 +63,17 @@ def test_a_rule_gives_what_rasterio_gives(tmp_path: Path, rule: str, dtype: str,
 def test_means_medians_sums_and_counts_are_numpys(tmp_path: Path) -> None:
     files = images(tmp_path)
     out = tmp_path / "out.tif"
-    shape = rig.run(files, out, rule="mean").grid.shape
+    shape = rig.run(files, out, rule="count").grid.shape
     stack = stacked(files, shape)
     expected = {
+        "count": stack.count(axis=0)[..., :1],
         "mean": np.floor(stack.mean(axis=0) + 0.5),
         "median": np.floor(np.ma.median(stack, axis=0) + 0.5),
         "sum": stack.sum(axis=0),
-        "count": stack.count(axis=0)[..., :1],
     }
     for rule, wanted in expected.items():
-        rig.run(files, out, rule=rule)
+        if rule != "count":  # which is there
+            rig.run(files, out, rule=rule)
         values, valid = rig.read(out)
         assert np.array_equal(valid, stack.count(axis=0)[..., 0] > 0), rule
         assert np.array_equal(values[valid], np.ma.getdata(wanted)[valid]), rule

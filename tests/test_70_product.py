@@ -114,7 +114,7 @@ def test_an_ortho_covers_what_the_photo_shows_and_nothing_else(strip: Strip, tmp
 # --- A block of photos --------------------------------------------------------------------------------------------
 
 
-RUNS = [(1, 1024), (2, 2048), (4, 1024), (4, 2048)]
+RUNS = [(1, 1024), (4, 1024), (4, 2048)]
 
 
 @pytest.mark.parametrize("driver", ["GTiff", "COG"])
@@ -122,7 +122,7 @@ def test_bytes_of_an_ortho_depend_on_neither_threads_nor_tiles(strip: Strip, tmp
     made = job(strip.dem, strip.files[:1], strip.photos[:1], 0.35)
     assert made.grid.width > 2 * 1024  # several blocks both ways
     assert made.grid.height > 3 * 512
-    runs = RUNS if driver == "GTiff" else RUNS[::3]
+    runs = RUNS if driver == "GTiff" else RUNS[::2]
     sums = {
         sha(made.ortho(tmp_path / "ortho.tif", threads=threads, tile=tile, driver=driver, resampling="cubic").path)
         for threads, tile in runs
@@ -137,7 +137,7 @@ def test_bytes_of_a_mosaic_depend_on_neither_threads_nor_tiles(strip: Strip, tmp
     assert made.grid.width > 2 * 1024
     assert made.grid.height > 3 * 512
     sums, gains = set(), set()
-    for threads, tile in RUNS[::3]:
+    for threads, tile in RUNS[::2]:
         result = made.mosaic(tmp_path / "mosaic.tif", threads=threads, tile=tile, driver=driver, feather=40.0)
         assert result.labels is not None
         sums.add((sha(result.path), sha(result.labels)))
@@ -211,9 +211,9 @@ def test_weights_are_a_straight_ramp_across_all_blocks(strip: Strip, tmp_path: P
     """One photo is 0 and one is 1: the mosaic is the weight of the second, and the ramp is known in closed form."""
     shape = (*SIZE[::-1], 1)
     files = [write(tmp_path / f"{k}.tif", np.full(shape, float(k), dtype=np.float32)) for k in (0, 1)]
-    made, feather = twice(strip, files, 0.35), 80.0
-    assert made.grid.width > 2 * 1024
-    result = made.mosaic(tmp_path / "mosaic.tif", feather=feather, balance=False)
+    made, feather = twice(strip, files, 0.5), 80.0
+    assert made.grid.width > 1024
+    result = made.mosaic(tmp_path / "mosaic.tif", feather=feather, balance=False, tile=1024)
     values, valid = read(result.path)
     rows, cols = np.nonzero(valid)
     xy = made.grid.xy(np.column_stack([cols + 0.5, rows + 0.5]))
