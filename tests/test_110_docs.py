@@ -6,6 +6,7 @@ import doctest
 import itertools
 import os
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -178,6 +179,11 @@ def test_every_key_of_a_project_is_documented() -> None:
             else:
                 assert default != "required", f"[{section}] {key}"
                 assert not default.startswith("`"), f"[{section}] {key}"
+
+
+def test_the_page_of_options_is_made_from_their_declarations() -> None:
+    made = runpy.run_path(str(DOCS / "make_options_page.py"))["page"]()
+    assert (DOCS / "options.md").read_text(encoding="utf-8") == made, "run python docs/make_options_page.py"
 
 
 def test_every_key_of_a_camera_is_documented() -> None:

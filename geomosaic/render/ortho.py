@@ -17,7 +17,7 @@ from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
 from geomosaic.raster.product import RasterProduct
 from geomosaic.raster.sink import RasterSink
 from geomosaic.render.dem_gaps import height_notes
-from geomosaic.render.photo import Photo, pull
+from geomosaic.render.photo import Photo, Rectifier
 from geomosaic.render.sample_types import refuse_palette
 from geomosaic.render.workers import in_order
 from geomosaic.resample.engine import engine_for
@@ -135,6 +135,7 @@ def ortho(
     info = photo.source.info
     refuse_palette(info, options.resampling)
     engine = engine_for(samples(grid, [outline]), options.resampling, options.threads)
+    rectifier = Rectifier(engine, grid, options.resampling, options.tolerance)
     record, seen, hidden = GeometryRecord(), 0, 0
     colour = Colour.identity(info.bands)
     units = tiles(grid, options.tile)
@@ -157,10 +158,7 @@ def ortho(
                 across = slice(part.col - unit.col, part.stop_col - unit.col)
                 out, out_valid = values[:, across], valid[:, across]
                 shades = None if sight is None else sight.block(ground)
-                used = pull(
-                    engine, photo, grid, ground, options.resampling, options.tolerance, colour, out, out_valid,
-                    shades=shades,
-                )  # fmt: skip
+                used = rectifier.fill(photo, ground, colour, out, out_valid, shades=shades)
                 hidden += 0 if shades is None else int(np.count_nonzero(shades.mask))
                 facts += [(lattice.error, lattice.scale) for lattice in used]
         return values, valid, facts, hidden

@@ -87,77 +87,110 @@ class Photo:
         return a[0] <= b[2] and b[0] <= a[2] and a[1] <= b[3] and b[1] <= a[3]
 
 
-def pull(
-    engine: Engine,
-    photo: Photo,
-    grid: Grid,
-    ground: BlockGround,
-    resampling: str,
-    tolerance: float,
-    colour: Colour | ToneCurve | CorrectionField,
-    out: AnyArray,
-    out_valid: ByteArray,
-    need: ByteArray | None = None,
-    most_samples: int | None = None,
-    lattices: list[Lattice] | None = None,
-    shades: Shades | None = None,
-    only: BoolArray | None = None,
-) -> list[Lattice]:
-    """Fill one block from one photo; returns the lattices used, none where the photo does not see it.
+@dataclass(frozen=True)
+class Rectifier:
+    """Rectification of photos onto a grid, block by block.
 
-    `lattices` are those that were used for the same block and photo before; `shades` take what the surface hides;
-    `only` tells which pixels are wanted, where they are few.
+    Attributes
+    ----------
+    engine : Engine
+    grid : Grid
+        The output.
+    resampling : str
+    tolerance : float
+        Admissible error of the lattice, image pixels.
+    most_samples : int, optional
+        Image pixels per output pixel beyond which an image is reduced on reading.
     """
-    if ground.unknown:
-        return []
-    if photo.offset is not None and grid is photo.grid and not isinstance(colour, CorrectionField):
-        identity = isinstance(colour, Colour) and is_identity(colour) and photo.scale == 1.0
-        table = None if identity else photo.table(colour, out.dtype)
-        if identity or table is not None:
-            compiled = bool(engine.block_kernels)
-            return copied(photo.source, photo.offset, ground.window, out, out_valid, need, table, compiled=compiled)
-    if not isinstance(colour, Colour):
-        plain, seen = np.zeros(out.shape, dtype=_unrounded(out)), np.zeros_like(out_valid)
-        same = Colour.identity(out.shape[2])
-        used = pull(
-            engine, photo, grid, ground, resampling, tolerance, same, plain, seen, need, most_samples, lattices, shades,
-            only,
-        )  # fmt: skip
-        if isinstance(colour, CorrectionField):
-            window = ground.window
-            place = (*colour.at(window.col + 0.5, window.row + 0.5), 1 / colour.spacing[0], 1 / colour.spacing[1])
-            engine.shade(
-                plain, seen, colour.net, colour.path, colour.haze, place, colour.dark, colour.curve, colour.reach,
-                colour.offset, *value_range(str(out.dtype)), out, out_valid,
-            )  # fmt: skip
+
+    engine: Engine
+    grid: Grid
+    resampling: str
+    tolerance: float
+    most_samples: int | None = None
+
+    def fill(
+        self,
+        photo: Photo,
+        ground: BlockGround,
+        colour: Colour | ToneCurve | CorrectionField,
+        out: AnyArray,
+        out_valid: ByteArray,
+        need: ByteArray | None = None,
+        *,
+        lattices: list[Lattice] | None = None,
+        shades: Shades | None = None,
+        only: BoolArray | None = None,
+    ) -> list[Lattice]:
+        """Fill one block from one photo; the lattices used, none where the photo does not see it.
+
+        Parameters
+        ----------
+        photo : Photo
+        ground : BlockGround
+            Heights under the block.
+        colour : Colour, ToneCurve or CorrectionField
+            Correction of its values.
+        out : array (rows, cols, bands)
+            Only seen pixels are written.
+        out_valid : uint8 array (rows, cols)
+            Set to 1 where the photo is seen.
+        need : uint8 array (rows / 64, cols / 64), optional
+            Cells of 64 x 64 pixels that are wanted; all unless given.
+        lattices : list of Lattice, optional
+            Those that were used for the same block and photo before.
+        shades : Shades, optional
+            Take what the surface hides.
+        only : bool array (rows, cols), optional
+            Pixels that are wanted, where they are few.
+        """
+        if ground.unknown:
+            return []
+        if photo.offset is not None and self.grid is photo.grid and not isinstance(colour, CorrectionField):
+            identity = isinstance(colour, Colour) and is_identity(colour) and photo.scale == 1.0
+            table = None if identity else photo.table(colour, out.dtype)
+            if identity or table is not None:
+                compiled = bool(self.engine.block_kernels)
+                return copied(photo.source, photo.offset, ground.window, out, out_valid, need, table, compiled=compiled)
+        if not isinstance(colour, Colour):
+            plain, seen = np.zeros(out.shape, dtype=_unrounded(out)), np.zeros_like(out_valid)
+            same = Colour.identity(out.shape[2])
+            used = self.fill(photo, ground, same, plain, seen, need, lattices=lattices, shades=shades, only=only)
+            if isinstance(colour, CorrectionField):
+                window = ground.window
+                place = (*colour.at(window.col + 0.5, window.row + 0.5), 1 / colour.spacing[0], 1 / colour.spacing[1])
+                self.engine.shade(
+                    plain, seen, colour.net, colour.path, colour.haze, place, colour.dark, colour.curve, colour.reach,
+                    colour.offset, *value_range(str(out.dtype)), out, out_valid,
+                )  # fmt: skip
+                return used
+            here = seen > 0
+            out[here], out_valid[here] = _rounded(colour(plain[here]), str(out.dtype)), 1
             return used
-        here = seen > 0
-        out[here], out_valid[here] = _rounded(colour(plain[here]), str(out.dtype)), 1
-        return used
-    if photo.scale != 1.0:
-        colour = Colour(colour.gain * photo.scale, colour.offset)
-    if lattices is None:
-        lattices = build(photo.mapper, grid, ground, tolerance)
-    patch = ground.patch if photo.mapper.uses_heights else None
-    size, block = photo.scene.model.size, ground.window
-    for lattice in lattices:
-        part = lattice.window
-        col, row = part.col - block.col, part.row - block.row
-        inside = slice(row, row + part.height), slice(col, col + part.width)
-        wanted = None
-        if need is not None:
-            wanted = np.ascontiguousarray(
-                need[row // CELL : -(-(row + part.height) // CELL), col // CELL : -(-(col + part.width) // CELL)]
-            )
-            if not wanted.any():
-                continue
-        warp(
-            engine, photo.source, size, lattice, patch, resampling, colour, out[inside], out_valid[inside],
-            wanted, most_samples, None if only is None else only[inside],
-        )  # fmt: skip
-    if shades is not None:
-        shades.hide(photo.mapper, out, out_valid)
-    return lattices
+        if photo.scale != 1.0:
+            colour = Colour(colour.gain * photo.scale, colour.offset)
+        if lattices is None:
+            lattices = build(photo.mapper, self.grid, ground, self.tolerance)
+        patch = ground.patch if photo.mapper.uses_heights else None
+        size, block = photo.scene.model.size, ground.window
+        for lattice in lattices:
+            part = lattice.window
+            col, row = part.col - block.col, part.row - block.row
+            inside = slice(row, row + part.height), slice(col, col + part.width)
+            wanted = None
+            if need is not None:
+                wanted = np.ascontiguousarray(
+                    need[row // CELL : -(-(row + part.height) // CELL), col // CELL : -(-(col + part.width) // CELL)]
+                )
+                if not wanted.any():
+                    continue
+            warp(
+                self.engine, photo.source, size, lattice, patch, self.resampling, colour,
+                out[inside], out_valid[inside], wanted, self.most_samples, None if only is None else only[inside],
+            )  # fmt: skip
+        if shades is not None:
+            shades.hide(photo.mapper, out, out_valid)
+        return lattices
 
 
 def _unrounded(out: AnyArray) -> type[np.floating[Any]]:

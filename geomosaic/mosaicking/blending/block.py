@@ -17,7 +17,7 @@ from geomosaic.radiometry.local_gains import CorrectionField
 from geomosaic.raster.info import SourceInfo
 from geomosaic.raster.validity import burn
 from geomosaic.render.occlusion import Shades, Visibility, hidden_label
-from geomosaic.render.photo import pull
+from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
 from geomosaic.resample.engine import Engine
 from geomosaic.resample.warp import CELL, Colour, value_range
@@ -95,6 +95,11 @@ class Blender:
         return self.photos.info
 
     @property
+    def rectifier(self) -> Rectifier:
+        """Rectification of photos onto the grid."""
+        return Rectifier(self.engine, self.grid, self.resampling, self.tolerance)
+
+    @property
     def reach(self) -> int:
         """Output pixels beyond a block that its weights depend on."""
         factor = reduction(self.seams.feather)
@@ -163,10 +168,9 @@ class Blender:
         only: BoolArray | None = None,
     ) -> None:
         with self.photos.using(index) as photo:
-            lattices[index] = pull(
-                self.engine, photo, self.grid, ground, self.resampling, self.tolerance,
-                self.colours[index], out, valid, need, lattices=lattices.get(index), shades=shades,
-                only=only,
+            lattices[index] = self.rectifier.fill(
+                photo, ground, self.colours[index], out, valid, need,
+                lattices=lattices.get(index), shades=shades, only=only,
             )  # fmt: skip
 
     def _shares(self, window: Window, near: list[int]) -> list[ImageWeight]:

@@ -13,7 +13,7 @@ from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.radiometry.histogram_matching import ToneCurve
 from geomosaic.radiometry.local_gains import CorrectionField
 from geomosaic.raster.info import SourceInfo
-from geomosaic.render.photo import pull
+from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
 from geomosaic.resample.engine import Engine
 from geomosaic.resample.warp import CELL, Colour, value_range
@@ -174,10 +174,8 @@ class RuleBlender:
         self, index: int, ground: BlockGround, out: AnyArray, seen: ByteArray, need: ByteArray | None
     ) -> list[Lattice]:
         with self.photos.using(index) as photo:
-            return pull(
-                self.engine, photo, self.grid, ground, self.resampling, self.tolerance, self.colours[index], out, seen,
-                need,
-            )  # fmt: skip
+            rectifier = Rectifier(self.engine, self.grid, self.resampling, self.tolerance)
+            return rectifier.fill(photo, ground, self.colours[index], out, seen, need)
 
 
 def _extreme(choose: np.ufunc, pulled: Iterator[Layer], values: AnyArray, valid: ByteArray) -> None:

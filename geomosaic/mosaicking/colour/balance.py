@@ -14,7 +14,7 @@ from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH, RenderOptions
 from geomosaic.radiometry.gain_offset import Balance, solve_gain_offset
 from geomosaic.radiometry.overlap_samples import Overlap, Overlaps, Thumbnail
 from geomosaic.render.aligned import cell_means, picked
-from geomosaic.render.photo import Photo, pull
+from geomosaic.render.photo import Photo, Rectifier
 from geomosaic.render.photos import Photos
 from geomosaic.render.workers import in_order
 from geomosaic.resample.engine import engine_for
@@ -163,15 +163,13 @@ def thumbnail(
             picked(photo.source, photo.offset, size, window, values, valid)
             return Thumbnail(window, values, valid)
     engine, colour = engine_for(4 * max(cells, valid.size), resampling), Colour.identity(bands)
+    rectifier = Rectifier(engine, grid, resampling, LATTICE_TOLERANCE, MAX_SAMPLES)
     below = Ground.under(grid, surface)
     # The window itself is cut into blocks, not the grid: only the heights below the photo are read.
     for part in window.split(BLOCK_WIDTH, BLOCK_HEIGHT):
         ground = below.block(part)
         here = part.slices_in(window)
-        pull(
-            engine, photo, grid, ground, resampling, LATTICE_TOLERANCE, colour, values[here], valid[here],
-            most_samples=MAX_SAMPLES,
-        )  # fmt: skip
+        rectifier.fill(photo, ground, colour, values[here], valid[here])
     return Thumbnail(window, values, valid)
 
 

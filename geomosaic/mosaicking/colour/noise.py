@@ -11,7 +11,6 @@ import numpy as np
 from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.seams.voronoi import voronoi_regions
-from geomosaic.render.photo import pull
 from geomosaic.resample.pyramid import reduce
 from geomosaic.types import FloatArray
 
@@ -78,10 +77,7 @@ def _difference_noise(blender: Blender, i: int, j: int, xy: FloatArray) -> float
         values = np.zeros((SIDE, SIDE, blender.photos.info.bands), dtype=np.float32)
         valid = np.zeros((SIDE, SIDE), dtype=np.uint8)
         with blender.photos.using(index) as photo:
-            pull(
-                blender.engine, photo, blender.grid, ground, blender.resampling, blender.tolerance,
-                blender.colours[index], values, valid,
-            )  # fmt: skip
+            blender.rectifier.fill(photo, ground, blender.colours[index], values, valid)
         views.append((values, valid > 0))
     both = (views[0][1] & views[1][1])[None].astype(np.float32)
     weight = reduce(both)[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import corrected
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.source import Source
-from geomosaic.render.photo import pull
 from geomosaic.render.workers import in_order
 from geomosaic.resample.warp import Colour
 from geomosaic.types import AnyArray, BoolArray
@@ -252,8 +251,8 @@ def _values_before_and_after(blender: Blender, index: int, window: Window) -> tu
     before, seen = np.zeros((*shape, bands), dtype=np.float32), np.zeros(shape, dtype=np.uint8)
     ground, plain = blender.ground.block(window), Colour.identity(bands)
     with blender.photos.using(index) as photo:
-        tolerance = max(blender.tolerance, LATTICE_TOLERANCE)
-        pull(blender.engine, photo, blender.grid, ground, blender.resampling, tolerance, plain, before, seen)
+        rectifier = replace(blender.rectifier, tolerance=max(blender.tolerance, LATTICE_TOLERANCE))
+        rectifier.fill(photo, ground, plain, before, seen)
     after = corrected(blender.colours[index], before, window, blender.grid, blender.grid)
     return np.where(seen[..., None] > 0, after, 0.0).astype(np.float32), before, seen > 0
 
