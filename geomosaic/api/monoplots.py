@@ -104,6 +104,7 @@ def draw_vectors(
     src_crs: str | None = None,
     rows: str | None = None,
     first_pixel: float = 0.5,
+    sigmas: Mapping[str, float] | None = None,
     mark_hidden: bool = False,
     overwrite: bool = False,
 ) -> Drawn:
@@ -124,6 +125,8 @@ def draw_vectors(
         Of the vectors, instead of what they say.
     rows, first_pixel
         How the output counts pixels, see `locate`.
+    sigmas : mapping of str to float, optional
+        Standard deviations of parameters of the sensor, which control points adjust.
     mark_hidden : bool
         Keep hidden parts, marked; left out otherwise.
     overwrite : bool
@@ -145,6 +148,7 @@ def draw_vectors(
             rows=rows,
             first=first_pixel,
             crs=src_crs,
+            sigmas=dict(sigmas or {}),
             hidden=mark_hidden,
             output=Path(output),
             overwrite=overwrite,

@@ -39,14 +39,23 @@ def command(scans: tuple[Path, ...], output: Path, overwrite: bool, as_json: boo
       geomosaic fiducials scans/*.tif --camera certificate.toml \\
         --template scans/0417.tif --at 512 498 --pixel-size 14 -o marks.csv
     """
-    from geomosaic.fiducials.find import Search, find_marks, write_marks
-    from geomosaic.products.from_inputs import refuse_existing
+    from geomosaic.api.control import find_fiducials
 
-    refuse_existing(output, overwrite)
-    search = Search(flags["pixel_size"], flags["reach"], flags["turned"], flags["mirrored"], flags["least"])
     with notes():
-        found = find_marks(scans, flags["camera"], flags["template"], search, flags["at"] or None, flags["side"])
-    write_marks(output, found)
+        found = find_fiducials(
+            scans,
+            flags["camera"],
+            flags["template"],
+            flags["pixel_size"],
+            at=flags["at"] or None,
+            side=flags["side"],
+            reach=flags["reach"],
+            turned=flags["turned"],
+            mirrored=flags["mirrored"],
+            least=flags["least"],
+            output=output,
+            overwrite=overwrite,
+        )
     words, facts = [], {}
     for image, marks in found.items():
         there = [mark for mark in marks.values() if mark.found]

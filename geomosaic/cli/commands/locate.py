@@ -87,35 +87,22 @@ def command(image: Path, source: Path | None, inverse: bool, as_json: bool, **fl
         raise click.UsageError("--inverse needs a file to write: -o")
     import numpy as np
 
-    from geomosaic.monoplotting.draw_vectors import draw_vectors
-    from geomosaic.monoplotting.run import MonoplotInputs, locate_pixels
-
-    inputs = MonoplotInputs(
-        block_inputs((image,), flags, flags["gcps"]),
-        source=source,
-        layer=flags["layer"],
-        pixels=np.array(flags["pixels"]) if flags["pixels"] else None,
-        rows=flags["rows"],
-        first=float(flags["first_pixel"]),
-        step=flags["step"],
-        crs=flags["src_crs"] if inverse else flags["dst_crs"],
-        heights=flags["dst_heights"],
-        sigmas={name: _sigma(name, text) for name, text in flags["sigmas"].items()},
-        sigma_px=flags["sigma_px"],
-        sigma_dem=flags["sigma_dem"],
-        hidden=flags["mark_hidden"],
-        output=flags["output"],
-        overwrite=flags["overwrite"],
-    )
+    from geomosaic.api.monoplots import draw_vectors, locate
     from geomosaic.cli.measured_results import drawn_facts, drawn_words, located_facts, located_words
 
+    scene, output = block_inputs((image,), flags, flags["gcps"]), flags["output"]
+    common: dict[str, Any] = {name: flags[name] for name in ("layer", "rows", "overwrite")}
+    common["first_pixel"] = float(flags["first_pixel"])
+    common["sigmas"] = {name: _sigma(name, text) for name, text in flags["sigmas"].items()}
     with notes():
-        if inverse:
-            drawn = draw_vectors(inputs)
-            answer(drawn_facts(drawn, flags["output"]), drawn_words(drawn, flags["output"]), as_json)
-        else:
-            found = locate_pixels(inputs)
-            answer(located_facts(found, flags["output"]), located_words(found, flags["output"]), as_json)
+        if inverse and source is not None:
+            own = {name: flags[name] for name in ("src_crs", "mark_hidden")}
+            drawn = draw_vectors(scene, source, output, **own, **common)
+            answer(drawn_facts(drawn, output), drawn_words(drawn, output), as_json)
+            return
+        own = {name: flags[name] for name in ("step", "sigma_px", "sigma_dem", "dst_crs", "dst_heights", "output")}
+        found = locate(scene, np.array(flags["pixels"]) if source is None else source, **own, **common)
+        answer(located_facts(found, output), located_words(found, output), as_json)
 
 
 def _sigma(name: str, text: str) -> float:
