@@ -14,7 +14,7 @@ from scipy.ndimage import convolve1d
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaicking.blending.width import width_px
+from geomosaic.mosaicking.blending.choice import width_px
 from geomosaic.options.mosaic import BlendOptions, Width
 from geomosaic.resample import agreement, pyramid
 from geomosaic.resample.engine import numba_engine, numpy_engine

@@ -15,9 +15,8 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.digests import sha256
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.blending.block import Blender, Seams
-from geomosaic.mosaicking.blending.choice import with_blending
-from geomosaic.mosaicking.blending.width import transition_px
-from geomosaic.mosaicking.colour.corrections import Correction, corrections
+from geomosaic.mosaicking.blending.choice import transition_px, with_blending
+from geomosaic.mosaicking.colour.corrections import Correction, corrections, image_numbers, retouched, rounded
 from geomosaic.mosaicking.colour.solve import colour_balance
 from geomosaic.mosaicking.outputs import MosaicFiles
 from geomosaic.mosaicking.records.files import SourceImages, gains, write_item, write_vectors
@@ -27,7 +26,6 @@ from geomosaic.mosaicking.reruns.earlier_results import EarlierResults
 from geomosaic.mosaicking.reruns.memory import Memory
 from geomosaic.mosaicking.reruns.reuse import Reuse, reuse_of
 from geomosaic.mosaicking.result import MosaicResult, Timer
-from geomosaic.mosaicking.retouch import image_numbers, retouched, rounded
 from geomosaic.mosaicking.seams.seam_polygons import seam_polygons, valid_outlines
 from geomosaic.mosaicking.seams.seamlines import (
     SeamPlace,

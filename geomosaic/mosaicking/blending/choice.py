@@ -1,11 +1,16 @@
-"""Choice of the blender for a kind of blending."""
+"""Choice of the blender, and the width of the transition across seams in pixels of the output."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
+import numpy as np
+
+from geomosaic.geo.grid import Grid
+from geomosaic.geo.units import linear_unit
 from geomosaic.mosaicking.blending.block import Blender
-from geomosaic.options.mosaic import BlendOptions
+from geomosaic.options.mosaic import BlendOptions, Width
 from geomosaic.render.workers import Room
 
 
@@ -37,3 +42,33 @@ def with_blending(blender: Blender, blending: BlendOptions, memory: int) -> Blen
         noise=image_noise(blender) if blending.limits else None,
         room=Room(memory),
     )
+
+
+PIXELS = 32.0
+"""Width unless one is given."""
+
+
+def width_px(width: Width, grid: Grid) -> float:
+    """Width in pixels of a grid; in degrees a metre is that at the middle of the grid."""
+    if width.unit == "px":
+        return width.value
+    x, y = grid.resolution
+    size = x if x == y else math.sqrt(x * y)
+    return width.value * (_units_per_metre(grid) if width.unit == "m" else 1.0) / size
+
+
+def transition_px(options: BlendOptions, grid: Grid) -> float:
+    """Width of the transition in pixels of the output; infinite for all that images share, 0 for hard seams."""
+    if options.blend == "none":
+        return 0.0
+    if options.feather is None:
+        return math.inf if options.blend == "overlap" else PIXELS
+    return width_px(options.feather, grid)
+
+
+def _units_per_metre(grid: Grid) -> float:
+    metres = linear_unit(grid.crs)
+    if grid.crs.is_geographic:  # the mean of both axes
+        bottom, top = grid.bounds[1::2]
+        metres *= math.sqrt(max(0.01, float(np.cos(np.radians((bottom + top) / 2)))))
+    return 1.0 / (metres or 1.0)
