@@ -8,14 +8,16 @@ import sys
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from geomosaic.cli.parameter_names import translated
 from geomosaic.cli.process import check_stopped
 from geomosaic.errors import GeomosaicWarning, OutputError
-from geomosaic.types import Progress
+
+if TYPE_CHECKING:
+    from geomosaic.types import Progress
 
 
 def say(text: str = "") -> None:

@@ -100,7 +100,7 @@ class ExteriorSection(Section):
     printed: PrintedSection | None = None
 
     @model_validator(mode="after")
-    def _told(self) -> ExteriorSection:
+    def _printed_belongs(self) -> ExteriorSection:
         if (self.angles == "printed") != (self.printed is not None):
             raise ValueError("angles = 'printed' and the table [exterior.printed] belong together")
         return self
