@@ -13,7 +13,7 @@ from importlib.metadata import EntryPoint
 import pytest
 from cli_rig import flags, photos
 
-from geomosaic.cli.main import COMMANDS
+from geomosaic.cli.command_list import GROUPS, commands
 
 HEAVY = ("pydantic", "rich", "geopandas", "pandas", "scipy", "shapely", "numba", "pystac", "jinja2", "PIL", "pyogrio")
 
@@ -24,7 +24,7 @@ def test_help_names_every_command_and_loads_nothing():
     """How quick it is, `test_05_architecture.py` measures."""
     command = [sys.executable, "-X", "importtime", "-m", "geomosaic.cli", "--help"]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
-    assert all(name in done.stdout for name in COMMANDS)
+    assert all(name in done.stdout for name in (*commands(), *GROUPS))
     loaded = {line.split("|")[2].strip().split(".")[0] for line in done.stderr.splitlines() if line.count("|") == 2}
     assert not loaded & {"numpy", "rasterio", "pyproj", *HEAVY}
 
@@ -35,7 +35,7 @@ def test_every_command_has_help_with_its_options(tell):
         assert code == 0
         return out
 
-    for name in COMMANDS:
+    for name in commands():
         command = import_module(f"geomosaic.cli.commands.{name}").command
         own = getattr(command, "commands", None)
         for out in [asked(name)] if own is None else [asked(name, part) for part in own]:

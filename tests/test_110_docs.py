@@ -102,11 +102,12 @@ def test_examples(page: Path) -> None:
 
 def commands_of_the_program() -> dict[str, set[str]]:
     """Options of every command, read off click."""
-    from geomosaic.cli.main import COMMANDS, cli
+    from geomosaic.cli.command_list import commands
+    from geomosaic.cli.main import cli
 
     context = click.Context(cli)
     found = {}
-    for name in COMMANDS:
+    for name in commands():
         command = cli.get_command(context, name)
         assert command is not None
         found[name] = {

@@ -4,50 +4,26 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
+from itertools import groupby
 from typing import Any, NoReturn
 
 import click
 
 import geomosaic
+from geomosaic.cli.command_list import commands
 from geomosaic.cli.process import leave, set_up
-
-COMMANDS: dict[str, str] = {
-    "demo": "Run the sample block from photos to mosaic, with its accuracy.",
-    "new": "Write a project file from images and tables.",
-    "run": "Run what is stale in a project.",
-    "status": "Show which steps of a project are stale, and why.",
-    "georeference": "Place one image on the map by control points.",
-    "ortho": "Rectify one image.",
-    "deskew": "Remove skew and tangential distortion of a scanned strip, without control.",
-    "mosaic": "Make one mosaic from images.",
-    "develop": "Draw photos of a facade, tower or dome on its developed surface.",
-    "edges": "Join photos with control at their edges, and mosaic them.",
-    "reproject": "Bring a georeferenced raster or vectors to another CRS.",
-    "rpc": "Fit RPCs to any sensor, refine them, and write them.",
-    "locate": "Find places on the ground from pixels, or draw map vectors into a photo.",
-    "check": "Measure a map at check points.",
-    "fiducials": "Find the fiducial marks of scanned films.",
-    "water": "Propose areas of water, from a mosaic and a DEM.",
-    "contours": "Draw contours of a DEM.",
-    "sheet": "Make a map sheet: frame, grid, legend, vectors.",
-    "enhance": "Stretch, sharpen or pan-sharpen a raster for print.",
-    "sheets": "Make, find and show the sheets of a series.",
-    "plan": "Calculate scales, scanning, relief, swath, coverage, control.",
-    "sensors": "List sensors, or show the inputs of one.",
-}
-"""Short help by command: `geomosaic --help` imports none of them."""
 
 
 class LazyGroup(click.Group):
     """A group whose commands are modules `geomosaic.cli.commands.<name>` with an attribute `command`."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names in the order of the table."""
-        return list(COMMANDS)
+        """Names in the order of their groups."""
+        return list(commands())
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import one command."""
-        if cmd_name not in COMMANDS:
+        if cmd_name not in commands():
             return None
         command: click.Command = import_module(f"geomosaic.cli.commands.{cmd_name}").command
         return command
@@ -57,17 +33,19 @@ class LazyGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Suggest the command that was meant."""
         name = args[0] if args else ""
-        if name and not name.startswith("-") and name not in COMMANDS:
+        if name and not name.startswith("-") and name not in commands():
             from geomosaic.errors import did_you_mean
 
-            hint = did_you_mean(name, COMMANDS)
+            hint = did_you_mean(name, commands())
             ctx.fail(f"No such command '{name}'. {hint[:1].upper()}{hint[1:]}".rstrip())
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the table."""
-        with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+        """Write the short help of each command under the headings of the groups."""
+        width = max(map(len, commands()))
+        for group, listed in groupby(commands().values(), key=lambda one: one.group):
+            with formatter.section(group):
+                formatter.write_dl([(one.name.ljust(width), one.help) for one in listed])
 
 
 @click.group(

@@ -83,9 +83,10 @@ def _toml(value: str) -> str:
 @lru_cache
 def _options(command: str) -> Mapping[str, click.Option]:
     """Options of a command, and of the commands of a group, by parameter."""
-    from geomosaic.cli.main import COMMANDS, cli
+    from geomosaic.cli.command_list import commands
+    from geomosaic.cli.main import cli
 
-    loaded = cli.get_command(click.Context(cli), command) if command in COMMANDS else None
+    loaded = cli.get_command(click.Context(cli), command) if command in commands() else None
     if loaded is None:
         return {}
     inner = loaded.commands.values() if isinstance(loaded, click.Group) else ()

@@ -1,4 +1,7 @@
-"""`geomosaic check`."""
+"""Measure a map at check points.
+
+Help group: Orientation and accuracy
+"""
 
 from __future__ import annotations
 

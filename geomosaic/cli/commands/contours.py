@@ -1,4 +1,7 @@
-"""`geomosaic contours`."""
+"""Draw contours of a DEM.
+
+Help group: Maps
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`geomosaic demo`."""
+"""Run the sample block from photos to mosaic, with its accuracy.
+
+Help group: Projects
+"""
 
 from __future__ import annotations
 

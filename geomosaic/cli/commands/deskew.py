@@ -1,4 +1,7 @@
-"""`geomosaic deskew`."""
+"""Remove skew and tangential distortion of a scanned strip, without control.
+
+Help group: Orthos and mosaics
+"""
 
 from __future__ import annotations
 

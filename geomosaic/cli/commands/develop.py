@@ -1,4 +1,7 @@
-"""`geomosaic develop`."""
+"""Draw photos of a facade, tower or dome on its developed surface.
+
+Help group: Orthos and mosaics
+"""
 
 from __future__ import annotations
 

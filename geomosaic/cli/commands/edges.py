@@ -1,4 +1,7 @@
-"""`geomosaic edges`."""
+"""Join photos with control at their edges, and mosaic them.
+
+Help group: Orthos and mosaics
+"""
 
 from __future__ import annotations
 

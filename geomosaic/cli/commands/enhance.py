@@ -1,4 +1,7 @@
-"""`geomosaic enhance`."""
+"""Stretch, sharpen or pan-sharpen a raster for print.
+
+Help group: Maps
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`geomosaic fiducials`."""
+"""Find the fiducial marks of scanned films.
+
+Help group: Orientation and accuracy
+"""
 
 from __future__ import annotations
 

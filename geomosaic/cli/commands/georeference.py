@@ -1,4 +1,7 @@
-"""`geomosaic georeference`."""
+"""Place one image on the map by control points.
+
+Help group: Orthos and mosaics
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`geomosaic locate`."""
+"""Find places on the ground from pixels, or draw map vectors into a photo.
+
+Help group: Orientation and accuracy
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`geomosaic mosaic`."""
+"""Make one mosaic from images.
+
+Help group: Orthos and mosaics
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`geomosaic new`."""
+"""Write a project file from images and tables.
+
+Help group: Projects
+"""
 
 from __future__ import annotations
 

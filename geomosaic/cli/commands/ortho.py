@@ -1,4 +1,7 @@
-"""`geomosaic ortho`."""
+"""Rectify one image.
+
+Help group: Orthos and mosaics
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`geomosaic plan`."""
+"""Calculate scales, scanning, relief, swath, coverage, control.
+
+Help group: Calculations and lists
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,8 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.commands.plan_tables import tables_command
 from geomosaic.cli.options import debug_option, json_option
+from geomosaic.cli.plan_tables import tables_command
 from geomosaic.cli.talk import answer
 from geomosaic.cli.values import Measure, Scale
 from geomosaic.planning.quantities import QUANTITIES, Quantity, shown

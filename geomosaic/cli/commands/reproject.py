@@ -1,4 +1,7 @@
-"""`geomosaic reproject`."""
+"""Bring a georeferenced raster or vectors to another CRS.
+
+Help group: Orthos and mosaics
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`geomosaic rpc`."""
+"""Fit RPCs to any sensor, refine them, and write them.
+
+Help group: Orientation and accuracy
+"""
 
 from __future__ import annotations
 

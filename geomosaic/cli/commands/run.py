@@ -1,4 +1,7 @@
-"""`geomosaic run`."""
+"""Run what is stale in a project.
+
+Help group: Projects
+"""
 
 from __future__ import annotations
 

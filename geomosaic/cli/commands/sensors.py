@@ -1,4 +1,7 @@
-"""`geomosaic sensors`."""
+"""List sensors, or show the inputs of one.
+
+Help group: Calculations and lists
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`geomosaic sheet`."""
+"""Make a map sheet: frame, grid, legend, vectors.
+
+Help group: Maps
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`geomosaic sheets`."""
+"""Make, find and show the sheets of a series.
+
+Help group: Maps
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`geomosaic status`."""
+"""Show which steps of a project are stale, and why.
+
+Help group: Projects
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`geomosaic water`."""
+"""Propose areas of water, from a mosaic and a DEM.
+
+Help group: Orthos and mosaics
+"""
 
 from __future__ import annotations
 
