@@ -43,7 +43,7 @@ MAPS = {
 }
 
 
-SHARE = ("EPSG:3857", "ESRI:54030", "EPSG:8857")  # a cylinder, a map between its poles' lines, one whose rim folds
+SHARE = ("EPSG:3857", "EPSG:3832", "ESRI:54030", "EPSG:8857")  # cylinder, cut by the seam, poles as lines, folding rim
 
 
 @pytest.mark.parametrize(
