@@ -15,7 +15,7 @@ from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import SolveError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.georeferencing.examination import BadControlError
+from geomosaic.georeferencing.fit_diagnostics import BadControlError
 from geomosaic.georeferencing.request import FitRequest
 from geomosaic.georeferencing.solution import solve
 from geomosaic.types import FloatArray

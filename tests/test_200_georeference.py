@@ -17,7 +17,7 @@ from rasterio.warp import Resampling, reproject
 from geomosaic.accuracy.check_points import check
 from geomosaic.control.read import read_control
 from geomosaic.errors import InputError
-from geomosaic.georeferencing.examination import BadControlError
+from geomosaic.georeferencing.fit_diagnostics import BadControlError
 from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import fit_crs, georeference
 from geomosaic.georeferencing.solution import Solution, solve

@@ -34,7 +34,7 @@ def test_thirty_percent_are_found(kind: str) -> None:
         found = search_blunders(control(kind, xy, colrow))
         assert set(found.snooping.blunders) == bad
         assert set(found.estimate.blunders) == bad
-        assert "both methods find" in found.said
+        assert "both methods find" in found.summary
         at = np.column_stack([xy, np.zeros(len(xy))])
         errors = np.hypot(*(found.estimate.fit.model.ground_to_image(at) - truth(kind, xy)).T)
         assert np.median(errors) < 0.6
@@ -134,7 +134,7 @@ def test_the_same_every_time() -> None:
     spoil(colrow, 0.3, 2)
     problem = control("poly2", xy, colrow)
     first, second = (search_blunders(problem) for _ in range(2))
-    assert first.said == second.said
+    assert first.summary == second.summary
     np.testing.assert_array_equal(first.estimate.weights, second.estimate.weights)
 
 

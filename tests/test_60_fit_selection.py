@@ -37,7 +37,7 @@ def test_deletion_takes_the_worst_until_the_threshold() -> None:
     left = colrow[kept] - design @ np.linalg.lstsq(design, colrow[kept], rcond=None)[0]
     assert last.rms_after == pytest.approx(np.sqrt((left**2).sum(axis=1).mean()), rel=1e-6)
     assert np.isfinite(done.fit.leave_one_out).all()
-    assert "below 1 px" in done.said
+    assert "below 1 px" in done.summary
 
 
 @pytest.mark.parametrize(("kind", "least"), [("conformal", 2), ("affine", 3), ("projective", 4), ("poly2", 6)])
@@ -47,7 +47,7 @@ def test_deletion_leaves_one_point_more_than_needed(kind: str, least: int) -> No
     done = delete_points(builder(kind, xy, colrow), names(12), xy, colrow, threshold=1e-6)
     assert not done.reached
     assert len(done.kept) == least + 1
-    assert "no more can be spared" in done.said
+    assert "no more can be spared" in done.summary
 
 
 def test_deletion_of_good_control_deletes_nothing() -> None:
@@ -146,7 +146,7 @@ def test_the_kind_the_photo_has_is_chosen(kind: str, expected: str) -> None:
         request = SensorRequest("scan", SIZE, {}, UTM)
         choice = choose_model(planar_builds(request, xy, colrow), names(40), xy, colrow)
         assert choice.name == expected
-        assert choice.said.startswith(expected)
+        assert choice.summary.startswith(expected)
         assert choice.outliers == ()
         rows = {row.name: row for row in choice.table}
         assert list(rows) == ["conformal", "affine", "projective", "poly2", "poly3", "poly4", "poly5", "tps"]
@@ -184,4 +184,4 @@ def test_a_blunder_does_not_decide_the_kind_and_is_named() -> None:
     colrow[5] += [300.0, -200.0]
     choice = choose_model(planar_builds(SensorRequest("scan", SIZE, {}, UTM), xy, colrow), names(24), xy, colrow)
     assert choice.outliers == ("P5",)
-    assert "no kind predicts P5" in choice.said
+    assert "no kind predicts P5" in choice.summary

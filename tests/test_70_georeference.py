@@ -19,7 +19,7 @@ from geomosaic.errors import InputError, OutputExistsError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
-from geomosaic.georeferencing.examination import BadControlError
+from geomosaic.georeferencing.fit_diagnostics import BadControlError
 from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import Georeferenced, georeference
 from geomosaic.options.render import RenderOptions

@@ -17,7 +17,7 @@ from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.georeferencing.examination import BadControlError, fold_advice
+from geomosaic.georeferencing.fit_diagnostics import BadControlError, fold_advice
 from geomosaic.georeferencing.request import FitRequest
 from geomosaic.georeferencing.solution import Solution, solve
 from geomosaic.render.extent import output_grid
@@ -260,7 +260,7 @@ def test_a_spline_leaves_blunders_out_where_asked_to() -> None:
         done = solved(points, model="tps", robust=True)
         assert {name for name, state in zip(points.names, done.states, strict=True) if state == "suspect"} == names
         assert not [found for found in done.advice if found.severity == "error"]
-        assert "contradict" in done.robust_said
+        assert "contradict" in done.blunder_summary
         clean = solved(points.without(sorted(names)), model="tps")
         assert done.fit.model.parameters.values == pytest.approx(clean.fit.model.parameters.values)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from test_70_georeference_diagnostics import few, lens, solved
 
-from geomosaic.georeferencing.examination import BadControlError
+from geomosaic.georeferencing.fit_diagnostics import BadControlError
 
 
 @pytest.mark.parametrize(

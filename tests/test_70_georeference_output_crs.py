@@ -15,7 +15,7 @@ from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Window
 from geomosaic.geo.transform import Transform
-from geomosaic.georeferencing.examination import BadControlError
+from geomosaic.georeferencing.fit_diagnostics import BadControlError
 from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import georeference
 from geomosaic.render.extent import Area

@@ -92,7 +92,7 @@ def georeference_words(made: Georeferenced) -> str:
         *_errors(accuracy),
     ]
     if solution.deletion is not None:
-        lines.append(solution.deletion.said)
+        lines.append(solution.deletion.summary)
     if solution.check is not None:
         check = made.facts["check"]
         lines.append(

@@ -1,4 +1,4 @@
-"""Facts of a fit of control as plain values, and the files of the control report."""
+"""Facts of a fit to control points as JSON values, and the files of the control report."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from geomosaic.report.control import render_control
 from geomosaic.types import AnyArray, FloatArray
 
 
-def plain(values: AnyArray | Sequence[float]) -> list[Any]:
-    """Return numbers as lists; what is not finite is None, since JSON knows no NaN."""
+def json_values(values: AnyArray | Sequence[float]) -> list[Any]:
+    """Nested lists of numbers; None stands for NaN and infinity, which JSON lacks."""
     found: list[Any] = []
     for value in np.asarray(values, dtype=np.float64).tolist():
-        found.append(plain(value) if isinstance(value, list) else value if math.isfinite(value) else None)
+        found.append(json_values(value) if isinstance(value, list) else value if math.isfinite(value) else None)
     return found
 
 
-def number(value: float) -> float | None:
-    """Return a finite number, or None."""
+def finite_or_none(value: float) -> float | None:
+    """Number as a float, None where it is not finite."""
     return float(value) if math.isfinite(value) else None
 
 
 def advice_facts(advice: Sequence[Advice]) -> list[dict[str, Any]]:
-    """Plain values of findings."""
+    """JSON values of findings."""
     return [
         {"code": a.code, "severity": a.severity, "what": a.what, "points": list(a.points), "hint": a.hint}
         for a in advice
@@ -43,43 +43,43 @@ def advice_facts(advice: Sequence[Advice]) -> list[dict[str, Any]]:
 
 
 def statistics_facts(found: CheckStatistics) -> dict[str, Any]:
-    """Plain values of check points' statistics, in the map's unit."""
+    """JSON values of check point statistics, in the unit of the map."""
     return {
         "check_points": len(found),
         "unit": found.unit,
-        "rms": plain(found.rms),
-        "rms_total": number(found.rms_total),
-        "figure95": number(found.figure95),
-        "mean_shift": plain(found.mean),
-        "spread": plain(found.spread),
-        "shift_probability": number(found.shift_probability),
+        "rms": json_values(found.rms),
+        "rms_total": finite_or_none(found.rms_total),
+        "figure95": finite_or_none(found.figure95),
+        "mean_shift": json_values(found.mean),
+        "spread": json_values(found.spread),
+        "shift_probability": finite_or_none(found.shift_probability),
         "shifted": bool(found.shifted),
         "shift_statement": found.shift_statement,
-        "nssda": number(found.nssda),
+        "nssda": finite_or_none(found.nssda),
         "nssda_statement": found.nssda_statement,
         "survey_rms": found.survey_rms,
-        "rms_with_survey": number(found.rms_with_survey),
+        "rms_with_survey": finite_or_none(found.rms_with_survey),
         "asprs_statement": found.asprs_statement,
     }
 
 
 def error_facts(errors: FloatArray) -> dict[str, Any]:
-    """RMS per axis and total, and the 95 % figure, of errors (N, 2)."""
+    """RMS per axis and total, 95 % figure and largest length of errors (N, 2), in their unit."""
     return {
-        "rms": plain(axis_rms(errors)),
-        "rms_total": number(total_rms(errors)),
-        "figure95": number(textbook95(errors)),
-        "largest": number(float(np.nanmax(np.hypot(*errors.T))) if np.isfinite(errors).any() else float("nan")),
+        "rms": json_values(axis_rms(errors)),
+        "rms_total": finite_or_none(total_rms(errors)),
+        "figure95": finite_or_none(textbook95(errors)),
+        "largest": finite_or_none(float(np.nanmax(np.hypot(*errors.T))) if np.isfinite(errors).any() else float("nan")),
     }
 
 
 def headline(fit: ControlFit) -> str:
-    """Which errors tell how good a fit is: 'residuals', or 'leave_one_out' where it passes through its points."""
+    """Kind of errors that measure a fit: 'residuals', or 'leave_one_out' where it passes through its points."""
     return "residuals" if fit.redundancy > 0 else "leave_one_out"
 
 
 def accuracy_facts(fit: ControlFit, metres: FloatArray) -> dict[str, Any]:
-    """What residuals and leave-one-out errors come to, in pixels, map units and metres (factors (2,) of x and y)."""
+    """Accuracy from residuals and leave-one-out errors: pixels, map units, metres (`metres` (2,): metres per unit)."""
     return {
         "points": len(fit.ids),
         "headline": headline(fit),
@@ -95,42 +95,43 @@ def accuracy_facts(fit: ControlFit, metres: FloatArray) -> dict[str, Any]:
             "m": error_facts(fit.map_leave_one_out * metres),
         },
         "redundancy": fit.redundancy,
-        "sigma0": number(fit.sigma0),
+        "sigma0": finite_or_none(fit.sigma0),
     }
 
 
 def parameter_facts(fit: ControlFit, most: int = 60) -> list[dict[str, Any]]:
-    """Parameters with their standard deviations; none for a fit of more than `most`, such as a spline."""
+    """Parameters with standard deviations; none for a fit of more than `most` parameters, such as a spline."""
     found = fit.model.parameters
     if len(found) > most:
         return []
     sigmas = np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
     return [
-        {"name": name, "unit": unit, "value": float(value), "sigma": number(float(sigma))}
+        {"name": name, "unit": unit, "value": float(value), "sigma": finite_or_none(float(sigma))}
         for name, unit, value, sigma in zip(found.names, found.units, found.values, sigmas, strict=True)
     ]
 
 
-def write_files(
+def write_control_report(
     facts: Mapping[str, Any], image: Path, source: CRS, crs: CRS, files: Mapping[str, Path], *, overwrite: bool
 ) -> None:
-    """Write the three files of `files`, by ending.
+    """Files of the control report: facts, page and residual vectors.
 
     Parameters
     ----------
     facts : mapping
         See `report.report_facts`.
     image : Path
-        For the picture.
+        Image to be shown on the page.
     source, crs : CRS
-        Of the points in the facts, and of the vectors.
+        CRS of the points in the facts, and of the vectors.
     files : mapping of str to Path
-        '.json', '.html' and '.gpkg'.
+        Paths by suffix: '.json', '.html' and '.gpkg'.
     overwrite : bool
 
     Raises
     ------
     OutputError, OutputExistsError
+        A file cannot be written, or exists.
     """
     text = json.dumps(facts, indent=1, ensure_ascii=False, allow_nan=False)
     write_text(files[".json"], text + "\n", overwrite=overwrite)

@@ -14,7 +14,13 @@ from geomosaic.control.points import ControlPoints
 from geomosaic.errors import GeomosaicError
 from geomosaic.estimation.blunders.hypotheses import MOST
 from geomosaic.estimation.blunders.m_estimator import search_blunders
-from geomosaic.georeferencing.independent_check import Opinion, confirmed, pardoned, second_opinion, unbent
+from geomosaic.georeferencing.blunder_check import (
+    BlunderCheck,
+    check_blunders,
+    confirm_blunders,
+    exclude_distorted_outliers,
+    exclude_distortion,
+)
 from geomosaic.georeferencing.request import FitRequest, kind_order
 from geomosaic.orientation.single.fit import ControlAdjustment, ControlBlunders, ControlFit, fit_control
 from geomosaic.orientation.single.model_selection import ModelChoice, choose_model, planar_builds
@@ -24,39 +30,47 @@ from geomosaic.sensor.registry import plane_sensor
 from geomosaic.types import FloatArray
 
 FOUR = 4
-MISSED = 5.0
-"""Pixels, from which on a fit of fewer parameters is not kept: it would be seen."""
-AGREE = 0.1
-"""Share of that error within which three points agree, so that the fourth is wrong and the photo not oblique."""
+MISFIT = 5.0
+"""Error in pixels above which a fit of fewer parameters is rejected: it would be visible in the output."""
+AGREEMENT = 0.1
+"""Share of that error within which three points must agree before the fourth is called a blunder.
+
+In an oblique photo no three of four points fit a conformal transformation so much better than all four do.
+"""
+MOST_COMPARED = 300
+"""Number of points up to which a model that was asked for is compared with the others (leave-one-out refits)."""
+ROUNDS = 4
+"""Limit on alternations of model choice and blunder search; it ends earlier where nothing changes."""
 
 
-def look_at_four(
+def four_point_model(
     points: ControlPoints, choice: ModelChoice, builder: Callable[[str, ControlPoints], Build]
 ) -> tuple[str, Advice | None]:
-    """Say why a projective fit takes the place of the one chosen, or which of four points is wrong.
+    """Projective model for four points of an oblique photo, or the one of them that is a blunder.
 
-    The one chosen is kept where it misses the points by no more than a hand does. Else, where three of them fit
-    together without the fourth, that is wrong; where none do, and they are the corners of a convex figure, passed in
-    the same order, in the image and on the ground, a projective fit is made.
+    The model chosen is kept while its error is below `MISFIT`. Otherwise, if three points agree without the fourth,
+    the fourth is a blunder. If no three agree and the points are the corners of a convex quadrilateral, in the same
+    order in the image and on the ground, the projective model takes its place.
 
     Parameters
     ----------
     points : ControlPoints
-    choice : Choice
-        Among the fits that leave a point to judge them by.
+    choice : ModelChoice
+        Best of the models with redundancy at four points.
     builder : callable
-        Of a fit by name, to the points it is given.
+        Function from model name and points to a `Build`.
 
     Returns
     -------
-    why : str
-        Empty where the fit chosen is kept.
+    reason : str
+        Why the projective model is taken; empty where the choice is kept.
     finding : Advice, optional
+        The blunder.
     """
     if len(points) != FOUR or choice.name not in ("conformal", "affine") or collinear(points, "projective"):
         return "", None
     missed = _error(choice.fit)
-    if not missed > MISSED:
+    if not missed > MISFIT:
         return "", None
     for out in range(FOUR):
         three = points.select([i != out for i in range(FOUR)])
@@ -64,7 +78,7 @@ def look_at_four(
             fit = fit_control(builder("conformal", three), three.names, three.xy, three.colrow, three.sigma)
         except GeomosaicError:
             continue
-        if _error(fit) < AGREE * missed:
+        if _error(fit) < AGREEMENT * missed:
             name = points.names[out]
             what = f"{name} contradicts the other three points, which agree within {_error(fit):.2f} px (conformal); "
             what += f"{choice.name} misses all four by {missed:.1f} px"
@@ -72,59 +86,57 @@ def look_at_four(
             return "", Advice("contradiction", "error", what, (name,), hint)
     if not _same_figure(points):
         return "", None
-    why = f"passes through the four points, which {choice.name} misses by {missed:.1f} px: the photo is oblique, or a "
-    return why + "point is wrong, and nothing is left to tell", None
+    reason = (
+        f"passes through the four points, which {choice.name} misses by {missed:.1f} px: the photo is oblique, or a "
+    )
+    return reason + "point is wrong, and nothing is left to tell", None
 
 
 def _error(fit: ControlFit) -> float:
-    """Length of the error of a point, RMS, pixels, as the redundancy has it."""
+    """RMS length of the error of a point, pixels: from sigma 0, so that few residuals are not taken for accuracy."""
     return fit.sigma0 * float(np.sqrt(2.0) * np.median(fit.sigma))
 
 
 def _same_figure(points: ControlPoints) -> bool:
-    """Whether the points are corners of a convex figure in both, in one order, rows running down and y up.
+    """Whether the four points have the same orientation in image and map, rows counted downwards.
 
-    Else a horizon runs between them, or the photo is mirrored; two exchanged points do either.
+    If not, the horizon of the projective transformation runs between them or the photo is mirrored; both happen when
+    two points are exchanged.
     """
     return bool((_turns(points.colrow) == -_turns(points.xy)).all())
 
 
 def _turns(places: FloatArray) -> FloatArray:
-    """Sense in which every three of four places (4, 2) run."""
+    """Orientation (+1 counter-clockwise, -1 clockwise, y up) of each triangle of four points (4, 2)."""
     corners = places[list(combinations(range(FOUR), FOUR - 1))]
     signs: FloatArray = np.sign(np.linalg.det(corners[:, 1:] - corners[:, :1]))
     return signs
 
 
-COMPARED = 300
-"""Points up to which a model that was asked for is compared with the others."""
-ROUNDS = 4
-
-
 @dataclass(frozen=True, eq=False)
-class Trial:
-    """What was tried.
+class ModelTrial:
+    """Model, its points and the blunders found on the way.
 
     Attributes
     ----------
     model : str
         Asked for or chosen.
     points : ControlPoints
-        Those that take part in the fit.
+        Points of the fit.
     suspects : tuple of str
-        Those left out as blunders; none unless that was asked for.
-    choice : Choice, optional
-        All models compared, on points that are no suspects, where points were enough for it.
+        Points left out as blunders; none unless `robust` was asked for.
+    choice : ModelChoice, optional
+        Comparison of all models on the points that are no suspects, where they are enough.
     search : ControlBlunders, optional
-        With `model`, over `points` and suspects.
-    said : str
-        What the search found, or why there is none.
-    opinion : Opinion, optional
-        On blunders, without the model.
-    why : str
-        Why another model than `choice` has.
-    four : Advice, optional
-        Of four points, which is wrong.
+        Blunder search under `model`, over `points` and suspects.
+    summary : str
+        Result of the search in a sentence, or why there was none.
+    blunder_check : BlunderCheck, optional
+        Blunders found without the model.
+    reason : str
+        Why `model` is not that of `choice`; empty where it is.
+    four_point_finding : Advice, optional
+        Blunder among four points.
     """
 
     model: str
@@ -132,24 +144,26 @@ class Trial:
     suspects: tuple[str, ...]
     choice: ModelChoice | None
     search: ControlBlunders | None
-    said: str
-    opinion: Opinion | None = None
-    why: str = ""
-    four: Advice | None = None
+    summary: str
+    blunder_check: BlunderCheck | None = None
+    reason: str = ""
+    four_point_finding: Advice | None = None
 
 
-def try_models(image: str, size: tuple[int, int], points: ControlPoints, request: FitRequest) -> Trial:
-    """Choose the model where it is to be chosen, and look for blunders.
+def try_models(image: str, size: tuple[int, int], points: ControlPoints, request: FitRequest) -> ModelTrial:
+    """Choice of the model, if it is 'auto', alternating with the search for blunders.
 
-    A blunder spoils the choice, and the wrong model hides blunders: where blunders are to be left out and the model is
-    to be chosen, both are done in turn until the model stays.
+    A blunder spoils the choice of the model, and the wrong model hides blunders: both are repeated in turn until the
+    model and the blunders stay the same.
 
     Parameters
     ----------
-    image, size : str, (int, int)
-        Of the image.
+    image : str
+        Name of the image.
+    size : tuple of int
+        Width and height of the image, pixels.
     points : ControlPoints
-        Enabled control in the CRS of the fit.
+        Enabled control points, x and y in the CRS of the fit.
     request : FitRequest
 
     Raises
@@ -158,29 +172,29 @@ def try_models(image: str, size: tuple[int, int], points: ControlPoints, request
         No model can be chosen.
     """
     auto = request.model == "auto"
-    opinion = second_opinion(points, request.model)
-    blamed = opinion.blunders if opinion is not None else ()
+    check = check_blunders(points, request.model)
+    blamed = check.blunders if check is not None else ()
     # A blunder spoils the choice, whether or not it is to be left out of the fit.
     suspects = blamed
     clean = _without(points, suspects)
     choice = _choose(image, size, clean, needed=auto)
-    if opinion is not None and blamed and len(points) > MOST:
-        opinion = confirmed(opinion, points, choice, _choose(image, size, points, needed=False))
-        if opinion.blunders != blamed:
-            blamed = suspects = opinion.blunders
+    if check is not None and blamed and len(points) > MOST:
+        check = confirm_blunders(check, points, choice, _choose(image, size, points, needed=False))
+        if check.blunders != blamed:
+            blamed = suspects = check.blunders
             clean = _without(points, suspects)
             choice = _choose(image, size, clean, needed=auto)
-    four = None
+    finding = None
     if auto and choice is not None:
-        why, four = look_at_four(points, choice, lambda name, some: builder(name, image, size, some))
-        if why:
-            return Trial("projective", points, (), choice, None, why, None, why)
+        reason, finding = four_point_model(points, choice, lambda name, some: builder(name, image, size, some))
+        if reason:
+            return ModelTrial("projective", points, (), choice, None, reason, None, reason)
     model = choice.name if auto and choice is not None else request.model
     for _ in range(ROUNDS):
-        search, said = _search(builder(model, image, size, points), points, model, opinion)
+        search, summary = _search(builder(model, image, size, points), points, model, check)
         if search is not None:
-            search = pardoned(search, points, model if choice is None else choice.name)
-            said = search.said
+            search = exclude_distortion(search, points, model if choice is None else choice.name)
+            summary = search.summary
         found = set(blamed)
         if request.robust or (auto and request.threshold is not None):
             found |= set(search.blunders if search is not None else () if choice is None else choice.outliers)
@@ -193,11 +207,11 @@ def try_models(image: str, size: tuple[int, int], points: ControlPoints, request
         if not auto or choice is None or choice.name == model:
             break
         model = choice.name
-        if model == "tps":  # it passes through blunders: the search keeps the model that found them
+        if model == "tps":  # a spline passes through blunders: the search of the model before it is kept
             break
-    if not request.robust:  # all take part, and deletion finds the worst itself
+    if not request.robust:  # all points take part; point deletion, if asked for, finds the worst itself
         clean, suspects = points, ()
-    return Trial(model, clean, suspects, choice, search, said, opinion, four=four)
+    return ModelTrial(model, clean, suspects, choice, search, summary, check, four_point_finding=finding)
 
 
 def _without(points: ControlPoints, names: tuple[str, ...]) -> ControlPoints:
@@ -205,19 +219,21 @@ def _without(points: ControlPoints, names: tuple[str, ...]) -> ControlPoints:
 
 
 def builder(model: str, image: str, size: tuple[int, int], points: ControlPoints) -> Build:
-    """Return the function that fits a model, by its name, to chosen points."""
+    """Function that fits a model, by its name, to chosen points."""
     kind, order = kind_order(model)
     request = SensorRequest(image, size, {"kind": kind, "order": order}, points.crs)
     return registry_build(plane_sensor(), request, points.xy, points.colrow)
 
 
 def _choose(image: str, size: tuple[int, int], points: ControlPoints, *, needed: bool) -> ModelChoice | None:
-    """Compare all models; where the choice is not needed, as far as that takes no long time."""
-    if not needed and len(points) > COMPARED:
+    """Comparison of all models; None where it is not needed and would take long, or fails."""
+    if not needed and len(points) > MOST_COMPARED:
         return None
     builds = planar_builds(SensorRequest(image, size, {}, points.crs), points.xy, points.colrow)
     try:
-        return unbent(choose_model(builds, points.names, points.xy, points.colrow, points.sigma), points)
+        return exclude_distorted_outliers(
+            choose_model(builds, points.names, points.xy, points.colrow, points.sigma), points
+        )
     except GeomosaicError:
         if needed:
             raise
@@ -225,13 +241,13 @@ def _choose(image: str, size: tuple[int, int], points: ControlPoints, *, needed:
 
 
 def _search(
-    build: Build, points: ControlPoints, model: str, opinion: Opinion | None
+    build: Build, points: ControlPoints, model: str, check: BlunderCheck | None
 ) -> tuple[ControlBlunders | None, str]:
     if model == "tps":
         passes = "a thin plate spline passes through all points, blunders too"
-        return None, f"{passes}; {opinion.said}" if opinion is not None else f"{passes}, and points are too few to tell"
+        return None, f"{passes}; {check.summary}" if check is not None else f"{passes}, and points are too few to tell"
     try:
         found = search_blunders(ControlAdjustment.of(build, points.names, points.xy, points.colrow, points.sigma))
     except GeomosaicError as error:
-        return None, error.what if opinion is None else f"{error.what}; {opinion.said}"
-    return found, found.said
+        return None, error.what if check is None else f"{error.what}; {check.summary}"
+    return found, found.summary

@@ -1,4 +1,4 @@
-"""The control report as plain values."""
+"""Control report as JSON values."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from pyproj import CRS
 
 from geomosaic.control.parsing import Reading
 from geomosaic.geo.units import metres_per_unit, unit_name
+from geomosaic.georeferencing.blunder_check import BlunderCheck
 from geomosaic.georeferencing.facts import (
     accuracy_facts,
     advice_facts,
     error_facts,
-    number,
+    finite_or_none,
+    json_values,
     parameter_facts,
-    plain,
     statistics_facts,
 )
-from geomosaic.georeferencing.independent_check import Opinion
 from geomosaic.georeferencing.request import FitRequest, kind_order
 from geomosaic.georeferencing.solution import Solution
 from geomosaic.orientation.single.fit import ControlBlunders
@@ -40,7 +40,7 @@ def report_facts(
     product: OrthoResult,
     resampling: str,
 ) -> dict[str, Any]:
-    """Gather what was given, done and found."""
+    """Facts of the control report: image, control, fit, accuracy, checks, findings, points and product."""
     fit, states = solution.fit, solution.states
     kind, order = kind_order(solution.model)
     metres = metres_per_unit(solution.crs, fit.xyz[:, :2].mean(axis=0))
@@ -51,7 +51,7 @@ def report_facts(
         "control": {
             "path": reading.control.origins[0].path,
             "format": reading.format,
-            "crs": crs_words(reading.control.crs),
+            "crs": crs_label(reading.control.crs),
             "heights": "not used: the fit is plane" if reading.control.ground.shape[1] == 3 else "none",
             "notes": list(reading.notes),
             "points": len(states),
@@ -63,23 +63,23 @@ def report_facts(
             "order": order,
             "asked": request.model,
             "why": solution.why,
-            "crs": crs_words(solution.crs),
+            "crs": crs_label(solution.crs),
             "unit": unit_name(solution.crs),
-            "metres_per_unit": plain(metres),
+            "metres_per_unit": json_values(metres),
             "mirrored": bool(fit.mirrored),
             "parameters": parameter_facts(fit),
             "state": model_to_dict(plane_sensor(), fit.model),
         },
         "accuracy": accuracy_facts(fit, metres),
-        "check": None if solution.check is None else _check(solution),
-        "choice": _choice(solution.choice),
-        "deletion": _deletion(solution.deletion),
-        "robust": _robust(solution.robust, solution.robust_said, solution.opinion),
+        "check": None if solution.check is None else _check_facts(solution),
+        "choice": _choice_facts(solution.choice),
+        "deletion": _deletion_facts(solution.deletion),
+        "robust": _blunder_facts(solution.robust, solution.blunder_summary, solution.blunder_check),
         "advice": advice_facts(solution.advice),
-        "points": _points(solution, metres),
+        "points": _point_facts(solution, metres),
         "product": {
             "path": str(product.path),
-            "crs": crs_words(grid.crs),
+            "crs": crs_label(grid.crs),
             "width": grid.width,
             "height": grid.height,
             "resolution": list(grid.resolution),
@@ -87,40 +87,40 @@ def report_facts(
             "bounds": list(grid.bounds),
             "valid_pixels": product.valid_pixels,
             "resampling": resampling,
-            "lattice_error_px": number(product.lattice_error),
+            "lattice_error_px": finite_or_none(product.lattice_error),
             "tolerance_px": product.tolerance,
-            "image_pixels_per_output_pixel": number(product.scale),
+            "image_pixels_per_output_pixel": finite_or_none(product.scale),
         },
     }
 
 
-def crs_words(crs: CRS) -> str:
-    """Name a CRS with its code."""
+def crs_label(crs: CRS) -> str:
+    """Name of a CRS with its code."""
     code = crs.to_authority(min_confidence=100)
     return f"{crs.name} ({code[0]}:{code[1]})" if code else crs.name
 
 
-def _check(solution: Solution) -> dict[str, Any]:
+def _check_facts(solution: Solution) -> dict[str, Any]:
     judges = np.array([state == "check" for state in solution.states])
     found = statistics_facts(solution.check) if solution.check is not None else {}
     return {**found, "px": error_facts(solution.residuals[judges])}
 
 
-def _choice(found: ModelChoice | None) -> dict[str, Any] | None:
+def _choice_facts(found: ModelChoice | None) -> dict[str, Any] | None:
     if found is None:
         return None
     return {
         "model": found.name,
-        "why": found.said.removeprefix(f"{found.name}: "),
+        "why": found.summary.removeprefix(f"{found.name}: "),
         "odd": list(found.outliers),
         "tried": [
             {
                 "model": row.name,
                 "parameters": row.parameters,
                 "redundancy": row.redundancy,
-                "rms_px": number(row.rms),
-                "leave_one_out_px": number(row.leave_one_out),
-                "chance": number(row.gain),
+                "rms_px": finite_or_none(row.rms),
+                "leave_one_out_px": finite_or_none(row.leave_one_out),
+                "chance": finite_or_none(row.gain),
                 "refused": row.refused,
             }
             for row in found.table
@@ -128,21 +128,21 @@ def _choice(found: ModelChoice | None) -> dict[str, Any] | None:
     }
 
 
-def _deletion(found: Deletion | None) -> dict[str, Any] | None:
+def _deletion_facts(found: Deletion | None) -> dict[str, Any] | None:
     if found is None:
         return None
     first = found.deleted[0].rms_before if found.deleted else found.fit.rms_total
     return {
         "threshold_px": found.threshold,
         "reached": found.reached,
-        "said": found.said,
+        "said": found.summary,
         "rms_all_px": first,
         "rms_left_px": found.fit.rms_total,
         "deleted": [
             {
                 "order": row.order,
                 "id": row.id,
-                "residual_px": plain(row.residual),
+                "residual_px": json_values(row.residual),
                 "rms_before_px": row.rms_before,
                 "rms_after_px": row.rms_after,
                 "left": row.left,
@@ -152,26 +152,26 @@ def _deletion(found: Deletion | None) -> dict[str, Any] | None:
     }
 
 
-def _robust(found: ControlBlunders | None, said: str, opinion: Opinion | None) -> dict[str, Any]:
-    if opinion is None:
-        return _search(found, said)
+def _blunder_facts(found: ControlBlunders | None, summary: str, check: BlunderCheck | None) -> dict[str, Any]:
+    if check is None:
+        return _search_facts(found, summary)
     first = {
-        "said": opinion.said,
-        "blunders": list(opinion.blunders),
-        "suspicious": list(opinion.suspicious),
-        "rms_px": number(opinion.rms),
-        "errors_px": {name: number(length) for name, length in opinion.lengths.items()},
+        "said": check.summary,
+        "blunders": list(check.blunders),
+        "suspicious": list(check.suspicious),
+        "rms_px": finite_or_none(check.rms),
+        "errors_px": {name: finite_or_none(length) for name, length in check.lengths.items()},
     }
-    facts = _search(found, said)
-    return {**facts, "without_model": first, "blunders": list(dict.fromkeys([*facts["blunders"], *opinion.blunders]))}
+    facts = _search_facts(found, summary)
+    return {**facts, "without_model": first, "blunders": list(dict.fromkeys([*facts["blunders"], *check.blunders]))}
 
 
-def _search(found: ControlBlunders | None, said: str) -> dict[str, Any]:
+def _search_facts(found: ControlBlunders | None, summary: str) -> dict[str, Any]:
     if found is None:
-        return {"said": said, "blunders": []}
+        return {"said": summary, "blunders": []}
     good = found.estimate.fit
     return {
-        "said": said,
+        "said": summary,
         "agree": found.agree,
         "blunders": list(found.blunders),
         "bearable": found.breakdown_point,
@@ -179,22 +179,22 @@ def _search(found: ControlBlunders | None, said: str) -> dict[str, Any]:
             "blunders": list(found.snooping.blunders),
             "readmitted": list(found.snooping.readmitted),
             "alpha": found.snooping.alpha,
-            "scale": number(found.snooping.scale),
-            "rms_total_px": number(found.snooping.fit.rms_total),
+            "scale": finite_or_none(found.snooping.scale),
+            "rms_total_px": finite_or_none(found.snooping.fit.rms_total),
         },
         "m_estimator": {
             "blunders": list(found.estimate.blunders),
-            "scale": number(found.estimate.scale),
+            "scale": finite_or_none(found.estimate.scale),
             "rounds": found.estimate.rounds,
             "settled": found.estimate.settled,
-            "rms_total_px": number(good.rms_total),
-            "leave_one_out_rms_px": number(good.leave_one_out_rms),
+            "rms_total_px": finite_or_none(good.rms_total),
+            "leave_one_out_rms_px": finite_or_none(good.leave_one_out_rms),
             "points": len(good.ids),
         },
     }
 
 
-def _points(solution: Solution, metres: FloatArray) -> list[dict[str, Any]]:
+def _point_facts(solution: Solution, metres: FloatArray) -> list[dict[str, Any]]:
     control, fit = solution.control, solution.fit
     rows = {name: i for i, name in enumerate(fit.ids)}
     found = []
@@ -211,13 +211,13 @@ def _points(solution: Solution, metres: FloatArray) -> list[dict[str, Any]]:
                 "x": float(control.xy[i, 0]),
                 "y": float(control.xy[i, 1]),
                 "sigma_px": float(control.sigma[i]),
-                "residual_px": plain(solution.residuals[i]),
-                "residual_map": plain(moved),
-                "residual_m": plain(moved * metres),
-                "standardised": None if k is None else plain(fit.standardised[k]),
-                "redundancy_numbers": None if k is None else plain(fit.redundancy_numbers[k]),
-                "leave_one_out_px": None if k is None else plain(fit.leave_one_out[k]),
-                "leave_one_out_m": None if k is None else plain(fit.map_leave_one_out[k] * metres),
+                "residual_px": json_values(solution.residuals[i]),
+                "residual_map": json_values(moved),
+                "residual_m": json_values(moved * metres),
+                "standardised": None if k is None else json_values(fit.standardised[k]),
+                "redundancy_numbers": None if k is None else json_values(fit.redundancy_numbers[k]),
+                "leave_one_out_px": None if k is None else json_values(fit.leave_one_out[k]),
+                "leave_one_out_m": None if k is None else json_values(fit.map_leave_one_out[k] * metres),
             }
         )
     return found

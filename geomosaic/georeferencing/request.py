@@ -1,4 +1,4 @@
-"""Georeferencing request: image, control and what is asked for."""
+"""Georeferencing request: control points of an image, model and output grid."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from geomosaic.errors import InputError, did_you_mean
 from geomosaic.raster.info import SourceInfo, control_point_count
 
 MODELS = ("conformal", "affine", "projective", "poly1", "poly2", "poly3", "poly4", "poly5", "tps")
-"""Fits by name, the ones of fewer parameters first."""
+"""Names of models, those of fewer parameters first."""
 
 
 @dataclass(frozen=True)
 class ControlInput:
-    """Where the control of an image is, and what its file does not say.
+    """Source of an image's control points, with what its file does not declare.
 
     Attributes
     ----------
     path : Path or ControlPoints, optional
-        The file, or the points; without one the control is inside the image, or in a world file beside it.
+        File or points; without them the control in the image itself, or the world file beside it.
     crs : str, optional
-        CRS of the ground.
+        CRS of the ground coordinates.
     rows : str, optional
-        'up' or 'down', for a QGIS file whose rows have an unusual sign.
+        'up' or 'down': direction of rows in a QGIS file with an unusual sign.
     pixels : str, optional
-        'corner' or 'centre': what whole numbers are in the file.
+        'corner' or 'centre': position within the pixel of whole numbers in the file.
     without : tuple of str
-        Names of points that are left out.
+        Names of points to leave out.
     near : tuple of float, optional
         Longitude and latitude near the image, degrees.
     """
@@ -45,7 +45,7 @@ class ControlInput:
 
 @dataclass(frozen=True)
 class FitRequest:
-    """Which fit.
+    """Model of the fit and treatment of blunders.
 
     Attributes
     ----------
@@ -56,9 +56,9 @@ class FitRequest:
     threshold : float, optional
         Total RMS in pixels down to which the worst points are deleted.
     robust : bool
-        Leave the points out that the robust fit finds wrong.
+        Leave out the blunders that the robust fit finds.
     insist : bool
-        Go on where the advice has errors.
+        Continue in spite of errors among the findings.
     """
 
     model: str = "auto"
@@ -78,28 +78,28 @@ class FitRequest:
 
 
 def kind_order(model: str) -> tuple[str, int]:
-    """Return kind and order as the sensor 'planar' takes them."""
+    """Kind and order of a model, as options of the planar sensor."""
     return ("polynomial", int(model[4:])) if model.startswith("poly") else (model, 1)
 
 
 def find_control(info: SourceInfo, given: ControlInput) -> Reading:
-    """Read the control of an image.
+    """Control points of an image.
 
     Parameters
     ----------
     info : SourceInfo
-        Of the image.
+        The image.
     given : ControlInput
 
     Raises
     ------
     InputError
-        There is none, or it cannot be read.
+        There are none, or they cannot be read.
     """
     image = Path(info.path)
     if isinstance(given.path, ControlPoints):
         return Reading(given.path.without(given.without, "`gcps`"), "values")
-    path = given.path if given.path is not None else _own(info)
+    path = given.path if given.path is not None else _control_of_image(info)
     reading = read_control(path, image=image.name, crs=given.crs, size=info.size, sign=given.rows, count=given.pixels)
     notes = list(reading.notes)
     if given.path is not None and info.transform is not None:
@@ -108,7 +108,7 @@ def find_control(info: SourceInfo, given: ControlInput) -> Reading:
     return replace(reading, control=control, notes=tuple(notes))
 
 
-def _own(info: SourceInfo) -> Path:
+def _control_of_image(info: SourceInfo) -> Path:
     image = Path(info.path)
     if control_point_count(image):
         return image
@@ -129,7 +129,7 @@ def _own(info: SourceInfo) -> Path:
 
 
 def world_file(image: Path) -> Path | None:
-    """Return the world file of an image: photo.tfw, photo.tifw or photo.wld for photo.tif, whatever the capitals."""
+    """World file of an image: photo.tfw, photo.tifw or photo.wld for photo.tif, in capitals or not."""
     ending = image.suffix[1:].casefold()
     if not ending:
         return None

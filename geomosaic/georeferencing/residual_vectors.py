@@ -1,4 +1,4 @@
-"""Control and its residuals as vectors for a GIS."""
+"""Control points and their residuals as vectors for a GIS."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.types import FloatArray
 
 LONGEST = 0.05
-"""Length of the longest residual as it is drawn, as a share of the diagonal of the points."""
+"""Drawn length of the longest residual, as a share of the diagonal of the points' extent."""
 
 FIELDS = {
     "residual_col": ("residual_px", 0),
@@ -30,16 +30,16 @@ FIELDS = {
     "left_out_col": ("leave_one_out_px", 0),
     "left_out_row": ("leave_one_out_px", 1),
 }
-"""Columns of the layers, with the entries of the report's points they hold."""
+"""Columns of the layers, each with the key and the axis of the report's points that it holds."""
 
 
 def write_residuals(
     path: Path, points: Sequence[Mapping[str, Any]], source: CRS, crs: CRS, *, overwrite: bool
 ) -> float:
-    """Write a GeoPackage with the layers `points` and `residuals`.
+    """GeoPackage with the layers `points` and `residuals`.
 
-    A residual is drawn from the place of the control to where the fit puts what was measured in the image, enlarged by
-    the factor in the column `enlarged`.
+    A residual runs from the control point to the map position of the measured image point, enlarged by the factor in
+    the column `enlarged`.
 
     Parameters
     ----------
@@ -47,13 +47,13 @@ def write_residuals(
     points : sequence of mapping
         As in the report: id, state, x, y, residual_px, residual_map ...
     source, crs : CRS
-        Of the points, and of the file.
+        CRS of the points, and of the file.
     overwrite : bool
 
     Returns
     -------
     float
-        The enlargement.
+        Factor of enlargement.
     """
     from shapely import LineString, Point
 
@@ -73,14 +73,14 @@ def write_residuals(
 
 
 def enlargement(places: FloatArray, steps: FloatArray) -> float:
-    """Return 1, 2 or 5 times a power of ten that makes the longest vector about `LONGEST` of the diagonal."""
+    """Round factor (1, 2 or 5 times a power of ten) that draws the longest vector at about `LONGEST`."""
     lengths = np.hypot(*steps.T)
     longest = float(np.nanmax(lengths)) if np.isfinite(lengths).any() else 0.0
     if not longest > 0.0:
         return 1.0
-    wanted = max(1e-9, LONGEST * float(np.hypot(*np.ptp(places, axis=0)))) / longest
-    power = 10.0 ** math.floor(math.log10(wanted))
-    return float(max(step * power for step in (1, 2, 5) if step * power <= wanted * (1 + 1e-9)))
+    limit = max(1e-9, LONGEST * float(np.hypot(*np.ptp(places, axis=0)))) / longest
+    power = 10.0 ** math.floor(math.log10(limit))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= limit * (1 + 1e-9)))
 
 
 def _pair(values: Sequence[float | None] | None) -> list[float]:

@@ -1,4 +1,4 @@
-"""From an image and its control to a map, with the report beside it."""
+"""Georeferencing of an image by control points: fit, ortho and control report."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import short_unit
-from geomosaic.georeferencing.examination import BadControlError, fold_advice, stop_on_errors
+from geomosaic.georeferencing.fit_diagnostics import BadControlError, fold_advice, stop_on_errors
 from geomosaic.georeferencing.request import ControlInput, FitRequest, find_control
-from geomosaic.georeferencing.solution import Solution, first_look, solve
+from geomosaic.georeferencing.solution import Solution, check_control, solve
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.info import inspect
 from geomosaic.raster.output_files import check_output
@@ -38,9 +38,9 @@ class Georeferenced:
     product : OrthoResult
     solution : Solution
     facts : dict
-        What the JSON report holds.
+        Contents of the JSON report.
     report, page, vectors : Path, optional
-        JSON, HTML and GeoPackage beside the product, where they were wanted.
+        JSON, HTML and GeoPackage beside the product; None if not written.
     """
 
     product: OrthoResult
@@ -80,30 +80,30 @@ def georeference(
     bands: tuple[int, ...] | None = None,
     report: bool = True,
 ) -> Georeferenced:
-    """Place an image on the map by its control and draw it there.
+    """Image resampled to the map by a fit to its control points.
 
     Parameters
     ----------
     image, output : Path
     given : ControlInput
-        Where the control is.
+        Source of the control points.
     request : FitRequest
-        Which fit.
+        Model of the fit and treatment of blunders.
     place : Area
-        Where the output lies.
+        CRS, resolution and bounds of the output.
     options : RenderOptions
-        How it is drawn.
+        Resampling, file format and overwriting.
     bands : tuple of int, optional
-        Of the image, counted from 1.
+        Bands of the image, counted from 1.
     report : bool
-        Write NAME-control.json, .html and .gpkg beside the output.
+        Write NAME-control.json, NAME-control.html and NAME-control.gpkg beside the output.
 
     Raises
     ------
     BadControlError
-        The control would draw a wrong picture.
+        The control would place the image wrongly.
     SolveError
-        It does not determine the fit.
+        The control does not determine the fit.
     InputError, OutputError
         A file cannot be read or written.
     """
@@ -113,8 +113,10 @@ def georeference(
     reading = find_control(info, given)
     files = {end: output.with_name(f"{output.stem}-control{end}") for end in (".json", ".html", ".gpkg")}
     for file in (output, *(files.values() if report else ())):
-        _refuse(file, (image, *([given.path] if isinstance(given.path, Path) else [])), overwrite=options.overwrite)
-    first_look(reading.control, info.size, request, given.near)
+        _check_output(
+            file, (image, *([given.path] if isinstance(given.path, Path) else [])), overwrite=options.overwrite
+        )
+    check_control(reading.control, info.size, request, given.near)
     like = None if place.like is None else grid_of(place.like)
     target = like.crs if like else None if place.crs is None else parse_map(place.crs, "`dst_crs`")
     crs = fit_crs(reading.control, request.crs, target)
@@ -132,12 +134,12 @@ def georeference(
     solution = replace(solution, advice=_sorted((*solution.advice, *folds)))
     stop_on_errors(folds, where, insist=request.insist)
     product = ortho(scene, None, grid, outline, output, options)
-    from geomosaic.georeferencing.facts import write_files
+    from geomosaic.georeferencing.facts import write_control_report
     from geomosaic.georeferencing.report import report_facts
 
     facts = report_facts(image, info.size, reading, request, solution, product, options.resampling)
     if report:
-        write_files(facts, image, crs, out_crs, files, overwrite=options.overwrite)
+        write_control_report(facts, image, crs, out_crs, files, overwrite=options.overwrite)
     paths = [files[end] if report else None for end in (".json", ".html", ".gpkg")]
     return Georeferenced(product, solution, facts, *paths)
 
@@ -155,11 +157,11 @@ def _outline(scene: OrientedImage, crs: CRS, model: str, where: str) -> Footprin
 
 
 def fit_crs(control: ControlPoints, given: str | None, target: CRS | None) -> CRS:
-    """Return the CRS in which the fit is made.
+    """CRS of the fit.
 
-    That of the control where it is projected: a scanned map is straight in its own projection. Of control in longitude
-    and latitude that of the output where it is projected, else the UTM zone, so that a conformal fit is one and
-    residuals are metres.
+    It is that of the control if projected, since a scanned map is undistorted in its own projection. For control in
+    longitude and latitude it is that of the output if projected, else the UTM zone: in degrees a conformal
+    transformation would not be conformal, and residuals would not be lengths.
     """
     if given is not None:
         return parse_map(given, "`fit_crs`")
@@ -190,8 +192,8 @@ def _sorted(advice: tuple[Advice, ...]) -> tuple[Advice, ...]:
     return tuple(sorted(advice, key=lambda found: SEVERITIES.index(found.severity)))
 
 
-def _refuse(file: Path, inputs: tuple[Path | None, ...], *, overwrite: bool) -> None:
-    """Stop before any work where an output exists; an input is never written over."""
+def _check_output(file: Path, inputs: tuple[Path | None, ...], *, overwrite: bool) -> None:
+    """Check, before any work, that an output may be written and is no input."""
     if file.exists() and any(path is not None and path.exists() and file.samefile(path) for path in inputs):
         raise InputError("the output is one of the inputs", where=str(file), hint="give another name for the output")
     check_output(file, overwrite=overwrite)

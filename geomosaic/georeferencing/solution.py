@@ -1,4 +1,4 @@
-"""A fit to control, with all that was tried and found on the way."""
+"""Fit of one image to its control points, with the diagnostics made on the way."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError
 from geomosaic.geo.transform import Transform
-from geomosaic.georeferencing.examination import (
-    bent_advice,
+from geomosaic.georeferencing.blunder_check import BlunderCheck
+from geomosaic.georeferencing.fit_diagnostics import (
     blunder_advice,
+    checked_blunder_advice,
     comparison_advice,
     deletion_advice,
-    odd_advice,
-    opinion_advice,
-    size_advice,
+    distortion_advice,
+    large_error_advice,
+    outlier_advice,
     stop_on_errors,
 )
-from geomosaic.georeferencing.independent_check import Opinion
 from geomosaic.georeferencing.model_trial import builder, try_models
 from geomosaic.georeferencing.request import FitRequest, kind_order
 from geomosaic.orientation.single.check_points import CheckStatistics, check_model
@@ -43,32 +43,34 @@ class Solution:
     Attributes
     ----------
     model : str
-        Name of the fit, see `request.MODELS`.
+        Name of the model, see `request.MODELS`.
     why : str
-        Why this one.
+        Reason for this model.
     crs : CRS
-        In which the fit is made.
+        CRS of the fit.
     control : ControlPoints
-        All points of the image, x and y in `crs`.
+        All N points of the image, x and y in `crs`.
     states : tuple of str
-        Of each: 'control' takes part in the fit, 'check' judges it; 'deleted' by the threshold, 'suspect' left out as a
-        blunder, 'disabled' in the file or by the user.
+        State of each point: 'control' (in the fit), 'check' (judges it), 'deleted' (by the threshold), 'suspect' (left
+        out as a blunder) or 'disabled' (in the file or by the user).
     fit : ControlFit
     residuals, map_residuals : array (N, 2)
-        Of all points under the fit, pixels and map units; measured minus computed, NaN where there is no place.
-    choice : Choice, optional
-        All models by their leave-one-out errors, where points were enough to compare them.
+        Residuals of all points (col, row) in pixels and (x, y) in map units, measured minus computed; NaN where the
+        model has no image of the point.
+    choice : ModelChoice, optional
+        All models with their leave-one-out errors, where points were enough to compare them.
     deletion : Deletion, optional
-        Where a threshold was given.
+        Point deletion, where a threshold was given.
     robust : ControlBlunders, optional
-        Where points were enough for it.
-    robust_said : str
-        What it found, or why there is none.
-    opinion : Opinion, optional
-        On blunders, without the model.
+        Blunder search under the model, where points were enough.
+    blunder_summary : str
+        Result of the search in a sentence, or why there was none.
+    blunder_check : BlunderCheck, optional
+        Blunders found without the model.
     check : CheckStatistics, optional
-        Of the check points, map units.
+        Statistics of the check points, map units.
     advice : tuple of Advice
+        Findings, errors first.
     """
 
     model: str
@@ -82,8 +84,8 @@ class Solution:
     choice: ModelChoice | None
     deletion: Deletion | None
     robust: ControlBlunders | None
-    robust_said: str
-    opinion: Opinion | None
+    blunder_summary: str
+    blunder_check: BlunderCheck | None
     check: CheckStatistics | None
     advice: tuple[Advice, ...]
 
@@ -97,22 +99,24 @@ def solve(
     near: tuple[float, float] | None,
     unit: str,
 ) -> Solution:
-    """Examine control, choose and make the fit, and judge it.
+    """Fit of an image to its control points, checked before and after.
 
     Parameters
     ----------
     reading : Reading
+        The control points and their file.
     image : str
-        Its name.
+        Name of the image.
     size : tuple of int
-        Width and height, pixels.
+        Width and height of the image, pixels.
     crs : CRS
-        In which the fit is made.
+        CRS of the fit.
     request : FitRequest
+        Model, threshold and treatment of blunders.
     near : tuple of float, optional
         Longitude and latitude near the image, degrees.
     unit : str
-        Of `crs`, for sentences.
+        Unit of `crs`, for messages.
 
     Raises
     ------
@@ -124,8 +128,8 @@ def solve(
     given, where = reading.control, reading.control.origins[0].path
     auto = request.model == "auto"
     why = "as asked for"
-    advice = first_look(given, size, request, near)
-    control = _placed(given, crs)
+    advice = check_control(given, size, request, near)
+    control = _in_fit_crs(given, crs)
     points = control.of_role("control")
     if not len(points):
         raise InputError("no point takes part in the fit: all are disabled or check points", where=where, hint=HINT)
@@ -133,9 +137,9 @@ def solve(
     trial = try_models(image, size, points, request)
     name, points, choice = trial.model, trial.points, trial.choice
     if auto:
-        advice = _advised(given, name, size, near)
+        advice = _control_advice(given, name, size, near)
         stop_on_errors(advice, where, insist=request.insist)
-        why = trial.why or (choice.said.removeprefix(f"{name}: ") if choice is not None else why)
+        why = trial.reason or (choice.summary.removeprefix(f"{name}: ") if choice is not None else why)
     build = builder(name, image, size, points)
     deletion = None
     if request.threshold is not None:
@@ -150,14 +154,18 @@ def solve(
     advice = (*advice, *deletion_advice(deletion), *comparison_advice(choice, name))
     if trial.search is not None:
         advice = (*advice, *blunder_advice(trial.search, searched, fit))
-        advice = (*advice, *bent_advice(trial.search, fit, name))
-    if trial.opinion is not None:
-        advice = (*advice, *opinion_advice(trial.opinion, fit, _named(advice)))
-    if trial.four is not None and trial.four.points[0] in fit.ids and not _named(advice):
-        advice = (*advice, trial.four)
-    advice = (*advice, *odd_advice(choice, fit, _named(advice)))
-    if not _named(advice):  # large errors follow from blunders, and are not said again
-        advice = (*advice, *size_advice(fit, size))
+        advice = (*advice, *distortion_advice(trial.search, fit, name))
+    if trial.blunder_check is not None:
+        advice = (*advice, *checked_blunder_advice(trial.blunder_check, fit, _blunder_names(advice)))
+    if (
+        trial.four_point_finding is not None
+        and trial.four_point_finding.points[0] in fit.ids
+        and not _blunder_names(advice)
+    ):
+        advice = (*advice, trial.four_point_finding)
+    advice = (*advice, *outlier_advice(choice, fit, _blunder_names(advice)))
+    if not _blunder_names(advice):  # blunders cause large errors: one finding is enough
+        advice = (*advice, *large_error_advice(fit, size))
     stop_on_errors(advice, where, insist=request.insist)
     residuals = control.colrow - fit.model.ground_to_image(_spatial(control.xy))
     moved = np.einsum("nij,nj->ni", map_by_image(fit.model, _spatial(control.xy)), residuals)
@@ -178,24 +186,34 @@ def solve(
         choice,
         deletion,
         trial.search,
-        trial.said,
-        trial.opinion,
+        trial.summary,
+        trial.blunder_check,
         judged,
         tuple(sorted(advice, key=lambda found: SEVERITIES.index(found.severity))),
     )
 
 
-def first_look(
+def check_control(
     control: ControlPoints, size: tuple[int, int], request: FitRequest, near: tuple[float, float] | None
 ) -> tuple[Advice, ...]:
-    """Examine control before anything is computed with it; where the model is to be chosen, for the least of all.
+    """Findings on control points before any fit; for the model 'auto' those of the simplest, conformal.
+
+    Parameters
+    ----------
+    control : ControlPoints
+        All points, in their own CRS.
+    size : tuple of int
+        Width and height of the image, pixels.
+    request : FitRequest
+    near : tuple of float, optional
+        Longitude and latitude near the image, degrees.
 
     Raises
     ------
     BadControlError
         The advice has errors, and the user does not insist.
     """
-    advice = _advised(control, "conformal" if request.model == "auto" else request.model, size, near)
+    advice = _control_advice(control, "conformal" if request.model == "auto" else request.model, size, near)
     possible = has_places(control.select(control.enabled))
     stop_on_errors(advice, control.origins[0].path, insist=request.insist, possible=possible)
     return advice
@@ -204,19 +222,19 @@ def first_look(
 HINT = "enable some, or give some the role 'control'"
 
 
-def _advised(
+def _control_advice(
     control: ControlPoints, name: str, size: tuple[int, int], near: tuple[float, float] | None
 ) -> tuple[Advice, ...]:
     kind, order = kind_order(name)
     return advise(control, kind=kind, order=order, size=size, near=near)
 
 
-def _named(advice: tuple[Advice, ...]) -> list[str]:
+def _blunder_names(advice: tuple[Advice, ...]) -> list[str]:
     return [name for found in advice if found.code in ("blunder", "contradiction") for name in found.points]
 
 
-def _placed(control: ControlPoints, crs: CRS) -> ControlPoints:
-    """Control in the CRS of the fit, x and y, without those disabled points that have no place in it."""
+def _in_fit_crs(control: ControlPoints, crs: CRS) -> ControlPoints:
+    """Control points (x, y) in the CRS of the fit, without disabled points that cannot be transformed to it."""
     flat = replace(control, ground=control.xy)
     if not control.enabled.all():
         there = np.isfinite(Transform(flat.crs, crs)(flat.ground)).all(axis=1)

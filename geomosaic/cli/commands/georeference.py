@@ -80,7 +80,7 @@ def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **
     """
     from geomosaic.cli.measured_results import georeference_words
     from geomosaic.cli.results import ortho_facts
-    from geomosaic.georeferencing.examination import BadControlError
+    from geomosaic.georeferencing.fit_diagnostics import BadControlError
     from geomosaic.georeferencing.request import ControlInput, FitRequest
     from geomosaic.georeferencing.run import georeference
     from geomosaic.render.extent import Area

@@ -66,7 +66,7 @@ class BlunderSearch(Generic[Fit]):
         Found by both.
     breakdown_point : float
         Share of blunders that the samples of the start can bear; 0.5 where all samples were tried.
-    said : str
+    summary : str
         In a sentence or two.
     distorted : tuple of str
         Rejected by one or both, but explained by a smooth distortion of the image.
@@ -77,7 +77,7 @@ class BlunderSearch(Generic[Fit]):
     agree: bool
     blunders: tuple[str, ...]
     breakdown_point: float
-    said: str
+    summary: str
     distorted: tuple[str, ...] = ()
 
     @property
@@ -114,7 +114,7 @@ def search_blunders(
     first, second = set(snooping.blunders), set(estimate.blunders)
     both = tuple(name for name in problem.ids if name in first & second)
     return BlunderSearch(
-        snooping, estimate, first == second, both, start.breakdown_point, _said(problem, first, second, both, start)
+        snooping, estimate, first == second, both, start.breakdown_point, _summary(problem, first, second, both, start)
     )
 
 
@@ -187,7 +187,7 @@ def _tukey(lengths: FloatArray) -> FloatArray:
     return weights
 
 
-def _said(problem: Refit[Fit], first: set[str], second: set[str], both: tuple[str, ...], start: RobustStart) -> str:
+def _summary(problem: Refit[Fit], first: set[str], second: set[str], both: tuple[str, ...], start: RobustStart) -> str:
     def names(chosen: set[str]) -> str:
         found = [name for name in problem.ids if name in chosen]
         return ", ".join(found[:8]) + (f" and {len(found) - 8} more" if len(found) > 8 else "")

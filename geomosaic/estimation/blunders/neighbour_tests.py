@@ -59,7 +59,7 @@ class NeighbourSearch:
     rms: float
 
     @property
-    def said(self) -> str:
+    def summary(self) -> str:
         """Summary of the result in a sentence."""
         how = "each point held against a spline through the others: "
         if not self.blunders:

@@ -74,7 +74,7 @@ class ModelChoice:
         The simplest first.
     outliers : tuple of str
         Points that no kind predicts: left out of the comparison, though not of the fits.
-    said : str
+    summary : str
         Why, in a sentence.
     """
 
@@ -82,7 +82,7 @@ class ModelChoice:
     fit: ControlFit
     table: tuple[Candidate, ...]
     outliers: tuple[str, ...]
-    said: str
+    summary: str
 
 
 def planar_builds(request: SensorRequest, ground: AnyArray, colrow: AnyArray) -> dict[str, Build]:
@@ -165,7 +165,7 @@ def choose_model(
     if isinstance(best, str):  # cannot be: only fits have errors
         raise SolveError(best)
     names = tuple(str(name) for name, out in zip(ids, outliers, strict=True) if out)
-    return ModelChoice(chosen, best, table, names, _said(chosen, table, names))
+    return ModelChoice(chosen, best, table, names, _summary(chosen, table, names))
 
 
 def _outliers(lengths: Sequence[FloatArray]) -> BoolArray:
@@ -204,7 +204,7 @@ def _row(name: str, fit: ControlFit | str, compared: bool, gain: float, points: 
     return Candidate(name, free, fit.redundancy, fit.rms_total, error, gain, refused, fit)
 
 
-def _said(chosen: str, table: tuple[Candidate, ...], outliers: tuple[str, ...]) -> str:
+def _summary(chosen: str, table: tuple[Candidate, ...], outliers: tuple[str, ...]) -> str:
     rows = [row for row in table if not row.refused]
     own = next(row for row in rows if row.name == chosen)
     text = f"{chosen}: points left out of the fit are predicted within {own.leave_one_out:.3g} px (RMS)"

@@ -52,7 +52,7 @@ class Deletion:
     fit : ControlFit
         To the points that remain, leave-one-out errors among it.
     kept : tuple of str
-    said : str
+    summary : str
         How it ended, in a sentence.
     """
 
@@ -61,7 +61,7 @@ class Deletion:
     deleted: tuple[DeletedPoint, ...]
     fit: ControlFit
     kept: tuple[str, ...]
-    said: str
+    summary: str
 
 
 def delete_points(
@@ -109,8 +109,8 @@ def delete_points(
         try:
             after = fit_problem(problem.subset(rest))
         except SolveError as error:
-            said = f"without '{problem.ids[kept[worst]]}' the points do not determine the fit: {error.what}"
-            return _ended(problem, kept, rows, threshold, said)
+            summary = f"without '{problem.ids[kept[worst]]}' the points do not determine the fit: {error.what}"
+            return _ended(problem, kept, rows, threshold, summary)
         col, row = fit.residuals[worst].tolist()
         name = problem.ids[kept[worst]]
         rows.append(DeletedPoint(len(rows) + 1, name, (col, row), fit.rms_total, after.rms_total, len(rest)))
@@ -144,8 +144,8 @@ def _ended(
     reached = fit.rms_total < threshold
     count = f"{len(rows)} point{'s' * (len(rows) != 1)} deleted"
     if reached:
-        said = f"{count}: the total RMS of the {len(kept)} left is {fit.rms_total:.3g} px, below {threshold:g} px"
+        summary = f"{count}: the total RMS of the {len(kept)} left is {fit.rms_total:.3g} px, below {threshold:g} px"
     else:
         why = stuck or "no more can be spared: one point more than the kind needs is left"
-        said = f"{count}, and the total RMS of {fit.rms_total:.3g} px is not below {threshold:g} px; {why}"
-    return Deletion(threshold, reached, tuple(rows), fit, fit.ids, said)
+        summary = f"{count}, and the total RMS of {fit.rms_total:.3g} px is not below {threshold:g} px; {why}"
+    return Deletion(threshold, reached, tuple(rows), fit, fit.ids, summary)

@@ -1,4 +1,4 @@
-"""Advice on control and on a fit to it: what stops the work, and what is only told."""
+"""Findings on a fit to control points: blunders, distortion, large errors, better models, folds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from geomosaic.control.findings import Advice, leave_out, listed
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
-from geomosaic.georeferencing.independent_check import GROSS, GROSS_PIXELS, Opinion
+from geomosaic.georeferencing.blunder_check import GROSS, GROSS_PIXELS, BlunderCheck
 from geomosaic.orientation.single.fit import ControlBlunders, ControlFit
 from geomosaic.orientation.single.model_selection import ModelChoice
 from geomosaic.orientation.single.point_deletion import Deletion
@@ -18,23 +18,29 @@ from geomosaic.orientation.single.problem import image_by_map
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import FloatArray
 
-LARGE = 0.01
-"""Errors, in parts of the image's diagonal, beyond which a fit is no map of it."""
+LARGE_ERROR = 0.01
+"""Share of the image's diagonal that the RMS error of an acceptable fit stays below."""
 BETTER = 0.67
-"""Share of the leave-one-out error of the model asked for, below which another one is named."""
-SAME = {"poly1": "affine"}
-HOPELESS = ("few-points", "collinear", "nowhere")
-"""Errors with which nothing is drawn, whoever insists."""
-UNFIT = 0.4
-"""Share of points that stand out from which on it is the fit that is wrong."""
-EVEN = 0.5
-"""Probability of a wrong point beyond which nothing is drawn."""
+"""Share of the leave-one-out error of the model asked for, below which a better model is recommended.
+
+Less of a gain may be chance with the usual 6 to 30 points.
+"""
+SYNONYMS = {"poly1": "affine"}
+FATAL = ("few-points", "collinear", "nowhere")
+"""Codes of errors with which nothing can be drawn, even with `insist`."""
+MISFIT_SHARE = 0.4
+"""Share of points with large residuals above which the model is at fault rather than the points.
+
+A robust estimate withstands less than half; above this share it may have taken the blunders for the good points.
+"""
+PROBABLE = 0.5
+"""Probability of a blunder above which the work stops."""
 STEPS = 33
-"""Places along each side of the output at which a fold is looked for."""
+"""Number of sample positions along each side of the output at which folds are tested."""
 
 
 class BadControlError(InputError):
-    """Control that would draw a wrong picture; `advice` has all that was found."""
+    """Control points that would place the image wrongly; `advice` has all findings."""
 
     def __init__(self, advice: Sequence[Advice], where: str, *, final: bool = False) -> None:
         errors = [found for found in advice if found.severity == "error"]
@@ -48,42 +54,44 @@ class BadControlError(InputError):
 
 
 def stop_on_errors(advice: Sequence[Advice], where: str, *, insist: bool, possible: bool = True) -> None:
-    """Stop where a finding is an error; where the user insists, only where nothing can be drawn.
+    """Error for findings of severity 'error'; with `insist` only for those with which nothing can be drawn.
 
     Parameters
     ----------
     advice : sequence of Advice
     where : str
-        For the error.
+        File of the control, for the message.
     insist : bool
+        Tolerate errors.
     possible : bool
-        Whether the points have places at all.
+        Whether all coordinates are valid positions on the Earth.
 
     Raises
     ------
     BadControlError
+        There are such findings.
     """
     errors = [found for found in advice if found.severity == "error"]
-    final = not possible or any(found.code in HOPELESS for found in errors)
+    final = not possible or any(found.code in FATAL for found in errors)
     if errors and (final or not insist):
         raise BadControlError(advice, where, final=final)
 
 
 def blunder_advice(search: ControlBlunders, searched: Sequence[str], fit: ControlFit) -> list[Advice]:
-    """Name points that are wrong and take part all the same.
+    """Findings on blunders of the search that take part in the fit ('blunder', 'suspect', or 'misfit').
 
     Parameters
     ----------
     search : ControlBlunders
     searched : sequence of str
-        Names of the points it was made over.
+        Names of the points that were searched.
     fit : ControlFit
-        That is to be drawn.
+        The fit to be drawn.
     """
     names = tuple(name for name in fit.ids if name in set(search.blunders))
     alone = tuple(n for n in fit.ids if n in set(search.suspected) - {*search.blunders, *search.distorted})
     typical = search.estimate.fit.rms_total
-    if len(names) + len(alone) > UNFIT * len(fit.ids):
+    if len(names) + len(alone) > MISFIT_SHARE * len(fit.ids):
         what = f"{len(names) + len(alone)} of {len(fit.ids)} points stand out against the rest, which agrees within "
         hint = "choose a fit of more parameters, or look for wrong points among them: see the control report"
         return [Advice("misfit", "warning", f"{what}{typical:.2f} px: the fit does not suit them all", (), hint)]
@@ -91,91 +99,96 @@ def blunder_advice(search: ControlBlunders, searched: Sequence[str], fit: Contro
     if names:
         lengths = dict(zip(searched, np.hypot(*search.estimate.residuals.T).tolist(), strict=True))
         gross = any(lengths[name] > max(GROSS * typical, GROSS_PIXELS) for name in names)
-        told = ", ".join(f"{name} ({lengths[name]:.1f} px)" for name in names[:6])
-        told += f" and {len(names) - 6} more" if len(names) > 6 else ""
+        worst = ", ".join(f"{name} ({lengths[name]:.1f} px)" for name in names[:6])
+        worst += f" and {len(names) - 6} more" if len(names) > 6 else ""
         what = (
             f"{len(names)} of {len(fit.ids)} points contradict{'s' * (len(names) == 1)} the others, which agree within "
-            f"{typical:.2f} px: {told}"
+            f"{typical:.2f} px: {worst}"
         )
-        found.append(Advice("blunder", "error" if gross else "warning", what, names, _out(names)))
+        found.append(Advice("blunder", "error" if gross else "warning", what, names, _remedy(names)))
     if alone:
         what = f"one of two tests, but not the other, finds wrong: {listed(alone)}"
         found.append(Advice("suspect", "warning", what, alone, "look at these points again"))
     return found
 
 
-def bent_advice(search: ControlBlunders, fit: ControlFit, model: str) -> list[Advice]:
-    """Say so where the fit misses points, or rejects them, that a smooth bend of the image explains."""
+def distortion_advice(search: ControlBlunders, fit: ControlFit, model: str) -> list[Advice]:
+    """Finding 'bent': points with large residuals that a smooth distortion of the image explains."""
     bent = [name for name in search.distorted if name in fit.ids]
     if not bent:
         return []
     lengths = dict(zip(fit.ids, np.hypot(*fit.residuals.T).tolist(), strict=True))
-    told = listed([f"{name} ({lengths[name]:.1f} px)" for name in sorted(bent, key=lambda name: -lengths[name])])
+    worst = listed([f"{name} ({lengths[name]:.1f} px)" for name in sorted(bent, key=lambda name: -lengths[name])])
     what = f"{model} misses {len(bent)} of {len(fit.ids)} points more than the others, but a smooth bend of the image "
-    what += f"explains {'them' if len(bent) > 1 else 'it'}: {told}"
+    what += f"explains {'them' if len(bent) > 1 else 'it'}: {worst}"
     hint = "more points around them, which tell a bend from a blunder; `model=tps` follows a bend"
     return [Advice("bent", "warning", what, tuple(bent), hint)]
 
 
-def opinion_advice(opinion: Opinion, fit: ControlFit, named: Sequence[str]) -> list[Advice]:
-    """Name points that take part and are wrong whatever the kind of fit, or of which some are."""
-    inside = set(fit.ids) - set(named)
-    names = tuple(name for name in opinion.blunders if name in inside)
+def checked_blunder_advice(check: BlunderCheck, fit: ControlFit, named: Sequence[str]) -> list[Advice]:
+    """Findings on blunders of the check without a model: points of the fit that are wrong, or probably are."""
+    unnamed = set(fit.ids) - set(named)
+    names = tuple(name for name in check.blunders if name in unnamed)
     if names:
-        told = ", ".join(f"{name} ({opinion.lengths[name]:.1f} px)" for name in names[:6])
-        told += f" and {len(names) - 6} more" if len(names) > 6 else ""
+        worst = ", ".join(f"{name} ({check.lengths[name]:.1f} px)" for name in names[:6])
+        worst += f" and {len(names) - 6} more" if len(names) > 6 else ""
         what = (
             f"{len(names)} of {len(fit.ids)} points contradict{'s' * (len(names) == 1)} the others, which agree within "
-            f"{opinion.rms:.2f} px: {told}, {opinion.basis}"
+            f"{check.rms:.2f} px: {worst}, {check.basis}"
         )
-        severity = "error" if any(opinion.gross(name) for name in names) else "warning"
-        return [Advice("blunder", severity, what, names, _out(names))]
-    names = tuple(name for name in opinion.suspicious if name in inside)
+        severity = "error" if any(check.gross(name) for name in names) else "warning"
+        return [Advice("blunder", severity, what, names, _remedy(names))]
+    names = tuple(name for name in check.suspicious if name in unnamed)
     if not names:
         return []
     who = f"{listed(names)} {'is' if len(names) == 1 else 'are'}"
-    what = f"with a probability of {opinion.fault:.0%} {who} wrong, else the image is bent: {len(fit.ids)} points are "
+    what = f"with a probability of {check.fault:.0%} {who} wrong, else the image is bent: {len(fit.ids)} points are "
     what += "too few to be sure"
-    gross = opinion.fault > EVEN and any(opinion.gross(name) for name in names)
+    gross = check.fault > PROBABLE and any(check.gross(name) for name in names)
     hint = f"measure again, and more points; or leave out what is known to be wrong: `without={names[0]}`"
     return [Advice("contradiction", "error" if gross else "warning", what, names, hint)]
 
 
-def _out(names: Sequence[str]) -> str:
-    """What to do with points that are wrong."""
+def _remedy(names: Sequence[str]) -> str:
+    """Hint on what to do about blunders."""
     return f"measure again, or leave out: {leave_out(names[:6])}, or `robust` for all of them"
 
 
 def deletion_advice(deletion: Deletion | None) -> list[Advice]:
-    """Say so where the threshold was not reached."""
+    """Finding that point deletion did not reach its threshold."""
     if deletion is None or deletion.reached:
         return []
     hint = "a larger threshold, or a fit of more parameters; look at the leave-one-out error, which deletion may worsen"
-    return [Advice("threshold-not-reached", "warning", deletion.said, (), hint)]
+    return [Advice("threshold-not-reached", "warning", deletion.summary, (), hint)]
 
 
-def odd_advice(choice: ModelChoice | None, fit: ControlFit, named: Sequence[str]) -> list[Advice]:
-    """Name points that no kind of fit predicts and that take part all the same, where the search did not."""
-    odd = () if choice is None else tuple(name for name in choice.outliers if name in fit.ids and name not in named)
-    if not odd:
+def outlier_advice(choice: ModelChoice | None, fit: ControlFit, named: Sequence[str]) -> list[Advice]:
+    """Finding on points of the fit, not named already, that no model predicts."""
+    outliers = (
+        () if choice is None else tuple(name for name in choice.outliers if name in fit.ids and name not in named)
+    )
+    if not outliers:
         return []
-    told = f"{len(odd)} of {len(fit.ids)} points fit{'s' * (len(odd) == 1)} no kind of transformation"
+    what = f"{len(outliers)} of {len(fit.ids)} points fit{'s' * (len(outliers) == 1)} no kind of transformation"
     errors = np.hypot(*fit.leave_one_out.T)
-    gross = any(errors[fit.ids.index(name)] > GROSS_PIXELS for name in odd)
-    return [Advice("blunder", "error" if gross else "warning", f"{told}: {listed(odd)}", odd, _out(odd))]
+    gross = any(errors[fit.ids.index(name)] > GROSS_PIXELS for name in outliers)
+    return [
+        Advice("blunder", "error" if gross else "warning", f"{what}: {listed(outliers)}", outliers, _remedy(outliers))
+    ]
 
 
-def size_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
-    """Say so where errors are large for the image: whatever was fitted, it is no map of it."""
+def large_error_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
+    """Finding that errors are large for an image of that size (width, height in pixels)."""
     left_out = np.hypot(*fit.leave_one_out.T)
-    # The residuals of few points are smaller than errors are: their share of the redundancy is taken off. A spline
-    # has none, and misses corners that are left out: the RMS that belongs to the median error counts.
+    # Residuals of few points are smaller than the errors of the fit: sigma 0 allows for the redundancy. A spline has
+    # no residuals, and corners have large leave-one-out errors under it: 1.2 times the median length is the RMS length
+    # of normal errors without them.
     if fit.redundancy:
         own = max(fit.rms_total, fit.sigma0 * float(np.sqrt(2.0) * np.median(fit.sigma)))
     else:
         own = 1.2 * float(np.nanmedian(left_out)) if np.isfinite(left_out).any() else np.nan
     error = max((e for e in (own, fit.leave_one_out_rms) if np.isfinite(e)), default=0.0)
-    limit = LARGE * float(np.hypot(*size))
+    limit = LARGE_ERROR * float(np.hypot(*size))
     if error <= limit:
         return []
     severity = "warning" if own <= limit else "error"
@@ -189,16 +202,20 @@ def size_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
 
 
 def comparison_advice(choice: ModelChoice | None, model: str) -> list[Advice]:
-    """Say so where another model than the one asked for predicts points left out much better."""
+    """Finding that another model has a much smaller leave-one-out error than the one asked for."""
     rows = {} if choice is None else {row.name: row.leave_one_out for row in choice.table}
-    if choice is None or choice.name == model or not rows[choice.name] < BETTER * rows.get(SAME.get(model, model), 0.0):
+    if (
+        choice is None
+        or choice.name == model
+        or not rows[choice.name] < BETTER * rows.get(SYNONYMS.get(model, model), 0.0)
+    ):
         return []
-    own = rows[SAME.get(model, model)]
+    own = rows[SYNONYMS.get(model, model)]
     what = (
         f"{choice.name} predicts points left out of the fit within {rows[choice.name]:.2f} px, {model} within {own:.2f}"
     )
     free = {row.name: row.parameters for row in choice.table}
-    if free[choice.name] < free[SAME.get(model, model)]:
+    if free[choice.name] < free[SYNONYMS.get(model, model)]:
         hint = f"`model={choice.name}`: {model} follows the errors of the points, and strays between them"
     else:
         hint = f"`model={choice.name}`, if the image is bent so; or look for points that {model} does not suit"
@@ -206,15 +223,17 @@ def comparison_advice(choice: ModelChoice | None, model: str) -> list[Advice]:
 
 
 def fold_advice(model: SensorModel, points: FloatArray, grid: Grid) -> list[Advice]:
-    """Find places where the fit turns the image over: it would be drawn twice, or mirrored in a part.
+    """Finding that the model folds: parts of the image would be drawn twice or mirrored.
+
+    A fold shows as a change of sign of the Jacobian determinant of the map-to-image transformation.
 
     Parameters
     ----------
     model : SensorModel
     points : array (N, 3)
-        Of the control, in `model.crs`: there the fit is right.
+        Control points, x, y, z in `model.crs`: there the sign is taken to be right.
     grid : Grid
-        Of the output.
+        Grid of the output.
     """
     c, r = np.meshgrid(np.linspace(0, grid.width, STEPS), np.linspace(0, grid.height, STEPS))
     xy = Transform(grid.crs, model.crs)(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
