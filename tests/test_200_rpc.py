@@ -27,11 +27,11 @@ from geomosaic.surface.dem import Dem
 from geomosaic_rpc import (
     Rpc,
     RpcModel,
-    Sights,
+    TieMeasurements,
+    correct_by_ties,
     fit_rpc,
     read_rpc,
     refine,
-    relate,
     write_tags,
 )
 from geomosaic_rpc.model import WGS84
@@ -291,7 +291,7 @@ def test_the_pair_is_related_by_tie_points(pair: tuple[list[Path], Path]) -> Non
     count = len(ground)
     assert count > 20
     colrow = np.vstack([model.ground_to_image(ground) for model in true]) + rng.normal(0, 0.1, (2 * count, 2))
-    sights = Sights(np.repeat([0, 1], count), np.tile(np.arange(count), 2), colrow)
-    found = relate(models, sights, sigma_px=0.1)
+    sights = TieMeasurements(np.repeat([0, 1], count), np.tile(np.arange(count), 2), colrow)
+    found = correct_by_ties(models, sights, sigma_px=0.1)
     assert found.rms_before > 5 * found.rms_after
     assert found.rms_after < 0.12
