@@ -144,9 +144,9 @@ def mosaic(
                 resampling=render.resampling,
                 tolerance=render.tolerance,
                 dtype=dtype,
+                blending=options.blending,
                 visibility=visibility(grid, ground) if render.true_ortho else None,
             ),
-            options.blending,
             render.memory_limit // 3,
         )
         if files.vectors is not None:

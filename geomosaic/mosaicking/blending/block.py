@@ -12,6 +12,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.blending.ghosting import ImageValues, suppress_ghosts
 from geomosaic.mosaicking.blending.weights import ImageWeight, halo, image_weight, reduction, signed_distance
 from geomosaic.mosaicking.outputs import MosaicUnit
+from geomosaic.options.mosaic import BlendOptions
 from geomosaic.radiometry.histogram_matching import ToneCurve
 from geomosaic.radiometry.local_gains import CorrectionField
 from geomosaic.raster.info import SourceInfo
@@ -41,14 +42,11 @@ class Seams:
         Footprints.
     feather : float
         Width of the transition in output pixels.
-    smooth : bool
-        Ramps of 3t² − 2t³ in place of t, without a kink at their ends.
     """
 
     polygons: list[Any]
     outlines: list[Any]
     feather: float
-    smooth: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,10 +69,9 @@ class Blender:
         Largest error of the interpolated geometry, in image pixels.
     dtype : str
         Sample type of the output.
+    blending : BlendOptions
     visibility : Visibility, optional
         Of a true ortho: what buildings and terrain hide is not taken.
-    anti_ghosting : bool
-        Whether images are not blended where they differ by more than noise.
     """
 
     photos: Photos
@@ -86,8 +83,8 @@ class Blender:
     resampling: str
     tolerance: float
     dtype: str
+    blending: BlendOptions
     visibility: Visibility | None = None
-    anti_ghosting: bool = False
 
     @property
     def info(self) -> SourceInfo:
@@ -106,10 +103,14 @@ class Blender:
         return (halo(self.seams.feather, factor) + 1) * factor
 
     @property
+    def anti_ghosting(self) -> bool:
+        """Whether images are not blended where they differ by more than noise."""
+        return self.blending.limits and self.seams.feather > 0
+
+    @property
     def fingerprint(self) -> str:
-        """Text of all that pixels depend on in every block alike, besides attributes that reruns compare one by one."""
-        words = (("limited", self.anti_ghosting), (" smooth", self.seams.smooth))
-        return "".join(word for word, asked in words if asked)
+        """Text of what pixels depend on in every block alike, besides the options."""
+        return ""
 
     @property
     def uses_neighbours(self) -> bool:
@@ -197,7 +198,7 @@ class Blender:
             if feather > 0 and not self.seams.outlines[i].covers(frame):
                 footprint = burn([(self.seams.outlines[i], 1)], reduced) == 1
             weight = image_weight(label, i, footprint, feather, factor, distance.get(i))
-            if self.seams.smooth:
+            if self.blending.ramp == "smooth":  # 3t² − 2t³: without a kink at its ends
                 weight = weight * weight * (3 - 2 * weight)
             if weight.any():
                 weighted.append(ImageWeight(i, weight, factor, margin))

@@ -14,20 +14,17 @@ from geomosaic.options.mosaic import BlendOptions, Width
 from geomosaic.render.workers import Room
 
 
-def with_blending(blender: Blender, blending: BlendOptions, memory: int) -> Blender:
-    """Blender that follows blending options.
+def with_blending(blender: Blender, memory: int) -> Blender:
+    """Blender of the kind that its blending options ask for.
 
     Parameters
     ----------
     blender : Blender
         Plain; `seams.feather` is the width of the transition in output pixels.
-    blending : BlendOptions
     memory : int
         Bytes that a multiband blender may hold for what images show of a block.
     """
-    seams = replace(blender.seams, smooth=blending.ramp == "smooth")
-    blender = replace(blender, seams=seams, anti_ghosting=blending.limits and seams.feather > 0)
-    if blending.plain:
+    if blender.blending.plain:
         return blender
     # Imported where needed: few mosaics are blended in bands, and the kernels take time to load.
     from geomosaic.mosaicking.blending.multiband import MultibandBlender
@@ -35,11 +32,10 @@ def with_blending(blender: Blender, blending: BlendOptions, memory: int) -> Blen
     from geomosaic.resample.pyramid import steps
 
     return MultibandBlender(
-        **{**vars(blender), "seams": replace(seams, feather=0.0)},
-        blending=blending,
-        width=seams.feather,
+        **{**vars(blender), "seams": replace(blender.seams, feather=0.0)},
+        width=blender.seams.feather,
         steps=steps(compiled=bool(blender.engine.block_kernels)),
-        noise=image_noise(blender) if blending.limits else None,
+        noise=image_noise(blender) if blender.blending.limits else None,
         room=Room(memory),
     )
 

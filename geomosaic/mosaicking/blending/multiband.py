@@ -13,7 +13,6 @@ from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender, Lattices
 from geomosaic.mosaicking.blending.weights import interpolated
 from geomosaic.mosaicking.outputs import MosaicUnit
-from geomosaic.options.mosaic import BlendOptions
 from geomosaic.raster.validity import burn
 from geomosaic.render.occlusion import Shades
 from geomosaic.render.workers import Room
@@ -36,7 +35,6 @@ class MultibandBlender(Blender):
 
     Attributes
     ----------
-    blending : BlendOptions
     width : float
         Of the transition in output pixels.
     steps : Steps
@@ -46,7 +44,6 @@ class MultibandBlender(Blender):
         Memory for the values of all images of a block: where photos are small or overlap much, these are many.
     """
 
-    blending: BlendOptions
     width: float
     steps: Steps
     noise: float | None
@@ -78,8 +75,8 @@ class MultibandBlender(Blender):
 
     @property
     def fingerprint(self) -> str:
-        """Text of all that pixels depend on in every block alike."""
-        return f"{self.blending} {self.width!r} {self.noise!r}"
+        """Text of what pixels depend on in every block alike, besides the options."""
+        return repr(self.noise)
 
     @property
     def uses_neighbours(self) -> bool:

@@ -24,7 +24,7 @@ from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import Correction
 from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.mosaicking.reruns.memory import Memory
-from geomosaic.options.render import RenderOptions
+from geomosaic.options.declaration import stage_values
 from geomosaic.radiometry.histogram_matching import ToneCurve
 from geomosaic.radiometry.local_gains import CorrectionField
 from geomosaic.types import IntArray
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from geomosaic.options.mosaic import MosaicOptions
 
 
-VERSION = 5
+VERSION = 6
 """Raised when the code gives other pixels."""
 LOSSLESS = ("NONE", "DEFLATE", "ZSTD", "LZW", "PACKBITS", "LZMA")
 
@@ -66,25 +66,24 @@ class Reuse:
     blender : Blender
     files : mapping of str to Path
         Rasters of the earlier run, which the new ones replace; `mosaic`, and perhaps `labels` and `views`.
-    render : RenderOptions
+    options : MosaicOptions
+        All of the stages 'geometry' and 'blending' go into the key; those of others show in seams and colours.
     water : str
         Fingerprint of water that is filled with a tone.
     """
 
     def __init__(
-        self, memory: Memory, blender: Blender, files: dict[str, Path], render: RenderOptions, water: str = ""
+        self, memory: Memory, blender: Blender, files: dict[str, Path], options: MosaicOptions, water: str = ""
     ) -> None:
         self._memory, self._blender, self._files = memory, blender, files
         info, grid = blender.photos.info, blender.grid
-        hidden = len(blender.photos) if render.true_ortho else None  # their label comes after those of all images
+        # The label of what no image sees comes after those of all images.
+        hidden = len(blender.photos) if options.render.true_ortho else None
         self._base = "|".join(
             [
                 f"{geomosaic.__version__} {VERSION}", memory.ground, blender.dtype, str(info.bands), grid.crs.to_wkt(),
-                repr(tuple(grid.transform)), repr(grid.shape), render.resampling, repr(render.tolerance),
-                repr(render.tile), repr(blender.seams.feather), str(render.true_ortho), blender.fingerprint,
-                render.driver,
-                repr(render.nodata), str(hidden), json.dumps(dict(render.creation), sort_keys=True),
-                water,
+                repr(tuple(grid.transform)), repr(grid.shape), repr(options.render.tile), blender.fingerprint,
+                str(hidden), water, *(repr(stage_values(options, stage)) for stage in ("geometry", "blending")),
             ]
         )  # fmt: skip
         self.views = False
@@ -173,7 +172,7 @@ def reuse_of(
     compression = options.render.creation.get("COMPRESS", "DEFLATE").upper()
     if memory is None or compression not in LOSSLESS:
         return None
-    return Reuse(memory, blender, files, options.render, water)
+    return Reuse(memory, blender, files, options, water)
 
 
 def colour_bytes(colour: Correction) -> bytes:
