@@ -14,8 +14,8 @@ from rasterio.transform import RPCTransformer
 
 from geomosaic.cli.main import run
 from geomosaic.geo.transform import Transform
-from geomosaic.monoplotting import Certainty, View, locate
-from geomosaic.monoplotting.drape import SEEN
+from geomosaic.monoplotting import InputUncertainty, View, locate
+from geomosaic.monoplotting.drape import VISIBLE
 from geomosaic.sensor import registry
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.plugin import SensorRequest
@@ -207,12 +207,12 @@ def test_places_on_a_real_surface_model_both_ways(real_data: RealData) -> None:
     model = registry.build("rpc", SensorRequest(path.name, (1024, 1024), {}, None, ".", str(path)))
     surface = Dem.open(base / "expected_output" / "pair" / "dsm.tif", heights="ellipsoidal")
     image = np.random.default_rng(2).uniform(350, 750, (300, 2))
-    found = locate(model, surface, image, surface.crs, Certainty(pixel=0.5, height=1.0))
+    found = locate(model, surface, image, surface.crs, InputUncertainty(pixel=0.5, height=1.0))
     seen = found.seen
     assert seen.sum() > 150
     back, state = View.of(model, surface, surface.crs).look(found.xyz[seen, :2])
     surface.close()
-    assert (state == SEEN).all()
+    assert (state == VISIBLE).all()
     assert np.abs(back - image[seen]).max() < 1e-5
     axes = found.ellipses.semi_axes[seen]
     assert np.nanmedian(axes[:, 1]) > 0.2  # 0.5 px of 0.5 m, and more on slopes

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from geomosaic.control.diagnostics import advise
-from geomosaic.control.distribution import hull_area, needed
+from geomosaic.control.diagnostics import diagnose
+from geomosaic.control.distribution import hull_area, points_needed
 from geomosaic.control.findings import Advice
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.control.read import read_control
@@ -81,8 +81,8 @@ def with_last(image: tuple[float, float], of: int, aside: float = 0.0) -> Contro
 @pytest.mark.parametrize("turn", [0.0, 8.0, 44.0, 90.0, 133.0, 180.0, 270.0])
 @pytest.mark.parametrize("kind", ["conformal", "affine", "projective", "poly2", "tps"])
 def test_good_control_has_no_advice(turn: float, kind: str) -> None:
-    assert advise(good(turn=turn), kind=kind, size=SIZE, near=(16.5, 48.8)) == ()
-    assert advise(degrees(good(turn=turn)), kind=kind, size=SIZE) == ()
+    assert diagnose(good(turn=turn), kind=kind, size=SIZE, near=(16.5, 48.8)) == ()
+    assert diagnose(degrees(good(turn=turn)), kind=kind, size=SIZE) == ()
 
 
 ROW = np.column_stack([np.linspace(200, 3800, 9), np.linspace(300, 2700, 9)])
@@ -242,7 +242,7 @@ CASES: dict[str, tuple[Callable[[], ControlPoints], list[str], str, dict[str, ob
 def test_bad_control(
     make: Callable[[], ControlPoints], expected: list[str], message: str, options: dict[str, object]
 ) -> None:
-    found = advise(make(), **{"size": SIZE, **options})
+    found = diagnose(make(), **{"size": SIZE, **options})
     assert codes(found) == expected
     assert re.search(message, found[0].what), found[0].what
     assert all(advice.hint for advice in found)
@@ -252,23 +252,23 @@ def table_rows() -> list[str]:
     """What is said of every case, as lines of the table of the docs (see `test_70_georeference_diagnostics.py`)."""
     lines = []
     for case, (make, _, _, options) in CASES.items():
-        for advice in advise(make(), **{"size": SIZE, **options})[:1]:
+        for advice in diagnose(make(), **{"size": SIZE, **options})[:1]:
             lines.append(f"| {case} | `{advice.code}` ({advice.severity}) | {advice.what} | {advice.hint} |")
     return lines
 
 
 def test_points_left_out_do_not_count() -> None:
     control = with_last(tuple(good().colrow[3] + 0.1), of=4)
-    assert advise(control.without(["again"]), size=SIZE) == ()
+    assert diagnose(control.without(["again"]), size=SIZE) == ()
     as_check = replace(good(), roles=("check",) * 7 + ("control",) * 2)
-    assert codes(advise(as_check, size=SIZE)) == ["few-points"]
+    assert codes(diagnose(as_check, size=SIZE)) == ["few-points"]
 
 
 def test_a_mirrored_image_with_a_point_beyond_its_edge_is_not_taken_for_exchanged_columns() -> None:
     """A film scanned from its back, and a mark on its border: no exchange mends both."""
     control = moved(good(), colrow=good().colrow * [-1, 1] + [SIZE[0], 0])
     colrow = np.vstack([control.colrow[:-1], [4020.0, 2700.0]])
-    assert "swapped-columns-rows" not in codes(advise(moved(control, colrow=colrow), size=SIZE))
+    assert "swapped-columns-rows" not in codes(diagnose(moved(control, colrow=colrow), size=SIZE))
 
 
 def test_a_third_of_blunders_hides_no_mirror_and_makes_none() -> None:
@@ -280,8 +280,8 @@ def test_a_third_of_blunders_hides_no_mirror_and_makes_none() -> None:
         shifted = control.ground.copy()
         shifted[wrong] += np.random.default_rng(seed).uniform(-400, 400, (12, 2))
         blundered = moved(control, ground=shifted)
-        assert "mirrored-rows" not in codes(advise(blundered, size=SIZE))
-        assert "mirrored-rows" in codes(advise(mirror_rows(blundered), size=SIZE))
+        assert "mirrored-rows" not in codes(diagnose(blundered, size=SIZE))
+        assert "mirrored-rows" in codes(diagnose(mirror_rows(blundered), size=SIZE))
 
 
 def test_hull_area() -> None:
@@ -292,9 +292,14 @@ def test_hull_area() -> None:
 
 
 def test_needed() -> None:
-    assert [needed("poly1"), needed("poly2"), needed("polynomial", 5), needed("tps")] == [3, 6, 21, 3]
+    assert [points_needed("poly1"), points_needed("poly2"), points_needed("polynomial", 5), points_needed("tps")] == [
+        3,
+        6,
+        21,
+        3,
+    ]
     with pytest.raises(InputError, match=r"no fit 'afine'[^$]*did you mean 'affine'"):
-        needed("afine")
+        points_needed("afine")
 
 
 def cosicorr(folder: Path) -> ControlPoints:
@@ -309,26 +314,26 @@ def cosicorr(folder: Path) -> ControlPoints:
 def test_real_control(real_data: Callable[[str], Path]) -> None:
     """What is said of real sets, and why it is true."""
     scene = read_control(real_data("rio-tiler-gcps") / "cog_gcps.tif").control
-    found = advise(scene, kind="poly3", size=(1280, 837))
+    found = diagnose(scene, kind="poly3", size=(1280, 837))
     # Sentinel-1, descending: range runs west, so that columns do. A program wrote it, so it is no warning.
     assert [(advice.code, advice.severity) for advice in found] == [("mirrored-columns", "note")]
     folder = real_data("rasterio-fixtures")
     # 7449 x 11522 pixels were measured, the picture has 791 x 718.
     landsat = read_control(folder / "RGB.byte.gcp.vrt").control
-    assert codes(advise(landsat, size=(791, 718))) == ["outside-image"]
-    assert advise(landsat, size=(7449, 11522)) == ()
+    assert codes(diagnose(landsat, size=(791, 718))) == ["outside-image"]
+    assert diagnose(landsat, size=(7449, 11522)) == ()
     # Three corners of four, for an affine fit.
     gemini = read_control(folder / "white-gemini-iv.vrt").control
-    assert codes(advise(gemini, size=(1024, 768))) == ["no-redundancy", "empty-corner"]
+    assert codes(diagnose(gemini, size=(1024, 768))) == ["no-redundancy", "empty-corner"]
     # All points but one lie left of column 3273: none is within 3500 pixels of the upper right corner.
     spot = cosicorr(real_data("cosicorr-spot-dimap"))
     assert np.hypot(*(spot.colrow - [6000, 0]).T).min() > 3500
-    found = advise(spot, kind="poly2", size=(6000, 6000))
+    found = diagnose(spot, kind="poly2", size=(6000, 6000))
     assert codes(found) == ["empty-corner"]
     assert "near the upper right corner" in found[0].what
     kite = read_control(real_data("odm-copr") / "gcp_list.txt", image="IMG_0031.jpg").control
     # gcp00 and gcp04, 20 m apart, are marked 1.2 px apart in this photo: one mark is wrong, and with it all on a line.
-    found = advise(kite, size=(4272, 2848))
+    found = diagnose(kite, size=(4272, 2848))
     assert codes(found) == ["one-place-two-grounds", "collinear", "no-redundancy"]
     assert found[0].points == ("gcp04", "gcp00")
 
@@ -341,9 +346,9 @@ def test_real_ties_have_no_advice(real_data: Callable[[str], Path]) -> None:
         tuple(map(str, range(count))), rows[:, :2], rows[:, 2:], CRS("EPSG:4326"), np.ones(count),
         ("control",) * count, np.ones(count, dtype=bool), tuple(Origin("ties", i + 2) for i in range(count)),
     )  # fmt: skip
-    assert advise(ties, kind="poly3", near=(1.42, 43.61)) == ()
+    assert diagnose(ties, kind="poly3", near=(1.42, 43.61)) == ()
     # The header says 'row col', and the numbers are col, row: read as it says, the ground is mirrored.
     as_headed = moved(ties, colrow=ties.colrow[:, ::-1])
-    found = advise(as_headed, kind="poly3", near=(1.42, 43.61))
+    found = diagnose(as_headed, kind="poly3", near=(1.42, 43.61))
     assert codes(found) == ["latitude-longitude-swapped"]
     assert "exchange col and row" in found[0].hint

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.enhancement.contrast import Clahe, equalised, linear, luminance, percentile_limits, sharpened, toned
+from geomosaic.enhancement.contrast import (
+    Clahe,
+    equalised,
+    linear,
+    luminance,
+    percentile_limits,
+    sharpened,
+    with_luminance,
+)
 from geomosaic.enhancement.hillshade import hillshade, shaded
 from geomosaic.enhancement.pan_sharpening import magnified, pan_model, pan_sharpened
 from geomosaic.errors import InputError
@@ -81,7 +89,7 @@ def test_sharpening() -> None:
     holes[10:20, 10:20] = 0
     dark = np.where(holes[..., None] > 0, flat, 0).astype(np.uint8)
     assert np.array_equal(sharpened(dark, holes, 2.0, 2.0), dark)
-    assert np.array_equal(toned(flat, luminance(flat), luminance(flat) + 5), flat + 5)
+    assert np.array_equal(with_luminance(flat, luminance(flat), luminance(flat) + 5), flat + 5)
 
 
 def scene(size: int = 240, factor: int = 4) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -12,6 +12,7 @@ from test_50_control_findings import table_rows
 
 from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import footprint
+from geomosaic.cli.parameter_names import translated
 from geomosaic.control.findings import Advice
 from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ControlPoints, Origin
@@ -183,7 +184,8 @@ def row(name: str) -> str:
         assert wanted in seen, (name, list(seen))
         cells = (wanted, seen[wanted].what, seen[wanted].hint)
     assert cells[0] == wanted, name
-    return " | ".join(["| " + name, *cells]) + " |"
+    finding, what, hint = cells
+    return " | ".join(["| " + name, finding, *(translated(text, "georeference") for text in (what, hint))]) + " |"
 
 
 def test_every_case_is_found_and_the_docs_show_what_is_said():

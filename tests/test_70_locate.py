@@ -15,8 +15,8 @@ from geomosaic.block.block import ControlPoint
 from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import geographic, has_heights, height_name, parse_crs, with_heights
 from geomosaic.geo.transform import Transform
-from geomosaic.monoplotting import Certainty, View, draw, ellipses, ground_crs, locate, orientation
-from geomosaic.monoplotting.drape import HIDDEN, SEEN
+from geomosaic.monoplotting import InputUncertainty, View, draw, ellipses, ground_crs, locate, orientation
+from geomosaic.monoplotting.drape import OCCLUDED, VISIBLE
 from geomosaic.monoplotting.line_drawing import trace
 from geomosaic.sensor import registry
 from geomosaic.sensor.model import SensorModel
@@ -71,31 +71,31 @@ def test_known_ground_and_pixels_both_ways(seen: tuple[SensorModel, Hills]) -> N
     """Ground of a formula, seen by the sensor, is found again; and drawn where it is seen."""
     model, hills = seen
     image = np.random.default_rng(1).uniform([0, 0], model.size, (100, 2))
-    found = locate(model, hills, image, hills.crs, Certainty())
+    found = locate(model, hills, image, hills.crs, InputUncertainty())
     assert found.seen.all()
     assert np.abs(hills.height(found.xyz[:, :2]) - found.xyz[:, 2]).max() < 1e-5
     back = model.ground_to_image(Transform(hills.crs, model.crs)(found.xyz))
     assert np.abs(back - image).max() < 1e-6
     drawn, state = View.of(model, hills, hills.crs).look(found.xyz[:, :2])
-    assert (state == SEEN).all()
+    assert (state == VISIBLE).all()
     assert np.abs(drawn - image).max() < 1e-6 * (1.0 if model.size == SIZE else 10.0)
 
 
 def test_places_in_another_crs_and_datum(seen: tuple[SensorModel, Hills]) -> None:
     model, hills = seen
     image = np.array([[300.5, 400.5]])
-    own = locate(model, hills, image, hills.crs, Certainty(pixel=0.5))
+    own = locate(model, hills, image, hills.crs, InputUncertainty(pixel=0.5))
     lonlat = with_heights(geographic(hills.crs), "egm96")
-    other = locate(model, hills, image, lonlat, Certainty(pixel=0.5))
+    other = locate(model, hills, image, lonlat, InputUncertainty(pixel=0.5))
     assert np.allclose(other.xyz, Transform(hills.crs, lonlat)(own.xyz), atol=1e-9)
     assert abs(other.xyz[0, 2] - own.xyz[0, 2]) > 10.0
     # Metres along east and north against metres of the map: its scale is 0.9996 or so, its north turned by little.
     assert np.allclose(other.ellipses.semi_axes, own.ellipses.semi_axes, rtol=2e-3)
-    assert np.isnan(locate(model, hills, image, hills.crs, Certainty()).ellipses.semi_axes).all()
+    assert np.isnan(locate(model, hills, image, hills.crs, InputUncertainty()).ellipses.semi_axes).all()
 
 
 def trials(
-    model: SensorModel, hills: Hills, image: np.ndarray, certainty: Certainty, count: int, seed: int
+    model: SensorModel, hills: Hills, image: np.ndarray, certainty: InputUncertainty, count: int, seed: int
 ) -> np.ndarray:
     """Places (count, 3) of one image point with errors in everything."""
     rng = np.random.default_rng(seed)
@@ -107,7 +107,9 @@ def trials(
     for _ in range(count):
         noisy = model.with_values(model.parameters.values + root @ rng.normal(size=len(root)))
         lifted = Raised(hills, certainty.height * rng.normal())
-        out.append(locate(noisy, lifted, image + certainty.pixel * rng.normal(size=2), hills.crs, Certainty()).xyz[0])
+        out.append(
+            locate(noisy, lifted, image + certainty.pixel * rng.normal(size=2), hills.crs, InputUncertainty()).xyz[0]
+        )
     return np.array(out)
 
 
@@ -139,7 +141,7 @@ def scatter_against_ellipse(count: int, places: np.ndarray, within: float) -> No
     # Angles and positions that depend on each other, as they do after an adjustment.
     mixed = np.random.default_rng(5).normal(size=(6, 6)) * 0.5 + 2.0 * np.eye(6)
     root = np.diag([0.05, 0.05, 0.08, 0.003, 0.003, 0.01]) @ mixed / 2.0
-    certainty = Certainty(0.4, 0.5, root @ root.T)
+    certainty = InputUncertainty(0.4, 0.5, root @ root.T)
     for k, image in enumerate(places):
         found = locate(model, hills, image[None], hills.crs, certainty)
         noisy = trials(model, hills, image[None], certainty, count, 10 + k)
@@ -166,17 +168,17 @@ def test_an_ellipse_that_can_be_drawn_by_hand() -> None:
     """Straight down, 1 m per pixel: a circle; a wrong height pushes a point at 45° out by as much."""
     model = PinholeOverMap(tilt=(0.0, 0.0, 0.0), size=(2200, 2200))
     flat = Plane(GROUND, 0.0)
-    ground = locate(model, flat, np.array([[2100.0, 1100.0], [1100.0, 100.0]]), GROUND, Certainty()).xyz
+    ground = locate(model, flat, np.array([[2100.0, 1100.0], [1100.0, 100.0]]), GROUND, InputUncertainty()).xyz
     assert np.allclose(ground[:, :2], [[501000.0, 5500000.0], [500000.0, 5501000.0]])
-    circle = ellipses(model, flat, GROUND, ground, Certainty(pixel=0.5))
+    circle = ellipses(model, flat, GROUND, ground, InputUncertainty(pixel=0.5))
     assert np.allclose(circle.semi_axes, 0.5)
     assert np.allclose(circle.sigma_z, 0.0)
-    out = ellipses(model, flat, GROUND, ground, Certainty(pixel=0.5, height=2.0))
+    out = ellipses(model, flat, GROUND, ground, InputUncertainty(pixel=0.5, height=2.0))
     assert np.allclose(out.semi_axes, [[np.hypot(2.0, 0.5), 0.5]] * 2)
     assert np.allclose(out.azimuth, [90.0, 0.0])
     assert np.allclose(out.sigma_z, 2.0)
     # Control as good as nothing else: the sigma of a camera's place moves the ground with it.
-    camera = ellipses(model, flat, GROUND, ground, Certainty(orientation=np.diag([3.0, 1.0, 0.0]) ** 2))
+    camera = ellipses(model, flat, GROUND, ground, InputUncertainty(orientation=np.diag([3.0, 1.0, 0.0]) ** 2))
     assert np.allclose(camera.semi_axes, [[3.0, 1.0]] * 2)
     assert np.allclose(camera.azimuth, 90.0)
 
@@ -202,7 +204,7 @@ def test_control_points_tell_how_good_the_orientation_is() -> None:
     """The covariance of the adjustment; one point that is wrong by 300 pixels does not count."""
     model, rng = frame(), np.random.default_rng(3)
     image = rng.uniform([0, 0], SIZE, (25, 2))
-    ground = locate(model, Hills(), image, GROUND, Certainty()).xyz
+    ground = locate(model, Hills(), image, GROUND, InputUncertainty()).xyz
     noisy = image + rng.normal(0, 0.5, image.shape)
 
     def points(shift: float) -> list[ControlPoint]:
@@ -218,14 +220,14 @@ def test_control_points_tell_how_good_the_orientation_is() -> None:
     assert robust is not None
     assert np.allclose(good, robust)
     assert "24 points, 1 left out" in note or "24 control points, 1 left out" in note
-    error = locate(model, Hills(), np.array([[500.0, 400.0]]), GROUND, Certainty(orientation=good)).ellipses
+    error = locate(model, Hills(), np.array([[500.0, 400.0]]), GROUND, InputUncertainty(orientation=good)).ellipses
     assert 0.03 < error.semi_axes[0, 1] <= error.semi_axes[0, 0] < 0.5  # 0.5 m over the root of a few points
     # A table of orientations that is 20 m off: the places are those of the adjusted photo.
     wrong = model.with_values(model.parameters.values + np.array([20.0, -15.0, 10.0, 0.5, 0.3, -0.2]))
     adjusted, again, _ = orientation(wrong, {}, points(300.0), GROUND)
     assert again is not None
     assert np.allclose(again, good, rtol=1e-3)
-    place = [locate(m, Hills(), image[5:6], GROUND, Certainty()).xyz[0] for m in (model, wrong, adjusted)]
+    place = [locate(m, Hills(), image[5:6], GROUND, InputUncertainty()).xyz[0] for m in (model, wrong, adjusted)]
     assert np.linalg.norm(place[1] - place[0]) > 10.0
     assert np.linalg.norm(place[2] - place[0]) < 1.0
 
@@ -251,7 +253,7 @@ def test_hidden_ground_against_a_formula() -> None:
     view = View.of(model, Wall(), GROUND)
     line = shapely.LineString([(499500.0, 5500050.0), (500300.0, 5500050.0)])
     pieces = trace(view, np.array(line.coords))
-    assert [state for _, state in pieces] == [SEEN, HIDDEN, SEEN]
+    assert [state for _, state in pieces] == [VISIBLE, OCCLUDED, VISIBLE]
     # Where the hidden piece ends, and the next begins: x = 500100 at height 0.
     end = (100.0 + 400.0) * 500.0 / 500.0 + 800.0
     assert pieces[1][0][-1, 0] == pytest.approx(end, abs=0.05)
@@ -286,7 +288,7 @@ def test_hidden_ground_against_the_terrain_itself() -> None:
     lowest = clear.min(axis=1)
     sure = np.abs(lowest) > 0.5  # metres; a line that grazes is neither
     assert inside.sum() > 400
-    hidden = state[inside] == HIDDEN
+    hidden = state[inside] == OCCLUDED
     assert 0.1 < hidden.mean() < 0.9
     assert np.array_equal(hidden[sure & (lowest < 0)], np.ones((sure & (lowest < 0)).sum(), bool))
     assert (hidden[sure & (lowest > 0)]).sum() <= 0
@@ -343,14 +345,16 @@ def test_the_crs_of_places() -> None:
     assert len(ground_crs(flat, None, None, None).axis_info) == 2
     with pytest.raises(HeightDatumError, match="no part"):
         ground_crs(flat, None, None, "egm96")
-    found = locate(flat, None, np.array([[10.0, 20.0]]), flat.crs, Certainty(pixel=0.5))
+    found = locate(flat, None, np.array([[10.0, 20.0]]), flat.crs, InputUncertainty(pixel=0.5))
     assert found.xyz.tolist() == [[500010.0, 5499980.0, 0.0]]
     assert np.allclose(found.ellipses.semi_axes, 0.5)
 
 
 def test_what_sees_no_ground_is_nan() -> None:
     model = replace(PinholeOverMap(), tilt=(1.5, 0.0, 0.0))
-    found = locate(model, Plane(GROUND, 0.0), np.array([[500.0, 10.0], [500.0, 790.0]]), GROUND, Certainty(pixel=1.0))
+    found = locate(
+        model, Plane(GROUND, 0.0), np.array([[500.0, 10.0], [500.0, 790.0]]), GROUND, InputUncertainty(pixel=1.0)
+    )
     assert found.seen.tolist() == [False, True]
     assert np.isnan(found.ellipses.semi_axes[0]).all()
     assert np.isfinite(found.ellipses.semi_axes[1]).all()

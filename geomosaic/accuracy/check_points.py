@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.control.check_positions import has_positions, read_positions
-from geomosaic.control.coordinate_diagnostics import has_places
-from geomosaic.control.diagnostics import advise
+from geomosaic.control.coordinate_diagnostics import has_valid_positions
+from geomosaic.control.diagnostics import diagnose
 from geomosaic.control.findings import Advice, leave_out
 from geomosaic.control.points import ControlPoints
 from geomosaic.control.read import read_control
@@ -173,8 +173,8 @@ def check(
     found, measured = found.select(found.enabled), measured[found.enabled]
     advice = _examined(found, measured, info.size)
     wrong = next((finding for finding in advice if finding.severity == "error"), None)
-    if wrong is not None and not (insist and has_places(found)):
-        hint = f"{wrong.hint}; or `insist`" if has_places(found) else wrong.hint
+    if wrong is not None and not (insist and has_valid_positions(found)):
+        hint = f"{wrong.hint}; or `insist`" if has_valid_positions(found) else wrong.hint
         raise InputError(f"{wrong.what} ({wrong.code})", where=str(points), hint=hint)
     true = found.to_crs(grid.crs).xy
     pixel = measured - grid.colrow(true)
@@ -222,5 +222,5 @@ def _grid(info: SourceInfo, given: str | None) -> Grid:
 
 
 def _examined(found: ControlPoints, measured: FloatArray, size: tuple[int, int]) -> tuple[Advice, ...]:
-    advice = advise(replace(found, colrow=measured), kind="conformal", size=size)
+    advice = diagnose(replace(found, colrow=measured), kind="conformal", size=size)
     return tuple(finding for finding in advice if finding.code in EXAMINED or finding.code.startswith("swapped"))

@@ -9,7 +9,7 @@ import numpy as np
 
 from geomosaic.api.orthos import on_ground
 from geomosaic.inputs.declarations import Block
-from geomosaic.monoplotting.draw_vectors import Drawn
+from geomosaic.monoplotting.draw_vectors import DrawnVectors
 from geomosaic.monoplotting.draw_vectors import draw_vectors as draw_map_vectors
 from geomosaic.monoplotting.run import Located, MonoplotInputs, locate_pixels
 from geomosaic.surface.dem import Dem
@@ -107,7 +107,7 @@ def draw_vectors(
     sigmas: Mapping[str, float] | None = None,
     mark_hidden: bool = False,
     overwrite: bool = False,
-) -> Drawn:
+) -> DrawnVectors:
     """Map vectors drawn into the pixels of one image.
 
     Parameters

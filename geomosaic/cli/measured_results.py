@@ -11,7 +11,7 @@ from geomosaic.errors import counted
 if TYPE_CHECKING:
     from geomosaic.accuracy.check_points import MapCheck
     from geomosaic.georeferencing.run import Georeferenced
-    from geomosaic.monoplotting.draw_vectors import Drawn
+    from geomosaic.monoplotting.draw_vectors import DrawnVectors
     from geomosaic.monoplotting.run import Located
 
 
@@ -138,8 +138,8 @@ def located_facts(found: Located, output: Path | None) -> dict[str, Any]:
     return {
         "crs": f"{code[0]}:{code[1]}" if code else horizontal(crs).to_wkt(),
         "heights": height_name(crs),
-        "error_of": list(found.certainty.known),
-        "notes": list(found.certainty.notes),
+        "error_of": list(found.uncertainty.known),
+        "notes": list(found.uncertainty.notes),
         "points": [dict(zip(POINT, row, strict=True)) for row in found.rows()],
         "features": found.features,
         "lost": found.lost,
@@ -174,12 +174,12 @@ def located_words(found: Located, output: Path | None) -> str:
         noun, end = ("point", "no place") if found.names else ("feature", "no place and left out")
         beyond = f"; {len(found.outside)} outside the image" if found.outside else ""
         lines.append(f"{counted(found.lost, noun)} with {end}: the sky, or ground that is not known{beyond}")
-    if found.certainty.known:
-        lines.append(f"errors (one standard deviation) of {', '.join(found.certainty.known)}")
-    return "\n".join([*lines, *found.certainty.notes])
+    if found.uncertainty.known:
+        lines.append(f"errors (one standard deviation) of {', '.join(found.uncertainty.known)}")
+    return "\n".join([*lines, *found.uncertainty.notes])
 
 
-def drawn_facts(drawn: Drawn, output: Path) -> dict[str, Any]:
+def drawn_facts(drawn: DrawnVectors, output: Path) -> dict[str, Any]:
     """Plain values of a drawing."""
     return {
         "output": str(output),
@@ -190,7 +190,7 @@ def drawn_facts(drawn: Drawn, output: Path) -> dict[str, Any]:
     }
 
 
-def drawn_words(drawn: Drawn, output: Path) -> str:
+def drawn_words(drawn: DrawnVectors, output: Path) -> str:
     """Say what was drawn."""
     hidden = f", {drawn.hidden} of them hidden" if drawn.hidden else ""
     return f"{output}: {drawn.drawn} of {drawn.features} features in the photo, {drawn.pieces} pieces{hidden}"

@@ -1,4 +1,4 @@
-"""Check points measured on a map: their true places, and where the map has them."""
+"""Check points measured on a map: true coordinates, and coordinates on the map."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NUMBERS = ("x", "y", *PLACES)
 
 
 def has_positions(path: PathLike) -> bool:
-    """Say whether a text is a table with the columns measured_x and measured_y."""
+    """Whether a text is a table with the columns measured_x and measured_y."""
     try:
         lines = read_lines(path)
     except InputError:
@@ -37,18 +37,18 @@ def has_positions(path: PathLike) -> bool:
 
 
 def read_positions(path: PathLike, *, crs: str | CRS | None = None) -> ControlPoints:
-    """Read a table with the columns x, y, measured_x, measured_y and optionally id.
+    """Check points from a table with the columns x, y, measured_x, measured_y and optionally id.
 
     Parameters
     ----------
     path : path
     crs : str or CRS, optional
-        Of x and y; needed where no comment `#CRS:` names it.
+        CRS of x and y; needed where no comment `#CRS:` names it.
 
     Returns
     -------
     ControlPoints
-        What takes the place of col and row is the measured x and y, in the CRS of the map.
+        In place of col and row it holds the measured x and y, in the CRS of the map.
 
     Raises
     ------

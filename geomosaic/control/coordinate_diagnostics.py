@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.control.findings import Advice, listed, named, plane
+from geomosaic.control.findings import Advice, listed, plane_coordinates, point_names
 from geomosaic.control.points import ControlPoints
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.projection_domain import Area, area_of_use, beyond, longitude_latitude
@@ -27,7 +27,7 @@ def _triples(count: int) -> IntArray:
 
 
 def linear_part(colrow: FloatArray, ground: FloatArray) -> tuple[float, FloatArray]:
-    """Return how triples of points vote on being mirrored, and the median of their matrices.
+    """Linear part of the transformation image to ground, from triples of points.
 
     Parameters
     ----------
@@ -53,12 +53,12 @@ def linear_part(colrow: FloatArray, ground: FloatArray) -> tuple[float, FloatArr
 
 
 def is_mirrored(control: ControlPoints) -> bool:
-    """Say whether ground and image (rows downwards) run the same way round."""
-    return len(control) >= 3 and linear_part(control.colrow, plane(control))[0] > _VOTE
+    """Whether ground and image (rows downwards) have the same orientation."""
+    return len(control) >= 3 and linear_part(control.colrow, plane_coordinates(control))[0] > _VOTE
 
 
 def mirrored(control: ControlPoints) -> list[Advice]:
-    """Find a mirrored image, and say what it most looks like if north is about up, down, left or right.
+    """Finding that the image is mirrored, with its most likely cause if north is about up, down, left or right.
 
     Rows or columns that run the wrong way and exchanged axes all mirror an image; they differ by where north is. A
     radar scene or a film scanned from its back is mirrored rightly: where a program wrote the points (control in a
@@ -66,7 +66,7 @@ def mirrored(control: ControlPoints) -> list[Advice]:
     """
     if len(control) < 3:
         return []
-    vote, matrix = linear_part(control.colrow, plane(control))
+    vote, matrix = linear_part(control.colrow, plane_coordinates(control))
     if vote <= _VOTE:
         return []
     turn = float(np.degrees(np.arctan2(matrix[1, 0] - matrix[0, 1], matrix[0, 0] + matrix[1, 1])))
@@ -134,7 +134,7 @@ def misplaced(control: ControlPoints, near: tuple[float, float] | None = None, w
     out = ~_inside(xy, crs, area)
     if not out.any():
         return []
-    names = named(control, out)
+    names = point_names(control, out)
     reach = f"near {near[0]:g}, {near[1]:g}" if near else f"in the area of use of '{crs.name}'"
     if out.mean() <= 0.5:
         what = f"{len(names)} of {len(control)} points do{'es' * (len(names) == 1)} not lie {reach}: {listed(names)}"
@@ -144,13 +144,13 @@ def misplaced(control: ControlPoints, near: tuple[float, float] | None = None, w
     return [Advice(code, "error", f"the points ({at}, ...) do not lie {reach}: {looks}", names, hint)]
 
 
-def has_places(control: ControlPoints) -> bool:
-    """Whether all points may lie somewhere on the Earth: no latitude is beyond a pole."""
+def has_valid_positions(control: ControlPoints) -> bool:
+    """Whether all points can lie on the Earth: no latitude is beyond a pole."""
     return not (control.crs.is_geographic and bool((np.abs(control.xy[:, 1]) > 90.0).any()))
 
 
 def _tiny(control: ControlPoints) -> bool:
-    """Say whether numbers are small enough for degrees, and pixels too small for metres."""
+    """Whether coordinates look like degrees in a projected CRS: small numbers, and pixels too small for metres."""
     xy = np.abs(control.xy)
     small = (xy <= [180.0, 90.0]).all() or (xy <= [90.0, 180.0]).all()
     pixel = np.ptp(control.xy, axis=0).max() / max(float(np.ptp(control.colrow, axis=0).max()), 1.0)
@@ -181,7 +181,7 @@ def _cause(control: ControlPoints, area: Area, near: tuple[float, float] | None)
 
 
 def _zone(control: ControlPoints, area: Area) -> str | None:
-    """Return the UTM zone on WGS 84 in which coordinates lie in an area."""
+    """Code of the WGS 84 UTM zone in which the coordinates lie in an area, None if there is none."""
     if control.crs.utm_zone is None:
         return None
     for code in (base + zone for base in (32600, 32700) for zone in range(1, 61)):

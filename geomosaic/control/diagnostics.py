@@ -6,13 +6,13 @@ import numpy as np
 
 from geomosaic.control.coordinate_diagnostics import mirrored, misplaced
 from geomosaic.control.distribution import collinear, coverage, few_points, outside_image
-from geomosaic.control.findings import SEVERITIES, Advice, plane
+from geomosaic.control.findings import SEVERITIES, Advice, plane_coordinates
 from geomosaic.control.points import ControlPoints
 from geomosaic.types import FloatArray
 
-SAME = 2.0
+SAME_POINT = 2.0
 """Pixels, or as much on the ground, within which two places are one: about what a hand setting a mark misses by."""
-OTHER = 5.0
+DISTINCT = 5.0
 """Pixels, or as much on the ground, beyond which they are surely two."""
 REPEATED = 0.05
 """Pixels, or as much on the ground, within which a point is the same measurement again."""
@@ -20,21 +20,29 @@ _MOST = 300
 
 
 def pixel_on_ground(colrow: FloatArray, ground: FloatArray) -> float:
-    """Return the ground length of a pixel: the median over pairs of points, which blunders in 25 % do not move much."""
+    """Length of a pixel on the ground: median over pairs of points, robust to blunders in 25 % of the points.
+
+    Parameters
+    ----------
+    colrow : array (N, 2)
+        Pixels.
+    ground : array (N, 2)
+        Units of the map.
+    """
     step = -(-len(colrow) // _MOST)
     colrow, ground = colrow[::step], ground[::step]
     first, second = np.triu_indices(len(colrow), 1)
     image = np.hypot(*(colrow[first] - colrow[second]).T)
     apart = np.hypot(*(ground[first] - ground[second]).T)
-    kept = image > SAME
+    kept = image > SAME_POINT
     return float(np.median(apart[kept] / image[kept])) if kept.any() else 0.0
 
 
 def contradictions(control: ControlPoints) -> list[Advice]:
-    """Find one image place with two on the ground, the reverse, and points given twice."""
+    """Findings on contradicting pairs: one image point with two ground points, the reverse, and repeated points."""
     if len(control) < 2:
         return []
-    ground = plane(control)
+    ground = plane_coordinates(control)
     pixel = pixel_on_ground(control.colrow, ground)
     if pixel <= 0.0:
         return []
@@ -46,10 +54,10 @@ def contradictions(control: ControlPoints) -> list[Advice]:
         apart = float(np.hypot(*(pixels[first] - pixels[second])))
         names = control.names[first], control.names[second]
         two = f"points {names[0]} ({control.origins[first]}) and {names[1]} ({control.origins[second]})"
-        if image <= SAME and apart > OTHER:
+        if image <= SAME_POINT and apart > DISTINCT:
             what = f"{two} are one place in the image and lie {apart:.0f} pixels apart on the ground"
             found.append(Advice("one-place-two-grounds", "error", what, names, "correct or disable one of them"))
-        elif apart <= SAME and image > OTHER:
+        elif apart <= SAME_POINT and image > DISTINCT:
             what = f"{two} are one place on the ground and lie {image:.0f} pixels apart in the image"
             found.append(Advice("one-ground-two-places", "error", what, names, "correct or disable one of them"))
         elif image <= REPEATED and apart <= REPEATED:
@@ -62,15 +70,15 @@ def _close(places: FloatArray) -> list[tuple[int, int]]:
     """Pairs of places (N, 2) within SAME of each other: those whose first coordinates are that near, looked through."""
     order = np.argsort(places[:, 0], kind="stable")
     sorted_ = places[order]
-    count = np.searchsorted(sorted_[:, 0], sorted_[:, 0] + SAME, side="right") - np.arange(len(places)) - 1
+    count = np.searchsorted(sorted_[:, 0], sorted_[:, 0] + SAME_POINT, side="right") - np.arange(len(places)) - 1
     first = np.repeat(np.arange(len(places)), count)
     second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
-    near = np.hypot(*(sorted_[first] - sorted_[second]).T) <= SAME
+    near = np.hypot(*(sorted_[first] - sorted_[second]).T) <= SAME_POINT
     pairs = np.sort(order[np.column_stack([first[near], second[near]])], axis=1)
     return [(int(a), int(b)) for a, b in pairs]
 
 
-def advise(
+def diagnose(
     control: ControlPoints,
     *,
     kind: str = "affine",
@@ -78,14 +86,14 @@ def advise(
     size: tuple[int, int] | None = None,
     near: tuple[float, float] | None = None,
 ) -> tuple[Advice, ...]:
-    """Examine control; what follows from a greater fault is not said again.
+    """Findings on control points before any fit; consequences of a graver fault are left out.
 
     Parameters
     ----------
     control : ControlPoints
         Points that are not enabled are left out. Check points are examined for their coordinates only.
     kind : str
-        Fit it is meant for: 'conformal', 'affine', 'projective', 'tps', 'polynomial' (with `order`), 'poly1' ...
+        Model to be fitted: 'conformal', 'affine', 'projective', 'tps', 'polynomial' (with `order`), 'poly1' ...
     order : int
         Of a polynomial.
     size : tuple of int, optional

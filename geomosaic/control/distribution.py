@@ -8,16 +8,16 @@ from itertools import pairwise
 import numpy as np
 
 from geomosaic.control.coordinate_diagnostics import is_mirrored
-from geomosaic.control.findings import Advice, listed, named, plane
+from geomosaic.control.findings import Advice, listed, plane_coordinates, point_names
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.types import BoolArray, FloatArray
 
 NEEDED = {"conformal": 2, "affine": 3, "projective": 4, "tps": 3}
 """Points that determine a fit."""
-LINE = 0.05
+LINE_RATIO = 0.05
 """Across over along, root mean squares, below which points count as lying on a line."""
-NOISE = 1.0
+LINE_NOISE = 1.0
 """Pixels across the line (root mean square) that cannot be told from errors of measurement."""
 CLUSTER = 0.05
 """Share of the image inside the hull of the points, below which they are in one place."""
@@ -27,8 +27,8 @@ CORNER = 0.4
 """Share of the diagonal within which a corner needs a point."""
 
 
-def needed(kind: str, order: int = 1) -> int:
-    """Return how many points determine a fit: 'conformal', 'affine', 'projective', 'tps', 'polynomial' or 'poly3'."""
+def points_needed(kind: str, order: int = 1) -> int:
+    """Number of points that determine a model: 'conformal', 'affine', 'projective', 'tps', 'polynomial' or 'poly3'."""
     match = re.fullmatch(r"poly(?:nomial)?([1-9])?", kind)
     if match:
         order = int(match[1] or order)
@@ -42,8 +42,8 @@ def needed(kind: str, order: int = 1) -> int:
 
 
 def few_points(control: ControlPoints, kind: str, order: int = 1) -> list[Advice]:
-    """Find fewer places than a fit needs ('few-points'), or none to check it by ('no-redundancy')."""
-    least, count = needed(kind, order), len(np.unique(control.colrow, axis=0))
+    """Findings on the number of points: too few for the model ('few-points'), or just enough ('no-redundancy')."""
+    least, count = points_needed(kind, order), len(np.unique(control.colrow, axis=0))
     name = f"{kind} of order {order}" if kind == "polynomial" else kind
     if count < least:
         what = f"{count} place{'s' * (count != 1)}, and a fit ({name}) needs {least}"
@@ -57,34 +57,34 @@ def few_points(control: ControlPoints, kind: str, order: int = 1) -> list[Advice
 
 
 def elongation(points: FloatArray) -> tuple[float, float]:
-    """Return the root mean square of points (N, 2) along their longest axis and across it, in their unit."""
+    """RMS extents of points (N, 2) along and across their principal axis, in their unit."""
     values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
     return float(values[0]), float(values[1])
 
 
 def collinear(control: ControlPoints, kind: str) -> list[Advice]:
-    """Find points on a line, in the image or on the ground; for a projective fit also all but one of them.
+    """Finding that points are collinear, in the image or on the ground; for 'projective' also all but one of them.
 
-    A conformal fit is determined by two points, so a line of them is no error there; it is said all the same.
+    A conformal transformation is determined by two points, so there it is a warning only.
     """
     count = len(control)
     if count < 3:
         return []
-    ground = plane(control)
+    ground = plane_coordinates(control)
     subsets = [np.arange(count)]
     if kind == "projective" and 4 <= count <= 50:
         subsets += [np.delete(subsets[0], i) for i in range(count)]
     for chosen in subsets:
         along, across = elongation(control.colrow[chosen])
         far, wide = elongation(ground[chosen])
-        if across >= LINE * along and wide >= LINE * far:
+        if across >= LINE_RATIO * along and wide >= LINE_RATIO * far:
             continue
-        names = named(control, chosen)
-        hopeless = across <= NOISE or across < 1e-3 * along or wide < 1e-3 * far
+        names = point_names(control, chosen)
+        hopeless = across <= LINE_NOISE or across < 1e-3 * along or wide < 1e-3 * far
         who = (
             "the points lie"
             if len(chosen) == count
-            else f"all points but {named(control, [_left(chosen, count)])[0]} lie"
+            else f"all points but {point_names(control, [_left(chosen, count)])[0]} lie"
         )
         what = f"{who} on a line{'' if hopeless else ', nearly'}: {across:.1f} px across, {along:.0f} px along (RMS)"
         if kind == "conformal":
@@ -100,17 +100,17 @@ def _left(chosen: np.ndarray[tuple[int], np.dtype[np.int64]], count: int) -> int
 
 
 def outside_image(control: ControlPoints, size: tuple[int, int]) -> list[Advice]:
-    """Find points beyond the edges, and what most of them being there looks like.
+    """Findings on points beyond the edges of the image, with the likely cause where most are.
 
-    Mirrored ground alone may be right, and so may a point beyond the edge; where both are mended by an exchange of
-    columns and rows, these are exchanged.
+    Mirrored ground alone may be right, and so may a point beyond the edge; where exchanging columns and rows corrects
+    both, they are taken as exchanged.
     """
     colrow = control.colrow
     limit = np.array(size, dtype=np.float64)
     out: BoolArray = np.any((colrow < 0) | (colrow > limit), axis=1)
     if not out.any():
         return []
-    names = named(control, out)
+    names = point_names(control, out)
     swapped, turned = colrow[:, ::-1], colrow * [1.0, -1.0]
     most = out.mean() >= 0.5
     if most and ((turned >= 0) & (turned <= limit)).all():
@@ -134,7 +134,7 @@ def _lie(some: int, count: int) -> str:
 
 
 def hull_area(points: FloatArray) -> float:
-    """Return the area of the convex hull of points (N, 2), in their unit squared (Andrew's monotone chain)."""
+    """Area of the convex hull of points (N, 2), in their unit squared (Andrew's monotone chain)."""
     order = np.unique(points, axis=0)
     if len(order) < 3:
         return 0.0
@@ -154,7 +154,7 @@ def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
 
 
 def coverage(control: ControlPoints, size: tuple[int, int]) -> list[Advice]:
-    """Find points all in one place ('clustered'), else corners without one and an image that lies mostly beyond."""
+    """Findings on coverage: points in one cluster, corners without a point, an image mostly outside their hull."""
     width, height = size
     points = np.clip(control.colrow, 0.0, size)
     share = hull_area(points) / (width * height)

@@ -15,7 +15,7 @@ SEVERITIES = ("error", "warning", "note")
 
 @dataclass(frozen=True)
 class Advice:
-    """A finding.
+    """Finding on control points: its code, severity, points and remedy.
 
     Attributes
     ----------
@@ -41,25 +41,25 @@ class Advice:
         return f"{self.severity} ({self.code}): {self.what}\n  hint: {self.hint}"
 
 
-def named(control: ControlPoints, which: AnyArray | Sequence[int]) -> tuple[str, ...]:
-    """Return names by mask or index."""
+def point_names(control: ControlPoints, which: AnyArray | Sequence[int]) -> tuple[str, ...]:
+    """Names of points by mask (N,) or by indices."""
     chosen = np.asarray(which)
     return tuple(control.names[i] for i in (np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen))
 
 
 def listed(names: Sequence[str], most: int = 6) -> str:
-    """Join names for a sentence, not too many."""
+    """Names joined for a sentence, at most `most` of them written out."""
     rest = len(names) - most
     return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def leave_out(names: Sequence[str]) -> str:
-    """How points are left out, as a hint says it: the parameter `without`, once for each."""
+    """Hint for leaving points out: the parameter `without`, once for each."""
     return " ".join(f"`without={name}`" for name in names)
 
 
-def plane(control: ControlPoints) -> FloatArray:
-    """Return ground (N, 2) from its mean, degrees of longitude as long as those of latitude; units of the CRS."""
+def plane_coordinates(control: ControlPoints) -> FloatArray:
+    """Ground coordinates (N, 2) about their mean, units of the CRS; longitudes are scaled by cos(latitude)."""
     xy: FloatArray = control.xy - control.xy.mean(axis=0)
     if control.crs.is_geographic:
         latitude = float(np.median(control.xy[:, 1]))

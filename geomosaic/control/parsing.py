@@ -1,4 +1,4 @@
-"""Parsing of control point files: lines, fields and numbers, and what every reader gives."""
+"""Parsing of control point files: lines, fields, numbers, and the result of every reader."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from geomosaic.types import PathLike
 
 @dataclass(frozen=True)
 class Reading:
-    """Control, and how the file was understood.
+    """Control points read from a file, with its format and notes.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class Reading:
     format : str
         'csv', 'qgis', 'odm', 'raster' or 'world'.
     notes : tuple of str
-        What was decided while reading, for the reader of the report.
+        Decisions made while reading, for the report.
     """
 
     control: ControlPoints
@@ -38,7 +38,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Measured:
-    """One point as it was read; z is NaN where the file has none."""
+    """Point as read from a file; z is NaN where the file has none."""
 
     name: str
     colrow: tuple[float, float]
@@ -50,7 +50,7 @@ class Measured:
 
 
 def control_of(points: Sequence[Measured], crs: CRS, path: str) -> ControlPoints:
-    """Join points to one value; heights are left off where no point has one.
+    """Control points from the points of a file; heights are dropped where no point has one.
 
     Raises
     ------
@@ -74,26 +74,26 @@ def control_of(points: Sequence[Measured], crs: CRS, path: str) -> ControlPoints
     )
 
 
-def ground_crs(said: str | CRS | None, given: str | CRS | None, where: str) -> CRS:
-    """Settle the CRS of the ground between what the file says and what the user gives.
+def ground_crs(declared: str | CRS | None, given: str | CRS | None, where: str) -> CRS:
+    """CRS of the ground coordinates, from the file or the user.
 
     Raises
     ------
     InputError
-        Neither says it, or they differ.
+        Neither names it, or they differ.
     """
-    stated = parse_crs(said, where) if said else None
-    wanted = parse_crs(given, "the CRS given for the control") if given else None
-    found = stated or wanted
+    of_file = parse_crs(declared, where) if declared else None
+    supplied = parse_crs(given, "the CRS given for the control") if given else None
+    found = of_file or supplied
     if found is None:
         raise InputError(
             "the file does not say which CRS its ground coordinates are in",
             where=where,
             hint="give it, for example EPSG:32633",
         )
-    if stated is not None and wanted is not None and not stated.equals(wanted, ignore_axis_order=True):
+    if of_file is not None and supplied is not None and not of_file.equals(supplied, ignore_axis_order=True):
         raise InputError(
-            f"the file says its ground coordinates are in '{stated.name}', and '{wanted.name}' is given",
+            f"the file says its ground coordinates are in '{of_file.name}', and '{supplied.name}' is given",
             where=where,
             hint="give none, or correct the file; control is transformed to the CRS of the output by itself",
         )
@@ -101,7 +101,7 @@ def ground_crs(said: str | CRS | None, given: str | CRS | None, where: str) -> C
 
 
 def choose_image(names: Sequence[str], image: str | None, path: str) -> set[str]:
-    """Return which of the names of a file's images mean `image`; the only one there is when none is given.
+    """Names in the file that mean `image`; that of the only image where none is given.
 
     Names match with their whole file name, else without extension; folders do not count.
 
@@ -149,14 +149,14 @@ _COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)(e[+-]?\d+)?", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Line:
-    """One line with its place; `fields` are its values without quotes and blanks around them."""
+    """Line of a text file; `fields` are its values without quotes and surrounding blanks."""
 
     origin: Origin
     fields: tuple[str, ...]
 
 
 def read_lines(path: PathLike) -> list[tuple[Origin, str]]:
-    """Read the lines of a UTF-8 text that are not blank.
+    """Lines of a UTF-8 text that are not blank.
 
     Raises
     ------
@@ -190,14 +190,14 @@ def read_lines(path: PathLike) -> list[tuple[Origin, str]]:
 
 
 def delimiter_of(header: str) -> str:
-    """Return the one among tab, semicolon and comma that the header has most of, else a blank."""
+    """Delimiter of a table: the most frequent of tab, semicolon and comma in its header, else a blank."""
     counts = [(header.count(mark), mark) for mark in ("\t", ";", ",")]
     most = max(counts, key=lambda pair: pair[0])
     return most[1] if most[0] else " "
 
 
 def split(line: str, delimiter: str) -> tuple[str, ...]:
-    """Split a line into fields; quotes hold a field together, and empty fields at the end are left off."""
+    """Fields of a line; quotes hold a field together, and empty fields at the end are dropped."""
     if delimiter == " ":
         fields = line.split()
     else:
@@ -208,7 +208,7 @@ def split(line: str, delimiter: str) -> tuple[str, ...]:
 
 
 def has_decimal_commas(fields: Iterable[tuple[Origin, str]]) -> bool:
-    """Say whether numbers are written with decimal commas.
+    """Whether numbers are written with decimal commas.
 
     Raises
     ------
@@ -232,7 +232,7 @@ def has_decimal_commas(fields: Iterable[tuple[Origin, str]]) -> bool:
 
 
 def number(text: str, column: str, origin: Origin, *, commas: bool = False) -> float:
-    """Read a finite number.
+    """Finite number from text.
 
     Raises
     ------

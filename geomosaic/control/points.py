@@ -18,7 +18,7 @@ ROLES = ("control", "check")
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a point was read.
+    """File and position in it from which a point was read.
 
     Attributes
     ----------
@@ -39,26 +39,26 @@ class Origin:
 
 @dataclass(frozen=True, eq=False)
 class ControlPoints:
-    """Control and check points of one image: places in the image and on the ground.
+    """Control and check points of one image, with image and ground coordinates.
 
     Attributes
     ----------
     names : tuple of str
-        One each, no two alike.
+        Unique names of the N points.
     colrow : array (N, 2)
         Pixels, corner-based: (0.5, 0.5) is the centre of the upper-left pixel.
     ground : array (N, 2) or (N, 3)
         x, y and, where heights are given, z (NaN where one is not known), in `crs`.
     crs : CRS
-        Of the ground.
+        CRS of the ground coordinates.
     sigma : array (N,)
         Standard deviation of the image coordinates, pixels.
     roles : tuple of str
         'control' takes part in fits, 'check' only judges them.
     enabled : bool array (N,)
-        Whether the point counts at all.
+        False for points that are neither control nor check.
     origins : tuple of Origin
-        Where each was read.
+        File and line of each point.
 
     Raises
     ------
@@ -201,11 +201,11 @@ class ControlPoints:
 
     @property
     def xy(self) -> FloatArray:
-        """Ground without heights, (N, 2)."""
+        """Ground coordinates without heights, (N, 2)."""
         return self.ground[:, :2]
 
     def select(self, which: BoolArray | Sequence[bool]) -> ControlPoints:
-        """Return the points for which `which` (N,) is true."""
+        """Points for which `which` (N,) is true."""
         kept = np.flatnonzero(np.asarray(which, dtype=np.bool_))
         return ControlPoints(
             tuple(self.names[i] for i in kept),
@@ -219,11 +219,11 @@ class ControlPoints:
         )
 
     def of_role(self, role: str) -> ControlPoints:
-        """Return the enabled points of a role, 'control' or 'check'."""
+        """Enabled points of a role, 'control' or 'check'."""
         return self.select(self.enabled & np.array([own == role for own in self.roles], dtype=np.bool_))
 
     def without(self, names: Sequence[str], where: str | None = None) -> ControlPoints:
-        """Return the same points with those of these names not enabled.
+        """Same points with those of these names disabled.
 
         Raises
         ------
@@ -239,7 +239,7 @@ class ControlPoints:
         return replace(self, enabled=self.enabled & ~np.isin(np.array(self.names), list(names)))
 
     def to_crs(self, crs: CRS) -> ControlPoints:
-        """Return the same points with the ground in another CRS.
+        """Same points with ground coordinates in another CRS.
 
         Heights take part where both CRS have them, else they pass through (`geo.transform.Transform`).
 

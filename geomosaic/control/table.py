@@ -9,7 +9,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.control.diagnostics import pixel_on_ground
-from geomosaic.control.findings import plane
+from geomosaic.control.findings import plane_coordinates
 from geomosaic.control.parsing import (
     Line,
     Measured,
@@ -158,7 +158,7 @@ def _ground_sigma(line: Line, text: str, commas: bool) -> float:
 
 def _with_ground_sigma(control: ControlPoints, spread: FloatArray) -> tuple[ControlPoints, list[str]]:
     """Add standard deviations on the ground (N,), metres, to those in the image: a fit weighs the two together."""
-    pixel = pixel_on_ground(control.colrow, plane(control)) * linear_unit(control.crs)
+    pixel = pixel_on_ground(control.colrow, plane_coordinates(control)) * linear_unit(control.crs)
     if pixel <= 0.0 or not spread.any():
         return control, []
     return (

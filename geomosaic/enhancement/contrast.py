@@ -149,7 +149,7 @@ def _table(counts: FloatArray, clip: float) -> FloatArray:
     return levels
 
 
-def toned(rgb: ByteArray, before: FloatArray, after: FloatArray) -> ByteArray:
+def with_luminance(rgb: ByteArray, before: FloatArray, after: FloatArray) -> ByteArray:
     """Colours with another luminance, the differences between their bands kept."""
     moved = rgb[..., :3] + (after - before)[..., None]
     return np.clip(np.floor(moved + 0.5), 0, 255).astype(np.uint8)
@@ -172,5 +172,5 @@ def sharpened(rgb: ByteArray, valid: ByteArray, radius: float, amount: float) ->
     light = luminance(rgb)
     weight = gaussian_filter(valid.astype(np.float64), radius, truncate=3.0, mode="nearest")
     blurred = gaussian_filter(light * valid, radius, truncate=3.0, mode="nearest") / np.maximum(weight, 1e-9)
-    made = toned(rgb, light, light + amount * (light - blurred))
+    made = with_luminance(rgb, light, light + amount * (light - blurred))
     return np.where(valid[..., None] > 0, made, rgb[..., :3])

@@ -10,7 +10,15 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.enhancement.contrast import Clahe, equalised, linear, luminance, percentile_limits, sharpened, toned
+from geomosaic.enhancement.contrast import (
+    Clahe,
+    equalised,
+    linear,
+    luminance,
+    percentile_limits,
+    sharpened,
+    with_luminance,
+)
 from geomosaic.enhancement.hillshade import hillshade, shaded
 from geomosaic.enhancement.options import EnhancePart
 from geomosaic.errors import HeightDatumError, InputError
@@ -146,7 +154,7 @@ def finishing(
         if clahe is not None:
             left, bottom, right, top = grid.bounds
             light = luminance(out)
-            made = toned(out, light, clahe(light, (top - y) / (top - bottom), (x - left) / (right - left)))
+            made = with_luminance(out, light, clahe(light, (top - y) / (top - bottom), (x - left) / (right - left)))
             out[..., :3] = np.where(valid[..., None] > 0, made, out[..., :3])
         if part.hillshade > 0 and dem is not None:
             step = ((area[2] - area[0]) / cols * metres, (area[3] - area[1]) / rows * metres)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.enhancement.contrast import Clahe, luminance, sharpened, toned
+from geomosaic.enhancement.contrast import Clahe, luminance, sharpened, with_luminance
 from geomosaic.enhancement.hillshade import hillshade as shade_of_slope
 from geomosaic.enhancement.hillshade import shaded
 from geomosaic.enhancement.options import EnhancePart
@@ -128,7 +128,7 @@ def enhance(
                     y = (wide.row + np.arange(wide.height) + 0.5) / grid.height
                     x = (wide.col + np.arange(wide.width) + 0.5) / grid.width
                     light = luminance(rgb)
-                    rgb = toned(rgb, light, local(light, y, x))
+                    rgb = with_luminance(rgb, light, local(light, y, x))
                 if light_of is not None:
                     rgb = shaded(rgb, light_of(wide), float(np.sin(np.radians(look.altitude))), SHADE)
                 if sharpen:

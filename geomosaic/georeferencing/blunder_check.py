@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.control.distribution import needed
+from geomosaic.control.distribution import points_needed
 from geomosaic.control.findings import listed
 from geomosaic.control.points import ControlPoints
 from geomosaic.estimation.blunders.hypotheses import FEWEST, MOST, Hypotheses, weigh_hypotheses
@@ -85,7 +85,7 @@ def check_blunders(points: ControlPoints, model: str) -> BlunderCheck | None:
         return None
     if count <= MOST:
         return _check_by_hypotheses(weigh_hypotheses(points.names, points.xy, points.colrow, points.sigma))
-    if model in ("auto", "tps") or (model.startswith("poly") and count < REDUNDANT * needed(model)):
+    if model in ("auto", "tps") or (model.startswith("poly") and count < REDUNDANT * points_needed(model)):
         return _check_by_neighbours(search_neighbours(points.names, points.xy, points.colrow))
     return None
 

@@ -8,8 +8,8 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.accuracy.check_points import check_advice
-from geomosaic.control.coordinate_diagnostics import has_places
-from geomosaic.control.diagnostics import advise
+from geomosaic.control.coordinate_diagnostics import has_valid_positions
+from geomosaic.control.diagnostics import diagnose
 from geomosaic.control.findings import SEVERITIES, Advice
 from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ControlPoints
@@ -214,7 +214,7 @@ def check_control(
         The advice has errors, and the user does not insist.
     """
     advice = _control_advice(control, "conformal" if request.model == "auto" else request.model, size, near)
-    possible = has_places(control.select(control.enabled))
+    possible = has_valid_positions(control.select(control.enabled))
     stop_on_errors(advice, control.origins[0].path, insist=request.insist, possible=possible)
     return advice
 
@@ -226,7 +226,7 @@ def _control_advice(
     control: ControlPoints, name: str, size: tuple[int, int], near: tuple[float, float] | None
 ) -> tuple[Advice, ...]:
     kind, order = kind_order(name)
-    return advise(control, kind=kind, order=order, size=size, near=near)
+    return diagnose(control, kind=kind, order=order, size=size, near=near)
 
 
 def _blunder_names(advice: tuple[Advice, ...]) -> list[str]:

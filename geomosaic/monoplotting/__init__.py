@@ -6,12 +6,12 @@ from geomosaic.monoplotting.drape import View
 from geomosaic.monoplotting.error_ellipse import Ellipses, ellipses
 from geomosaic.monoplotting.line_drawing import Drawing, draw
 from geomosaic.monoplotting.places import Places, ground_crs, locate
-from geomosaic.monoplotting.uncertainty import Certainty, orientation
+from geomosaic.monoplotting.uncertainty import InputUncertainty, orientation
 
 __all__ = [
-    "Certainty",
     "Drawing",
     "Ellipses",
+    "InputUncertainty",
     "Places",
     "View",
     "draw",

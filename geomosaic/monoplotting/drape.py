@@ -1,4 +1,4 @@
-"""A map seen through a photo: places draped on the surface, where they fall in the image, and which are hidden."""
+"""Map points draped on the surface and projected into a photo, with occlusion."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray
 
 TOLERANCE = 0.05
-"""Pixels' widths on the ground by which ground must be nearer to hide a place."""
-UNSEEN, HIDDEN, SEEN = 0, 1, 2
-"""What becomes of a place: the model cannot show it or its height is unknown; ground stands before it; it is shown."""
+"""Ground pixels by which the surface must be in front of a point to occlude it: below lies the solver's noise."""
+NO_IMAGE, OCCLUDED, VISIBLE = 0, 1, 2
+"""States of a point: no image or no height; occluded by the surface; visible."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A photo over a map.
+    """Projection of map points into one photo over a surface.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class View:
 
     @classmethod
     def of(cls, model: SensorModel, surface: Surface | None, crs: CRS) -> View:
-        """Measure what one pixel covers."""
+        """View whose sampling is measured in the middle of the image."""
         flat = horizontal(crs)
         own = model.crs if surface is None else surface.crs
         middle = np.array([[model.size[0] / 2.0, model.size[1] / 2.0]])
@@ -66,14 +66,14 @@ class View:
         return cls(model, surface, flat, step, _spacing(surface, flat, seen[0, :2]))
 
     def ground(self, xy: FloatArray) -> FloatArray:
-        """Places (N, 2) of the map draped on the surface: (N, 3) in its CRS (the model's where there is none)."""
+        """Map points (N, 2) draped on the surface: (N, 3) in its CRS, or in the model's without a surface."""
         own = self.model.crs if self.surface is None else self.surface.crs
         place = Transform(self.crs, horizontal(own))(np.asarray(xy, dtype=np.float64))
         heights = np.zeros(len(place)) if self.surface is None else self.surface.height(place)
         return np.column_stack([place, heights])
 
     def image(self, ground: FloatArray) -> FloatArray:
-        """Image coordinates (N, 2) of draped places (N, 3); NaN where there are none."""
+        """Image coordinates (N, 2) of draped points (N, 3), pixels; NaN where there are none."""
         if self.surface is None:
             return self.model.ground_to_image(ground)
         if has_heights(self.model.crs):
@@ -82,23 +82,23 @@ class View:
         return self.model.ground_to_image(np.column_stack([flat, np.zeros(len(flat))]))
 
     def look(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Image coordinates (N, 2) of places (N, 2) of the map, and what becomes of each (N,).
+        """Image coordinates (N, 2) of map points (N, 2), pixels, and the state (N,) of each.
 
-        A place is hidden where its line of sight meets the surface before it, by more than `TOLERANCE`.
-        Places outside the frame are not examined: they count as seen.
+        A point is occluded where its line of sight meets the surface before it, by more than `TOLERANCE`.
+        Points outside the frame are not examined: they count as visible.
         """
         ground = self.ground(xy)
         image = self.image(ground)
-        state = np.where(np.isfinite(image).all(axis=1), SEEN, UNSEEN)
+        state = np.where(np.isfinite(image).all(axis=1), VISIBLE, NO_IMAGE)
         if self.surface is None or not has_heights(self.model.crs):
             return image, state
-        inside = np.flatnonzero((state == SEEN) & self.within(np.nan_to_num(image, nan=-1e9), 2.0))
+        inside = np.flatnonzero((state == VISIBLE) & self.within(np.nan_to_num(image, nan=-1e9), 2.0))
         if len(inside):
-            state[inside[self._hidden(ground[inside], image[inside])]] = HIDDEN
+            state[inside[self._hidden(ground[inside], image[inside])]] = OCCLUDED
         return image, state
 
     def within(self, image: FloatArray, margin: float = 0.0) -> BoolArray:
-        """Which image points (N, 2) lie in the frame, grown by a margin in pixels."""
+        """Mask (N,) of image points (N, 2) within the frame, enlarged by a margin in pixels."""
         near = (image >= -margin) & (image <= np.array(self.model.size) + margin)
         inside: BoolArray = np.asarray(near.all(axis=1))
         return inside
@@ -113,7 +113,7 @@ class View:
 
 
 def _spacing(surface: Surface | None, crs: CRS, place: FloatArray) -> float:
-    """Distance of a surface's nodes in units of a map; a surface that does not tell is asked for a patch at a place."""
+    """Node spacing of a surface in map units; if it has no attribute `spacing`, that of a patch at `place`."""
     if surface is None or surface.range[0] == surface.range[1]:
         return np.inf
     known = getattr(surface, "spacing", None)

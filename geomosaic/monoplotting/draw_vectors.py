@@ -1,4 +1,4 @@
-"""Vectors of the map drawn into the pixels of one image, from plain declarations."""
+"""Map vectors drawn into the pixel coordinates of one photo, from files to files."""
 
 from __future__ import annotations
 
@@ -20,13 +20,16 @@ from geomosaic.monoplotting.tables import axes_of, check_name, write_csv, write_
 from geomosaic.raster.vector import read_layer
 from geomosaic.types import FloatArray
 
-_AROUND = 0.25
-"""Of the photo's footprint, that vectors are taken beyond it."""
+_MARGIN = 0.25
+"""Margin around the photo's footprint within which vectors are read, as a share of its larger side.
+
+The footprint is computed at few points, and lines that leave it may come back.
+"""
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """What was drawn: features read, features of which something is drawn, pieces, and pieces that are hidden."""
+class DrawnVectors:
+    """Counts of features read, features drawn in part or whole, pieces, and occluded pieces."""
 
     features: int
     drawn: int
@@ -34,8 +37,8 @@ class Drawn:
     hidden: int
 
 
-def draw_vectors(inputs: MonoplotInputs) -> Drawn:
-    """Draw vectors of the map into the pixels of a photo, and write them.
+def draw_vectors(inputs: MonoplotInputs) -> DrawnVectors:
+    """Map vectors in pixel coordinates of a photo, written to a file.
 
     Raises
     ------
@@ -55,7 +58,7 @@ def draw_vectors(inputs: MonoplotInputs) -> Drawn:
     scene, _, _ = oriented(inputs, block, scene)
     view = View.of(scene.model, block.surface, flat)
     left, bottom, right, top = footprint(scene, block.surface, flat).bounds
-    margin = _AROUND * max(right - left, top - bottom)
+    margin = _MARGIN * max(right - left, top - bottom)
     bounds = left - margin, bottom - margin, right + margin, top + margin
     made = draw(view, list(frame.geometry.values), bounds, hidden=inputs.hidden)
     if len(frame) and not made.geometries:
@@ -78,7 +81,7 @@ def draw_vectors(inputs: MonoplotInputs) -> Drawn:
         if inputs.hidden:
             out["hidden"] = np.array(made.hidden, dtype=bool)
         write_frame(inputs.output, out, inputs.layer or "drawn", overwrite=inputs.overwrite)
-    return Drawn(len(frame), len(set(made.feature)), len(made.geometries), sum(made.hidden))
+    return DrawnVectors(len(frame), len(set(made.feature)), len(made.geometries), sum(made.hidden))
 
 
 def _write_drawn_table(

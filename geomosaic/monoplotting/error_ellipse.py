@@ -1,4 +1,4 @@
-"""The error of a place found in one image: an ellipse on the map and the deviation of its height.
+"""Error ellipse and height error of a point found by monoplotting.
 
 A line of sight f(X, p) = l meets a surface z = h(x, y) + e. Small changes keep both equations,
 
@@ -20,7 +20,7 @@ from pyproj import CRS
 from geomosaic.geo.crs import has_heights, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
-from geomosaic.monoplotting.uncertainty import Certainty
+from geomosaic.monoplotting.uncertainty import InputUncertainty
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve import jacobian
 from geomosaic.sensor.solve.derivatives import pixel_step
@@ -30,12 +30,12 @@ from geomosaic.types import FloatArray
 
 @dataclass(frozen=True)
 class Ellipses:
-    """Errors of N places, one standard deviation.
+    """Covariances of N monoplotted points; figures are one standard deviation.
 
     Attributes
     ----------
     covariance : array (N, 3, 3)
-        Of x, y, z in square metres: along the map's axes, or east, north and up where the map is in degrees.
+        Covariance of x, y, z in square metres: along the map's axes, or east, north and up where the map is in degrees.
     """
 
     covariance: FloatArray
@@ -64,9 +64,9 @@ class Ellipses:
 
 
 def ellipses(
-    model: SensorModel, surface: Surface | None, crs: CRS, ground: FloatArray, certainty: Certainty
+    model: SensorModel, surface: Surface | None, crs: CRS, ground: FloatArray, uncertainty: InputUncertainty
 ) -> Ellipses:
-    """Errors of places.
+    """Error ellipses of points by propagation of the inputs' covariances.
 
     Parameters
     ----------
@@ -76,9 +76,9 @@ def ellipses(
     crs : CRS
         Of `ground`: 3-D, or 2-D where heights play no part.
     ground : array (N, 3)
-        On the surface; rows that are NaN stay NaN.
-    certainty : Certainty
-        What is not known in it takes no part.
+        Points on the surface; rows that are NaN stay NaN.
+    uncertainty : InputUncertainty
+        Standard deviations of the inputs; unknown ones contribute nothing.
     """
     to_model = Transform(crs, model.crs) if has_heights(model.crs) else Transform(horizontal(crs), model.crs)
     metres = metres_per_unit(crs, ground)
@@ -105,15 +105,15 @@ def ellipses(
         inverse = (adjugate / determinant[:, None]).reshape(-1, 2, 2)
     to_space = np.concatenate([inverse, hill[:, None, :] @ inverse], axis=1)  # (N, 3, 2): pixels to metres
     total = np.zeros((len(places), 3, 3))
-    if certainty.pixel is not None:
-        total += certainty.pixel**2 * to_space @ to_space.transpose(0, 2, 1)
-    if certainty.orientation is not None:
+    if uncertainty.pixel is not None:
+        total += uncertainty.pixel**2 * to_space @ to_space.transpose(0, 2, 1)
+    if uncertainty.orientation is not None:
         by_parameters = to_space @ jacobian(model, _through(to_model, places))[0]
-        total += by_parameters @ certainty.orientation @ by_parameters.transpose(0, 2, 1)
-    if certainty.height is not None and surface is not None:
+        total += by_parameters @ uncertainty.orientation @ by_parameters.transpose(0, 2, 1)
+    if uncertainty.height is not None and surface is not None:
         lifted = -to_space @ by_ground[:, :, 2:]
         lifted[:, 2, 0] += 1.0
-        total += certainty.height**2 * lifted @ lifted.transpose(0, 2, 1)
+        total += uncertainty.height**2 * lifted @ lifted.transpose(0, 2, 1)
     covariance[good] = total
     return Ellipses(covariance)
 

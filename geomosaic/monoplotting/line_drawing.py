@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.monoplotting.drape import HIDDEN, SEEN, UNSEEN, View
+from geomosaic.monoplotting.drape import NO_IMAGE, OCCLUDED, VISIBLE, View
 from geomosaic.types import FloatArray, IntArray
 
 STEP = 8.0
@@ -103,18 +103,18 @@ def _drawn(view: View, parts: Sequence[Any]) -> Iterator[list[tuple[Any, bool]]]
         lines = [next(traced) for _ in own]
         if part.geom_type == "Point":
             (image, what), *_ = lines[0]
-            shown = what != UNSEEN and view.within(image[:1])[0]
-            yield [(shapely.Point(image[0]), what == HIDDEN)] if shown else []
-        elif part.geom_type == "Polygon" and all(len(line) == 1 and line[0][1] == SEEN for line in lines):
+            shown = what != NO_IMAGE and view.within(image[:1])[0]
+            yield [(shapely.Point(image[0]), what == OCCLUDED)] if shown else []
+        elif part.geom_type == "Polygon" and all(len(line) == 1 and line[0][1] == VISIBLE for line in lines):
             (outer, *holes) = [line[0][0] for line in lines]
             area = shapely.make_valid(shapely.Polygon(outer, holes)).intersection(frame)
             yield [(_simple(piece), False) for piece in _parts(area) if piece.geom_type == "Polygon"]
         else:
             yield [
-                (_simple(piece), what == HIDDEN)
+                (_simple(piece), what == OCCLUDED)
                 for line in lines
                 for image, what in line
-                if what != UNSEEN and len(image) > 1
+                if what != NO_IMAGE and len(image) > 1
                 for piece in _parts(shapely.LineString(image).intersection(frame))
                 if piece.geom_type == "LineString"
             ]
@@ -148,8 +148,8 @@ def trace_all(view: View, lines: Sequence[FloatArray]) -> list[list[tuple[FloatA
     Returns
     -------
     list of list of (array (M, 2), int)
-        For each line its pieces in image coordinates, each wholly seen, hidden or unseen (`SEEN`, `HIDDEN`, `UNSEEN`),
-        in order. Ends between them are found to 1e-6 of the distance of the places looked at.
+        For each line its pieces in image coordinates, each of one state (`VISIBLE`, `OCCLUDED`, `NO_IMAGE`), in order.
+        Ends between them are found to 1e-6 of the distance of the places looked at.
     """
     if not lines:
         return []
@@ -175,7 +175,7 @@ def trace_all(view: View, lines: Sequence[FloatArray]) -> list[list[tuple[FloatA
         ends = [[behind[start]] if start in behind else [], [ahead[stop - 1]] if stop - 1 in ahead else []]
         whole = np.array([*ends[0], *image[start:stop], *ends[1]])
         what = int(state[start])
-        out[line[start]].append((whole if what == UNSEEN else whole[np.isfinite(whole).all(axis=1)], what))
+        out[line[start]].append((whole if what == NO_IMAGE else whole[np.isfinite(whole).all(axis=1)], what))
     return out
 
 

@@ -12,7 +12,7 @@ from geomosaic.errors import HeightDatumError
 from geomosaic.geo.crs import has_heights, horizontal, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.monoplotting.error_ellipse import Ellipses, ellipses
-from geomosaic.monoplotting.uncertainty import Certainty
+from geomosaic.monoplotting.uncertainty import InputUncertainty
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve import image_to_ground
 from geomosaic.surface.model import Surface
@@ -46,7 +46,9 @@ class Places:
         return np.asarray(np.isfinite(self.xyz).all(axis=1), dtype=np.bool_)
 
 
-def locate(model: SensorModel, surface: Surface | None, colrow: FloatArray, crs: CRS, certainty: Certainty) -> Places:
+def locate(
+    model: SensorModel, surface: Surface | None, colrow: FloatArray, crs: CRS, uncertainty: InputUncertainty
+) -> Places:
     """Find the places that image points show.
 
     Parameters
@@ -58,7 +60,7 @@ def locate(model: SensorModel, surface: Surface | None, colrow: FloatArray, crs:
         Pixels; (0.5, 0.5) is the centre of the upper-left one.
     crs : CRS
         Of the result, see `ground_crs`.
-    certainty : Certainty
+    uncertainty : InputUncertainty
     """
     image = np.asarray(colrow, dtype=np.float64).reshape(-1, 2)
     ground = image_to_ground(model, image, surface)
@@ -68,8 +70,8 @@ def locate(model: SensorModel, surface: Surface | None, colrow: FloatArray, crs:
     else:
         xyz = np.column_stack([Transform(horizontal(own), horizontal(crs))(ground[:, :2]), ground[:, 2]])
     xyz[~np.isfinite(xyz).all(axis=1)] = np.nan
-    found = ellipses(model, surface, crs, xyz, certainty)
-    if not certainty.known:
+    found = ellipses(model, surface, crs, xyz, uncertainty)
+    if not uncertainty.known:
         found = Ellipses(np.full((len(xyz), 3, 3), np.nan))
     return Places(crs, image, xyz, found)
 

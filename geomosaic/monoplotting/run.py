@@ -18,15 +18,15 @@ from geomosaic.inputs.build import build_block
 from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.orientation_check.plausibility import FAR, median_distance
-from geomosaic.monoplotting import Certainty, Places, ground_crs, locate, orientation
+from geomosaic.monoplotting import InputUncertainty, Places, ground_crs, locate, orientation
 from geomosaic.monoplotting.tables import (
     axes_of,
-    beyond,
     check_name,
     is_digitized,
-    need_inside,
+    outside_image,
     read_digitized,
     read_pixels,
+    require_inside,
     write_csv,
     write_frame,
 )
@@ -103,7 +103,7 @@ class Located:
         Features written; 0 for points.
     lost : int
         Points, or features, of which something sees no known ground.
-    certainty : Certainty
+    uncertainty : InputUncertainty
     outside : tuple of int
         Those of the lost, counted from 0, that lie outside of the image.
     """
@@ -112,7 +112,7 @@ class Located:
     names: tuple[str, ...]
     features: int
     lost: int
-    certainty: Certainty
+    uncertainty: InputUncertainty
     outside: tuple[int, ...] = ()
 
     def rows(self) -> list[list[Any]]:
@@ -139,23 +139,23 @@ def locate_pixels(inputs: MonoplotInputs) -> Located:
     size = scene.model.size
     crs = ground_crs(scene.model, block.surface, parse_crs(inputs.crs) if inputs.crs else None, inputs.heights)
     scene, covariance, note = oriented(inputs, block, scene)
-    certainty = Certainty(inputs.sigma_px, inputs.sigma_dem, covariance, (note,))
+    uncertainty = InputUncertainty(inputs.sigma_px, inputs.sigma_dem, covariance, (note,))
     axes = axes_of(inputs.rows, inputs.first, size, inputs.source)
     if inputs.source is not None and is_digitized(inputs.source):
         frame = read_digitized(inputs.source, inputs.layer, axes, size)
-        return _located_vectors(inputs, block, scene, crs, certainty, frame)
+        return _located_vectors(inputs, block, scene, crs, uncertainty, frame)
     if inputs.source is not None:
         points = read_pixels(inputs.source, axes, size)
         names, colrow = points.names, points.colrow
     elif inputs.pixels is not None:
         colrow = axes.colrow(inputs.pixels)
-        need_inside(colrow, size, "`pixels`")
+        require_inside(colrow, size, "`pixels`")
         names = tuple(str(number) for number in range(1, len(colrow) + 1))
     else:
         raise InputError("no pixel is given", hint="give `pixels`, or a table or vectors of pixels")
-    places = _located(scene.model, block.surface, colrow, crs, certainty)
-    outside = tuple(np.flatnonzero(beyond(colrow, size)).tolist())
-    found = Located(places, names, 0, int((~places.seen).sum()), certainty, outside)
+    places = _located(scene.model, block.surface, colrow, crs, uncertainty)
+    outside = tuple(np.flatnonzero(outside_image(colrow, size)).tolist())
+    found = Located(places, names, 0, int((~places.seen).sum()), uncertainty, outside)
     if inputs.output is not None:
         _write_points(inputs.output, found, overwrite=inputs.overwrite)
     return found
@@ -220,7 +220,7 @@ def _located_vectors(
     block: OrientedBlock,
     scene: OrientedImage,
     crs: CRS,
-    certainty: Certainty,
+    uncertainty: InputUncertainty,
     frame: GeoDataFrame,
 ) -> Located:
     """Bring digitized vectors to the ground; the error of a feature is that of its worst vertex."""
@@ -232,7 +232,7 @@ def _located_vectors(
     if inputs.step is not None:
         shapes = shapely.segmentize(shapes, inputs.step)
     colrow, owner = shapely.get_coordinates(shapes, return_index=True)
-    places = _located(scene.model, block.surface, colrow, crs, certainty)
+    places = _located(scene.model, block.surface, colrow, crs, uncertainty)
     whole = np.ones(len(shapes), dtype=bool)
     whole[owner[~places.seen]] = False
     if inputs.output.suffix.lower() == ".csv":
@@ -252,14 +252,16 @@ def _located_vectors(
             out[name] = worst[:, k]
         out["heights"] = height_name(crs)
         write_frame(inputs.output, out, inputs.layer or "places", overwrite=inputs.overwrite)
-    outside = tuple(np.unique(owner[beyond(colrow, scene.model.size)]).tolist())
-    return Located(places, (), int(whole.sum()), int((~whole).sum()), certainty, outside)
+    outside = tuple(np.unique(owner[outside_image(colrow, scene.model.size)]).tolist())
+    return Located(places, (), int(whole.sum()), int((~whole).sum()), uncertainty, outside)
 
 
-def _located(model: SensorModel, surface: Surface | None, colrow: FloatArray, crs: CRS, certainty: Certainty) -> Places:
+def _located(
+    model: SensorModel, surface: Surface | None, colrow: FloatArray, crs: CRS, uncertainty: InputUncertainty
+) -> Places:
     """Places of image points; none for those outside of the image."""
-    seen = np.where(beyond(colrow, model.size)[:, None], np.nan, colrow)
-    return replace(locate(model, surface, seen, crs, certainty), colrow=colrow)
+    seen = np.where(outside_image(colrow, model.size)[:, None], np.nan, colrow)
+    return replace(locate(model, surface, seen, crs, uncertainty), colrow=colrow)
 
 
 def _worst(error: FloatArray, owner: FloatArray, count: int) -> FloatArray:

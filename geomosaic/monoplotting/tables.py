@@ -1,4 +1,4 @@
-"""Tables and vector files of monoplotting: measured pixels in, places and drawings out."""
+"""Tables and vector files of monoplotting: measured pixels in, ground points and drawings out."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SUFFIXES = (*DRIVERS, ".csv")
 
 
 def check_name(path: Path, *, overwrite: bool) -> None:
-    """Refuse a name that cannot be written, before any work.
+    """Check, before any work, that an output has a known suffix and may be written.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def check_name(path: Path, *, overwrite: bool) -> None:
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]], *, overwrite: bool) -> None:
-    """Write a table; numbers in full precision, what is unknown is empty."""
+    """CSV table in full precision; unknown values are empty."""
     check_output(path, overwrite=overwrite)
     with under_construction(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -57,7 +57,7 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]],
 
 
 def _writable(crs: CRS) -> bool:
-    """Whether a file can hold a 3-D CRS whole: not ellipsoidal heights of a map, and no geoid of someone's own.
+    """Whether files can hold a 3-D CRS whole: no ellipsoidal heights of a projected CRS, no geoid from a file.
 
     GeoJSON names a CRS by its code only, which joined ones have not. A column says what heights count from then.
     """
@@ -91,21 +91,21 @@ def write_frame(path: Path, frame: GeoDataFrame, layer: str, *, overwrite: bool)
         append_layer(unfinished, frame, layer, driver)
 
 
-HAIR = 1.0
-"""Pixels beyond the border that still count as in the image: its edge, drawn by hand."""
-SAY_ROWS = "`rows=down` (rows count down from the top), negative (the same with a minus, as QGIS shows it) or up"
+BORDER = 1.0
+"""Pixels beyond the border that still count as inside: the edge of an image, digitized by hand."""
+ROWS_HINT = "`rows=down` (rows count down from the top), negative (the same with a minus, as QGIS shows it) or up"
 
 
 @dataclass(frozen=True)
 class PixelPoints:
-    """Named image points: (col, row) (N, 2)."""
+    """Names and image coordinates (N, 2), pixels."""
 
     names: tuple[str, ...]
     colrow: FloatArray
 
 
 def read_pixels(path: Path, axes: PixelAxes, size: tuple[int, int]) -> PixelPoints:
-    """Read a table with the columns col, row and optionally id.
+    """Image points from a table with the columns col, row and optionally id.
 
     Raises
     ------
@@ -119,12 +119,12 @@ def read_pixels(path: Path, axes: PixelAxes, size: tuple[int, int]) -> PixelPoin
         names.append(row.values.get("id", "").strip() or str(number))
         places.append((row.number("col"), row.number("row")))
     colrow = axes.colrow(np.array(places))
-    need_inside(colrow, size, str(path))
+    require_inside(colrow, size, str(path))
     return PixelPoints(tuple(names), colrow)
 
 
 def read_digitized(path: Path, layer: str | None, axes: PixelAxes, size: tuple[int, int]) -> GeoDataFrame:
-    """Read vectors digitized on the raw photo; their coordinates become (col, row). A CRS they may have means nothing.
+    """Vectors digitized on the raw photo, in (col, row); a CRS in their file is ignored.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def read_digitized(path: Path, layer: str | None, axes: PixelAxes, size: tuple[i
     if not len(frame):
         raise InputError("the layer has no features", where=str(path))
     pixels = shapely.transform(shapely.force_2d(np.asarray(frame.geometry.values)), axes.colrow)
-    need_inside(shapely.get_coordinates(pixels), size, str(path))
+    require_inside(shapely.get_coordinates(pixels), size, str(path))
     return frame.set_geometry(pixels).set_crs(None, allow_override=True)
 
 
@@ -147,33 +147,33 @@ def is_digitized(path: Path) -> bool:
     return path.suffix.lower() in READ
 
 
-def beyond(colrow: FloatArray, size: tuple[int, int]) -> BoolArray:
-    """Which image points (N, 2) lie outside of the image: a model goes on there, but nobody has seen them."""
-    inside = ((colrow >= -HAIR) & (colrow <= np.array(size) + HAIR)).all(axis=1)
+def outside_image(colrow: FloatArray, size: tuple[int, int]) -> BoolArray:
+    """Mask (N,) of image points (N, 2) outside the image, where the model would only extrapolate."""
+    inside = ((colrow >= -BORDER) & (colrow <= np.array(size) + BORDER)).all(axis=1)
     return np.logical_not(np.atleast_1d(inside))
 
 
-def need_inside(colrow: FloatArray, size: tuple[int, int], where: str) -> None:
-    """Refuse coordinates of which not one lies in the image, and say how they may be meant."""
-    if not beyond(colrow, size).all():
+def require_inside(colrow: FloatArray, size: tuple[int, int], where: str) -> None:
+    """Check that any point lies in the image; the error proposes another count of rows that fits."""
+    if not outside_image(colrow, size).all():
         return
     (left, top), (right, bottom) = np.min(colrow, axis=0), np.max(colrow, axis=0)
     fits = [
         rows
         for rows, low, high in (("negative", -bottom, -top), ("up", size[1] - bottom, size[1] - top))
-        if low >= -HAIR and high <= size[1] + HAIR and left >= -HAIR and right <= size[0] + HAIR
+        if low >= -BORDER and high <= size[1] + BORDER and left >= -BORDER and right <= size[0] + BORDER
     ]
     hint = f"`rows={fits[0]}` would bring them into it; " if fits else ""
     raise InputError(
         f"columns {left:.6g} to {right:.6g} and rows {top:.6g} to {bottom:.6g} are no pixels of this image of "
         f"{size[0]} x {size[1]}",
         where=where,
-        hint=f"{hint}say how rows are counted: {SAY_ROWS}; places on the map are drawn with `inverse`",
+        hint=f"{hint}say how rows are counted: {ROWS_HINT}; places on the map are drawn with `inverse`",
     )
 
 
 def axes_of(rows: str | None, first: float, size: tuple[int, int], path: Path | None) -> PixelAxes:
-    """How a file counts pixels; vectors must say it, tables of columns and rows count down unless they say otherwise.
+    """Pixel axes of a file: declared for vectors, rows downwards by default for tables.
 
     Raises
     ------
@@ -182,8 +182,8 @@ def axes_of(rows: str | None, first: float, size: tuple[int, int], path: Path | 
     """
     if rows is None and path is not None and is_digitized(path):
         raise InputError(
-            "nothing says how the pixel coordinates of these vectors count rows", where=str(path), hint=SAY_ROWS
+            "nothing says how the pixel coordinates of these vectors count rows", where=str(path), hint=ROWS_HINT
         )
     if rows is not None and rows not in ROWS:
-        raise InputError(f"rows are counted '{rows}'", hint=SAY_ROWS)
+        raise InputError(f"rows are counted '{rows}'", hint=ROWS_HINT)
     return PixelAxes(size[1], rows or "down", first)

@@ -1,4 +1,4 @@
-"""How well the inputs of a place are known: the measurement, the orientation of the image, the DEM."""
+"""Uncertainty of the inputs of monoplotting: image measurement, orientation, DEM."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve import resect
 from geomosaic.types import BoolArray, FloatArray
 
-_CUT = 3.5
+_REJECTION = 3.5
 _ROUNDS = 10
 
 
 @dataclass(frozen=True)
-class Certainty:
-    """Standard deviations of what a place follows from.
+class InputUncertainty:
+    """Standard deviations and covariance of the inputs of monoplotting.
 
     Attributes
     ----------
     pixel : float or None
-        Of a measured image coordinate, pixels; None where nobody says it.
+        Standard deviation of a measured image coordinate, pixels; None if unknown.
     height : float or None
-        Of the heights of the surface, metres.
+        Standard deviation of the heights of the surface, metres.
     orientation : array (P, P) or None
         Covariance of the sensor's parameters in their units.
     notes : tuple of str
-        Where the orientation's comes from, or why there is none.
+        Source of the orientation's covariance, or why there is none.
     """
 
     pixel: float | None = None
@@ -42,7 +42,7 @@ class Certainty:
 
     @property
     def known(self) -> tuple[str, ...]:
-        """What the error of a place is made of."""
+        """Names of the inputs that contribute to the error ellipse."""
         parts = {"measurement": self.pixel, "orientation": self.orientation, "surface": self.height}
         return tuple(name for name, value in parts.items() if value is not None)
 
@@ -53,9 +53,9 @@ def orientation(
     control: Sequence[ControlPoint] = (),
     crs: CRS | None = None,
 ) -> tuple[SensorModel, FloatArray | None, str]:
-    """Covariance of a sensor's parameters, and where it comes from.
+    """Covariance of a sensor's parameters, and its source.
 
-    The first of these that there is: standard deviations given by the user; the adjustment of the model to its control
+    The first available of: standard deviations given by the user; the adjustment of the model to its control
     points; standard deviations the sensor comes with.
 
     Parameters
@@ -73,7 +73,7 @@ def orientation(
     model : SensorModel
         Adjusted to the control points, where there are any.
     covariance : array (P, P) or None
-        None where nothing says how well a parameter is known.
+        None where the standard deviation of any parameter is unknown.
     note : str
 
     Raises
@@ -121,19 +121,19 @@ def orientation(
 
 
 def _adjusted(model: SensorModel, control: Sequence[ControlPoint], crs: CRS) -> tuple[SensorModel, FloatArray, str]:
-    """Adjust the parameters to control points; those that contradict the others do not count."""
+    """Model adjusted to control points, its covariance and a note; outliers are left out."""
     ground = Transform(crs, model.crs)(np.array([point.xyz for point in control], dtype=np.float64))
     image = np.array([point.colrow for point in control], dtype=np.float64)
     sigmas = np.array([point.sigma_px for point in control])
-    used, solved = _agreeing(model, ground, image, sigmas), None
+    used, solved = _inliers(model, ground, image, sigmas), None
     for _ in range(_ROUNDS):
         solved = resect(model, ground[used], image[used], sigmas[used])
-        again = _agreeing(solved.model, ground, image, sigmas)
+        again = _inliers(solved.model, ground, image, sigmas)
         if (again == used).all():
             break
         used = again
     assert solved is not None
-    # Where the residuals are larger than the sigmas say, they are believed; smaller ones may be luck.
+    # Residuals larger than the sigmas allow enlarge the covariance; smaller ones may be chance, and do not reduce it.
     scale = max(1.0, solved.sigma0) if np.isfinite(solved.sigma0) else 1.0
     count = int(np.isfinite(solved.residuals).all(axis=1).sum())
     left = f", {len(control) - count} left out" if count < len(control) else ""
@@ -141,13 +141,13 @@ def _adjusted(model: SensorModel, control: Sequence[ControlPoint], crs: CRS) -> 
     return solved.model, solved.covariance * scale**2, note
 
 
-def _agreeing(model: SensorModel, ground: FloatArray, image: FloatArray, sigmas: FloatArray) -> BoolArray:
-    """Points within 3.5 times the scatter of most, and those within 3.5 sigmas in any case."""
+def _inliers(model: SensorModel, ground: FloatArray, image: FloatArray, sigmas: FloatArray) -> BoolArray:
+    """Inliers: residuals within 3.5 times the robust scatter (1.4826 median), or within 3.5 sigmas."""
     lengths = np.hypot(*(image - model.ground_to_image(ground)).T) / sigmas
     if not np.isfinite(lengths).any():
         raise SolveError(
             "the image shows none of the control points", hint="check their CRS, and the order of their coordinates"
         )
     scatter = 1.4826 * float(np.nanmedian(lengths))
-    good: BoolArray = lengths <= _CUT * max(scatter, 1.0)
+    good: BoolArray = lengths <= _REJECTION * max(scatter, 1.0)
     return good

@@ -24,7 +24,7 @@ COLUMNS = ("id", "image", "col", "row")
 
 
 def read_ties(path: Path, images: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray]:
-    """Read tie points.
+    """Tie points of images from a table.
 
     Parameters
     ----------
@@ -35,8 +35,9 @@ def read_ties(path: Path, images: Sequence[str]) -> tuple[IntArray, IntArray, Fl
     Returns
     -------
     image, point : int array (M,)
-        Which image and which tie point each measurement is of, from 0.
+        Index of the image and of the tie point of each measurement, from 0.
     colrow : array (M, 2)
+        Measured image coordinates, pixels.
 
     Raises
     ------
@@ -70,7 +71,7 @@ def read_ties(path: Path, images: Sequence[str]) -> tuple[IntArray, IntArray, Fl
 
 @dataclass(frozen=True)
 class ImageRpc:
-    """The RPC of one image.
+    """RPC of one image: its origin, figures and files.
 
     Attributes
     ----------
@@ -78,10 +79,10 @@ class ImageRpc:
     how : str
         'as it came', 'fitted', or what it was refined by: 'control points', 'tie points'.
     facts : mapping
-        Numbers of the fit and the refinement, plain values.
+        Figures of the fit and the refinement, as JSON values.
     written : tuple of Path
     grid : CorrectionGrid, optional
-        What a fitted RPC cannot follow of its sensor.
+        Correction for what a fitted RPC cannot model of its sensor.
     """
 
     name: str
@@ -92,8 +93,8 @@ class ImageRpc:
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """How RPCs are corrected: kind, tie points, images that these leave as they are, sigma of a tie point in pixels."""
+class RefinementRequest:
+    """Kind of correction, table of tie points, names of images kept fixed, sigma of a tie point in pixels."""
 
     kind: str
     ties: Path | None
@@ -101,13 +102,13 @@ class Wanted:
     sigma_px: float
 
 
-def refined(
+def refine_rpcs(
     tool: HasRational,
     block: OrientedBlock,
     made: Sequence[tuple[SensorModel, ImageRpc]],
-    wanted: Wanted,
+    request: RefinementRequest,
 ) -> list[tuple[SensorModel, ImageRpc]]:
-    """Correct with control points where an image has them, and those without by tie points.
+    """RPCs corrected by control points where an image has them, else by tie points.
 
     Parameters
     ----------
@@ -115,7 +116,7 @@ def refined(
     block : OrientedBlock
     made : sequence of (SensorModel, ImageRpc)
         RPC of each image of the block.
-    wanted : Wanted
+    request : RefinementRequest
 
     Raises
     ------
@@ -125,24 +126,24 @@ def refined(
         The points do not determine the correction.
     """
     names = [scene.name for scene in block.scenes]
-    unknown = [name for name in wanted.fixed if name not in names]
+    unknown = [name for name in request.fixed if name not in names]
     if unknown:
         raise InputError(
             f"no image is named '{unknown[0]}'", where="`fixed`", hint=f"the images are {', '.join(names)}"
         )
-    out, held = list(made), {names.index(name) for name in wanted.fixed}
+    out, fixed = list(made), {names.index(name) for name in request.fixed}
     for index, name in enumerate(names):
         mine = [point for point in block.control if point.image == name]
         if any(point.role == "control" for point in mine) and block.crs is not None:
-            out[index] = _by_control(tool, made[index][0], name, mine, block.crs, wanted.kind)
-            held.add(index)
-    if wanted.ties is None:
-        if not held:
+            out[index] = _by_control(tool, made[index][0], name, mine, block.crs, request.kind)
+            fixed.add(index)
+    if request.ties is None:
+        if not fixed:
             raise InputError("no control point is measured in these images", where="`control`")
         return out
-    image, point, colrow = read_ties(wanted.ties, names)
+    image, point, colrow = read_ties(request.ties, names)
     found = tool.correct_rational_by_ties(
-        [model for model, _ in out], image, point, colrow, wanted.kind, wanted.sigma_px, sorted(held)
+        [model for model, _ in out], image, point, colrow, request.kind, request.sigma_px, sorted(fixed)
     )
     facts = {
         "rms_before_px": found.rms_before,
@@ -151,9 +152,9 @@ def refined(
         "left_out": int((~found.used).sum()),
     }
     for index, model in enumerate(found.models):
-        if index not in held:
-            told = {**facts, **_values(model, found.sigmas[index])}
-            out[index] = model, ImageRpc(names[index], "tie points", told)
+        if index not in fixed:
+            values = {**facts, **_values(model, found.sigmas[index])}
+            out[index] = model, ImageRpc(names[index], "tie points", values)
     return out
 
 
@@ -192,7 +193,7 @@ def _by_control(
 
 
 def _values(model: SensorModel, sigmas: FloatArray) -> dict[str, Any]:
-    """Corrections and their sigmas, of those that are free."""
+    """Free correction parameters and their sigmas, pixels."""
     p = model.parameters
     free = p.sigmas > 0.0
     chosen = [name for name, one in zip(p.names, free.tolist(), strict=True) if one]

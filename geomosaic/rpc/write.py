@@ -17,8 +17,8 @@ from geomosaic.inputs.correction_grids import write_corrections
 from geomosaic.inputs.declarations import Block
 from geomosaic.raster.output_files import write_text
 from geomosaic.raster.rpc_tags import read_rpc_tags, write_rpc_tags
-from geomosaic.rpc.correction_grid import GridFit, fit_pair
-from geomosaic.rpc.refine import ImageRpc, Wanted, refined
+from geomosaic.rpc.correction_grid import GridFit, fit_rpc_and_grid
+from geomosaic.rpc.refine import ImageRpc, RefinementRequest, refine_rpcs
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.rational import HasRational
 from geomosaic.sensor.registry import plugin, rational_sensor
@@ -103,7 +103,9 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
     places = [_targets(scene, inputs) for scene in block.scenes]
     made = [_rational(tool, scene, block, inputs) for scene in block.scenes]
     if inputs.refine is not None and (inputs.ties or inputs.block.control):
-        made = refined(tool, block, made, Wanted(inputs.refine, inputs.ties, inputs.fixed, inputs.sigma_px))
+        made = refine_rpcs(
+            tool, block, made, RefinementRequest(inputs.refine, inputs.ties, inputs.fixed, inputs.sigma_px)
+        )
     out = []
     for (model, done), scene, (tags, text, grid) in zip(made, block.scenes, places, strict=True):
         again = tool.rewrite_rational(model)
@@ -140,7 +142,7 @@ def _rational(
     heights = inputs.heights or _heights(scene, block)
     try:
         if inputs.grid:
-            model, pair = fit_pair(tool, scene.model, scene.sensor, heights)
+            model, pair = fit_rpc_and_grid(tool, scene.model, scene.sensor, heights)
             return model, ImageRpc(scene.name, "fitted", _facts_of_pair(pair, heights), grid=pair.grid)
         fit = tool.fit_rational(scene.model, heights)
     except SolveError as error:
