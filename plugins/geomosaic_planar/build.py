@@ -23,7 +23,18 @@ SOURCES = ("transform", "geotransform", "points", "coefficients")
 
 
 def build_model(request: SensorRequest) -> PlanarModel:
-    """Planar model of one image.
+    """Planar model of one image, from a geotransform, control points or coefficients.
+
+    Parameters
+    ----------
+    request : SensorRequest
+        Image size in pixels, CRS (horizontal, or with a horizontal part) and the options of the sensor; exactly one of
+        `SOURCES` among them.
+
+    Returns
+    -------
+    PlanarModel
+        Ground in the horizontal part of the request's CRS; pixel origin at the outer corner of the upper-left pixel.
 
     Raises
     ------
@@ -82,6 +93,7 @@ def _georeferenced(request: SensorRequest, crs: CRS, option: str) -> PlanarModel
 
 
 def _kind(options: Mapping[str, Any], where: str) -> tuple[str, int]:
+    """Kind of the transformation and degree of its polynomial."""
     kind, order = choice(options.get("kind", "affine"), KINDS, "kind", where), options.get("order", 1)
     if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= MAX_ORDER:
         raise InputError(f"input 'order' is {order}", where=where, hint=f"give a whole number from 1 to {MAX_ORDER}")
@@ -91,6 +103,7 @@ def _kind(options: Mapping[str, Any], where: str) -> tuple[str, int]:
 
 
 def _axes(options: Mapping[str, Any], kind: str, where: str) -> str | None:
+    """Handedness of the image's axes; None where a conformal fit is to recognise it."""
     if options.get("axes") is None:
         return None
     axes = choice(options["axes"], AXES, "axes", where)
@@ -123,6 +136,7 @@ def _table(points: Sequence[Any], where: str) -> FloatArray:
 
 
 def _coefficients(given: Any, kind: str, order: int, where: str) -> FloatArray:
+    """Coefficients (P,) in the order of `parameter_names`, from a table or a list."""
     names = parameter_names(kind, order)
     if isinstance(given, Mapping):
         if set(given) != set(names):

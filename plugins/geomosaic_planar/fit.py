@@ -15,6 +15,8 @@ from geomosaic.types import FloatArray
 from geomosaic_planar import spline
 from geomosaic_planar.terms import AXES, article, basis, derivatives, evaluate, least_points
 
+# Coordinates are normalised to about ±1, so that points spread over the image stay far below this; what exceeds it is
+# a degenerate arrangement and not a matter of units.
 WORST_CONDITION = 1e6
 RULES = Stopping(rounds=50, step=1e-11, near=0.0)
 """Movements are shares of the image size, and end at its rounding: exact points give exact coefficients."""
@@ -23,7 +25,22 @@ SURE = 3.0
 
 
 def need_determined(factors: SingularValues, label: str, where: str | None) -> None:
-    """Check that the points determine the unknowns of a weighted design."""
+    """Check that the control points determine the unknowns.
+
+    Parameters
+    ----------
+    factors : SingularValues
+        Of the weighted design, on normalised coordinates.
+    label : str
+        Kind of transformation, for the message.
+    where : str, optional
+        Named in errors.
+
+    Raises
+    ------
+    SolveError
+        The condition number of the design exceeds `WORST_CONDITION`.
+    """
     if factors.condition()[0] > WORST_CONDITION:
         raise SolveError(
             f"the control points do not determine {article(label)} {label} transformation: they lie on a "
@@ -36,7 +53,32 @@ def need_determined(factors: SingularValues, label: str, where: str | None) -> N
 def least_squares(
     design: FloatArray, right: FloatArray, label: str, where: str | None
 ) -> tuple[FloatArray, float, FloatArray]:
-    """Least squares solution, condition number and cofactors of a weighted linear problem."""
+    """Weighted linear least squares, by singular values.
+
+    Parameters
+    ----------
+    design : array (M, P)
+        Design matrix, rows multiplied by the square roots of the weights.
+    right : array (M,) or (M, K)
+        Observations, weighted likewise.
+    label : str
+        Kind of transformation, for the message.
+    where : str, optional
+        Named in errors.
+
+    Returns
+    -------
+    solution : array (P,) or (P, K)
+    condition : float
+        Condition number of the design.
+    cofactors : array (P, P)
+        Covariance of the solution for unit variance factor.
+
+    Raises
+    ------
+    SolveError
+        The design is singular or nearly so.
+    """
     factors = SingularValues.of(design)
     need_determined(factors, label, where)
     return factors.solve(right), factors.condition()[0], factors.cofactors()
@@ -45,10 +87,35 @@ def least_squares(
 def conformal(
     uv: FloatArray, image: FloatArray, root: FloatArray, axes: str | None, where: str | None
 ) -> tuple[tuple[FloatArray, float, FloatArray], str]:
-    """Conformal coefficients, and the handedness of the image's axes.
+    """Conformal transformation and the handedness of the image's axes.
 
-    Where it is not given, both are fitted. Axes are left-handed (rows downwards) unless the other fit is better beyond
-    chance: two points, or points on a line, fit either way and say nothing.
+    Where the handedness is not given, both are fitted. Axes are left-handed (rows downwards) unless the other fit is
+    better beyond chance: two points, or points on a line, fit either way and decide nothing.
+
+    Parameters
+    ----------
+    uv : array (N, 2)
+        Normalised ground.
+    image : array (N, 2)
+        col, row in pixels.
+    root : array (N,)
+        Square roots of the weights.
+    axes : str, optional
+        'left' or 'right'.
+    where : str, optional
+        Named in errors.
+
+    Returns
+    -------
+    solved : tuple
+        Coefficients a, b, tx, ty (4,) in pixels, condition number and cofactors (4, 4).
+    axes : str
+        'left' or 'right'.
+
+    Raises
+    ------
+    SolveError
+        The points do not determine the transformation.
     """
     tried = {}
     right = (image * root[:, None]).ravel()
@@ -69,7 +136,36 @@ def conformal(
 def linear(
     order: int, uv: FloatArray, image: FloatArray, root: FloatArray, label: str, where: str | None
 ) -> tuple[FloatArray, float, FloatArray]:
-    """Affine and polynomial coefficients."""
+    """Affine or polynomial transformation, linear in its coefficients.
+
+    Parameters
+    ----------
+    order : int
+        Degree; 1 is affine.
+    uv : array (N, 2)
+        Normalised ground.
+    image : array (N, 2)
+        col, row in pixels.
+    root : array (N,)
+        Square roots of the weights.
+    label : str
+        Kind of transformation, for the message.
+    where : str, optional
+        Named in errors.
+
+    Returns
+    -------
+    values : array (2·T,)
+        Coefficients of col, then of row, pixels.
+    condition : float
+        Condition number of the design.
+    cofactors : array (2·T, 2·T)
+
+    Raises
+    ------
+    SolveError
+        The points do not determine the transformation.
+    """
     # Columns and rows share one design: solve it once for both.
     terms = basis(order, uv)
     solution, condition, cofactors = least_squares(terms * root[:, None], image * root[:, None], label, where)
@@ -109,7 +205,35 @@ class _Projective(Problem[FloatArray]):
 def projective(
     uv: FloatArray, image: FloatArray, root: FloatArray, where: str | None
 ) -> tuple[FloatArray, float, FloatArray]:
-    """Direct linear start, then least squares of the true residuals in pixels."""
+    """Projective transformation: direct linear start, then least squares of the residuals in pixels.
+
+    The direct linear solution minimises an algebraic error, in which distant points weigh more; only the second step
+    minimises what was measured.
+
+    Parameters
+    ----------
+    uv : array (N, 2)
+        Normalised ground.
+    image : array (N, 2)
+        col, row in pixels.
+    root : array (N,)
+        Square roots of the weights.
+    where : str, optional
+        Named in errors.
+
+    Returns
+    -------
+    values : array (8,)
+        a0, a1, a2, b0, b1, b2 in pixels, c1, c2 without unit.
+    condition : float
+        Condition number of the design at the solution.
+    cofactors : array (8, 8)
+
+    Raises
+    ------
+    SolveError
+        The points do not determine the transformation, or lie on both sides of its horizon.
+    """
     problem = _Projective(uv, image, root, where)
     solution = solve(problem, _direct_linear(uv, image, root, where), RULES)
     factors = solution.equations.singular_values
@@ -244,6 +368,7 @@ def fit_planar(
         raise SolveError("weights of control points must be positive numbers", where=where)
     # The mean lies inside the points, so a projective denominator that is positive at all of them is so there.
     centre = ground.mean(axis=0)
+    # Map coordinates of millions would leave few digits for the powers of a polynomial; normalised ones stay within ±1.
     scale = float(np.abs(ground - centre).max())
     if scale == 0.0:
         raise SolveError("all control points lie on one place", where=where, hint="spread them over the image")

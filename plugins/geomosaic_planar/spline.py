@@ -15,14 +15,27 @@ from geomosaic.types import FloatArray
 
 CLOSEST = 1e-7
 """Nodes nearer to each other, as a share of the extent, are one place."""
+# About 1 / √ε of double precision: beyond it the third direction is rounding.
 WORST_LINE = 1e8
+# Two digits short of double precision, so that the refinement in `solve` still gains digits.
 WORST_CONDITION = 1e14
 BLOCK = 1 << 19
 """Distances that are held at a time."""
 
 
 def bordered(nodes: FloatArray) -> FloatArray:
-    """Matrix (N + 3, N + 3) of the conditions at the nodes (N, 2) and on the weights."""
+    """Bordered matrix of the spline: conditions at the nodes, and on the weights.
+
+    Parameters
+    ----------
+    nodes : array (N, 2)
+        Normalised ground u, v.
+
+    Returns
+    -------
+    array (N + 3, N + 3)
+        [[φ(rᵢⱼ), 1, u, v], [1ᵀ, 0, 0, 0], [uᵀ, 0, 0, 0], [vᵀ, 0, 0, 0]]; symmetric, indefinite.
+    """
     count = len(nodes)
     matrix = np.zeros((count + 3, count + 3))
     matrix[:count, :count] = _radial(nodes, nodes)
@@ -33,11 +46,19 @@ def bordered(nodes: FloatArray) -> FloatArray:
 
 
 def check_nodes(nodes: FloatArray, where: str | None = None) -> None:
-    """Refuse nodes (N, 2) that determine no spline: two on one place, or all on a line.
+    """Check that nodes determine a spline: no two on one place, not all on a line.
+
+    Parameters
+    ----------
+    nodes : array (N, 2)
+        Normalised ground u, v.
+    where : str, optional
+        Named in errors.
 
     Raises
     ------
     SolveError
+        Two nodes lie on one place, or all on a line.
     """
     for start in range(len(nodes)):
         apart = np.abs(nodes[start + 1 :] - nodes[start]).max(axis=1)
@@ -103,7 +124,22 @@ def solve(nodes: FloatArray, image: FloatArray, where: str | None = None) -> tup
 
 
 def evaluate(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> FloatArray:
-    """Image (M, 2) of normalised ground (M, 2); NaN for points that are not finite."""
+    """Image of normalised ground under the spline.
+
+    Parameters
+    ----------
+    nodes : array (N, 2)
+        Normalised ground u, v.
+    coefficients : array (N + 3, 2)
+        As `solve` gives them.
+    uv : array (M, 2)
+        Normalised ground.
+
+    Returns
+    -------
+    array (M, 2)
+        col, row in pixels; NaN for points that are not finite.
+    """
     count = len(nodes)
     image = np.empty((len(uv), 2))
     weights, affine = coefficients[:count], coefficients[count:]
@@ -119,7 +155,24 @@ def evaluate(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> Flo
 
 
 def slopes(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> FloatArray:
-    """Derivatives (M, 2, 2) of (col, row) by (u, v): those of r²·log r are (2·log r + 1)·(u − uᵢ, v − vᵢ)."""
+    """Derivatives of the spline by normalised ground.
+
+    Those of r²·log r are (2·log r + 1)·(u − uᵢ, v − vᵢ).
+
+    Parameters
+    ----------
+    nodes : array (N, 2)
+        Normalised ground u, v.
+    coefficients : array (N + 3, 2)
+        As `solve` gives them.
+    uv : array (M, 2)
+        Normalised ground.
+
+    Returns
+    -------
+    array (M, 2, 2)
+        Of (col, row) by (u, v), pixels; NaN for points that are not finite.
+    """
     count = len(nodes)
     found = np.empty((len(uv), 2, 2))
     weights, affine = coefficients[:count], coefficients[count:]
@@ -134,9 +187,22 @@ def slopes(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> Float
 
 
 def leave_one_out(nodes: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Image at each node minus what the spline through all other nodes gives there, (N, 2): wᵢ / (M⁻¹)ᵢᵢ (Rippa 1999).
+    """Leave-one-out errors of the spline at its nodes, wᵢ / (M⁻¹)ᵢᵢ (Rippa 1999).
 
-    M is the bordered matrix. NaN for a node without which the others lie on a line.
+    M is the bordered matrix: no spline has to be solved again.
+
+    Parameters
+    ----------
+    nodes : array (N, 2)
+        Normalised ground u, v.
+    coefficients : array (N + 3, 2)
+        As `solve` gives them.
+
+    Returns
+    -------
+    array (N, 2)
+        Image at each node minus what the spline through all other nodes gives there, pixels; NaN for a node without
+        which the others lie on a line.
     """
     count = len(nodes)
     own = np.diagonal(np.linalg.inv(bordered(nodes)))[:count]
@@ -146,7 +212,20 @@ def leave_one_out(nodes: FloatArray, coefficients: FloatArray) -> FloatArray:
 
 
 def influence(nodes: FloatArray, uv: FloatArray) -> FloatArray:
-    """Derivatives (M, N) of the image at (u, v) (M, 2) by the image at the nodes, the same for col and row."""
+    """Influence of the nodes: derivatives of the image by the image positions at the nodes.
+
+    Parameters
+    ----------
+    nodes : array (N, 2)
+        Normalised ground u, v.
+    uv : array (M, 2)
+        Normalised ground.
+
+    Returns
+    -------
+    array (M, N)
+        Without unit, the same for col and row; each line sums to 1.
+    """
     row = np.column_stack([_radial(uv, nodes), np.ones(len(uv)), uv])
     shares = np.linalg.solve(bordered(nodes), row.T)[: len(nodes)].T
     return np.asarray(shares, dtype=np.float64)
@@ -155,6 +234,7 @@ def influence(nodes: FloatArray, uv: FloatArray) -> FloatArray:
 def _radial(uv: FloatArray, nodes: FloatArray) -> FloatArray:
     """r²·log r (M, N) between points and nodes; 0 at a node."""
     squared = (uv[:, :1] - nodes[:, 0]) ** 2 + (uv[:, 1:] - nodes[:, 1]) ** 2
+    # r²·log r = r²/2·log r², which needs no square root; its limit at a node is 0, where log 0 would give NaN.
     radial: FloatArray = 0.5 * squared * np.log(np.where(squared > 0.0, squared, 1.0))
     return radial
 

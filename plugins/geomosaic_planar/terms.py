@@ -1,4 +1,4 @@
-"""Plane transformations ground to image on normalised coordinates, and their reverses.
+"""Plane transformations ground to image on normalised coordinates, and their inverses.
 
 u = (x − x₀)/s and v = (y − y₀)/s bring the ground to about [−1, 1]; with one scale s for both axes a conformal map
 stays conformal. Coefficients are in pixels (those of a projective denominator have no unit).
@@ -28,17 +28,51 @@ SIGN = {"left": -1.0, "right": 1.0}
 
 
 def article(label: str) -> str:
-    """'an' before affine."""
+    """Indefinite article of a kind in a message: 'an' before affine, else 'a'.
+
+    Parameters
+    ----------
+    label : str
+
+    Returns
+    -------
+    str
+    """
     return "an" if label.startswith("a") else "a"
 
 
 def exponents(order: int) -> list[tuple[int, int]]:
-    """Powers (i, j) of u and v, by degree: 1, u, v, u², u·v, v², ..."""
+    """Exponents of the monomials, by degree: 1, u, v, u², u·v, v², ...
+
+    Parameters
+    ----------
+    order : int
+        Degree of the polynomial.
+
+    Returns
+    -------
+    list of tuple
+        Powers (i, j) of u and v; (order + 1)(order + 2)/2 of them.
+    """
     return [(degree - j, j) for degree in range(order + 1) for j in range(degree + 1)]
 
 
 def parameter_names(kind: str, order: int, nodes: int = 0) -> tuple[str, ...]:
-    """Names of the coefficients, in their order; those of a spline are the image coordinates of its nodes."""
+    """Names of the coefficients, in their order.
+
+    Parameters
+    ----------
+    kind : str
+        One of `KINDS`.
+    order : int
+        Degree of a polynomial; 1 for affine.
+    nodes : int
+        Of a spline, whose parameters are the image coordinates of its nodes.
+
+    Returns
+    -------
+    tuple of str
+    """
     if kind == "tps":
         return tuple(f"{axis}{i + 1}" for axis in ("col", "row") for i in range(nodes))
     if kind == "conformal":
@@ -50,7 +84,20 @@ def parameter_names(kind: str, order: int, nodes: int = 0) -> tuple[str, ...]:
 
 
 def least_points(kind: str, order: int) -> int:
-    """Fewest control points that determine a kind."""
+    """Least number of control points that determine a transformation.
+
+    Parameters
+    ----------
+    kind : str
+        One of `KINDS`.
+    order : int
+        Degree of a polynomial; 1 for affine.
+
+    Returns
+    -------
+    int
+        Half the number of coefficients, rounded up: each point gives two observations.
+    """
     if kind == "tps":
         return 3
     return -(-len(parameter_names(kind, order)) // 2)
@@ -72,28 +119,93 @@ def _powers(order: int, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def basis(order: int, uv: FloatArray) -> FloatArray:
-    """Monomials (N, T) at (u, v) (N, 2)."""
+    """Monomials of normalised ground.
+
+    Parameters
+    ----------
+    order : int
+        Degree of the polynomial.
+    uv : array (N, 2)
+        Normalised ground.
+
+    Returns
+    -------
+    array (N, T)
+        In the order of `exponents`.
+    """
     (i, j), (u, v) = _indices(order), _powers(order, uv)
     terms: FloatArray = (u[i] * v[j]).T
     return terms
 
 
 def basis_slopes(order: int, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Derivatives (N, T) of the monomials by u and by v."""
+    """Derivatives of the monomials by normalised ground.
+
+    Parameters
+    ----------
+    order : int
+        Degree of the polynomial.
+    uv : array (N, 2)
+        Normalised ground.
+
+    Returns
+    -------
+    by_u, by_v : array (N, T)
+        In the order of `exponents`.
+    """
     (i, j), (u, v) = _indices(order), _powers(order, uv)
+    # Index −1 of a power 0 takes the highest power instead; the factor 0 removes it.
     by_u, by_v = i[:, None] * u[i - 1] * v[j], j[:, None] * u[i] * v[j - 1]
     return by_u.T, by_v.T
 
 
 def slopes(kind: str, order: int, values: FloatArray, uv: FloatArray, axes: str = "left") -> FloatArray:
-    """Derivatives of (col, row) by (u, v), (N, 2, 2)."""
+    """Derivatives of (col, row) by normalised ground.
+
+    Parameters
+    ----------
+    kind : str
+        One of `KINDS`, but not 'tps'.
+    order : int
+        Degree of a polynomial; 1 for the other kinds.
+    values : array (P,)
+        Coefficients, see `parameter_names`.
+    uv : array (N, 2)
+        Normalised ground.
+    axes : str
+        Handedness of the image's axes, it matters for a conformal map only.
+
+    Returns
+    -------
+    array (N, 2, 2)
+        Pixels per unit of u and v.
+    """
     if kind not in ("affine", "polynomial"):
         return derivatives(kind, order, values, uv, axes)[1]
     return np.stack([by @ values.reshape(2, -1).T for by in basis_slopes(order, uv)], axis=2)
 
 
 def evaluate(kind: str, order: int, values: FloatArray, uv: FloatArray, axes: str = "left") -> FloatArray:
-    """Image (N, 2) of normalised ground (N, 2); NaN for points that are not finite."""
+    """Image of normalised ground.
+
+    Parameters
+    ----------
+    kind : str
+        One of `KINDS`, but not 'tps'.
+    order : int
+        Degree of a polynomial; 1 for the other kinds.
+    values : array (P,)
+        Coefficients, see `parameter_names`.
+    uv : array (N, 2)
+        Normalised ground.
+    axes : str
+        Handedness of the image's axes, it matters for a conformal map only.
+
+    Returns
+    -------
+    array (N, 2)
+        col, row in pixels; NaN for points that are not finite or lie behind the horizon of a projective map.
+    """
     uv = np.where(np.isfinite(uv).all(axis=1, keepdims=True), uv, np.nan)
     u, v = uv.T
     if kind == "conformal":
@@ -109,7 +221,27 @@ def evaluate(kind: str, order: int, values: FloatArray, uv: FloatArray, axes: st
 def derivatives(
     kind: str, order: int, values: FloatArray, uv: FloatArray, axes: str = "left"
 ) -> tuple[FloatArray, FloatArray]:
-    """Derivatives of (col, row) by the coefficients (N, 2, P) and by (u, v) (N, 2, 2)."""
+    """Derivatives of (col, row) by the coefficients and by normalised ground.
+
+    Parameters
+    ----------
+    kind : str
+        One of `KINDS`, but not 'tps'.
+    order : int
+        Degree of a polynomial; 1 for the other kinds.
+    values : array (P,)
+        Coefficients, see `parameter_names`.
+    uv : array (N, 2)
+        Normalised ground.
+    axes : str
+        Handedness of the image's axes, it matters for a conformal map only.
+
+    Returns
+    -------
+    by_values : array (N, 2, P)
+    by_uv : array (N, 2, 2)
+        Pixels per unit; NaN behind the horizon of a projective map.
+    """
     count = len(uv)
     u, v = uv.T
     by_values = np.zeros((count, 2, len(values)))
@@ -122,6 +254,7 @@ def derivatives(
         return by_values, by_uv
     if kind == "projective":
         w = 1.0 + values[6] * u + values[7] * v
+        # Behind the horizon (w ≤ 0) the quotient is finite but shows ground that is not seen.
         w = np.where(w > 0.0, w, np.nan)[:, None]
         image = evaluate(kind, order, values, uv)
         terms = basis(1, uv) / w
@@ -144,7 +277,20 @@ NEAR = 1e-3
 
 
 def projective_inverse(values: FloatArray, colrow: FloatArray) -> FloatArray:
-    """Normalised ground (N, 2) of image points in closed form; NaN beyond the horizon."""
+    """Inverse of a projective map, in closed form.
+
+    Parameters
+    ----------
+    values : array (8,)
+        Coefficients, see `parameter_names`.
+    colrow : array (N, 2)
+        Image points in pixels.
+
+    Returns
+    -------
+    array (N, 2)
+        Normalised ground; NaN beyond the horizon.
+    """
     a, c = values[:6].reshape(2, 3), values[6:]
     uv = _solve2(a[None, :, 1:] - colrow[:, :, None] * c, colrow - a[:, 0])
     uv[~np.isfinite(evaluate("projective", 1, values, uv)).all(axis=1)] = np.nan
@@ -157,21 +303,22 @@ def newton_inverse(
     colrow: FloatArray,
     start: FloatArray,
 ) -> FloatArray:
-    """Normalised ground (N, 2) of image points by Newton's method.
+    """Inverse of a plane transformation by Newton's method, with halved steps.
 
     Parameters
     ----------
     image, slopes : callable
         Normalised ground (N, 2) to image (N, 2) and to its derivatives (N, 2, 2).
     colrow : array (N, 2)
+        Image points in pixels.
     start : array (N, 2)
         Normalised ground to begin at.
 
     Returns
     -------
     array (N, 2)
-        NaN where the method finds no ground. Steps that lead farther off the goal are halved; a point that comes no
-        nearer is given up.
+        Normalised ground; NaN where the method finds none. Steps that lead farther off the goal are halved; a point
+        that comes no nearer is given up.
     """
     uv = start.copy()
     left = colrow - image(uv)
@@ -180,6 +327,7 @@ def newton_inverse(
         here, goal = uv[open_], colrow[open_]
         change = _solve2(slopes(here), left[open_])
         off = np.hypot(*left[open_].T)
+        # A step at the rounding of u, v is the end, even where rounding leaves the point no nearer.
         small = (np.abs(change) <= 1e-13 * np.maximum(1.0, np.abs(here))).all(axis=1)
         trial, after = here + change, goal - image(here + change)
         for _ in range(HALVINGS):
@@ -192,6 +340,7 @@ def newton_inverse(
         now = np.hypot(*after.T)
         better = (now <= off) | small
         uv[open_[better]], left[open_[better]] = trial[better], after[better]
+        # A fold of a high order holds the point where it is: another round would not bring it nearer.
         open_ = open_[better & ~small & ~((now > STALLED * off) & (off > NEAR))]
         if not len(open_):
             break
