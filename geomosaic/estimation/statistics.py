@@ -128,7 +128,18 @@ def sigma0_of(squares: float, redundancy: int) -> float:
 
 
 def correlations(covariance: FloatArray) -> FloatArray:
-    """Correlation matrix of a covariance matrix (P, P); 0 for parameters that were held fixed."""
+    """Correlation matrix of a covariance matrix.
+
+    Parameters
+    ----------
+    covariance : array (P, P)
+        Of parameters in any units.
+
+    Returns
+    -------
+    array (P, P)
+        −1 to 1; 0 in rows and columns of parameters that were held fixed (their variance is 0).
+    """
     sigma = np.sqrt(np.diag(covariance))
     products = np.outer(sigma, sigma)
     out: FloatArray = np.divide(covariance, products, out=np.zeros_like(covariance), where=products > 0.0)
@@ -136,7 +147,18 @@ def correlations(covariance: FloatArray) -> FloatArray:
 
 
 def axis_rms(errors: FloatArray) -> tuple[float, float]:
-    """RMS of each of two columns (N, 2); NaN rows do not count."""
+    """Root mean square error of each axis.
+
+    Parameters
+    ----------
+    errors : array (N, 2)
+        Errors or residuals in one unit; rows with NaN do not count.
+
+    Returns
+    -------
+    first, second : float
+        RMS of each column in the unit of `errors`; NaN where no row counts.
+    """
     seen = errors[np.isfinite(errors).all(axis=1)]
     if not len(seen):
         return float("nan"), float("nan")
@@ -145,7 +167,18 @@ def axis_rms(errors: FloatArray) -> tuple[float, float]:
 
 
 def total_rms(errors: FloatArray) -> float:
-    """RMS length of vectors (N, 2); NaN rows do not count."""
+    """Root mean square length of error vectors: √(RMS₁² + RMS₂²).
+
+    Parameters
+    ----------
+    errors : array (N, 2)
+        Errors or residuals in one unit; rows with NaN do not count.
+
+    Returns
+    -------
+    float
+        In the unit of `errors`; NaN where no row counts.
+    """
     return float(np.hypot(*axis_rms(errors)))
 
 
@@ -186,12 +219,20 @@ def tail_probability(statistic: FloatArray, scale: float, freedom: float) -> Flo
 
 
 def mean_probability(errors: FloatArray) -> float:
-    """Probability of a mean of vectors (N, 2) this far from 0, by chance: Hotelling's T², (N − 2)/(2 (N − 1)) T² ~ F.
+    """Probability, by chance, of a mean vector this far from 0: Hotelling's T² test.
+
+    (N − 2) / (2 (N − 1)) · T² follows the F distribution with 2 and N − 2 degrees of freedom.
+
+    Parameters
+    ----------
+    errors : array (N, 2)
+        Independent error vectors in one unit, without NaN.
 
     Returns
     -------
     float
-        NaN for fewer than 4 vectors, or where they all lie on a line.
+        0 to 1: small where the errors share a systematic shift. NaN for fewer than 4 vectors, or where they all lie on
+        a line.
     """
     from scipy.special import fdtrc
 
@@ -208,9 +249,18 @@ def mean_probability(errors: FloatArray) -> float:
 
 
 def signed_rank_probability(differences: FloatArray) -> float:
-    """Probability by chance of differences (N,) that are so much above 0 (Wilcoxon 1945).
+    """Probability, by chance, of paired differences this much above 0: one-sided signed-rank test (Wilcoxon 1945).
 
-    Differences of 0 say nothing and are left out; 1 where none is left.
+    Parameters
+    ----------
+    differences : array (N,)
+        Differences of pairs. Those of 0 say nothing and are left out.
+
+    Returns
+    -------
+    float
+        0 to 1, exact for few differences without ties, from the normal approximation (with its correction for ties)
+        otherwise; 1 where no difference is left.
     """
     unequal = differences[differences != 0.0]
     count = len(unequal)

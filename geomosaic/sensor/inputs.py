@@ -27,7 +27,15 @@ def input_error(what: str, key: str, where: str, hint: str | None = None) -> Sen
 
 
 def known_keys(table: Mapping[str, Any], allowed: Iterable[str], where: str) -> None:
-    """Refuse keys that mean nothing here.
+    """Check that a table has known keys only: a misspelt one would be ignored in silence.
+
+    Parameters
+    ----------
+    table : mapping
+        As the user wrote it.
+    allowed : iterable of str
+    where : str
+        Image, for the message.
 
     Raises
     ------
@@ -41,7 +49,24 @@ def known_keys(table: Mapping[str, Any], allowed: Iterable[str], where: str) -> 
 
 
 def known_inputs(options: Mapping[str, Any], inputs: Iterable[SensorInput], sensor: str, where: str) -> None:
-    """Refuse options that are no inputs of a sensor; as `known_keys`."""
+    """Check that options are inputs of a sensor.
+
+    Parameters
+    ----------
+    options : mapping
+        Sensor options by name.
+    inputs : iterable of SensorInput
+        Inputs that the sensor declares.
+    sensor : str
+        Its name, for the message.
+    where : str
+        Image, for the message.
+
+    Raises
+    ------
+    SensorInputError
+        Names the option, the nearest input that exists, and all of them.
+    """
     names = [entry.name for entry in inputs]
     for key in options:
         if key not in names:
@@ -51,20 +76,69 @@ def known_inputs(options: Mapping[str, Any], inputs: Iterable[SensorInput], sens
 
 
 def suggestion(word: Any, words: str, known: Iterable[str]) -> str:
-    """Hint with the nearest known word, and all of them."""
+    """Hint with the nearest known word, and all of them.
+
+    Parameters
+    ----------
+    word : object
+        What was given.
+    words : str
+        Introduction of the list, such as 'known keys are:'.
+    known : iterable of str
+
+    Returns
+    -------
+    str
+    """
     names = list(known)
     return f"{did_you_mean(str(word), names)} {words} {', '.join(names)}".strip()
 
 
 def need(table: Mapping[str, Any], key: str, where: str, text: str) -> Any:
-    """Value of a key that must be there; `text` says what it is."""
+    """Value of a required key.
+
+    Parameters
+    ----------
+    table : mapping
+    key : str
+    where : str
+        Image, for the message.
+    text : str
+        Meaning of the value, for the hint.
+
+    Returns
+    -------
+    object
+        Unchecked.
+
+    Raises
+    ------
+    SensorInputError
+        The key is missing, or its value is None.
+    """
     if key not in table or table[key] is None:
         raise input_error(f"'{key}' is missing", key, where, f"give {key}: {text}")
     return table[key]
 
 
 def table_of(value: Any, key: str, where: str) -> Mapping[str, Any]:
-    """Table, for a value that must be one."""
+    """Value that is a table.
+
+    Parameters
+    ----------
+    value : object
+    key, where : str
+        Path of the value and image, for the message.
+
+    Returns
+    -------
+    mapping
+
+    Raises
+    ------
+    SensorInputError
+        The value is not a table.
+    """
     if not isinstance(value, Mapping):
         raise input_error(f"'{key}' is {value!r}, not a table", key, where)
     return value
@@ -98,7 +172,23 @@ def number(value: Any, key: str, where: str) -> float:
 
 
 def positive(value: Any, key: str, where: str) -> float:
-    """Finite number above zero; as `number`."""
+    """Finite number above zero.
+
+    Parameters
+    ----------
+    value : object
+    key, where : str
+        Path of the value and image, for the message.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    SensorInputError
+        The value is no finite number, or is not above 0.
+    """
     result = number(value, key, where)
     if result <= 0.0:
         raise input_error(f"{key} = {result:g} is not greater than 0", key, where)
@@ -106,7 +196,25 @@ def positive(value: Any, key: str, where: str) -> float:
 
 
 def numbers(value: Any, count: int, key: str, where: str) -> tuple[float, ...]:
-    """List of `count` finite numbers; as `number`."""
+    """List of a fixed count of finite numbers.
+
+    Parameters
+    ----------
+    value : object
+    count : int
+    key, where : str
+        Path of the value and image, for the message.
+
+    Returns
+    -------
+    tuple of float
+        `count` of them.
+
+    Raises
+    ------
+    SensorInputError
+        The value is no list, has another length, or an item is no finite number.
+    """
     if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
         raise input_error(f"{key} = {value!r} is not a list of {count} finite numbers", key, where)
     items = list(value)
@@ -116,7 +224,24 @@ def numbers(value: Any, count: int, key: str, where: str) -> tuple[float, ...]:
 
 
 def pair(value: Any, key: str, where: str) -> tuple[float, float]:
-    """Two positive numbers, or one that stands for both; as `number`."""
+    """Pair of positive numbers, where one number stands for both.
+
+    Parameters
+    ----------
+    value : object
+        A number, or a list of two.
+    key, where : str
+        Path of the value and image, for the message.
+
+    Returns
+    -------
+    first, second : float
+
+    Raises
+    ------
+    SensorInputError
+        A value is no finite number or not above 0, or the list has another length.
+    """
     if isinstance(value, Iterable) and not isinstance(value, str):
         first, second = numbers(value, 2, key, where)
     else:
@@ -126,6 +251,17 @@ def pair(value: Any, key: str, where: str) -> tuple[float, float]:
 
 def choice(value: Any, allowed: Iterable[str], key: str, where: str) -> str:
     """Word out of a list of words.
+
+    Parameters
+    ----------
+    value : object
+    allowed : iterable of str
+    key, where : str
+        Path of the value and image, for the message.
+
+    Returns
+    -------
+    str
 
     Raises
     ------
@@ -139,7 +275,25 @@ def choice(value: Any, allowed: Iterable[str], key: str, where: str) -> str:
 
 
 def flag(table: Mapping[str, Any], key: str, where: str) -> bool:
-    """Value of a key that is true or false; false where not given."""
+    """Value of a key that is true or false.
+
+    Parameters
+    ----------
+    table : mapping
+    key : str
+    where : str
+        Image, for the message.
+
+    Returns
+    -------
+    bool
+        False where the key is not given.
+
+    Raises
+    ------
+    SensorInputError
+        The value is neither true nor false; 0 and 1 are not taken for them.
+    """
     value = table.get(key)
     if value is not None and not isinstance(value, bool):
         raise input_error(f"{key} = {value!r} is neither true nor false", key, where)

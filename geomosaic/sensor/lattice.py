@@ -80,7 +80,19 @@ class Lattice:
 
 
 def blocks(window: Window) -> list[Window]:
-    """Blocks, aligned to the output grid, that touch a window; row by row."""
+    """Blocks of the lattice, aligned to the output grid, that touch a window.
+
+    Parameters
+    ----------
+    window : Window
+        In pixels of the output grid.
+
+    Returns
+    -------
+    list of Window
+        Row by row. They start at multiples of the block size counted from the grid's origin, not from the window's,
+        and end at the window's right and lower edges.
+    """
     first_col, first_row = window.col // BLOCK_WIDTH * BLOCK_WIDTH, window.row // BLOCK_HEIGHT * BLOCK_HEIGHT
     whole = Window(first_col, first_row, window.stop_col - first_col, window.stop_row - first_row)
     return whole.split(BLOCK_WIDTH, BLOCK_HEIGHT)
@@ -293,9 +305,19 @@ def _scale(nodes: FloatArray, step: int) -> float:
 
 
 def finite_median(values: FloatArray) -> float:
-    """Median of the finite values, NaN where there are none.
+    """Median of the finite values.
 
     NumPy's own loads its masked arrays first, which takes as long as a small job's pixels.
+
+    Parameters
+    ----------
+    values : array
+        Of any shape.
+
+    Returns
+    -------
+    float
+        NaN where no value is finite.
     """
     finite = np.sort(values[np.isfinite(values)])
     half, odd = divmod(len(finite), 2)

@@ -17,7 +17,20 @@ _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 
 
 def at_heights(nodes: FloatArray, heights: Sequence[float]) -> FloatArray:
-    """Image (heights, rows, cols, 2) of a lattice's nodes (rows, cols, 8) at some normalised heights."""
+    """Image positions of a lattice's nodes at some heights.
+
+    Parameters
+    ----------
+    nodes : array (rows, cols, 8)
+        Coefficients of a cubic in normalised height: four of col, then four of row, from the constant up.
+    heights : sequence of float (T,)
+        Normalised heights.
+
+    Returns
+    -------
+    array (T, rows, cols, 2)
+        (col, row) in pixels.
+    """
     powers = np.vander(heights, 4, increasing=True)
     # One at a time, not a matrix product: the same digits on every machine.
     image: FloatArray = np.einsum("rcap,tp->trca", nodes.reshape(*nodes.shape[:2], 2, 4), powers)

@@ -15,7 +15,17 @@ _DEEPEST = 64
 
 
 def finite_number(text: str) -> float:
-    """Number of a text; NaN where it is none, is infinite, or is larger than `LARGEST`."""
+    """Number in a text of a metadata file.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    float
+        NaN where the text is no number, or one that is infinite or larger than `LARGEST`.
+    """
     try:
         value = float(text)
     except ValueError:

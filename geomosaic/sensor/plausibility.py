@@ -23,9 +23,18 @@ ALIGNED = 10.0
 
 
 def centre_dip(model: SensorModel) -> float | None:
-    """Angle in degrees by which the ray through the image's centre goes below the horizon; None without rays.
+    """Depression angle of the ray through the image's centre: positive below the horizon, negative towards the sky.
 
     The horizon is the plane across the ellipsoid's normal at the ray's origin, or across the z axis of a map CRS.
+
+    Parameters
+    ----------
+    model : SensorModel
+
+    Returns
+    -------
+    float or None
+        Degrees, −90 to 90; None for a model without rays.
     """
     if not isinstance(model, HasRays):
         return None

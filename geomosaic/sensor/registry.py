@@ -66,10 +66,19 @@ def refresh() -> None:
 def plugin(name: str) -> SensorPlugin:
     """Plugin of a name, loaded.
 
+    Parameters
+    ----------
+    name : str
+        Name of its entry point in the group `geomosaic.sensors`.
+
+    Returns
+    -------
+    SensorPlugin
+
     Raises
     ------
     SensorError
-        No such sensor, two of that name, or the plugin fails to import (with its cause).
+        No such sensor, two of that name, the plugin fails to import (with its cause), or it lacks members.
     """
     found = [point for point in _points() if point.name == name]
     if not found:
@@ -98,7 +107,15 @@ def plugin(name: str) -> SensorPlugin:
 
 
 def capabilities(name: str) -> Capabilities:
-    """Capabilities of the sensor `name`.
+    """Capabilities of a sensor.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    Capabilities
 
     Raises
     ------
@@ -168,12 +185,25 @@ def embedded_sensors() -> list[str]:
 
 
 def build(name: str, request: SensorRequest) -> SensorModel:
-    """Model of one image by the sensor `name`.
+    """Sensor model of one image.
+
+    Parameters
+    ----------
+    name : str
+        Sensor.
+    request : SensorRequest
+        Image, size, CRS and inputs of the sensor.
+
+    Returns
+    -------
+    SensorModel
 
     Raises
     ------
     HeightDatumError
         The model depends on heights, and its CRS does not say from where they count. No plugin guesses in silence.
+    SensorError
+        As `plugin`, or an input of the sensor is wrong.
     """
     tool = plugin(name)
     model = tool.build(request)

@@ -54,7 +54,18 @@ def require_vertical_datum(crs: CRS, what: str, where: str, build: Callable[[CRS
 
 
 def datum_risk(model: SensorModel) -> str:
-    """Cost of confusing the ellipsoid with the geoid, in words that follow a statement; '' if not known."""
+    """Cost of confusing ellipsoidal with geoid heights, in words that follow a statement.
+
+    Parameters
+    ----------
+    model : SensorModel
+        Its seed is the place where the geoid undulation is taken.
+
+    Returns
+    -------
+    str
+        Metres on the ground and pixels in the image; '' where the undulation is not known.
+    """
     level = geographic(model.crs)
     x, y, _ = Transform(model.crs, level)(np.array([model.seed]))[0]
     shift = undulation(horizontal(level), float(x), float(y))
@@ -66,9 +77,18 @@ def datum_risk(model: SensorModel) -> str:
 
 
 def pixels_per_metre(model: SensorModel) -> float:
-    """Largest movement in the image, over its corners, of a ground point that is raised by one metre; NaN if unknown.
+    """Sensitivity of an image to height: largest movement of a ground point raised by one metre.
 
     The ground is taken level, at the height of the model's seed.
+
+    Parameters
+    ----------
+    model : SensorModel
+
+    Returns
+    -------
+    float
+        Pixels per metre, over the corners and the centre of the image; NaN if unknown.
     """
     level = geographic(model.crs)
     width, height = model.size

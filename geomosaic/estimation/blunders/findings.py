@@ -184,7 +184,19 @@ def report_of(
 
 
 def combined(parts: Sequence[BlunderReport]) -> BlunderReport:
-    """Report of blocks that were searched one by one."""
+    """Blunder report of a block from the reports of parts that were searched one by one.
+
+    Parameters
+    ----------
+    parts : sequence of BlunderReport
+        Reports of parts without common measurements, such as photos rectified singly.
+
+    Returns
+    -------
+    BlunderReport
+        Blunders of all parts, the largest first; sums of measurements and redundancy; the median of the precisions that
+        are known; the largest of the minimal detectable blunders, since the weakest part limits what can be found.
+    """
     agree = [part.precision for part in parts if np.isfinite(part.precision)]
     return BlunderReport(
         tuple(sorted((each for part in parts for each in part.blunders), key=lambda each: -each.size)),

@@ -118,7 +118,17 @@ def compare(
 
 
 def as_ties(block: PlanarBlock) -> tuple[Tie, ...]:
-    """All measurements as tie points: what is known of the ground is left out."""
+    """Measurements of a planar block as tie points: control enters as points without ground coordinates.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+
+    Returns
+    -------
+    tuple of Tie
+        The block's ties, then one tie for each measurement of a control point.
+    """
     return (*block.ties, *(Tie(p.id, p.photo, p.col, p.row, p.sigma) for p in block.control))
 
 

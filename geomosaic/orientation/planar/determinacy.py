@@ -76,7 +76,17 @@ def check_determined(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTr
 
 
 def pieces(block: PlanarBlock) -> list[set[str]]:
-    """Connected pieces of a block: photos that hang together by common points, in its order."""
+    """Connected pieces of a planar block: photos that hang together by common points.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+
+    Returns
+    -------
+    list of set of str
+        Names of photos of each piece, in the order of the block's photos; one piece where all hang together.
+    """
     points: dict[str, list[str]] = {}
     for measured in block.measurements:
         points.setdefault(measured.id, []).append(measured.photo)
@@ -201,7 +211,19 @@ def check_plausible(solution: PlanarSolution, start: PlanarSolution | None, wher
 
 
 def expected_error(solution: PlanarSolution) -> tuple[float, str]:
-    """RMS standard deviation of the photos' corners in map units, after the residuals, and the worst photo."""
+    """Expected position error of an adjusted planar block at the corners of its photos.
+
+    Parameters
+    ----------
+    solution : PlanarSolution
+
+    Returns
+    -------
+    rms : float
+        RMS standard deviation of position in map units, scaled by sigma0: the residuals judge, not the weights given.
+    worst : str
+        Photo with the largest standard deviation at a corner.
+    """
     each = {
         name: solution.position_sigmas(name, transform.corners()) for name, transform in solution.transforms.items()
     }

@@ -88,7 +88,17 @@ class Views:
 
 
 def views_of(block: PlanarBlock) -> Views:
-    """Views of a block; points with one view only stay, and give no equation."""
+    """Views of a planar block: its measurements and control coordinates as arrays, ordered by point.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+
+    Returns
+    -------
+    Views
+        Points with one view only stay, and give no equation.
+    """
     index = block.index
     found: dict[str, list[tuple[int, FloatArray, FloatArray, float]]] = {}
     ground: dict[str, tuple[FloatArray, float]] = {}

@@ -102,7 +102,18 @@ def by_photo(kind: str, values: FloatArray, xy: FloatArray) -> FloatArray:
 
 
 def pixel_sizes(slope: FloatArray) -> FloatArray:
-    """Mean scale (N,) of derivatives (N, 2, 2): the root of how much larger areas become; NaN where they are."""
+    """Mean scale of a plane transformation, from its derivatives: √|det|, the root of how much larger areas become.
+
+    Parameters
+    ----------
+    slope : array (N, 2, 2)
+        Derivatives of the target coordinates by the source coordinates.
+
+    Returns
+    -------
+    array (N,)
+        Target units per source unit; NaN where the derivatives are.
+    """
     (a, b), (c, d) = slope[:, 0].T, slope[:, 1].T
     scale: FloatArray = np.sqrt(np.abs(a * d - b * c))
     return scale
@@ -201,7 +212,18 @@ class Frame:
 
 
 def half(size: tuple[int, int]) -> float:
-    """Pixels that normalised photo coordinates count as 1: half of the longer side."""
+    """Unit of normalised photo coordinates: half of the longer side.
+
+    Parameters
+    ----------
+    size : (int, int)
+        Columns and rows of the photo.
+
+    Returns
+    -------
+    float
+        Pixels.
+    """
     return max(size) / 2.0
 
 

@@ -114,7 +114,20 @@ def chain(
 
 
 def middle(block: PlanarBlock) -> str:
-    """Name of the photo from which the farthest is the fewest joins away; of several, the one nearest to all."""
+    """Central photo of a planar block, from which an uncontrolled mosaic is joined outwards.
+
+    Errors accumulate with each join, so the start is the photo from which the farthest photo is the fewest joins away;
+    of several, the one with the smallest sum of joins to all others.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+
+    Returns
+    -------
+    str
+        Name of the photo. Of a block in several pieces, it lies in the largest.
+    """
     near = neighbours(block)
     best: tuple[int, int, int, int] | None = None
     found = block.photos[0].name
@@ -131,7 +144,19 @@ def middle(block: PlanarBlock) -> str:
 
 
 def neighbours(block: PlanarBlock) -> dict[str, list[str]]:
-    """Photos that share two points or more with each photo."""
+    """Neighbours of each photo: those that share two points or more with it.
+
+    Two points are what a conformal transformation, the least of the models, needs.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+
+    Returns
+    -------
+    dict of str to list of str
+        Names in the order of the block's photos.
+    """
     points: dict[str, list[str]] = {}
     for measured in block.measurements:
         points.setdefault(measured.id, []).append(measured.photo)

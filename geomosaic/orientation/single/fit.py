@@ -188,10 +188,21 @@ def _moved(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
 
 
 def textbook95(errors: FloatArray) -> float:
-    """Radius of 95 %, 2.5 × RMS of one axis: of normal errors 95.6 % lie within it, and 39 % within 1 × RMS.
+    """Radius of 95 % of the errors: 2.5 × RMS of one axis.
 
+    Of normal errors 95.6 % lie within it, and 39 % within 1 × RMS.
     The textbook's 40 % within the RMS and 95 % within 2.5 of it are those of the RMS of one axis. Of the total RMS,
     which is √2 larger, the 95 % factor is 1.73.
+
+    Parameters
+    ----------
+    errors : array (N, 2)
+        Position errors in one unit; rows with NaN do not count.
+
+    Returns
+    -------
+    float
+        In the unit of `errors`; NaN where no row counts.
     """
     return NINETY_FIVE * total_rms(errors) / float(np.sqrt(2.0))
 

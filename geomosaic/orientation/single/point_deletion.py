@@ -119,16 +119,30 @@ def delete_points(
 
 
 def least_points(fit: ControlFit) -> int:
-    """Fewest points that the parameters of a fit need."""
+    """Fewest control points that determine the parameters of a fit: two equations each.
+
+    Parameters
+    ----------
+    fit : ControlFit
+
+    Returns
+    -------
+    int
+    """
     return -(-(2 * len(fit.ids) - fit.redundancy) // 2)
 
 
 def need_residuals(fit: ControlFit) -> None:
     """Check of the redundancy: residuals of a fit without any are 0 and tell nothing.
 
+    Parameters
+    ----------
+    fit : ControlFit
+
     Raises
     ------
     SolveError
+        The fit has no redundancy.
     """
     if fit.redundancy <= 0:
         raise SolveError(

@@ -103,9 +103,29 @@ def resect(
 def fit(
     model: Model, xyz: FloatArray, colrow: FloatArray, sigmas_px: FloatArray | float | None = None
 ) -> Resection[Model]:
-    """Resection in which a-priori values are a start and nothing more: what is not held fixed is free.
+    """Resection without soft constraints: a-priori values are a start and nothing more; what is not held fixed is free.
 
     For models that are linear in their parameters (polynomials, affine) one step from any start is the solution.
+
+    Parameters
+    ----------
+    model : SensorModel
+        Parameters with a sigma of 0 are held.
+    xyz : array (N, 3)
+        Control points in `model.crs`.
+    colrow : array (N, 2)
+        Their measured (col, row) in pixels.
+    sigmas_px : array (N,) or (N, 2) or float, optional
+        Standard deviations of the measurements in pixels; equal weights without.
+
+    Returns
+    -------
+    Resection
+
+    Raises
+    ------
+    SolveError
+        As `resect`.
     """
     sigmas = model.parameters.sigmas
     return resect(model, xyz, colrow, sigmas_px, priors=np.where(sigmas == 0.0, 0.0, np.inf))

@@ -34,10 +34,23 @@ def jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def difference_jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Derivatives as of `jacobian`, by central differences over one pixel, whatever closed form the model has.
+    """Derivatives of the image by parameters and by ground, by central differences over one pixel.
 
-    One pixel balances both errors of a difference: curvature over a pixel is about 1e-8 of the derivative, and
-    rounding of pixel coordinates about 1e-12 of it.
+    The judge of closed forms: it uses none, whatever the model has. One pixel balances both errors of a difference:
+    curvature over a pixel is about 1e-8 of the derivative, and rounding of pixel coordinates about 1e-12 of it.
+
+    Parameters
+    ----------
+    model : SensorModel
+    xyz : array (N, 3)
+        Ground points in `model.crs`.
+
+    Returns
+    -------
+    by_parameters : array (N, 2, P)
+        Pixels per unit of each parameter.
+    by_ground : array (N, 2, 3)
+        Pixels per unit of `model.crs`.
     """
     points = np.asarray(xyz, dtype=np.float64)
     parameters = model.parameters
@@ -62,7 +75,17 @@ def difference_jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray
 
 
 def ground_step(model: SensorModel) -> float:
-    """Length in units of `model.crs` that moves the image by about one pixel near the model's seed."""
+    """Length on the ground that moves the image by about one pixel near the model's seed.
+
+    Parameters
+    ----------
+    model : SensorModel
+
+    Returns
+    -------
+    float
+        In units of x and y of `model.crs`.
+    """
     first = 1e-5 if in_degrees(model.crs) else 1.0
     return pixel_step(model.ground_to_image, np.asarray(model.seed, dtype=np.float64), first)
 

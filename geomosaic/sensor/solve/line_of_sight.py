@@ -125,7 +125,24 @@ HEIGHT_ACCEPTED = 1e-6
 
 
 def first_meeting(lines: SightLines, surface: Surface) -> FloatArray:
-    """First meeting x, y, z (N, 3) of each line with the surface, in `surface.crs`; NaN where there is none."""
+    """First intersection of each line of sight with a surface, from above.
+
+    Parameters
+    ----------
+    lines : SightLines
+        In `surface.crs`.
+    surface : Surface
+
+    Returns
+    -------
+    array (N, 3)
+        x, y, z in `surface.crs`; NaN where a line does not meet the surface.
+
+    Raises
+    ------
+    InputError
+        The surface has no known range of heights.
+    """
     low, high = surface.range
     if not (np.isfinite(low) and np.isfinite(high)):
         raise InputError("the surface has no known height", hint="give a DEM with data under the image, or a height")
