@@ -43,7 +43,18 @@ _DEGREES = (
 
 
 def parse_crs(text: str | CRS, where: str | None = None) -> CRS:
-    """Read a CRS from an EPSG code, PROJ string, WKT or the path of a .prj file.
+    """CRS of a text: an EPSG code, a PROJ string, WKT or the path of a .prj file.
+
+    Parameters
+    ----------
+    text : str or CRS
+        A CRS is returned as it is.
+    where : str, optional
+        File or option that the text comes from, named in errors.
+
+    Returns
+    -------
+    CRS
 
     Raises
     ------
@@ -67,7 +78,19 @@ def parse_crs(text: str | CRS, where: str | None = None) -> CRS:
 
 
 def parse_map(text: str, where: str | None = None) -> CRS:
-    """Read the CRS of a map: its horizontal part, which must have two axes.
+    """CRS of a map: the horizontal part of a CRS, which must have two axes.
+
+    Parameters
+    ----------
+    text : str
+        As `parse_crs` takes it.
+    where : str, optional
+        Named in errors.
+
+    Returns
+    -------
+    CRS
+        Projected, geographic or engineering, two-dimensional.
 
     Raises
     ------
@@ -86,7 +109,17 @@ def parse_map(text: str, where: str | None = None) -> CRS:
 
 @lru_cache(maxsize=256)
 def horizontal(crs: CRS) -> CRS:
-    """Two-dimensional part of a CRS (itself when it has no vertical part)."""
+    """Two-dimensional part of a CRS (itself when it has no vertical part).
+
+    Parameters
+    ----------
+    crs : CRS
+
+    Returns
+    -------
+    CRS
+        A geocentric CRS has no horizontal part and is returned as it is.
+    """
     if crs.is_compound:
         return horizontal(crs.sub_crs_list[0])
     if crs.is_bound and crs.source_crs is not None:
@@ -95,22 +128,60 @@ def horizontal(crs: CRS) -> CRS:
 
 
 def in_degrees(crs: CRS) -> bool:
-    """Whether x and y are longitude and latitude, so that a metre is about 1e-5 of them."""
+    """Whether x and y are longitude and latitude, so that a metre is about 1e-5 of them.
+
+    Parameters
+    ----------
+    crs : CRS
+        2-D or 3-D. A geographic CRS in grads counts too.
+
+    Returns
+    -------
+    bool
+    """
     return not crs.is_geocentric and bool(horizontal(crs).is_geographic)
 
 
 def is_local(crs: CRS) -> bool:
-    """Whether it is a local engineering frame, such as that of a developed wall: metres, and no place on Earth."""
+    """Whether a CRS is a local engineering frame, such as that of a developed wall: metres, and no place on Earth.
+
+    Parameters
+    ----------
+    crs : CRS
+
+    Returns
+    -------
+    bool
+    """
     return bool(horizontal(crs).is_engineering)
 
 
 def has_heights(crs: CRS) -> bool:
-    """Whether the CRS declares what its heights mean."""
+    """Whether a CRS declares the vertical datum of its heights.
+
+    Parameters
+    ----------
+    crs : CRS
+
+    Returns
+    -------
+    bool
+    """
     return crs.is_geocentric or crs.is_vertical or len(crs.axis_info) == 3
 
 
 def height_name(crs: CRS) -> str:
-    """Name of a 3-D CRS's vertical datum, or 'undeclared'."""
+    """Name of the vertical datum of a CRS.
+
+    Parameters
+    ----------
+    crs : CRS
+
+    Returns
+    -------
+    str
+        'geocentric', 'ellipsoidal', the name of the vertical CRS, or 'undeclared'.
+    """
     if crs.is_geocentric:
         return "geocentric"
     if crs.is_compound:
@@ -197,6 +268,16 @@ def _bound_vertical(path: str) -> CRS:
 def geocentric(crs: CRS) -> CRS:
     """Earth-centred, Earth-fixed Cartesian CRS on the datum of `crs` (no datum shift between them).
 
+    Parameters
+    ----------
+    crs : CRS
+        Geographic, projected or geocentric.
+
+    Returns
+    -------
+    CRS
+        X, Y, Z in metres.
+
     Raises
     ------
     InputError
@@ -228,7 +309,23 @@ def _with_axes(geodetic: CRS, name: str, axes: str) -> str:
 
 @lru_cache(maxsize=64)
 def geographic(crs: CRS) -> CRS:
-    """Longitude, latitude and ellipsoidal height in degrees and metres on the datum of `crs`."""
+    """Geographic 3-D CRS on the datum of `crs`: longitude, latitude and ellipsoidal height.
+
+    Parameters
+    ----------
+    crs : CRS
+        Geographic, projected or geocentric.
+
+    Returns
+    -------
+    CRS
+        Degrees and metres, also where the datum's own geographic CRS counts in grads.
+
+    Raises
+    ------
+    InputError
+        The CRS is not tied to the Earth.
+    """
     geodetic = _geodetic(crs)
     if _in_degrees(geodetic):
         return _ellipsoidal(geodetic)
@@ -236,7 +333,22 @@ def geographic(crs: CRS) -> CRS:
 
 
 def longitude_latitude_crs(crs: CRS) -> CRS:
-    """Longitude and latitude in degrees on the datum of `crs`."""
+    """Geographic 2-D CRS on the datum of `crs`: longitude and latitude in degrees.
+
+    Parameters
+    ----------
+    crs : CRS
+        Geographic, projected or geocentric.
+
+    Returns
+    -------
+    CRS
+
+    Raises
+    ------
+    InputError
+        The CRS is not tied to the Earth.
+    """
     geodetic = _geodetic(crs)
     return geodetic if _in_degrees(geodetic) and not geodetic.is_geocentric else horizontal(geographic(crs))
 

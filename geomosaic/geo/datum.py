@@ -42,7 +42,7 @@ class Operation:
         return self.name != _NONE
 
     def words(self) -> str:
-        """Say it in one line."""
+        """Description in one line: name, accuracy, and what a better operation needs."""
         known = f", good to {self.accuracy:g} m" if math.isfinite(self.accuracy) else ", accuracy not known"
         text = f"{self.name}{known}"
         if self.missing:
@@ -59,6 +59,16 @@ def operation_between(source: CRS, target: CRS) -> Operation:
     """Operation that `Transform` takes between two CRS, x and y only.
 
     Where PROJ has several by area, that is the one it holds best for most of their common area.
+
+    Parameters
+    ----------
+    source, target : CRS
+        Two-dimensional.
+
+    Returns
+    -------
+    Operation
+        Not `possible` where PROJ knows none.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of missing grids, which the result names
@@ -86,7 +96,18 @@ def _by_another_datum(source: CRS, target: CRS) -> Transformer | None:
 
 
 def doubt(crs: CRS) -> str | None:
-    """What makes a CRS read from a file suspicious: another name than it deserves, or a datum nobody knows."""
+    """Reason to doubt a CRS read from a file: a name that contradicts its keys, or an unknown datum.
+
+    Parameters
+    ----------
+    crs : CRS
+        As the file has it.
+
+    Returns
+    -------
+    str or None
+        One sentence with a hint; None where nothing is suspicious.
+    """
     said = re.search(r"EPSG:+(\d{4,6})", crs.name, re.IGNORECASE)
     unknown = any(word in _datum(crs).lower() for word in ("unknown", "unnamed"))
     if said and (unknown or crs.to_epsg() != int(said.group(1))):

@@ -18,7 +18,18 @@ from geomosaic.types import FloatArray
 
 
 def enu_axes(longitude: float, latitude: float) -> FloatArray:
-    """Rotation from geocentric to local east, north, up at a place given in degrees; shape (3, 3), rows E, N, U."""
+    """Rotation from geocentric axes to local east, north, up.
+
+    Parameters
+    ----------
+    longitude, latitude : float
+        Degrees, geodetic.
+
+    Returns
+    -------
+    array (3, 3)
+        Rows are the unit vectors E, N, U in the geocentric frame.
+    """
     lon, lat = np.radians(longitude), np.radians(latitude)
     sl, cl, sp, cp = np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat)
     return np.array([[-sl, cl, 0.0], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]])
@@ -48,10 +59,22 @@ class MapPlace:
 
 
 def map_place(crs: CRS, x: float, y: float) -> MapPlace:
-    """Longitude, latitude, convergence and point scale at (x, y) of a map CRS.
+    """Longitude, latitude, meridian convergence and point scale at a place of a map.
 
     The convergence is measured, not taken from formulas: a step to grid north is followed on the ellipsoid. So it
     holds for every projection, axis order and unit.
+
+    Parameters
+    ----------
+    crs : CRS
+        Of the map; a vertical part is ignored.
+    x, y : float
+        Map coordinates, in units of `crs`.
+
+    Returns
+    -------
+    MapPlace
+        Convergence 0 and scale 1 where `crs` is not projected.
     """
     flat = horizontal(crs)
     longitude, latitude = _on_ellipsoid(crs, np.array([[x, y]]))[0]
@@ -59,6 +82,7 @@ def map_place(crs: CRS, x: float, y: float) -> MapPlace:
         return MapPlace(float(longitude), float(latitude), 0.0, 1.0)
     factors = Proj(flat).get_factors(longitude, latitude)
     scale = float(np.sqrt(factors.areal_scale))
+    # Map units: long against the rounding of coordinates, short against the curvature of the meridian's image.
     step = 10.0
     ends = _on_ellipsoid(crs, np.array([[x, y - step], [x, y + step]]))
     ellipsoid = flat.get_geod()
@@ -127,13 +151,24 @@ _ABOVE = 'VERTCRS["{name}",VDATUM["{datum}"],CS[vertical,1],AXIS["({z})",up,LENG
 
 @lru_cache(maxsize=16)
 def local_frame_crs() -> CRS:
-    """x, y, z of a local Cartesian frame in metres, wherever it stands."""
+    """CRS of a local Cartesian frame: x, y, z in metres, wherever it stands."""
     return _joined("local frame", "origin of the local frame", "height in the local frame", ("X", "Y", "Z"))
 
 
 @lru_cache(maxsize=16)
 def developed_crs(kind: str) -> CRS:
-    """Developed coordinates u, v of a kind of surface in metres, and the offset h along its normal."""
+    """CRS of a developed surface: u, v on it and the offset h along its normal.
+
+    Parameters
+    ----------
+    kind : str
+        Of surface, such as 'cylinder'; part of the names.
+
+    Returns
+    -------
+    CRS
+        Compound, metres, not tied to the Earth.
+    """
     return _joined(f"developed {kind}", f"developed {kind}", f"offset from the {kind}", ("U", "V", "H"))
 
 
@@ -144,5 +179,14 @@ def _joined(name: str, datum: str, above: str, axes: tuple[str, str, str]) -> CR
 
 
 def is_free(crs: CRS) -> bool:
-    """Whether a CRS is tied to no Earth: its axes mean nothing but themselves, and none is the plumb line."""
+    """Whether a CRS is tied to no Earth: its axes mean nothing but themselves, and none is the plumb line.
+
+    Parameters
+    ----------
+    crs : CRS
+
+    Returns
+    -------
+    bool
+    """
     return bool(horizontal(crs).is_engineering)

@@ -23,6 +23,8 @@ FIRST, LAST = 2025.0, 2030.0
 """Years that the model is made for."""
 WEAKEST = 2000.0
 """Horizontal field in nT below which a compass does not point anywhere (blackout zones of the report)."""
+# Metres. The model's coefficients refer to this geomagnetic radius, not to the mean radius of the Earth; the other two
+# are the semi-major axis and squared eccentricity of WGS 84.
 _RADIUS = 6371200.0
 _AXIS, _ECCENTRICITY2 = 6378137.0, 0.0066943799901413165
 _DEGREE = 12
@@ -81,12 +83,24 @@ def magnetic_field(longitude: float, latitude: float, height: float, year: float
 
 
 def decimal_year(text: str, where: str | None = None) -> float:
-    """Year of '2026', '2026-06' or '2026-06-15': the middle of what is named.
+    """Decimal year of a date: the middle of the year, month or day that is named.
+
+    Parameters
+    ----------
+    text : str
+        '2026', '2026-06' or '2026-06-15'.
+    where : str, optional
+        Named in errors.
+
+    Returns
+    -------
+    float
+        Years.
 
     Raises
     ------
     InputError
-        It is no date.
+        The text is no date.
     """
     import datetime
 

@@ -36,7 +36,7 @@ APART = 1000.0
 
 @dataclass(frozen=True)
 class Domain:
-    """Degrees, in the projection's own geographic CRS.
+    """Domain of a map projection, in degrees of the projection's own geographic CRS.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Domain:
 
 
 def domain(crs: CRS) -> Domain:
-    """Where a map in this CRS is whole.
+    """Domain of a map projection: the part of the Earth that a map in this CRS shows in one piece.
 
     Cylindrical, pseudo-cylindrical and conic maps are torn along the meridian opposite to their central one. Where a
     pole is infinitely far, the map ends before it.
@@ -72,6 +72,10 @@ def domain(crs: CRS) -> Domain:
     ----------
     crs : CRS
         Geographic or projected.
+
+    Returns
+    -------
+    Domain
     """
     operation = crs.coordinate_operation
     if crs.is_geographic or operation is None:
@@ -130,7 +134,18 @@ class Rim:
 
 
 def limits(crs: CRS) -> Bounds:
-    """Left, bottom, right and top of the part that a map in a projected CRS shows in one piece, in the CRS."""
+    """Bounds of the part that a map in a projected CRS shows in one piece.
+
+    Parameters
+    ----------
+    crs : CRS
+        Projected; a vertical part is ignored.
+
+    Returns
+    -------
+    left, bottom, right, top : float
+        In `crs`; infinite where no place of the domain has map coordinates.
+    """
     crs = horizontal(crs)
     shown = domain(crs)
     lon = (shown.centre or 0.0) + np.linspace(-1.0, 1.0, 145) * (shown.reach - 1e-9)  # both sides of the seam
@@ -145,14 +160,35 @@ def limits(crs: CRS) -> Bounds:
 
 
 def whole_turn(crs: CRS) -> float | None:
-    """A whole turn of longitude in units of a geographic CRS (360 degrees, 400 grads); None of any other CRS."""
+    """Whole turn of longitude in units of a geographic CRS (360 degrees, 400 grads).
+
+    Parameters
+    ----------
+    crs : CRS
+
+    Returns
+    -------
+    float or None
+        None where x is no longitude.
+    """
     return 2 * math.pi / axis_unit(crs) if in_degrees(crs) else None
 
 
 def near(xy: FloatArray, middle: float, turn: float | None) -> FloatArray:
-    """Places (N, 2) with longitudes within half a turn of the middle; those that are stay as they are, to the last bit.
+    """Longitudes brought within half a turn of a middle; those that are stay as they are, to the last bit.
 
-    Where `turn` is None, x is no longitude and nothing changes.
+    Parameters
+    ----------
+    xy : array (N, 2)
+        Map coordinates; NaN stays NaN.
+    middle : float
+        Longitude in the same units.
+    turn : float or None
+        See `whole_turn`; where it is None, x is no longitude and nothing changes.
+
+    Returns
+    -------
+    array (N, 2)
     """
     if turn is None:
         return xy
@@ -167,7 +203,17 @@ Area = tuple[float, float, float, float]
 
 
 def area_of_use(crs: CRS) -> Area | None:
-    """West, south, east, north in degrees; a PROJ string is looked up among the known CRS."""
+    """Area of use of a CRS; a PROJ string is looked up among the known CRS.
+
+    Parameters
+    ----------
+    crs : CRS
+
+    Returns
+    -------
+    (west, south, east, north) or None
+        Degrees; west is greater than east where the area crosses the 180th meridian. None where none is known.
+    """
     area = crs.area_of_use
     if area is None and (code := crs.to_epsg()) is not None:
         area = CRS.from_epsg(code).area_of_use
@@ -175,16 +221,43 @@ def area_of_use(crs: CRS) -> Area | None:
 
 
 def longitude_latitude(xy: FloatArray, crs: CRS) -> FloatArray:
-    """Degrees (N, 2) on the CRS's own datum; NaN where the projection has no such place."""
+    """Longitude and latitude of map places, on the CRS's own datum.
+
+    Parameters
+    ----------
+    xy : array (N, 2)
+        In `crs`.
+    crs : CRS
+        Projected or geographic.
+
+    Returns
+    -------
+    array (N, 2)
+        Degrees; NaN where the projection has no such place.
+    """
     flat = horizontal(crs)
     degrees = Transform(flat, longitude_latitude_crs(flat))(xy)
+    # Some inverse projections give numbers for places off the map.
     degrees[np.abs(degrees[:, 1]) > 90.0] = np.nan
     degrees[np.abs(degrees[:, 0]) > 360.0] = np.nan
     return degrees
 
 
 def beyond(degrees: FloatArray, area: Area) -> FloatArray:
-    """Degrees of longitude and latitude by which places (N, 2) miss an area; 0 inside, NaN where there is no place."""
+    """Degrees of longitude and latitude by which places miss an area.
+
+    Parameters
+    ----------
+    degrees : array (N, 2)
+        Longitude and latitude.
+    area : (west, south, east, north)
+        Degrees; it may cross the 180th meridian.
+
+    Returns
+    -------
+    array (N, 2)
+        0 inside, NaN where there is no place.
+    """
     west, south, east, north = area
     middle, half = (west + (east - west) % 360.0 / 2, (east - west) % 360.0 / 2) if east != west + 360 else (0.0, 180.0)
     off = np.abs((degrees[:, 0] - middle + 180.0) % 360.0 - 180.0) - half

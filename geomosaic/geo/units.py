@@ -13,30 +13,78 @@ EARTH_RADIUS = 6371008.8
 
 
 def unit_name(crs: CRS) -> str:
-    """Name of the unit of x and y, such as 'metre'."""
+    """Name of the unit of x and y, such as 'metre'.
+
+    Parameters
+    ----------
+    crs : CRS
+
+    Returns
+    -------
+    str
+        'unit' where the CRS has no axes.
+    """
     axes = horizontal(crs).axis_info
     return str(axes[0].unit_name) if axes else "unit"
 
 
 def short_unit(crs: CRS) -> str:
-    """Unit of x and y as it stands behind numbers: 'm', 'degrees' ..."""
+    """Unit of x and y as it stands behind numbers: 'm', 'degrees' ...
+
+    Parameters
+    ----------
+    crs : CRS
+
+    Returns
+    -------
+    str
+    """
     name = unit_name(crs)
     return {"metre": "m", "degree": "degrees"}.get(name, name)
 
 
 def axis_unit(crs: CRS) -> float:
-    """Metres, or radians of a geographic CRS, in one unit of x and y."""
+    """Length of one unit of x and y: metres, or radians of a geographic CRS.
+
+    Parameters
+    ----------
+    crs : CRS
+
+    Returns
+    -------
+    float
+    """
     axes = horizontal(crs).axis_info
     return float(axes[0].unit_conversion_factor) if axes else 1.0
 
 
 def height_unit(crs: CRS) -> float:
-    """Metres in one unit of heights; 1 where the CRS has none."""
+    """Metres in one unit of heights.
+
+    Parameters
+    ----------
+    crs : CRS
+        3-D, or 2-D without heights.
+
+    Returns
+    -------
+    float
+        1 where the CRS has no heights.
+    """
     return float(crs.axis_info[2].unit_conversion_factor) if len(crs.axis_info) == 3 else 1.0
 
 
 def linear_unit(crs: CRS) -> float:
-    """Metres in one unit of x and y: of a geographic CRS roughly, an arc of the meridian of a sphere."""
+    """Metres in one unit of x and y; of a geographic CRS roughly, an arc of the meridian of a sphere.
+
+    Parameters
+    ----------
+    crs : CRS
+
+    Returns
+    -------
+    float
+    """
     return axis_unit(crs) * (EARTH_RADIUS if horizontal(crs).is_geographic else 1.0)
 
 
