@@ -5,7 +5,7 @@ s is the principal point of symmetry, counted from the principal point in focal 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +15,8 @@ from geomosaic.errors import InputError
 from geomosaic.sensor.inputs import choice, known_keys, need, number, numbers
 from geomosaic.types import BoolArray, FloatArray
 from geomosaic_frame.distortion import Columns, Lens, NoDistortion
-from geomosaic_frame.polynomial import Brown
+from geomosaic_frame.fisheye import Fisheye
+from geomosaic_frame.polynomial import Brown, Rational
 
 
 @dataclass(frozen=True)
@@ -132,12 +133,20 @@ class ShearedLens:
         return {**self.lens.to_dict(), "shear": self.shear}
 
 
+LENSES: Mapping[str, Callable[..., Lens]] = {
+    "none": NoDistortion,
+    "brown": Brown,
+    "opencv": Rational,
+    "fisheye": Fisheye,
+}
+"""Lens of each `model` of a `[distortion]` table."""
 COEFFICIENTS = {
     "none": (),
     "brown": ("k1", "k2", "k3", "p1", "p2", "k4"),
     "opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4"),
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
+"""Its coefficients: keys of the table and parameters of the lens."""
 CONVENTIONS = ("opencv", "photogrammetric")
 
 
@@ -177,7 +186,7 @@ def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -
 
         return Corrections.photogrammetric((k1, k2, k3), (p1, p2), focal)
     centre = numbers(table.get("centre", (0.0, 0.0)), 2, "centre", where)
-    return _sheared(_moved(_make(model, values), centre), number(table.get("shear", 0.0), "shear", where))
+    return _sheared(_moved(LENSES[model](**values), centre), number(table.get("shear", 0.0), "shear", where))
 
 
 def lens_from_dict(state: Mapping[str, Any]) -> Lens:
@@ -188,21 +197,7 @@ def lens_from_dict(state: Mapping[str, Any]) -> Lens:
 
         return Corrections(Brown(**formula))
     values = {key: value for key, value in state.items() if key not in ("model", "shear", "centre")}
-    return _sheared(_moved(_make(state["model"], values), state.get("centre", (0.0, 0.0))), state.get("shear", 0.0))
-
-
-def _make(model: str, values: dict[str, float]) -> Lens:
-    if model == "none":
-        return NoDistortion()
-    if model == "brown":
-        return Brown(**values)
-    if model == "opencv":
-        from geomosaic_frame.polynomial import Rational
-
-        return Rational(**values)
-    from geomosaic_frame.fisheye import Fisheye
-
-    return Fisheye(**values)
+    return _sheared(_moved(LENSES[state["model"]](**values), state.get("centre", (0.0, 0.0))), state.get("shear", 0.0))
 
 
 def _moved(lens: Lens, centre: Sequence[float]) -> Lens:
