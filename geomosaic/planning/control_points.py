@@ -43,7 +43,16 @@ class ControlNumber:
 
 
 def control_number(model: str) -> ControlNumber:
-    """Number of control points of one image.
+    """Number of control points that one image needs.
+
+    Parameters
+    ----------
+    model : str
+        Of `COEFFICIENTS`.
+
+    Returns
+    -------
+    ControlNumber
 
     Raises
     ------
@@ -62,7 +71,20 @@ def control_number(model: str) -> ControlNumber:
 
 
 def models_of(count: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Models that so many points determine, and those with twice as many equations as unknowns."""
+    """Models that a number of control points determines.
+
+    Parameters
+    ----------
+    count : int
+        Points in one image.
+
+    Returns
+    -------
+    determined : tuple of str
+        Names of models with at least as many equations as unknowns.
+    redundant : tuple of str
+        Names of those with at least twice as many.
+    """
     need = {name: control_number(name) for name in COEFFICIENTS}
     return (
         tuple(name for name, number in need.items() if number.least <= count),
@@ -92,6 +114,7 @@ def control_layout(count: int) -> FloatArray:
         raise InputError("a layout begins with the four corners", where="`points`", hint="give 4 or more")
     axis = np.linspace(0.05, 0.95, 37)
     places = np.array([(x, y) for y in axis for x in axis])
+    # Opposite corners first: the first two points already span the whole image.
     chosen = [np.array(corner) for corner in ((0.05, 0.05), (0.95, 0.95), (0.95, 0.05), (0.05, 0.95))]
     gap = np.full(len(places), np.inf)
     for corner in chosen:
@@ -105,7 +128,15 @@ def control_layout(count: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class BlockBalance:
-    """Equations and unknowns of photos that are adjusted together (Wolf, section 9-8)."""
+    """Equations and unknowns of photos that are adjusted together (Wolf, section 9-8).
+
+    Attributes
+    ----------
+    unknowns : int
+        Of all photos.
+    tie_equations, control_equations : int
+        From tie points and from control points.
+    """
 
     unknowns: int
     tie_equations: int
@@ -129,5 +160,14 @@ def block_balance(photos: int, model: str, ties: int, control: int) -> BlockBala
         Connections between two photos, each with two equations (9-4).
     control : int
         Measurements of control points, each with two equations (9-3).
+
+    Returns
+    -------
+    BlockBalance
+
+    Raises
+    ------
+    InputError
+        The model is not known.
     """
     return BlockBalance(photos * control_number(model).unknowns, 2 * ties, 2 * control)

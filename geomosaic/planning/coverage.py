@@ -57,7 +57,7 @@ def coverage(
     strips: int | None = None,
     photos_in_strip: int | None = None,
 ) -> Coverage:
-    """Photos over a rectangle.
+    """Photos and strips that cover a rectangle.
 
     Strips are spread so that their outer edges reach those of the area: n = ⌈(width - side) / spacing⌉ + 1. In a strip,
     n = ⌈(length - side) / base⌉ + 1; with `stereo`, n = ⌈length / base⌉ + 1, so that everything up to both ends lies
@@ -77,7 +77,13 @@ def coverage(
     overlap, sidelap : float
         Percent of these sides.
     stereo : bool
+        Whether every place is to be seen in two photos.
     strips, photos_in_strip : int, optional
+        Instead of `sidelap` and `overlap`.
+
+    Returns
+    -------
+    Coverage
 
     Raises
     ------
@@ -104,6 +110,7 @@ def coverage(
 
 
 _HAIR = 1e-9
+"""Part of a step by which rounding may exceed a whole number: it must not add a photo."""
 
 
 def _spread(reach: float, step: float, side: float, count: int | None, where: str) -> tuple[int, float]:
@@ -119,6 +126,24 @@ def _spread(reach: float, step: float, side: float, count: int | None, where: st
 
 
 def raster_size(length: float, width: float, pixel: float) -> tuple[int, int]:
-    """Columns and rows of a raster over `width` (east) by `length` (north) metres: whole pixels that cover it."""
+    """Size of the raster that covers a rectangle with whole pixels.
+
+    Parameters
+    ----------
+    length, width : float
+        Of the rectangle, north and east, metres.
+    pixel : float
+        Metres.
+
+    Returns
+    -------
+    cols, rows : int
+
+    Raises
+    ------
+    InputError
+        A pixel that is not above 0.
+    """
+    # Quotients such as 0.3 / 0.1 exceed a whole number in the last bit, which must not add a pixel.
     size = checked("ortho_pixel", pixel)
     return math.ceil(width / size - 1e-9), math.ceil(length / size - 1e-9)

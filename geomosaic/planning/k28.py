@@ -32,7 +32,15 @@ PIXEL_GAIN = (1.1, 1.2)
 
 @dataclass(frozen=True)
 class Interval:
-    """Row of the table of grid intervals: photo scales, and intervals of the DEM in metres by terrain."""
+    """Row of the table of grid intervals.
+
+    Attributes
+    ----------
+    photo : (int, int)
+        Range of photo scales, denominators.
+    easy, difficult : (float, float)
+        Range of the interval of the DEM in easy and difficult terrain, metres.
+    """
 
     photo: tuple[int, int]
     easy: tuple[float, float]
@@ -48,38 +56,133 @@ INTERVALS = {
 
 
 def position_error(ortho_scale: float) -> float:
-    """Mean error of position on the ground, metres: 0.3 mm on the map."""
+    """Mean error of position on the ground: 0.3 mm on the map.
+
+    Parameters
+    ----------
+    ortho_scale : float
+        Denominator of the photo map's scale.
+
+    Returns
+    -------
+    float
+        Metres.
+
+    Raises
+    ------
+    InputError
+        A scale that is not above 0.
+    """
     return POSITION_MM * checked("ortho_scale", ortho_scale) / 1000
 
 
 def height_error(ortho_scale: float, camera_constant: float, radius: float) -> float:
-    """Largest error of a DEM height in metres for pixels `radius` mm from the principal point.
+    """Largest admissible error of a DEM height.
 
     m_DTM = m_O · (140 / r) · (c / 150), with m_O = 0.3 mm · M. The law m_DTM = m_O · c / r alone gives 7 % more
     (0.64 m where the table has 0.6 m): the guidelines stay below it so that the numbers are round.
+
+    Parameters
+    ----------
+    ortho_scale : float
+        Denominator M of the photo map's scale.
+    camera_constant : float
+        c, mm.
+    radius : float
+        r, mm from the principal point up to which the photo is used.
+
+    Returns
+    -------
+    float
+        Metres.
+
+    Raises
+    ------
+    InputError
+        A value that is not above 0.
     """
     c, r = checked("camera_constant", camera_constant), checked("radius", radius)
     return position_error(ortho_scale) * (CORNER / r) * (c / CONSTANT)
 
 
 def radial_shift(dem_error: float, ortho_scale: float, camera_constant: float, radius: float = CORNER) -> float:
-    """Shift on the map, mm, of a pixel whose height is wrong by `dem_error` metres; r is the corner's unless given."""
+    """Radial shift on the map of a pixel whose height is wrong: m_DTM · r / (c · M).
+
+    Parameters
+    ----------
+    dem_error : float
+        Error of the height m_DTM, metres.
+    ortho_scale : float
+        Denominator M of the photo map's scale.
+    camera_constant : float
+        c, mm.
+    radius : float
+        r, mm from the principal point; by default that of the photo's corner.
+
+    Returns
+    -------
+    float
+        mm on the map.
+
+    Raises
+    ------
+    InputError
+        A value out of its range.
+    """
     c, r = checked("camera_constant", camera_constant), checked("radius", radius)
     return 1000 * checked("dem_error", dem_error) * r / (c * checked("ortho_scale", ortho_scale))
 
 
 def ortho_pixel(ortho_scale: float, film: Film) -> float:
-    """Pixel of the photo map on the ground, metres: 0.08 mm of the map in grey, 0.10 mm in colour."""
+    """Pixel of the photo map on the ground: 0.08 mm of the map in grey, 0.10 mm in colour.
+
+    Parameters
+    ----------
+    ortho_scale : float
+        Denominator of the photo map's scale.
+    film : 'grey' or 'colour'
+
+    Returns
+    -------
+    float
+        Metres.
+
+    Raises
+    ------
+    InputError
+        A scale that is not above 0.
+    """
     return PRINT_MM[film] * checked("ortho_scale", ortho_scale) / 1000
 
 
 def dpi_of(film: Film) -> float:
-    """Resolution of the photo map."""
+    """Resolution of the photo map on paper.
+
+    Parameters
+    ----------
+    film : 'grey' or 'colour'
+
+    Returns
+    -------
+    float
+        Dots per inch: 317.5 in grey, 254 in colour.
+    """
     return round(25.4 / PRINT_MM[film], 6)
 
 
 def interval(ortho_scale: float, terrain: Terrain) -> tuple[float, float]:
-    """Recommended range of the DEM's grid interval, metres.
+    """Recommended range of the DEM's grid interval.
+
+    Parameters
+    ----------
+    ortho_scale : float
+        Denominator of the photo map's scale.
+    terrain : 'easy' or 'difficult'
+
+    Returns
+    -------
+    least, most : float
+        Metres.
 
     Raises
     ------

@@ -15,7 +15,20 @@ HEIGHTS = "K-2.8: m_O · 140/r · c/150"
 
 @dataclass(frozen=True)
 class Requirement:
-    """Requirement of a plan: least and largest value (None where open), unit, and source."""
+    """Requirement of a plan on one quantity.
+
+    Attributes
+    ----------
+    name : str
+    text : str
+        Meaning, as in the table.
+    least, most : float, optional
+        Range in `unit`; None where it is open.
+    unit : str
+        '1:' for the denominator of a scale.
+    source : str
+        Formula, or the table it is from.
+    """
 
     name: str
     text: str
@@ -35,7 +48,7 @@ def requirements(
     other_errors: tuple[float, ...] = (),
     radius: float = k28.CORNER,
 ) -> list[Requirement]:
-    """What the inputs of a photo map must be.
+    """Requirements on photos, scan, DEM and control of a photo map.
 
     Parameters
     ----------
@@ -54,6 +67,10 @@ def requirements(
     radius : float
         mm from the principal point up to which photos are used.
 
+    Returns
+    -------
+    list of Requirement
+
     Raises
     ------
     InputError
@@ -71,6 +88,7 @@ def requirements(
     for error in other_errors:
         if not 0 <= error < math.inf:
             raise InputError(f"{error:g} m is no error", where="`other_error`", hint="give metres, 0 or more")
+        # Independent errors add as squares: what the others leave of the target is the DEM's.
     left = target**2 - sum(error**2 for error in other_errors)
     if not left > 0:
         total = math.sqrt(sum(error**2 for error in other_errors))

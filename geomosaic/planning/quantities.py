@@ -69,7 +69,19 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 def checked(name: str, value: float) -> float:
-    """Value of a quantity within its range.
+    """Value of a quantity, refused outside its valid range.
+
+    Parameters
+    ----------
+    name : str
+        Of `QUANTITIES`.
+    value : float
+        In the unit of the quantity.
+
+    Returns
+    -------
+    float
+        The value itself.
 
     Raises
     ------
@@ -92,7 +104,20 @@ def checked(name: str, value: float) -> float:
 
 
 def shown(name: str, value: float) -> str:
-    """Number with its unit, to four digits, scales in whole numbers."""
+    """Text of a value with its unit, to four digits, scales in whole numbers.
+
+    Parameters
+    ----------
+    name : str
+        Of `QUANTITIES`.
+    value : float
+        In the unit of the quantity.
+
+    Returns
+    -------
+    str
+        Such as '1:13 000' or '6.096 mm'; thousands are set apart by a narrow no-break space.
+    """
     unit = QUANTITIES[name].unit
     if unit == "1:":
         return f"1:{value:,.0f}".replace(",", "\u202f") if value >= 1000 else f"1:{value:.4g}"
@@ -101,7 +126,16 @@ def shown(name: str, value: float) -> str:
 
 
 def parameters(names: Iterable[str]) -> str:
-    """Names of quantities as messages have them."""
+    """List of quantities for messages, each name in backquotes.
+
+    Parameters
+    ----------
+    names : iterable of str
+
+    Returns
+    -------
+    str
+    """
     return ", ".join(f"`{name}`" for name in names)
 
 
@@ -119,7 +153,18 @@ _NUMBER = re.compile(r"\s*([-+]?(?:\d[\d\u202f ]*(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d
 
 
 def in_unit(text: str, unit: str) -> float:
-    """Number of a quantity: '20000 ft' in metres is 6096; a plain number counts in `unit` itself.
+    """Number of a text with or without a unit, converted to a quantity's unit.
+
+    Parameters
+    ----------
+    text : str
+        Such as '20000 ft', which is 6096 in metres; a plain number counts in `unit` itself.
+    unit : str
+        Unit of the quantity, as in `Quantity.unit`.
+
+    Returns
+    -------
+    float
 
     Raises
     ------

@@ -36,7 +36,17 @@ class Relation(Protocol):
 
 @dataclass(frozen=True)
 class Power:
-    """Product of powers that is a constant: Π values[name]^exponent = constant."""
+    """Relation that is a product of powers: Π values[name]^exponent = constant.
+
+    Attributes
+    ----------
+    formula, source : str
+        As in the help.
+    powers : mapping of str to float
+        Exponent by the name of the quantity.
+    constant : float
+        Units of the quantities included.
+    """
 
     formula: str
     source: str
@@ -61,7 +71,15 @@ class Power:
 
 @dataclass(frozen=True)
 class Curve:
-    """Equation with a solution written out for each of its quantities."""
+    """Relation with a solution written out for each of its quantities.
+
+    Attributes
+    ----------
+    formula, source : str
+        As in the help.
+    solutions : mapping of str to function
+        By the name of the quantity: all other values → its value, None where these leave it open.
+    """
 
     formula: str
     source: str

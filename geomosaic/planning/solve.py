@@ -16,7 +16,16 @@ AGREES = 1e-6
 
 @dataclass(frozen=True)
 class Derived:
-    """Derived quantity: its value, and the relation it came from."""
+    """Derived quantity.
+
+    Attributes
+    ----------
+    name : str
+    value : float
+        In the unit of `QUANTITIES`.
+    relation : Relation
+        It was solved from.
+    """
 
     name: str
     value: float
@@ -32,6 +41,10 @@ def derive(relations: Sequence[Relation], given: Mapping[str, float]) -> list[De
     given : mapping of str to float
         By name, in the units of `QUANTITIES`.
 
+    Returns
+    -------
+    list of Derived
+
     Raises
     ------
     InputError
@@ -39,7 +52,8 @@ def derive(relations: Sequence[Relation], given: Mapping[str, float]) -> list[De
     """
     known = {name: checked(name, value) for name, value in given.items()}
     found: list[Derived] = []
-    ordered = sorted(relations, key=lambda relation: bound(relation) is not None)  # equations before limits
+    # A limit taken for an equation would give a quantity its limit before an equation gives it its value.
+    ordered = sorted(relations, key=lambda relation: bound(relation) is not None)
     while True:
         new = next((made for relation in ordered if (made := _next(relation, known)) is not None), None)
         if new is None:
@@ -62,7 +76,18 @@ def derive(relations: Sequence[Relation], given: Mapping[str, float]) -> list[De
 
 @dataclass(frozen=True)
 class Limit:
-    """Limit of a given quantity, and whether the quantity keeps it."""
+    """Limit of a given quantity.
+
+    Attributes
+    ----------
+    name : str
+    limit : float
+        In the unit of `QUANTITIES`.
+    relation : Relation
+        It follows from.
+    kept : bool
+        Whether the quantity keeps it.
+    """
 
     name: str
     limit: float
@@ -71,12 +96,34 @@ class Limit:
 
 
 def bound(relation: Relation) -> str | None:
-    """Sign of a limit, '>=' or '<=', where a formula limits its first quantity; None of an equation."""
+    """Sign of the limit that a relation sets to its first quantity.
+
+    Parameters
+    ----------
+    relation : Relation
+
+    Returns
+    -------
+    str or None
+        '>=' or '<='; None of an equation.
+    """
     return next((sign for sign in (">=", "<=") if f" {sign} " in relation.formula), None)
 
 
 def limits(relations: Sequence[Relation], known: Mapping[str, float]) -> list[Limit]:
-    """Limits of quantities that are all known, each with whether it is kept."""
+    """Limits that relations set to given quantities.
+
+    Parameters
+    ----------
+    relations : sequence of Relation
+        Those that are equations, or name a quantity that is not known, are passed over.
+    known : mapping of str to float
+        By name, in the units of `QUANTITIES`.
+
+    Returns
+    -------
+    list of Limit
+    """
     found = []
     for relation in relations:
         sign, name = bound(relation), relation.names[0]

@@ -28,7 +28,20 @@ TERMS = (*SHARED, "haze", "gamma", "dodging")
 
 
 def width(terms: Collection[str], cameras: int) -> int:
-    """Number of shared functions."""
+    """Number of shared functions of a set of terms.
+
+    Parameters
+    ----------
+    terms : collection of str
+        Of `TERMS`; those that images do not share add none.
+    cameras : int
+        Cameras of the block; each has a vignetting of its own.
+
+    Returns
+    -------
+    int
+        Columns of `shared_functions`.
+    """
     return (
         RADIAL * cameras * ("vignetting" in terms) + TREND * ("trend" in terms) + NODES * NODES * ("hotspot" in terms)
     )
@@ -69,18 +82,39 @@ def shared_functions(
 
 
 def excess_air_path(view: FloatArray) -> FloatArray:
-    """Excess of the path through the air over that at the nadir, at positions (..., 2) on the ground; 1 in the corners.
+    """Excess of the path through the air over that at the nadir.
 
     The path grows as 1 / cos θ ≈ 1 + tan²θ / 2, and tan θ with the distance from the nadir.
+
+    Parameters
+    ----------
+    view : array (..., 2)
+        Positions on the ground from the nadir, in units of half the footprint's diagonal.
+
+    Returns
+    -------
+    array (...)
+        0 at the nadir, 1 in the corners.
     """
     return np.asarray((view**2).sum(axis=-1))
 
 
 def prior_normal_matrix(terms: Collection[str], cameras: int) -> FloatArray:
-    """Normal matrix (width, width) of the prior: fields are no larger and no rougher than light makes.
+    """Normal matrix of the prior on the shared functions: fields are no larger and no rougher than light makes.
 
     Coefficients of vignetting have a standard deviation of 1, those of a trend 0.5. Second differences of a hotspot's
-    nodes have 0.1, the nodes themselves 0.5.
+    nodes have 0.1, the nodes themselves 0.5; all in logarithms of a gain.
+
+    Parameters
+    ----------
+    terms : collection of str
+        Of `SHARED`.
+    cameras : int
+
+    Returns
+    -------
+    array (width, width)
+        In the order of `shared_functions`.
     """
     size = width(terms, cameras)
     normal, at = np.zeros((size, size)), 0
@@ -98,7 +132,21 @@ def prior_normal_matrix(terms: Collection[str], cameras: int) -> FloatArray:
 
 
 def roughness(rows: int, cols: int) -> FloatArray:
-    """Normal matrix of all second differences along rows and columns of a net of nodes, and twice the mixed ones."""
+    """Normal matrix of all second differences along rows and columns of a net of nodes, and twice the mixed ones.
+
+    This is the bending energy of a thin plate on a net, f_xx² + 2·f_xy² + f_yy²: with the mixed term twice, it does not
+    depend on the directions of rows and columns.
+
+    Parameters
+    ----------
+    rows, cols : int
+        Nodes of the net along each side.
+
+    Returns
+    -------
+    array (rows·cols, rows·cols)
+        Nodes row by row.
+    """
     return np.asarray(
         np.kron(np.eye(rows), _difference_normal(cols, 2))
         + np.kron(_difference_normal(rows, 2), np.eye(cols))

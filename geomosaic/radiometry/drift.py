@@ -56,20 +56,50 @@ def neighbourhoods(images: int, first: IntArray, second: IntArray) -> list[IntAr
             ring = sorted(set().union(*(partners[i] for i in edge)) - near)
             edge = set(ring[:: -(-len(ring) // MAX_PER_STEP)]) if ring else set()
             near |= edge
+            # The mean of a whole group is settled by the prior already: a neighbourhood must have others beyond it.
         if len(near) > 1 and set().union(*(partners[i] for i in near)) - near:
             found.append(np.array(sorted(near)))
     return found
 
 
 def mean_sigma(near: list[IntArray], level: FloatArray) -> float:
-    """Standard deviation with which means are observed, from corrections (images,) solved without them."""
+    """Standard deviation with which the mean correction of a neighbourhood is observed.
+
+    `SIGMA_RATIO` times the spread of single corrections about the mean of their neighbours, from the median absolute
+    deviation.
+
+    Parameters
+    ----------
+    near : list of int array
+        Neighbourhoods, at least one.
+    level : array (images,)
+        Corrections solved without these observations, as logarithms of gains.
+
+    Returns
+    -------
+    float
+    """
     departures = np.concatenate([level[group] - level[group].mean() for group in near])
     spread = 1.4826 * float(np.median(np.abs(departures)))
     return SIGMA_RATIO * min(max(spread, MIN_SPREAD), MAX_SPREAD)
 
 
 def normal_entries(near: list[IntArray], weight: float) -> tuple[IntArray, IntArray, FloatArray]:
-    """Rows, columns and values that observed means of 0 add to a normal matrix, each with a given weight."""
+    """Entries that observed means of 0 add to a normal matrix.
+
+    Parameters
+    ----------
+    near : list of int array
+        Neighbourhoods: numbers of the images.
+    weight : float
+        Inverse variance of the mean of one neighbourhood.
+
+    Returns
+    -------
+    rows, cols : int array (entries,)
+        Numbers of the images; pairs repeat, and their values are to be added.
+    values : array (entries,)
+    """
     if not near:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
     rows = np.concatenate([np.repeat(group, len(group)) for group in near])
@@ -81,7 +111,21 @@ def normal_entries(near: list[IntArray], weight: float) -> tuple[IntArray, IntAr
 
 
 def right_hand_side(near: list[IntArray], target: FloatArray, weight: float) -> FloatArray:
-    """Right-hand side (images,) of the same observations, where the mean of x is that of `target` (images,)."""
+    """Right-hand side of observed means that are not 0.
+
+    Parameters
+    ----------
+    near : list of int array
+        Neighbourhoods, as in `normal_entries`.
+    target : array (images,)
+        The mean of x over each neighbourhood is observed to be that of `target`.
+    weight : float
+        Inverse variance, as in `normal_entries`.
+
+    Returns
+    -------
+    array (images,)
+    """
     pull = np.zeros(len(target))
     for group in near:
         pull[group] += _observation_weight(group, weight) * target[group].mean()
@@ -97,9 +141,23 @@ def _observation_weight(group: IntArray, weight: float) -> float:
 
 
 def connected_groups(images: int, first: IntArray, second: IntArray) -> IntArray:
-    """Number (images,) of the group of images that overlaps connect."""
+    """Connected components of the graph of overlaps.
+
+    Parameters
+    ----------
+    images : int
+    first, second : int array (overlaps,)
+        Numbers of the overlapping images.
+
+    Returns
+    -------
+    int array (images,)
+        Number of each image's group, from 0.
+    """
     group = np.arange(images)
     while True:
+        # Each image takes the smallest number among its partners', then that of the image it now points to: pointer
+        # doubling, so that a strip of n images needs about log n rounds instead of n.
         least = group.copy()
         np.minimum.at(least, first, group[second])
         np.minimum.at(least, second, group[first])

@@ -183,8 +183,10 @@ def _weights(difference: FloatArray, mean: FloatArray, known: BoolArray) -> Floa
     level = np.where(known, np.abs(mean), 0.0).sum(axis=1, keepdims=True) / np.maximum(
         known.sum(axis=1, keepdims=True), 1
     )
+    # Two copies of one image differ by nothing: without a floor their weight would be infinite.
     sigma = np.maximum(np.nan_to_num(sigma), 1e-4 * level + 1e-12)
     tukey = np.where(known, np.maximum(1 - (difference / (BIWEIGHT_LIMIT * sigma)) ** 2, 0.0) ** 2, 0.0)
     weight = tukey / sigma**2
+    # Samples of one overlap share the errors of the model (relief, view angle), which more samples do not reduce.
     information = (weight * mean**2).sum(axis=1, keepdims=True)
     return np.asarray(weight * np.minimum(1.0, 1 / (MIN_SIGMA**2 * np.maximum(information, 1e-12))))

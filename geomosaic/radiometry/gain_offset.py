@@ -137,6 +137,7 @@ def _solve_band(graph: _OverlapGraph, relations: Sequence[MajorAxis], band: int)
     first, second = graph.first, graph.second
     ratio, variance = column("log_ratio"), column("log_ratio_variance")
     level = _adjusted(graph, ratio, variance + MIN_SIGMA**2)
+    # How firmly drift is bounded depends on how much exposures vary, which a solution without the bound shows.
     sigma = drift.mean_sigma(graph.near, level) if graph.near else None
     if sigma is not None:
         level = _adjusted(graph, ratio, variance + MIN_SIGMA**2, sigma)
@@ -166,9 +167,8 @@ def _adjusted(
     """Least-squares values x of all images from observed differences x[first] − x[second] and the prior x = 0.
 
     The normal matrix is the weighted Laplacian of the graph plus the prior's weight on its diagonal. Rows of a
-    Laplacian
-    sum to 0, so the values of every connected group do too; where drift is bounded they are made to. The mean of a
-    neighbourhood is observed as that of `target`, 0 unless given, with the standard deviation `sigma`.
+    Laplacian sum to 0, so the values of every connected group do too; where drift is bounded they are made to. The mean
+    of a neighbourhood is observed as that of `target`, 0 unless given, with the standard deviation `sigma`.
     """
     images, first, second = graph.images, graph.first, graph.second
     weight = PRIOR_SIGMA**2 / variance

@@ -133,6 +133,7 @@ def match_overlaps(pieces: Sequence[Thumbnail], master: Thumbnail) -> tuple[list
         waiting = [i for i in range(len(pieces)) if i not in curves and shared[i] >= MIN_CELLS]
         if not waiting:
             break
+            # Equal overlaps in the order of the images, so that equal runs give equal curves.
         following = max(waiting, key=lambda i: (shared[i], -i))
         curves[following] = matching_curve(np.concatenate(own[following]), np.concatenate(others[following]))
         own[following], others[following] = [], []
@@ -179,7 +180,18 @@ def _matched_to(piece: Thumbnail, other: Thumbnail, curve: ToneCurve) -> ToneCur
 
 
 def common_values(one: Thumbnail, other: Thumbnail) -> tuple[AnyArray, AnyArray] | None:
-    """Values (N, bands) of two images where both are valid; None where they share nothing."""
+    """Values of two images where both are valid.
+
+    Parameters
+    ----------
+    one, other : Thumbnail
+        On the same coarse grid.
+
+    Returns
+    -------
+    tuple of array (N, bands), or None
+        Of the first and of the second image; None where they share nothing.
+    """
     window = one.window.intersection(other.window)
     if window.empty:
         return None

@@ -124,6 +124,7 @@ class CorrectionField:
 
 
 NODES = 6
+"""Nodes along each side of the net over an image."""
 SIGMA_NODE, SIGMA_ROUGHNESS = 0.1, 0.05
 """Prior standard deviations of a node, and of a second difference of nodes."""
 ITERATIONS = 3
@@ -135,11 +136,14 @@ def solve_dodging(fields: ColourModel, views: PairedSamples) -> ColourModel:
     Parameters
     ----------
     fields : ColourModel
+        Solved without dodging.
     views : PairedSamples
+        The samples to explain; those of images that no camera of the block took pull on no net.
 
     Returns
     -------
     ColourModel
+        `fields` with `dodging`.
     """
     from scipy.sparse import block_diag, coo_matrix, csr_matrix
     from scipy.sparse.linalg import cg
@@ -171,6 +175,8 @@ def solve_dodging(fields: ColourModel, views: PairedSamples) -> ColourModel:
             off = left - design @ net
             sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(off))), 1e-4)
             weight = np.maximum(1 - (off / (BIWEIGHT_LIMIT * sigma)) ** 2, 0.0) ** 2 / sigma**2
+            # Samples of one overlap share the errors of the model: together they count as a few observations of
+            # `MIN_SIGMA`, however many they are.
             weight = np.minimum(weight, 4 / (MIN_SIGMA**2 * per_overlap))
             normal = (design.T @ design.multiply(weight[:, None]) + prior).tocsr()
             scale = normal.diagonal()

@@ -50,7 +50,17 @@ class Trial:
 def solve_terms(
     views: PairedSamples, setting: ColourSetting, gain: FloatArray, offset: FloatArray, linear: Collection[int] = ()
 ) -> ColourModel:
-    """Colour model with the terms of a setting, dodging included; parameters as in `fields.solve_fields`."""
+    """Colour model with the terms of a setting, dodging included.
+
+    Parameters
+    ----------
+    views, setting, gain, offset, linear
+        As in `fields.solve_fields`.
+
+    Returns
+    -------
+    ColourModel
+    """
     fields = solve_fields(views, setting, gain, offset, linear)
     if "dodging" in setting.terms:
         from geomosaic.radiometry.local_gains import solve_dodging

@@ -66,7 +66,18 @@ class ColourSetting:
 
 
 def image_levels(setting: ColourSetting, bands: int) -> FloatArray:
-    """Median levels (images, bands) of the images; NaN where they are unknown or not to be used."""
+    """Median levels of the images that gains are expected to make alike.
+
+    Parameters
+    ----------
+    setting : ColourSetting
+    bands : int
+
+    Returns
+    -------
+    array (images, bands)
+        NaN for images of no positive level and those that no camera of the block took; for all, if only one is left.
+    """
     level = np.full((setting.images, bands), np.nan)
     if setting.level is not None:
         known = np.isfinite(setting.level).all(axis=1) & (setting.level > 0).all(axis=1) & (setting.camera >= 0)
@@ -138,7 +149,19 @@ class BandProblem:
 
 @dataclass(frozen=True)
 class Prior:
-    """Weights of the prior observations of each image's own parameters and of the shared ones."""
+    """Weights of the prior observations of each image's own parameters and of the shared ones.
+
+    Attributes
+    ----------
+    own : array (4, images)
+        Inverse variances of the logarithm of the gain (about 0), dark offset (0), gamma (1) and haze (0).
+    shared : array (width, width)
+        See `bases.prior_normal_matrix`.
+    rows, cols : int array (entries,)
+        Images of the entries that bound drift, see `drift.normal_entries`.
+    held : array (entries,)
+        Values of these entries.
+    """
 
     own: FloatArray
     shared: FloatArray
@@ -154,6 +177,7 @@ class Prior:
         grey = float(np.abs(band.a[known]).mean() + np.abs(band.b[known]).mean()) / 2 if known.any() else 1.0
         own = np.empty((4, images))
         own[0], own[1] = SIGMA_GAIN**-2, (SIGMA_DARK * max(grey, 1e-12)) ** -2
+        # A weight beyond all others fixes gamma at 1 and keeps the unknowns of all images in the same order.
         own[2] = np.where(band.firm, 1e16, SIGMA_GAMMA**-2)
         own[3] = (SIGMA_HAZE * max(grey, 1e-12)) ** -2
         # Overlaps cannot tell a ramp of gains from a trend: with bounded drift, long ramps go to the trend.
@@ -175,7 +199,26 @@ def gauss_newton_step(
     by_a: list[FloatArray],
     by_b: list[FloatArray],
 ) -> list[FloatArray]:
-    """Gauss-Newton step of the state; unknowns are ordered image by image, shared ones last."""
+    """Gauss-Newton step of one band; unknowns are ordered image by image, shared ones last.
+
+    Parameters
+    ----------
+    band : BandProblem
+    state : list of array
+        Logarithm of the gain, dark offset, gamma and haze, each (images,), and the shared coefficients (width,).
+    prior : Prior
+    weight : array (P, K)
+        Inverse variances of the differences, times their robust weights.
+    difference, mean : array (P, K)
+        Of the corrected values of both views, in grey values.
+    by_a, by_b : list of array (P, K)
+        Derivatives of the difference by the first four parts of the state, of the first and of the second image.
+
+    Returns
+    -------
+    list of array
+        Changes of the state, in its order; 0 for kinds of parameters that are not solved.
+    """
     views, images, shared = band.views, band.setting.images, state[4]
     chosen = band.kinds
     kinds, size = len(chosen), shared.size
@@ -230,6 +273,7 @@ def _level_residuals(
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Images of known level, deviation of its corrected logarithm from the mean, and derivatives by dark offset."""
     known = np.flatnonzero(np.isfinite(level))
+    # Early steps may take away more than the level itself: a logarithm has to exist.
     light = np.maximum(level[known] + state[1][known], 0.05 * level[known])
     reached = state[0][known] + state[2][known] * np.log(light / pivot)
     return known, reached - np.log(level[known] / pivot).mean() if len(known) else reached, state[2][known] / light

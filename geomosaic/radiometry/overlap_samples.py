@@ -141,10 +141,20 @@ def overlap_of(
 
 
 def golden_ratio_sample(count: int) -> AnyArray:
-    """Indices of at most `MAX_CELLS` of `count` items, evenly spread without a period.
+    """Indices of at most `MAX_CELLS` of a number of items, evenly spread without a period.
 
     A plain stride could be in phase with the columns, and sample one side of each image only. Multiples of the golden
     ratio modulo 1 are as even, and in phase with nothing.
+
+    Parameters
+    ----------
+    count : int
+        Number of items.
+
+    Returns
+    -------
+    int array (N,)
+        Rising; all items where there are no more than `MAX_CELLS`.
     """
     if count <= MAX_CELLS:
         return np.arange(count)
