@@ -1,4 +1,4 @@
-"""What an image covers on the ground."""
+"""Footprint of an image: its outline on the surface, in the output map."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SIDE = 24
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """The ground an image shows.
+    """Footprint of an image on the surface.
 
     Attributes
     ----------
@@ -72,11 +72,23 @@ class Footprint:
 
 
 def footprint(scene: OrientedImage, surface: Surface | None, crs: CRS) -> Footprint:
-    """Project an image's border onto the surface and into the output map.
+    """Footprint of an image: its border projected onto the surface and into the output map.
 
     Where a part of the border sees no ground (sky, or beyond the DEM), the outline follows the last point inwards that
-    does. A middle of the image that looks at a hole of the DEM, or past its edge, costs nothing but what it sees; one
-    that looks at the sky is a wrong angle.
+    does. If the middle of the image looks at a hole of the DEM, or past its edge, the nearest place that sees ground
+    stands for it; if it looks at the sky, that is an error: the angles are wrong.
+
+    Parameters
+    ----------
+    scene : OrientedImage
+    surface : Surface or None
+        None where the model uses no heights.
+    crs : CRS
+        Of the output; a vertical part is ignored.
+
+    Returns
+    -------
+    Footprint
 
     Raises
     ------
@@ -93,8 +105,10 @@ def footprint(scene: OrientedImage, surface: Surface | None, crs: CRS) -> Footpr
         if found is None:
             raise _no_ground(scene, surface, crs)
         centre, ground[:3] = found
+    # Longitudes of an image that crosses the 180th meridian must not jump by a turn along the outline.
     ground = near(ground, float(ground[0, 0]), whole_turn(crs))
     middle, ring = ground[0], ground[3:]
+    # Root of the area of one pixel on the ground: a mean of both directions, whatever the image's turn.
     sampling = float(np.sqrt(abs(np.linalg.det(ground[1:3] - middle))))
     missing = np.isnan(ring).any(axis=1)
     if missing.any():
@@ -206,6 +220,7 @@ def _inwards(
     """For each border point, the outermost point towards the centre that sees ground, by bisection."""
     seen, unseen = np.zeros(len(border)), np.ones(len(border))
     places = np.tile(middle, (len(border), 1))
+    # Twelve halvings: within a 4096th of the way to the centre, about a pixel of a large image.
     for _ in range(12):
         trial = (seen + unseen) / 2
         ground = _ground(scene, centre + (border - centre) * trial[:, None], surface, crs)

@@ -27,10 +27,24 @@ Offset = tuple[int, int]
 
 
 def offset_on(grid: Grid, mapper: MapToImage, footprint: Footprint) -> Offset | None:
-    """Where an image's pixels are pixels of the grid, how they are numbered there; None where they are not.
+    """Offset of an image whose pixels are pixels of the grid.
 
     The image positions of 5 × 5 places over the footprint must all differ from the places' own by the same whole
     numbers, within `NEAR`.
+
+    Parameters
+    ----------
+    grid : Grid
+        The output.
+    mapper : MapToImage
+        Map of `grid` to image.
+    footprint : Footprint
+        Of the image, in the map of `grid`.
+
+    Returns
+    -------
+    (columns, rows) or None
+        Image pixel minus output pixel; None where the image has to be resampled.
     """
     if mapper.uses_heights:
         return None
@@ -47,7 +61,7 @@ def offset_on(grid: Grid, mapper: MapToImage, footprint: Footprint) -> Offset | 
 
 
 def picked(source: Source, offset: Offset, step: int, window: Window, out: AnyArray, out_valid: ByteArray) -> None:
-    """Take the middle pixel of each cell, of `step` × `step` pixels of the output; a source that `thins`.
+    """Middle pixels of cells of `step` × `step` output pixels, of a source that `thins`.
 
     Parameters
     ----------
@@ -55,6 +69,7 @@ def picked(source: Source, offset: Offset, step: int, window: Window, out: AnyAr
     offset : (columns, rows)
         See `offset_on`.
     step : int
+        Output pixels along a cell.
     window : Window
         In cells.
     out : array (rows, cols, bands)
@@ -79,7 +94,16 @@ def picked(source: Source, offset: Offset, step: int, window: Window, out: AnyAr
 
 
 def is_identity(colour: Colour) -> bool:
-    """Whether a correction leaves all values as they are."""
+    """Whether a correction leaves all values as they are.
+
+    Parameters
+    ----------
+    colour : Colour
+
+    Returns
+    -------
+    bool
+    """
     return bool((colour.gain == 1.0).all() and (colour.offset == 0.0).all())
 
 
@@ -169,6 +193,7 @@ def cell_means(source: Source, offset: Offset, window: Window, size: int, out: A
     """
     image = Window(-offset[0], -offset[1], source.info.width, source.info.height)
     samples = size * size * out.shape[2]  # of a cell
+    # A strip of cells across the window; of a window so wide that one row of cells is too much, parts of it.
     rows, cols = max(1, _STRIP // (samples * window.width)), max(1, 8 * _STRIP // samples)
     for strip in window.split(min(window.width, cols), rows):
         cells = Window(strip.col * size, strip.row * size, strip.width * size, strip.height * size)
@@ -193,9 +218,22 @@ def cell_means(source: Source, offset: Offset, window: Window, size: int, out: A
 
 
 def table_of(colour: Colour | ToneCurve, scale: float, source: np.dtype[Any], out: np.dtype[Any]) -> AnyArray | None:
-    """What a correction makes of every value (bands, values) of 8 or 16 bits without sign; None for other types.
+    """Lookup table of a correction, for samples of 8 or 16 bits without sign.
 
     Whole numbers are rounded, halves up, and kept within the type of the output.
+
+    Parameters
+    ----------
+    colour : Colour or ToneCurve
+    scale : float
+        Factor that values have before the correction.
+    source, out : dtype
+        Of the image and of the output.
+
+    Returns
+    -------
+    array (bands, values) or None
+        Of type `out`; None for other sample types, whose tables would be too long.
     """
     if source.kind != "u" or source.itemsize > 2:
         return None

@@ -27,11 +27,16 @@ def read_areas(path: Path, grid: Grid, layer: str | None = None, *, must_meet: b
     ----------
     path : Path
     grid : Grid
-        Of the output. It is told if nothing of the layer reaches it.
+        Of the output. A warning says so if nothing of the layer reaches it.
     layer : str, optional
-        Name, which a file of one layer need not heed; without a name the first one.
+        Name of the layer; a file with a single layer may call it otherwise. Without a name the first one.
     must_meet : bool
         Raise where nothing reaches the grid.
+
+    Returns
+    -------
+    list of shapely geometry
+        Valid polygons.
 
     Raises
     ------
@@ -47,6 +52,20 @@ def read_areas(path: Path, grid: Grid, layer: str | None = None, *, must_meet: b
 
 def read_shapes(path: Path, layer: str, crs: CRS, kinds: Sequence[str]) -> list[Any]:
     """Geometries of one layer in a map, without those that have no place in it.
+
+    Parameters
+    ----------
+    path : Path
+    layer : str
+    crs : CRS
+        Of the map; a vertical part is ignored.
+    kinds : sequence of str
+        Geometry types that may occur: `AREAS`, `LINES` or both.
+
+    Returns
+    -------
+    list of shapely geometry
+        Two-dimensional, valid.
 
     Raises
     ------
@@ -65,12 +84,27 @@ def read_shapes(path: Path, layer: str, crs: CRS, kinds: Sequence[str]) -> list[
         check_kind(geometry, kinds, f"row {row}", where)
         moved = shapely.transform(shapely.force_2d(geometry), move)
         if np.isfinite(shapely.get_coordinates(moved)).all():  # what has no place in the map is not near it
+            # A valid area may cross itself after the change of CRS, when its vertices are all that is moved.
             found.append(moved if moved.is_valid else shapely.make_valid(moved))
     return found
 
 
 def check_kind(geometry: Any, kinds: Sequence[str], which: str, where: str) -> None:
-    """Refuse another kind of geometry, and an area that crosses itself: nobody knows which side of it is meant."""
+    """Check of a geometry's type, and that an area does not cross itself: nobody knows which side of it is meant.
+
+    Parameters
+    ----------
+    geometry : shapely geometry
+    kinds : sequence of str
+        Geometry types that are allowed.
+    which, where : str
+        Row and layer, named in errors.
+
+    Raises
+    ------
+    InputError
+        Another type, or an area that is not valid.
+    """
     import shapely
 
     if geometry.geom_type not in kinds:
@@ -89,7 +123,23 @@ def check_kind(geometry: Any, kinds: Sequence[str], which: str, where: str) -> N
 
 
 def note_elsewhere(path: Path, shapes: Sequence[Any], grid: Grid, *, must_meet: bool = False) -> None:
-    """Say so where none of some shapes reaches a grid: a file of another block, as a rule, or a wrong CRS."""
+    """Warning where none of some shapes reaches a grid: a file of another block, as a rule, or a wrong CRS.
+
+    Parameters
+    ----------
+    path : Path
+        File of the shapes, named in the message.
+    shapes : sequence of shapely geometry
+        In the map of `grid`.
+    grid : Grid
+    must_meet : bool
+        Raise instead of warning.
+
+    Raises
+    ------
+    InputError
+        None reaches the grid and `must_meet` is set.
+    """
     import shapely
 
     if shapes and shapely.intersects(np.array(shapes, dtype=object), shapely.box(*grid.bounds)).any():

@@ -28,7 +28,24 @@ FAR = 6.0
 
 
 def output_crs(scenes: tuple[OrientedImage, ...], surface: Surface | None) -> CRS:
-    """Map CRS of the output where none is given: the surface's or model's own, or the UTM zone it lies in."""
+    """Map CRS of the output where none is given: the surface's or model's own, or the UTM zone it lies in.
+
+    Parameters
+    ----------
+    scenes : tuple of OrientedImage
+        The first one decides.
+    surface : Surface or None
+
+    Returns
+    -------
+    CRS
+        Horizontal.
+
+    Raises
+    ------
+    InputError
+        The place lies outside all UTM zones.
+    """
     model = scenes[0].model
     own = horizontal(model.crs if surface is None or not model.crs.is_geocentric else surface.crs)
     if own.is_projected or own.is_engineering:  # a map of its own, such as that of an uncontrolled mosaic
@@ -38,7 +55,22 @@ def output_crs(scenes: tuple[OrientedImage, ...], surface: Surface | None) -> CR
 
 
 def utm_zone(lon: float, lat: float) -> CRS:
-    """WGS 84 / UTM zone of a place in degrees."""
+    """WGS 84 / UTM zone of a place.
+
+    Parameters
+    ----------
+    lon, lat : float
+        Degrees.
+
+    Returns
+    -------
+    CRS
+
+    Raises
+    ------
+    InputError
+        The place lies outside all zones, near a pole.
+    """
     from pyproj.aoi import AreaOfInterest
     from pyproj.database import query_utm_crs_info
 
@@ -49,12 +81,41 @@ def utm_zone(lon: float, lat: float) -> CRS:
 
 
 def footprints(scenes: tuple[OrientedImage, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
-    """Outlines of all scenes in the output map."""
+    """Footprints of all images in the output map.
+
+    Parameters
+    ----------
+    scenes : tuple of OrientedImage
+    surface : Surface or None
+        None where no model uses heights.
+    crs : CRS
+        Of the output.
+
+    Returns
+    -------
+    list of Footprint
+        In the order of the scenes.
+
+    Raises
+    ------
+    InputError
+        An image sees no ground.
+    """
     return [footprint(scene, surface, crs) for scene in scenes]
 
 
 def nice(resolution: float) -> float:
-    """Round to two significant digits, so that the pixel size can be read and typed."""
+    """Pixel size rounded to two significant digits, so that it can be read and typed.
+
+    Parameters
+    ----------
+    resolution : float
+        Map units, positive.
+
+    Returns
+    -------
+    float
+    """
     digits = 1 - int(np.floor(np.log10(resolution)))
     return float(round(resolution, digits))
 
@@ -121,7 +182,15 @@ def _within_the_map(crs: CRS, bounds: Bounds, resolution: float) -> Bounds:
 
 
 def note_far_crs(crs: CRS, outlines: list[Footprint]) -> None:
-    """Say so where the output CRS is made for another part of the earth."""
+    """Warning where the output CRS is made for another part of the Earth.
+
+    Parameters
+    ----------
+    crs : CRS
+        Of the output.
+    outlines : list of Footprint
+        In it.
+    """
     ring = np.vstack([outline.ring for outline in outlines])
     used = area_of_use(crs)
     if used is not None and (beyond(longitude_latitude(ring, crs), used) > FAR).any():
@@ -135,7 +204,14 @@ def note_far_crs(crs: CRS, outlines: list[Footprint]) -> None:
 
 
 def refuse_torn_crs(crs: CRS, scenes: tuple[OrientedImage, ...]) -> None:
-    """Refuse an output CRS that has no place for the images, or tears them apart: one made for the Earth's other side.
+    """Check that the output CRS has a place for the images and does not tear them apart.
+
+    Parameters
+    ----------
+    crs : CRS
+        Of the output.
+    scenes : tuple of OrientedImage
+        The first one is looked at.
 
     Raises
     ------
@@ -173,7 +249,16 @@ def refuse_torn_crs(crs: CRS, scenes: tuple[OrientedImage, ...]) -> None:
 
 
 def crs_label(crs: CRS) -> str:
-    """Name of a CRS; its method where it has none."""
+    """Name of a CRS for messages; its projection method where it has no name.
+
+    Parameters
+    ----------
+    crs : CRS
+
+    Returns
+    -------
+    str
+    """
     operation = crs.coordinate_operation
     if crs.name.lower() in ("unnamed", "unknown", "undefined") and operation is not None:
         return operation.method_name
@@ -181,11 +266,16 @@ def crs_label(crs: CRS) -> str:
 
 
 def check_size(grid: Grid) -> None:
-    """Refuse a grid that no GeoTIFF holds.
+    """Check that a GeoTIFF can hold a grid.
+
+    Parameters
+    ----------
+    grid : Grid
 
     Raises
     ------
     InputError
+        More rows, columns or tiles than the format can count.
     """
     if max(grid.width, grid.height) >= _MOST or grid.width * grid.height / _TILE >= _MOST:
         raise InputError(
@@ -220,7 +310,25 @@ class Area:
 
 
 def grid_of(path: Path | Grid) -> Grid:
-    """Grid of a georeferenced raster."""
+    """Grid of a georeferenced raster.
+
+    Parameters
+    ----------
+    path : Path or Grid
+        A grid is returned as it is.
+
+    Returns
+    -------
+    Grid
+        With the horizontal part of the raster's CRS.
+
+    Raises
+    ------
+    InputError
+        The raster has no CRS or no geotransform.
+    RasterReadError
+        The file is missing or no raster.
+    """
     if isinstance(path, Grid):
         return path
     info = inspect(path)

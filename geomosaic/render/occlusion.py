@@ -24,7 +24,7 @@ COARSE = 0.75
 
 @dataclass(frozen=True, eq=False)
 class UprightGround(Ground):
-    """A surface whose heights of a block are those of its pixels, not of the surface's nodes.
+    """Ground of a true ortho: heights of a block at its pixels, walls upright, not at the surface's nodes.
 
     Where the output has another map than the surface, or is turned against it, they are those of the nodes as ever.
 
@@ -38,12 +38,12 @@ class UprightGround(Ground):
 
     @classmethod
     def of(cls, grid: Grid, surface: Surface | None, detail: float, *, compiled: bool) -> UprightGround:
-        """Put a surface under a grid, see `Ground.under`."""
+        """Ground of a grid over a surface, see `Ground.under`."""
         below = Ground.under(grid, surface, detail)
         return cls(below.surface, below.grid, below.to_surface, below.spacing, compiled)
 
     def block(self, window: Window) -> BlockGround:
-        """Read the heights of one block."""
+        """Heights of one block."""
         found = super().block(window)
         if found.patch is None or found.unknown or self.to_surface is None or not self.to_surface.identical:
             return found
@@ -82,7 +82,18 @@ FEW = 200_000
 
 
 def ground_of(grid: Grid, surface: Surface | None) -> UprightGround:
-    """Ground of a true ortho."""
+    """Ground of a true ortho.
+
+    Parameters
+    ----------
+    grid : Grid
+        The output.
+    surface : Surface or None
+
+    Returns
+    -------
+    UprightGround
+    """
     return UprightGround.of(grid, surface, DETAIL, compiled=grid.width * grid.height > FEW)
 
 
@@ -91,13 +102,23 @@ Sight = tuple[Field, Relief] | None
 
 
 def hidden_label(images: int) -> int:
-    """Label of what some image covers and every one has hidden; it follows those of the images."""
+    """Label of pixels that some image covers and that are hidden from every one; it follows those of the images.
+
+    Parameters
+    ----------
+    images : int
+        Number of images.
+
+    Returns
+    -------
+    int
+    """
     return images + 1
 
 
 @dataclass(frozen=True)
 class Visibility:
-    """What the surface hides, block by block.
+    """Visibility of the ground from the images, block by block.
 
     Attributes
     ----------
@@ -184,7 +205,18 @@ class Visibility:
 
 
 def visibility(grid: Grid, below: Ground) -> Visibility:
-    """What the surface hides from images of an output.
+    """Visibility of the ground of an output from its images.
+
+    Parameters
+    ----------
+    grid : Grid
+        The output.
+    below : Ground
+        The surface under it.
+
+    Returns
+    -------
+    Visibility
 
     Raises
     ------

@@ -64,18 +64,26 @@ class OrthoResult(RasterProduct):
 
 @dataclass
 class GeometryRecord:
-    """Worst lattice error and typical scale, gathered block by block."""
+    """Worst lattice error and image scales, gathered block by block.
+
+    Attributes
+    ----------
+    error : float
+        Largest interpolation error so far, pixels as in `OrthoResult.lattice_error`.
+    scales : list of float
+        Image pixels per output pixel, one a lattice.
+    """
 
     error: float = 0.0
     scales: list[float] = field(default_factory=list)
 
     def add(self, error: float, scale: float) -> None:
-        """Take in one block."""
+        """Addition of one block's error and scale."""
         self.error = max(self.error, error if np.isfinite(error) else 0.0)
         self.scales.append(scale)
 
     def judge(self, tolerance: float) -> None:
-        """Warn where the tolerance could not be kept: at the walls of a surface model, on a coarse grid."""
+        """Warning where the tolerance could not be kept: at the walls of a surface model, on a coarse grid."""
         if self.error > tolerance > 0:
             warnings.warn(
                 f"the geometry is interpolated within {self.error:.3f} px, not {tolerance} px, where the relief is "
@@ -91,7 +99,18 @@ class GeometryRecord:
 
 
 def tiles(grid: Grid, width: int) -> list[Window]:
-    """Work units: rows of blocks, `width` pixels wide, from the upper left."""
+    """Work units of an ortho: rows of blocks from the upper left.
+
+    Parameters
+    ----------
+    grid : Grid
+    width : int
+        Of a unit, output pixels.
+
+    Returns
+    -------
+    list of Window
+    """
     return grid.window.split(width, BLOCK_HEIGHT)
 
 
@@ -212,7 +231,19 @@ def ortho(
 
 
 def samples(grid: Grid, outlines: list[Footprint]) -> int:
-    """Samples the job will take: output pixels, or image pixels where the output is coarser."""
+    """Number of samples that a job takes: output pixels, or image pixels where the output is coarser.
+
+    Parameters
+    ----------
+    grid : Grid
+        The output.
+    outlines : list of Footprint
+        In its map.
+
+    Returns
+    -------
+    int
+    """
     pixel = grid.resolution[0] * grid.resolution[1]
     finest = min(outline.sampling for outline in outlines) ** 2
     return int(grid.width * grid.height * min(max(1.0, pixel / max(finest, 1e-12)), MOST_SAMPLES**2))

@@ -28,10 +28,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """A scene with its open image, its way from the map to the image, and its footprint.
+    """Scene with its open image, its mapping from map to image, and its footprint.
 
-    `scale` brings its values to those of the other images; `offset` tells how its pixels are numbered in `grid`, where
-    they are pixels of it.
+    Attributes
+    ----------
+    scene : OrientedImage
+    source : Source
+        Its pixels; closed by who opened the photo.
+    mapper : MapToImage
+        Map of the output to image.
+    footprint : Footprint
+        In the map of the output.
+    scale : float
+        Factor that brings its values to those of the other images.
+    grid : Grid, optional
+        The output.
+    offset : (columns, rows), optional
+        Image pixel minus output pixel, where the pixels of the image are pixels of `grid`, see `aligned.offset_on`.
+    tables : dict
+        Lookup tables of corrections, made once each.
     """
 
     scene: OrientedImage
@@ -44,7 +59,7 @@ class Photo:
     tables: dict[tuple[int, str], tuple[object, AnyArray | None]] = field(default_factory=dict, compare=False)
 
     def table(self, colour: Colour | ToneCurve, out: np.dtype[Any]) -> AnyArray | None:
-        """What a correction makes of every value the image can hold, where those are few; computed once."""
+        """Lookup table of a correction, where the image's values are few enough; computed once."""
         key = id(colour), str(out)
         if key not in self.tables:  # the correction is kept too: no other can come to have its id
             self.tables[key] = colour, table_of(colour, self.scale, self.source.dtype, out)

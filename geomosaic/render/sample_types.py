@@ -13,7 +13,19 @@ from geomosaic.raster.info import SourceInfo
 
 
 def sample_scales(options: SampleOptions, infos: Sequence[SourceInfo]) -> tuple[str, list[float]]:
-    """Sample type of the output, and what the values of each image are multiplied by.
+    """Sample type of the output, and the factor that the values of each image are multiplied by.
+
+    Parameters
+    ----------
+    options : SampleOptions
+    infos : sequence of SourceInfo
+        Of the images.
+
+    Returns
+    -------
+    dtype : str
+    scales : list of float
+        One an image.
 
     Raises
     ------
@@ -58,7 +70,12 @@ def _wider(infos: Sequence[SourceInfo]) -> str:
 
 
 def refuse_palette(info: SourceInfo, resampling: str) -> None:
-    """Stop before numbers of a palette are averaged.
+    """Check that numbers of a palette are not averaged.
+
+    Parameters
+    ----------
+    info : SourceInfo
+    resampling : str
 
     Raises
     ------

@@ -19,10 +19,25 @@ Result = TypeVar("Result")
 def in_order(
     function: Callable[[Item], Result], items: Iterable[Item], threads: int, ahead: int = 3
 ) -> Iterator[tuple[Item, Result]]:
-    """Yield (item, function(item)) in the order of the items.
+    """Results of a function over items, computed by threads and given in the order of the items.
 
     At most `ahead` results per thread wait at any time, so that memory does not grow with the number of items. The
     first failure ends the run: tasks not yet started are dropped.
+
+    Parameters
+    ----------
+    function : callable
+        Of one item; called in any thread.
+    items : iterable
+        Taken as they are needed.
+    threads : int
+        With 1 everything runs in the thread of the caller.
+    ahead : int
+        Items per thread that may be begun before their turn.
+
+    Yields
+    ------
+    item, result
     """
     if threads == 1:
         for item in items:

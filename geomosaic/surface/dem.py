@@ -208,9 +208,11 @@ class Dem:
         Where nodes are closer than `spacing`, means of blocks of them: what an output pixel shows is the ground it
         covers, not a node within. Outside the file there is a single unknown node.
         """
+        # 1e-6 keeps a spacing of exactly n nodes from being cut to n - 1 by rounding.
         factor = max(1, int(spacing / max(self.grid.resolution) + 1e-6))
         grid = self.grid.coarser(factor)
         corners = np.array([[bounds[i], bounds[j]] for i in (0, 2) for j in (1, 3)])
+        # Bounds may be infinite, where a map has no end; windows are whole numbers.
         colrow = np.clip(grid.colrow(corners), -1e9, 1e9)
         (col, row), (stop_col, stop_row) = np.floor(colrow.min(axis=0)), np.ceil(colrow.max(axis=0))
         first_col, first_row = int(col) - 2, int(row) - 2
@@ -242,6 +244,7 @@ class Dem:
             return heights
         across = -(-width // BLOCK)
         number = (first[:, 1] // BLOCK) * across + first[:, 0] // BLOCK
+        # Points are taken block by block, so that each block of the file is fetched once a call.
         order = np.argsort(number, kind="stable")
         cuts = np.flatnonzero(np.diff(number[order])) + 1
         for part in np.split(order, cuts):

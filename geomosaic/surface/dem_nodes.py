@@ -20,6 +20,7 @@ FORGOTTEN = -9999.0
 """The commonest such mark that is not beyond it; no photo shows ground at exactly this depth."""
 BLOCK = 256
 _BLOCKS_KEPT = 64
+# Nodes read at once where the whole file does not fit: 16 MB of float32.
 _STRIP_NODES = 4 << 20
 
 

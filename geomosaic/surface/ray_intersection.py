@@ -73,6 +73,7 @@ def _distances(surface: Surface, to_surface: Transform, origins: FloatArray, dir
     low, high = surface.range
     clearance = _Clearance(surface, to_surface, origins, directions)
     rays = np.arange(len(origins))
+    # The search must begin above the surface and end below it, though `_descend` stops within 1 mm of a level.
     margin = 0.1 + 1e-3 * (high - low)
     enter = _descend(lambda r, t: clearance.place(r, t)[:, 2], rays, np.zeros(len(rays)), high + margin)
     leave = _descend(lambda r, t: clearance.place(r, t)[:, 2], rays, enter, low - margin)
@@ -104,6 +105,7 @@ def _descend(
             break
         step = np.maximum(1e-3, 1e-3 * np.abs(over))
         slope = (height(active, t[active] + step) - (over + level)) / step
+        # A ray that does not fall here has passed its lowest point above the level.
         falling = slope < -1e-9
         t[active[~falling]] = np.nan
         active, over, slope = active[falling], over[falling], slope[falling]
@@ -177,6 +179,7 @@ def _illinois(clearance: _Clearance, rays: IntArray, above: FloatArray, below: F
     a, b = above.copy(), below.copy()
     fa, fb = clearance(rays, a), clearance(rays, b)
     active = np.arange(len(rays))
+    # Every fourth step bisects, so that the bracket shrinks even where the Illinois rule creeps.
     for turn in range(100):
         active = active[(b - a)[active] > _TOLERANCE]
         if not len(active):

@@ -57,8 +57,21 @@ class Plane:
 
 
 def constant_patch(z: float, bounds: Bounds) -> HeightPatch:
-    """Nine nodes of one height; the bounds are the cell in the middle."""
+    """Height patch of one height: nine nodes, the bounds being the cell in the middle.
+
+    Parameters
+    ----------
+    z : float
+        Metres.
+    bounds : (left, bottom, right, top)
+        In the surface's map CRS.
+
+    Returns
+    -------
+    HeightPatch
+    """
     left, bottom, right, top = bounds
+    # A single place has no extent, and a transform without extent no inverse.
     width, height = max(right - left, 1e-3), max(top - bottom, 1e-3)
     to_map = Affine(width, 0.0, left - width, 0.0, -height, top + height)
     return HeightPatch(np.full((3, 3), z, dtype=np.float32), ~to_map)

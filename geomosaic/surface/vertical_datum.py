@@ -13,9 +13,19 @@ from geomosaic.geo.transform import Transform
 
 
 def undulation(crs: CRS, x: float, y: float) -> float:
-    """Height of the EGM96 geoid above the WGS 84 ellipsoid in metres at (x, y) of a map CRS.
+    """Height of the EGM96 geoid above the WGS 84 ellipsoid at a place of a map.
 
-    NaN where it cannot be known (a CRS that is not tied to the Earth, a place outside it).
+    Parameters
+    ----------
+    crs : CRS
+        Of the map.
+    x, y : float
+        In `crs`.
+
+    Returns
+    -------
+    float
+        Metres; NaN where it cannot be known (a CRS that is not tied to the Earth, a place outside it).
     """
     wgs84 = CRS.from_epsg(4326)
     try:
@@ -27,7 +37,22 @@ def undulation(crs: CRS, x: float, y: float) -> float:
 
 
 def undeclared_heights(crs: CRS, x: float, y: float, where: str) -> HeightDatumError:
-    """Error for heights without a vertical datum at (x, y) of a horizontal CRS."""
+    """Error for heights without a vertical datum, with what a wrong guess would cost at this place.
+
+    Parameters
+    ----------
+    crs : CRS
+        Horizontal, of the heights.
+    x, y : float
+        Place of the heights, in `crs`.
+    where : str
+        File or parameter at fault.
+
+    Returns
+    -------
+    HeightDatumError
+        Made, not raised.
+    """
     shift = undulation(crs, x, y)
     size = ""
     if math.isfinite(shift):

@@ -95,13 +95,39 @@ class Axes:
 
 
 def turned(matrix: FloatArray, xyz: FloatArray) -> FloatArray:
-    """Matrix (3, 3) times vectors (N, 3), written out: a point comes out the same alone and among others."""
+    """Matrix product with vectors, written out: a point comes out the same alone and among others.
+
+    Parameters
+    ----------
+    matrix : array (3, 3)
+    xyz : array (N, 3)
+
+    Returns
+    -------
+    array (N, 3)
+    """
     x, y, z = np.asarray(xyz, dtype=np.float64).T
     return np.column_stack([row[0] * x + row[1] * y + row[2] * z for row in matrix])
 
 
 def unit(vector: FloatArray, name: str, where: str) -> FloatArray:
-    """Unit vector along a direction (3,)."""
+    """Unit vector along a direction.
+
+    Parameters
+    ----------
+    vector : array (3,)
+    name, where : str
+        Of the parameter and of what it belongs to, for errors.
+
+    Returns
+    -------
+    array (3,)
+
+    Raises
+    ------
+    InputError
+        The vector has no length, or is not finite.
+    """
     given = np.asarray(vector, dtype=np.float64)
     length = float(np.linalg.norm(given))
     if not (np.isfinite(length) and length > 1e-12):
@@ -127,8 +153,19 @@ def _beside(
 
 
 def roots(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
-    """Both real roots (N, 2) of a·t² + 2·b·t + c, in the form that loses no digits; NaN where there are none."""
+    """Both real roots of a·t² + 2·b·t + c, in the form that loses no digits.
+
+    Parameters
+    ----------
+    a, b, c : array (N,)
+
+    Returns
+    -------
+    array (N, 2)
+        NaN where there are none.
+    """
     with np.errstate(invalid="ignore", divide="ignore"):
+        # The sum of two numbers of one sign: -b + √… would cancel where a·c is small against b².
         q = -(b + np.copysign(np.sqrt(b * b - a * c), b))
         found = np.column_stack([q / a, c / q])
     found[~np.isfinite(found)] = np.nan

@@ -24,7 +24,20 @@ from geomosaic.types import FloatArray
 
 
 def arc(latitude: FloatArray, a: float, c: float) -> FloatArray:
-    """Length of the meridian from the equator to parametric latitudes (N,) in radians."""
+    """Length of the meridian from the equator.
+
+    Parameters
+    ----------
+    latitude : array (N,)
+        Parametric latitudes, radians.
+    a, c : float
+        Semi-axes across and along the axis of revolution, metres.
+
+    Returns
+    -------
+    array (N,)
+        Metres, south negative.
+    """
     if a == c:
         return a * np.asarray(latitude, dtype=np.float64)
     from scipy.special import ellipeinc
@@ -34,8 +47,22 @@ def arc(latitude: FloatArray, a: float, c: float) -> FloatArray:
 
 
 def latitude_of_arc(length: FloatArray, a: float, c: float) -> FloatArray:
-    """Parametric latitudes (N,) at lengths from the equator; NaN beyond the poles."""
+    """Parametric latitudes at lengths of the meridian, the inverse of `arc` by Newton's rule.
+
+    Parameters
+    ----------
+    length : array (N,)
+        Metres from the equator.
+    a, c : float
+        Semi-axes across and along the axis of revolution, metres.
+
+    Returns
+    -------
+    array (N,)
+        Radians; NaN beyond the poles.
+    """
     quarter = float(arc(np.array(np.pi / 2), a, c))
+    # What is beyond the pole by rounding alone is the pole.
     given = np.where(np.abs(length) <= quarter * (1 + 1e-12), np.clip(length, -quarter, quarter), np.nan)
     latitude = given * (np.pi / 2 / quarter)
     for _ in range(0 if a == c else 12):
@@ -45,7 +72,20 @@ def latitude_of_arc(length: FloatArray, a: float, c: float) -> FloatArray:
 
 
 def area(sine: FloatArray, a: float, c: float) -> FloatArray:
-    """Area from the equator to parametric latitudes of given sine (N,), divided by 2π·a: q, in metres."""
+    """Area of the zone between the equator and a parallel, divided by 2π·a.
+
+    Parameters
+    ----------
+    sine : array (N,)
+        Sines of parametric latitudes.
+    a, c : float
+        Semi-axes across and along the axis of revolution, metres.
+
+    Returns
+    -------
+    array (N,)
+        q in metres, south negative.
+    """
     s = np.asarray(sine, dtype=np.float64)
     root = np.sqrt(c * c + (a * a - c * c) * s * s)
     k = np.sqrt(abs(a * a - c * c))
@@ -57,7 +97,20 @@ def area(sine: FloatArray, a: float, c: float) -> FloatArray:
 
 
 def sine_of_area(q: FloatArray, a: float, c: float) -> FloatArray:
-    """Sines of parametric latitudes (N,) at which `area` is q; NaN beyond the poles."""
+    """Sines of parametric latitudes at which `area` is q, its inverse by Newton's rule.
+
+    Parameters
+    ----------
+    q : array (N,)
+        Metres.
+    a, c : float
+        Semi-axes across and along the axis of revolution, metres.
+
+    Returns
+    -------
+    array (N,)
+        NaN beyond the poles.
+    """
     most = float(area(np.array(1.0), a, c))
     given = np.where(np.abs(q) <= most * (1 + 1e-12), np.clip(q, -most, most), np.nan)
     sine = given / most

@@ -24,7 +24,22 @@ MOST_POINTS = 300
 
 
 def initial_shapes(kind: str, points: FloatArray, axis: FloatArray | None) -> list[Shape]:
-    """Initial shapes, best first; points (N, 3) about the origin, axis a unit vector where it is known."""
+    """Initial shapes of a fit, best first.
+
+    Parameters
+    ----------
+    kind : str
+        Of body: 'plane', 'sphere', 'cylinder' ...
+    points : array (N, 3)
+        Metres, about the origin.
+    axis : array (3,) or None
+        Unit vector, where the direction of the axis is known.
+
+    Returns
+    -------
+    list of Shape
+        At most `KEPT`; empty where no body of the kind fits.
+    """
     if kind == "plane":
         return [Shape(kind, points.mean(axis=0), basis(_least(points)), np.array([]))]
     if kind == "sphere":

@@ -95,7 +95,18 @@ class Shape:
 
 
 def basis(axis: FloatArray) -> FloatArray:
-    """Rotation (3, 3) whose last row is a unit vector."""
+    """Rotation whose last row is a given axis; the other two are free.
+
+    Parameters
+    ----------
+    axis : array (3,)
+        Unit vector.
+
+    Returns
+    -------
+    array (3, 3)
+    """
+    # Crossed with an axis of the frame that is far from parallel to it, so that the product has length.
     first = np.cross([0.0, 1.0, 0.0] if abs(axis[0]) > 0.7 else [1.0, 0.0, 0.0], axis)
     first = first / np.linalg.norm(first)
     return np.array([first, np.cross(axis, first), axis])

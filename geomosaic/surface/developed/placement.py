@@ -152,7 +152,17 @@ class Developed:
 
 
 def body_from_dict(state: dict[str, Any]) -> Body:
-    """Rebuild a body from its `to_dict`."""
+    """Body rebuilt from its state, the inverse of its `to_dict`.
+
+    Parameters
+    ----------
+    state : dict
+        `kind` and the sizes of that kind: metres, radians.
+
+    Returns
+    -------
+    Body
+    """
     kind = state["kind"]
     if kind == "plane":
         return Flat()
