@@ -1,4 +1,4 @@
-"""Independent check points measured on a georeferenced raster, and advice on those that are wrong themselves."""
+"""Accuracy of a georeferenced raster at independent check points, and findings on points that are wrong themselves."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from geomosaic.types import FloatArray, PathLike
 def check_advice(
     names: Sequence[str], pixels: FloatArray, moved: FloatArray, unit: str, expected: float = 0.0
 ) -> list[Advice]:
-    """Name check points that contradict the others, or the fit where they are too few to contradict each other.
+    """Findings on check points that contradict the others, or the fit where too few are left to contradict each other.
 
     Parameters
     ----------
@@ -38,6 +38,11 @@ def check_advice(
     unit : str
     expected : float
         RMS length of errors that the fit leads one to expect, pixels; 0 where there is none.
+
+    Returns
+    -------
+    list of Advice
+        One finding that names all outliers, largest error first; empty where there are none, or an error is not finite.
     """
     if not np.isfinite(pixels).all() or not len(pixels):
         return []
@@ -78,7 +83,7 @@ EXAMINED = ("degrees-in-metres", "metres-in-degrees", "wrong-unit", "wrong-zone"
 
 @dataclass(frozen=True, eq=False)
 class MapCheck:
-    """How far a raster is from its check points.
+    """Errors of a raster at its check points.
 
     Attributes
     ----------
@@ -148,6 +153,10 @@ def check(
         Go on where coordinates look wrong.
     without : tuple of str
         Names of points that are left out.
+
+    Returns
+    -------
+    MapCheck
 
     Raises
     ------

@@ -25,7 +25,18 @@ _SHIFTS = ("places", "shifts", "correlation")
 
 @dataclass(frozen=True)
 class ControlResidual:
-    """Residual of one image measurement, measured minus computed, in pixels."""
+    """Residual of one image measurement, measured minus computed, in pixels.
+
+    Attributes
+    ----------
+    id : str
+        Of the ground point.
+    image : str
+    role : str
+        'control' or 'check'.
+    col, row : float
+        NaN where the image cannot see the point.
+    """
 
     id: str
     image: str
@@ -35,7 +46,18 @@ class ControlResidual:
 
 
 def check_control(block: OrientedBlock) -> list[ControlResidual]:
-    """Residuals of all control and check point measurements, in pixels; NaN where the image cannot see the point."""
+    """Residuals of all image measurements of control and check points.
+
+    Parameters
+    ----------
+    block : OrientedBlock
+        Ground points are in `block.crs`; without one there are no residuals.
+
+    Returns
+    -------
+    list of ControlResidual
+        In the order of `block.control`.
+    """
     if block.crs is None:
         return []
     found = []
@@ -48,7 +70,19 @@ def check_control(block: OrientedBlock) -> list[ControlResidual]:
 
 
 def rms(residuals: list[ControlResidual], role: str) -> float:
-    """Root mean square length of the residuals of one role, in pixels; NaN without any."""
+    """Root mean square length of the residuals of one role.
+
+    Parameters
+    ----------
+    residuals : list of ControlResidual
+    role : str
+        'control' or 'check'.
+
+    Returns
+    -------
+    float
+        Pixels; NaN without any finite residual.
+    """
     lengths = [r.col**2 + r.row**2 for r in residuals if r.role == role and np.isfinite(r.col)]
     return float(np.sqrt(np.mean(lengths))) if lengths else float("nan")
 
@@ -103,6 +137,7 @@ def against_reference(
     return {
         "registration_rms_px": moved.rms,
         "registration_robust_rms_px": moved.robust_rms,
+        # Matching gives the reference minus the product; what is told is how far the product lies off.
         "shift_px": [float(v) for v in -middle],
         "shift_m": [float(v) * r for v, r in zip(-middle, grid.resolution, strict=True)],
         "tiles": len(moved.places),
@@ -128,7 +163,21 @@ class _Totals:
 
 
 def match(first: AnyArray, second: AnyArray, both: BoolArray, tile: int = 64, reach: int = 8) -> Shifts:
-    """Shifts of `second` against `first` in their mean grey."""
+    """Shifts of `second` against `first` in their mean grey.
+
+    Parameters
+    ----------
+    first, second : array (rows, cols, bands)
+        Values on the same grid.
+    both : bool array (rows, cols)
+        Pixels that both have.
+    tile, reach : int
+        Side of a tile and largest shift, pixels; see `geomosaic.match.shift.shifts`.
+
+    Returns
+    -------
+    Shifts
+    """
     return shifts(first.mean(axis=2), second.mean(axis=2), both, tile, reach)
 
 
@@ -182,6 +231,7 @@ def _sampled(source: Source, own: Grid, grid: Grid, to_own: Transform) -> tuple[
 
 
 def _bounds_in(grid: Grid, own: Grid, to_own: Transform) -> tuple[float, float, float, float]:
+    # Corners alone would miss the bulge of edges that are curved in the other CRS.
     edge = np.linspace(0, 1, 9)
     c, r = np.meshgrid(edge * grid.width, edge * grid.height)
     xy = to_own(grid.xy(np.column_stack([c.ravel(), r.ravel()])))

@@ -23,7 +23,7 @@ EVEN = 1e-9
 
 @dataclass(frozen=True)
 class Verdict:
-    """Requirement, and the value that the map has.
+    """Verdict on one requirement: the value that the map has, and whether that meets it.
 
     Attributes
     ----------
@@ -48,6 +48,16 @@ class Verdict:
 
 def read_target(path: Path) -> tuple[Requirement, ...]:
     """Requirements from the JSON of `geomosaic plan product --json`, or a TOML file of largest values by name.
+
+    Parameters
+    ----------
+    path : Path
+        Suffix .json for a plan; any other is read as TOML, values in metres.
+
+    Returns
+    -------
+    tuple of Requirement
+        All that the file holds, also those that a finished map does not show.
 
     Raises
     ------
@@ -121,6 +131,11 @@ def judge(found: MapCheck, target: tuple[Requirement, ...]) -> tuple[Verdict, ..
         `statistics.survey_rms` is judged where it was given.
     target : tuple of Requirement
 
+    Returns
+    -------
+    tuple of Verdict
+        In the order of the target.
+
     Raises
     ------
     InputError
@@ -131,6 +146,7 @@ def judge(found: MapCheck, target: tuple[Requirement, ...]) -> tuple[Verdict, ..
     crs = found.grid.crs
     if not crs.is_projected:
         raise InputError("a map in degrees has no pixel in metres", where="`target`", hint="reproject the raster first")
+    # Targets are in metres; errors and pixels of the map may be in feet.
     metres = linear_unit(crs)
     values = {
         "position_error": found.statistics.rms_total * metres,

@@ -43,9 +43,9 @@ class DevelopedResult:
     notes : tuple of str
         On the surface and on the images' orientation.
     ortho : OrthoResult or None
-        Of one image.
+        Where there is one image.
     mosaic : MosaicResult or None
-        Of several.
+        Where there are several.
     """
 
     facts: dict[str, Any]
@@ -57,12 +57,12 @@ class DevelopedResult:
 def make_developed(
     inputs: Block, surface: Path, area: Area, output: Path, options: MosaicOptions, oblique: float
 ) -> DevelopedResult:
-    """Draw images on a developed surface.
+    """Images drawn on a developed surface.
 
     Parameters
     ----------
     inputs : Block
-        Images, sensor and orientation. Without a CRS their positions count as the surface file does.
+        Images, sensor and orientation. Without a CRS their positions count in that of the surface file.
     surface : Path
         Surface file.
     area : Area
@@ -72,6 +72,17 @@ def make_developed(
         The part `render` alone for one image.
     oblique : float
         Largest angle between line of sight and normal that is drawn, degrees.
+
+    Returns
+    -------
+    DevelopedResult
+
+    Raises
+    ------
+    InputError
+        A camera stands on the wrong side, an image shows nothing of the surface, or an input does not fit it.
+    GeomosaicError
+        Otherwise as for orthos and mosaics; nothing is left under the final names.
     """
     for file in _outputs(output, len(inputs.images) > 1, options):
         refuse_existing(file, options.render.overwrite, inputs)

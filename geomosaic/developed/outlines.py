@@ -36,10 +36,21 @@ class DevelopedFootprint(Footprint):
 
 
 def developed_footprint(scene: OrientedImage, model: DevelopedModel) -> DevelopedFootprint:
-    """Measure what an image shows of its surface.
+    """Footprint of an image on a developed surface.
 
-    Places that the image shows are found by lines of sight over a net of pixels, and the area about them is asked cell
-    by cell, forwards.
+    Lines of sight through a net of pixels give the area to look at; a net of cells over it is then projected into the
+    image, twice, the second time on the bounds that the first has found.
+
+    Parameters
+    ----------
+    scene : OrientedImage
+    model : DevelopedModel
+        Of the scene on the surface.
+
+    Returns
+    -------
+    DevelopedFootprint
+        In (u, v), metres on the surface; `sampling` is the size of an image pixel there.
 
     Raises
     ------
@@ -55,6 +66,7 @@ def developed_footprint(scene: OrientedImage, model: DevelopedModel) -> Develope
             hint="check the surface's place and side, the frame of the positions, bottom and top, and `oblique`",
         )
     bounds = _padded(model, places)
+    # Twice: the cells of the first pass are as coarse as its bounds are too wide.
     for _ in range(2):
         left, low, right, high = bounds
         cell = max(right - left, high - low) / CELLS
@@ -72,6 +84,7 @@ def developed_footprint(scene: OrientedImage, model: DevelopedModel) -> Develope
     ring = np.array([[left, low], [right, low], [right, high], [left, high]])
     parts = _polygon(whole, u, v)
     centre, sampling = _best(parts, u, v, image)
+    # Image seen on the border of the net goes on beyond it: the surface ends there, or its bounds cut the image.
     border = [image[0], image[-1], image[:, 0], image[:, -1]]
     complete = not any(_inside(edge, model.size).any() for edge in border)
     return DevelopedFootprint(scene.name, ring, centre, sampling, complete, parts)
@@ -79,6 +92,13 @@ def developed_footprint(scene: OrientedImage, model: DevelopedModel) -> Develope
 
 def check_side(scene: OrientedImage, model: DevelopedModel) -> None:
     """Check that the camera stands on the side of the surface that is drawn.
+
+    Parameters
+    ----------
+    scene : OrientedImage
+        Named by the error.
+    model : DevelopedModel
+        A model without a projection centre passes.
 
     Raises
     ------
@@ -144,6 +164,7 @@ def _best(parts: Any, u: FloatArray, v: FloatArray, image: FloatArray) -> tuple[
 
     with np.errstate(invalid="ignore"):
         by_u, by_v = np.gradient(image, u, axis=1), np.gradient(image, v, axis=0)
+        # Determinant of the Jacobian: image pixels per square metre of surface.
         pixels = np.abs(by_u[..., 0] * by_v[..., 1] - by_u[..., 1] * by_v[..., 0])
     largest = max(getattr(parts, "geoms", [parts]), key=lambda part: part.area)
     across, up = np.meshgrid(u, v)

@@ -1,4 +1,4 @@
-"""The surface of a thing from its TOML file: given by its parameters, or fitted to points measured on it."""
+"""Surface files (TOML): plane, cylinder, cone, sphere or ellipsoid by its parameters, or fitted to measured points."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ USUAL = "equidistant"
 
 @dataclass(frozen=True)
 class SurfaceFile:
-    """A surface, the CRS its file counts in, and what is to be said of it.
+    """Surface of a file, the CRS the file counts in, and notes on both.
 
     Attributes
     ----------
@@ -63,7 +63,16 @@ class SurfaceFile:
 
 
 def read_surface(path: PathLike) -> SurfaceFile:
-    """Read a surface file.
+    """Surface of a TOML file.
+
+    Parameters
+    ----------
+    path : path
+        Keys at its top or in the one table [surface]; lengths in metres, angles in degrees.
+
+    Returns
+    -------
+    SurfaceFile
 
     Raises
     ------
@@ -164,7 +173,21 @@ def _given(given: Mapping[str, Any], kind: str, crs: CRS, where: str) -> Parts:
 
 
 def body_of(kind: str, sizes: FloatArray, projection: str) -> Body:
-    """A body of its sizes: metres, a half angle in radians."""
+    """Body of a kind from its sizes.
+
+    Parameters
+    ----------
+    kind : str
+        'plane', 'cylinder', 'cone', 'sphere' or 'ellipsoid'.
+    sizes : array (K,)
+        None for a plane; radius in metres; half angle of a cone in radians; one to three semi-axes in metres.
+    projection : str
+        Development of a sphere or ellipsoid; of no account for three semi-axes, which have one only.
+
+    Returns
+    -------
+    Body
+    """
     if kind == "plane":
         return Flat()
     if kind == "cylinder":
@@ -276,7 +299,19 @@ def _vector(given: Mapping[str, Any], name: str, where: str) -> FloatArray:
 
 
 def fit_facts(fitted: FittedBody, axes: Axes) -> dict[str, Any]:
-    """Sizes, place and axis with their sigmas; metres and degrees, None where there is no check."""
+    """Sizes, place and axis of a fitted surface with their standard deviations.
+
+    Parameters
+    ----------
+    fitted : FittedBody
+    axes : Axes
+        Of the surface, turned to its final side.
+
+    Returns
+    -------
+    dict
+        JSON values in metres and degrees; sigmas are None where there are no more points than unknowns.
+    """
     kind, sigmas = fitted.shape.kind, fitted.sigmas
     degrees = {"half_angle"}
     sizes = {
@@ -300,7 +335,17 @@ def fit_facts(fitted: FittedBody, axes: Axes) -> dict[str, Any]:
 
 
 def fit_words(fitted: FittedBody, axes: Axes) -> tuple[str, ...]:
-    """The same in two lines."""
+    """Text of a fit in two lines: its check, and its sizes, place and axis.
+
+    Parameters
+    ----------
+    fitted : FittedBody
+    axes : Axes
+
+    Returns
+    -------
+    tuple of str
+    """
     facts = fit_facts(fitted, axes)
     check = f"sigma0 {1000 * facts['sigma0']:.2g} mm" if facts["sigma0"] is not None else "no check: no point too many"
     sizes = []

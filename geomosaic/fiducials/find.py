@@ -1,4 +1,4 @@
-"""From scans and a certificate to the table of fiducials."""
+"""Tables of fiducial marks from scans and a calibration certificate."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from geomosaic.whole_files import write_atomic
 
 @dataclass(frozen=True)
 class Search:
-    """How marks are looked for.
+    """Limits of the search for marks.
 
     Attributes
     ----------
@@ -40,7 +40,17 @@ class Search:
 
 
 def calibrated_marks(camera: Path) -> dict[str, tuple[float, float]]:
-    """Marks of a certificate: name to (x, y) in mm.
+    """Calibrated coordinates of the fiducial marks.
+
+    Parameters
+    ----------
+    camera : Path
+        Calibration certificate with the table [fiducials].
+
+    Returns
+    -------
+    dict of str to tuple of float
+        Name to (x, y) in the image frame of the camera, mm; x right, y up.
 
     Raises
     ------
@@ -72,7 +82,7 @@ def find_marks(
     at: tuple[float, float] | None = None,
     side: float = 2.0,
 ) -> dict[str, dict[str, Mark]]:
-    """Find the marks of a certificate in scans.
+    """Fiducial marks of a certificate, measured in scans.
 
     Parameters
     ----------
@@ -80,10 +90,10 @@ def find_marks(
     camera : Path
         Certificate.
     template : Path
-        Picture of one mark; or a scan that shows one `at` a place.
+        Picture of one mark; or a scan that shows one at the place `at`.
     search : Search
     at : tuple of float, optional
-        (col, row) of a mark in `template`.
+        (col, row) of a mark in `template`, pixels.
     side : float
         Side of the square about it, mm.
 
@@ -91,6 +101,11 @@ def find_marks(
     -------
     dict
         Scan → mark → Mark.
+
+    Raises
+    ------
+    InputError
+        The certificate has no marks, or the template none that looks the same upside down.
     """
     known = calibrated_marks(camera)
     pattern = read_template(template, at, max(round(1000.0 * side / search.pixel), 1) if at else None)
@@ -103,7 +118,19 @@ def find_marks(
 
 
 def write_marks(path: Path, found: dict[str, dict[str, Mark]]) -> None:
-    """Table of measured fiducials for `Block.fiducials`; marks that were not found are left out."""
+    """Table of measured fiducials for `Block.fiducials`, as CSV.
+
+    Parameters
+    ----------
+    path : Path
+    found : dict
+        Scan → mark → Mark, as `find_marks` gives it; marks that were not found are left out.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
     lines = ["image,id,col,row,sigma,correlation"]
     for image, marks in found.items():
         lines += [

@@ -1,4 +1,4 @@
-"""Fiducial marks of a scanned film, found on the scan."""
+"""Measurement of fiducial marks in the scan of a film, by matching with a picture of one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LARGEST = 1024
 def expected_places(
     fiducials: Mapping[str, tuple[float, float]], size: tuple[int, int], pixel: float, turned: float, mirrored: bool
 ) -> dict[str, tuple[float, float]]:
-    """Where the marks should be on a scan that has the film in its middle.
+    """Places of the marks on a scan that has the film in its middle.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def expected_places(
     Returns
     -------
     dict
-        Mark → (col, row).
+        Mark → (col, row), pixels.
     """
     t = np.radians(turned)
     places = {}
@@ -50,9 +50,26 @@ def expected_places(
 
 
 def read_template(path: PathLike, at: tuple[float, float] | None = None, side: int | None = None) -> MarkTemplate:
-    """Read a picture of one mark: a whole file, or a square of `side` pixels about a place (col, row) of a scan.
+    """Template of a mark: a whole picture, or a square about a place of a scan.
 
-    The mark looks the same upside down, and its centre is found by that.
+    The mark must look the same upside down, as dots, crosses and rings do: its centre is found by that.
+
+    Parameters
+    ----------
+    path : path
+    at : tuple of float, optional
+        (col, row) of a mark in a scan, pixels.
+    side : int, optional
+        Side of the square, pixels; the whole file is the template unless both are given.
+
+    Returns
+    -------
+    MarkTemplate
+
+    Raises
+    ------
+    InputError
+        The picture is too small or too large, the square reaches over the edge, or the mark has no centre of symmetry.
     """
     with Source(path) as source:
         image = Window(0, 0, source.info.width, source.info.height)
@@ -101,7 +118,7 @@ def find_fiducials(
     reach: float,
     least: float = 0.6,
 ) -> dict[str, Mark]:
-    """Find marks near the places where they should be.
+    """Fiducial marks measured near their expected places.
 
     Parameters
     ----------
@@ -109,7 +126,7 @@ def find_fiducials(
         The scan.
     template : MarkTemplate
     places : mapping
-        Mark → (col, row) where it should be.
+        Mark → (col, row) where it should be, pixels.
     reach : float
         Pixels by which it may be elsewhere.
     least : float

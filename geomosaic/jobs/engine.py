@@ -1,4 +1,4 @@
-"""Run what is stale, in order."""
+"""Runs of a job: which steps are stale and why, and running those in order."""
 
 from __future__ import annotations
 
@@ -22,11 +22,31 @@ MANIFEST, LOCK = "manifest.json", "lock"
 
 
 def no_progress(done: int, total: int, stage: str) -> None:
-    """Report to no one; can be sent to another process."""
+    """Progress function that reports to no one.
+
+    It stands for the caller's in steps that run in another process, where that one may not be picklable.
+
+    Parameters
+    ----------
+    done, total : int
+    stage : str
+    """
 
 
 def status(job: Job) -> list[State]:
-    """Say of each step whether it is fresh, and if not, why."""
+    """State of each step of a job: fresh, or stale with the first reason.
+
+    Nothing is run or written.
+
+    Parameters
+    ----------
+    job : Job
+
+    Returns
+    -------
+    list of State
+        In the order of the steps; a step that reads an output of a stale one is stale too.
+    """
     manifest = Manifest.load(job.state / MANIFEST)
     hashes = Hashes(manifest.hashes)
     states: list[State] = []
@@ -91,6 +111,7 @@ def run(
             forced = force and (not only or step.name in only)
             if forced or not state.fresh:
                 _claim(job, step, manifest)
+                # Taken before the step runs: an input changed meanwhile then makes the step stale next time.
                 parts = _ingredients(job, step, hashes)
                 started = time.perf_counter()
                 digests = {path: hashes.of(path) for path in step.inputs}
@@ -134,6 +155,7 @@ def _claim(job: Job, step: Step, manifest: Manifest) -> None:
 def _execute(step: Step, context: Context, executor: Executor | None) -> Mapping[str, Any]:
     if executor is None:
         return step.run(context)
+    # The caller's progress function closes over its terminal and flags and need not be picklable.
     return executor.submit(step.run, replace(context, progress=no_progress)).result()
 
 
@@ -178,6 +200,7 @@ def _state(job: Job, step: Step, manifest: Manifest, hashes: Hashes, stale: Mapp
 def _because(job: Job, step: Step, record: Record, hashes: Hashes, stale: Mapping[Path, str]) -> str | None:
     """First reason for running again."""
     for path in step.inputs:
+        # A reader of a stale step is stale whatever its inputs hold now: they will be written anew.
         if path in stale:
             return f"step '{stale[path]}' is stale"
         if not path.is_file():
@@ -189,6 +212,7 @@ def _because(job: Job, step: Step, record: Record, hashes: Hashes, stale: Mappin
     for path in step.outputs:
         if not path.is_file():
             return f"output {path.name} is missing"
+        # An output edited by hand is made again: the record would otherwise vouch for a file it does not know.
         if record.outputs.get(job.name(path)) != hashes.of(path):
             return f"output {path.name} was changed"
     return None

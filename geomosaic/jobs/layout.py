@@ -1,4 +1,4 @@
-"""Where a project's files are."""
+"""Layout of a project's files: paths of outputs and of the state kept between runs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ from geomosaic.project.load import Project
 
 @dataclass(frozen=True)
 class Layout:
-    """Paths of everything a project writes."""
+    """Paths of everything a project writes.
+
+    Attributes
+    ----------
+    project : Project
+    """
 
     project: Project
 

@@ -43,7 +43,19 @@ class Record:
 
 @dataclass
 class Manifest:
-    """Records by step, the outputs that are ours to replace, and the hashes of files."""
+    """Records by step, the outputs that are the project's to replace, and digests of files.
+
+    Attributes
+    ----------
+    path : Path
+        The manifest's JSON file.
+    records : dict of str to Record
+        Last run of each step, by its name.
+    owned : set of str
+        Names of files that this job has made and may write over; see `Job.name`.
+    hashes : dict
+        State and SHA-256 of each file when it was last read, see `geomosaic.raster.file_dependencies.Hashes`.
+    """
 
     path: Path
     records: dict[str, Record] = field(default_factory=dict)
@@ -52,7 +64,7 @@ class Manifest:
 
     @classmethod
     def load(cls, path: Path) -> Manifest:
-        """Read the manifest; one that is absent, damaged or of another format is empty: everything is stale then."""
+        """Manifest of a file; an absent or damaged one, or one of another format, is empty: everything is stale then."""
         try:
             values = json.loads(path.read_text(encoding="utf-8"))
             if values["format"] != FORMAT:
@@ -74,17 +86,56 @@ class Manifest:
 
 
 def write_json(path: Path, values: Any) -> None:
-    """Write JSON; NaN and infinity, which JSON does not know, become null."""
+    """JSON file of a step's results, written whole or not at all.
+
+    NaN and infinity, which JSON does not know, become null.
+
+    Parameters
+    ----------
+    path : Path
+    values : object
+        Made plain by `plain`.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
     write_atomic(path, json.dumps(plain(values), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def read_json(path: Path) -> Any:
-    """Read JSON that a step has written."""
+    """Values of a JSON file that a step has written.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    object
+
+    Raises
+    ------
+    OSError, ValueError
+        There is no such file, or it is no JSON.
+    """
     return json.loads(path.read_text(encoding="utf-8"))
 
 
 def plain(value: Any) -> Any:
-    """Values that JSON knows."""
+    """Values of the types that JSON has.
+
+    Parameters
+    ----------
+    value : object
+        Mappings and sequences are gone through; NumPy arrays and scalars become lists and numbers, others their text.
+
+    Returns
+    -------
+    dict, list, str, int, float, bool or None
+        Floats are finite: NaN and infinity become None.
+    """
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -93,6 +144,7 @@ def plain(value: Any) -> Any:
         return value
     if isinstance(value, float):
         return value if math.isfinite(value) else None
+    # NumPy arrays and scalars, without importing NumPy here.
     if hasattr(value, "tolist"):
         return plain(value.tolist())
     return str(value)
@@ -100,7 +152,15 @@ def plain(value: Any) -> Any:
 
 @contextmanager
 def heard() -> Iterator[list[str]]:
-    """List the texts of GeomosaicWarnings raised within, each once; all go on to whoever showed them before."""
+    """Texts of the GeomosaicWarnings raised within, each once.
+
+    All warnings go on to the handler that was set before.
+
+    Yields
+    ------
+    list of str
+        Filled as warnings are raised.
+    """
     texts: list[str] = []
     before = warnings.showwarning
 
@@ -117,5 +177,13 @@ def heard() -> Iterator[list[str]]:
 
 
 def tell(text: str) -> None:
-    """Show a note that is a result, not a doubt: filters that make errors of warnings leave it alone."""
+    """Note that is a result and not a warning.
+
+    It goes to the handler of warnings directly, past the filters: one that makes errors of warnings must not stop a run
+    over it.
+
+    Parameters
+    ----------
+    text : str
+    """
     warnings.showwarning(GeomosaicWarning(text), GeomosaicWarning, __file__, 0)

@@ -1,4 +1,4 @@
-"""The steps of a project and how they hang together."""
+"""Steps of a project and their dependencies: orient, mosaic, orthos, check, report."""
 
 from __future__ import annotations
 
@@ -25,7 +25,18 @@ from geomosaic.types import Progress
 
 
 def job_of(project: Project, machine: Machine | None = None) -> Job:
-    """Make the job: orient, mosaic, orthos (where wanted), check, report."""
+    """Job of a project: orient, mosaic, orthos (where wanted), check, report.
+
+    Parameters
+    ----------
+    project : Project
+    machine : Machine, optional
+        Threads and memory; they change no result and are no part of what makes a step stale.
+
+    Returns
+    -------
+    Job
+    """
     machine = machine or Machine()
     layout, settings, inputs = Layout(project), project.settings, project.inputs
     against = project.file(settings.quality.reference)
@@ -53,8 +64,10 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     }
     place: dict[str, Any] = {"output": settings.output.model_dump(mode="json", exclude={"folder", "orthos"})}
     blend: dict[str, Any] = {"mosaic": settings.mosaic.model_dump(mode="json"), **said_of_master}
+    # Rules that mix several images have no one source per pixel, so no raster of labels.
     by_rule = options.merge.rule is not None and options.merge.rule not in SINGLE_SOURCE_RULES
     wants_labels = (layout.labels,) if options.records.labels and not by_rule else ()
+    # An uncontrolled mosaic lies in no CRS: a STAC item, which needs a place on Earth, is not written.
     nowhere = settings.planar is not None and settings.planar.kind == "uncontrolled"
     relief = options.records.displacement is not None
     wants_views = (*((layout.views,) if options.records.views else ()), *((layout.displacement,) if relief else ()))
@@ -116,7 +129,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run of a project came to.
+    """Outcome of a project run.
 
     Attributes
     ----------
@@ -133,7 +146,7 @@ class Outcome:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What the steps found, and where the outputs are."""
+        """Facts of the steps, paths of the outputs that exist, and the failed thresholds."""
         layout = Layout(self.project)
         found = {name: layout.facts(name) for name in ("orient", "mosaic", "check")}
         outputs = {"mosaic": layout.mosaic, "vectors": layout.vectors, "report": layout.report}
@@ -154,7 +167,26 @@ def run_project(
     executor: Executor | None = None,
     stop: Stop | None = None,
 ) -> Outcome:
-    """Run what is stale in a project, then judge its quality; see `engine.run`."""
+    """Run of what is stale in a project, then a verdict on its quality.
+
+    Parameters
+    ----------
+    project : Project
+    only, force, progress, executor, stop
+        See `engine.run`.
+    machine : Machine, optional
+        Threads and memory; all there are unless given.
+
+    Returns
+    -------
+    Outcome
+        Failed thresholds are in `failure`, not raised; judged where 'check' or 'report' was looked at.
+
+    Raises
+    ------
+    GeomosaicError
+        See `engine.run`; options are named by their section and key in the project file.
+    """
     job = job_of(project, machine)
     with keys_in_errors(project.path.name):
         states = engine.run(job, only=only, force=force, progress=progress, executor=executor, stop=stop)
@@ -163,5 +195,14 @@ def run_project(
 
 
 def status_of(project: Project) -> list[State]:
-    """Say of each step whether it is fresh, and if not, why."""
+    """State of each step of a project, see `engine.status`.
+
+    Parameters
+    ----------
+    project : Project
+
+    Returns
+    -------
+    list of State
+    """
     return engine.status(job_of(project))

@@ -15,14 +15,21 @@ from geomosaic.types import Progress
 
 @contextmanager
 def project_lock(path: Path) -> Iterator[None]:
-    """Hold a lock file, or stop at once where another run holds it.
+    """Lock that lets one run of a project work at a time.
 
     The lock is on the open file, not on its being there: a run that was killed leaves a file but no lock.
+
+    Parameters
+    ----------
+    path : Path
+        The lock file; the process that holds it writes its number there.
 
     Raises
     ------
     InputError
         Another run is under way.
+    OutputError
+        The folder cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -69,7 +76,7 @@ def _try_lock(handle: int) -> bool:
 
 
 class Stop:
-    """A flag that is looked at between tiles."""
+    """Flag that asks a run to stop; it is looked at between tiles."""
 
     def __init__(self) -> None:
         self._asked = threading.Event()
@@ -79,7 +86,7 @@ class Stop:
         self._asked.set()
 
     def check(self) -> None:
-        """Stop here if that was asked for.
+        """Stop here where it was asked for.
 
         Raises
         ------
@@ -89,7 +96,17 @@ class Stop:
             raise Interrupted("stopped on request", hint="the same command resumes: steps that are done stay done")
 
     def watching(self, progress: Progress | None) -> Progress:
-        """Make a progress function that checks the flag at every report."""
+        """Progress function that checks the flag at every report.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called with (done, total, stage) before the flag is looked at.
+
+        Returns
+        -------
+        callable
+        """
 
         def report(done: int, total: int, stage: str) -> None:
             if progress is not None:

@@ -1,4 +1,7 @@
-"""Step keys: everything a result depends on, with files beside rasters and code of sensor plugins."""
+"""Keys of steps: digests of everything a result depends on.
+
+Beside parameters and inputs these are files beside rasters, versions of libraries, and files of sensor plug-ins.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ LIBRARIES = ("geomosaic", "numpy", "numba", "scipy", "rasterio", "pyproj", "shap
 
 @lru_cache
 def versions() -> dict[str, str]:
-    """Installed versions of the libraries that matter."""
+    """Installed versions of the libraries that can change a result; "absent" for one that is not installed."""
     found = {}
     for name in LIBRARIES:
         try:
@@ -35,7 +38,24 @@ def versions() -> dict[str, str]:
 def ingredients(
     name: str, step_version: int, parameters: Mapping[str, Any], files: Mapping[str, str]
 ) -> dict[str, str]:
-    """Everything a step's result depends on, each with its digest, so that a change can be named."""
+    """Everything a step's result depends on, each by itself, so that a change can be named.
+
+    Parameters
+    ----------
+    name : str
+        Of the step.
+    step_version : int
+        Raised when the step's code gives another result.
+    parameters : mapping
+        JSON values by name.
+    files : mapping
+        SHA-256 by name of file.
+
+    Returns
+    -------
+    dict of str to str
+        'step', 'parameter NAME', 'file NAME' and 'library NAME', each with its digest or version.
+    """
     parts = {"step": f"{name} {step_version}"}
     parts |= {f"parameter {key}": digest_of(value) for key, value in parameters.items()}
     parts |= {f"file {path}": digest for path, digest in files.items()}
@@ -46,10 +66,24 @@ def ingredients(
 def with_companions(
     project: Project, rasters: Sequence[Path], bands: Sequence[int] | None = None
 ) -> tuple[tuple[Path, ...], dict[str, str]]:
-    """Rasters and the files beside them that count, and a digest of what each says of itself, under words for people.
+    """Rasters with the files beside them that count, and digests of what each raster says of itself.
 
-    A world file or a mask that comes, goes or changes makes a step stale, statistics in a .aux.xml do not. A raster
+    A world file or a mask that comes, goes or changes makes a step stale; statistics in a .aux.xml do not. A raster
     that cannot be opened has nothing beside it; the step that reads it says what is wrong.
+
+    Parameters
+    ----------
+    project : Project
+    rasters : sequence of Path
+    bands : sequence of int, optional
+        Bands that are read, counted from 1; all unless given.
+
+    Returns
+    -------
+    files : tuple of Path
+        Each raster with its companions after it, each file once.
+    said : dict of str to str
+        Digest of georeference and kind of each raster, under a name that `status` can show.
     """
     files: dict[Path, None] = {}
     said: dict[str, str] = {}
@@ -66,7 +100,17 @@ def with_companions(
 
 
 def plugin_versions(sensor: str) -> dict[str, str]:
-    """Version of the distribution that a sensor comes from; geomosaic's own counts for every step already."""
+    """Version of the distribution that a sensor comes from.
+
+    Parameters
+    ----------
+    sensor : str
+
+    Returns
+    -------
+    dict of str to str
+        Empty for geomosaic's own sensors: its version counts for every step already.
+    """
     return {
         f"version of {entry.distribution}": entry.version
         for entry in installed()
@@ -75,7 +119,18 @@ def plugin_versions(sensor: str) -> dict[str, str]:
 
 
 def sensor_files(sensor: str, images: Sequence[Path]) -> tuple[Path, ...]:
-    """Files beside the images that the sensor takes their models from; none where it cannot be loaded."""
+    """Files beside the images that a sensor takes their models from.
+
+    Parameters
+    ----------
+    sensor : str
+    images : sequence of Path
+
+    Returns
+    -------
+    tuple of Path
+        Each once; none where the sensor cannot be loaded or reads no files.
+    """
     try:
         loaded = plugin(sensor)
     except GeomosaicError:

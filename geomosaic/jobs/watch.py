@@ -1,4 +1,4 @@
-"""Wait until something that a project reads has changed."""
+"""Waiting for a change of the files that a project reads."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ Look = dict[Path, tuple[int, int] | None]
 
 
 def make_ready() -> None:
-    """Load what the next run of a mosaic will need: seconds, better spent before it is waited for."""
+    """Libraries and kernels that the next run of a mosaic needs, loaded ahead.
+
+    It takes seconds, better spent before someone waits for the run.
+    """
     from geomosaic.raster.vector import prepare
     from geomosaic.resample.engine import numba_engine
 
@@ -29,9 +32,17 @@ def make_ready() -> None:
 
 
 def read_by(job: Job) -> list[Path]:
-    """Files that the steps read and none of them writes, and the journals that databases may get.
+    """Files that the steps of a job read and none of them writes, with journals that databases may get.
 
-    Those of outputs too: while one holds anything, its file is not replaced.
+    Journals of outputs count too: while one holds anything, its file is not replaced.
+
+    Parameters
+    ----------
+    job : Job
+
+    Returns
+    -------
+    list of Path
     """
     written = dict.fromkeys(path for step in job.steps for path in step.outputs)
     read = dict.fromkeys(path for step in job.steps for path in step.inputs if path not in written)
@@ -39,14 +50,40 @@ def read_by(job: Job) -> list[Path]:
 
 
 def look(files: Iterable[Path]) -> Look:
-    """See how files are."""
+    """State of files: size in bytes and modification time in nanoseconds.
+
+    Parameters
+    ----------
+    files : iterable of Path
+
+    Returns
+    -------
+    dict
+        None for a file that does not exist.
+    """
     return {path: _state(path) for path in files}
 
 
 def wait_for_change(before: Look, pause: float = PAUSE) -> Look:
-    """Wait until files are other than before and stay so for a pause: a file half written is no change yet."""
+    """State of files once they differ from before and have stayed the same for a pause.
+
+    A file that is still being written is no change yet.
+
+    Parameters
+    ----------
+    before : dict
+        As `look` gives it.
+    pause : float
+        Least time between two looks, seconds.
+
+    Returns
+    -------
+    dict
+        As `look` gives it.
+    """
     last, spent = before, 0.0
     while True:
+        # A look at many files on a network drive takes long: the pause grows with it, see SHARE.
         time.sleep(min(max(pause, spent / SHARE), LONGEST))
         started = time.perf_counter()
         now = look(before)

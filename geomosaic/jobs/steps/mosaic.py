@@ -1,4 +1,4 @@
-"""Steps 'mosaic' and 'orthos': the rasters."""
+"""Steps "mosaic" and "orthos": the rasters of a project."""
 
 from __future__ import annotations
 
@@ -33,7 +33,24 @@ from geomosaic.surface.model import Surface
 
 
 def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
-    """Write the mosaic and what goes with it."""
+    """Step "mosaic": the mosaic with its labels, vectors and STAC item, and the facts of how it was made.
+
+    Parameters
+    ----------
+    project : Project
+    machine : Machine
+    context : Context
+
+    Returns
+    -------
+    dict
+        `pixels` that hold values, and `lattice_error_px`, the largest geometric error in image pixels.
+
+    Raises
+    ------
+    GeomosaicError
+        Nothing is left under the final names.
+    """
     from geomosaic.mosaicking.mosaic import mosaic as make
     from geomosaic.raster.preview import png_bytes
     from geomosaic.report.figures import data_uri
@@ -153,6 +170,7 @@ def _memory(project: Project, options: MosaicOptions, context: Context) -> Memor
         for stage in ("colour", "seams")
     )
     remembered = project.state / "mosaic-units.json"
+    # A forced run is to prove the result from nothing: earlier units and results go.
     if context.forced:
         remembered.unlink(missing_ok=True)
         shutil.rmtree(remembered.with_name("found"), ignore_errors=True)
@@ -173,7 +191,19 @@ def _remembered(memory: Memory) -> FindOutlines:
 
 
 def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
-    """Write one ortho per image, each on its own part of the mosaic's grid."""
+    """Step "orthos": one ortho per image, each on its own part of the mosaic's grid.
+
+    Parameters
+    ----------
+    project : Project
+    machine : Machine
+    context : Context
+
+    Returns
+    -------
+    dict
+        Number of `orthos`, and `lattice_error_px`, the largest geometric error of them all in image pixels.
+    """
     from geomosaic.render.ortho import ortho
 
     layout = Layout(project)

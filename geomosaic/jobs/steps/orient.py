@@ -1,4 +1,4 @@
-"""Step 'orient', and the block as it left it."""
+"""Step "orient": models of the images, and the block restored from them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,23 @@ from geomosaic.sensor.state import model_from_dict, model_to_dict
 
 
 def orient(project: Project, context: Context) -> Mapping[str, Any]:
-    """Write `models/<image>.json` and the facts of the orientation."""
+    """Step "orient": the model of each image as `models/<image>.json`, and the facts of the orientation.
+
+    Parameters
+    ----------
+    project : Project
+    context : Context
+
+    Returns
+    -------
+    dict
+        Number of `images`, and of image measurements of `control` and check points.
+
+    Raises
+    ------
+    InputError
+        The project is not complete (everything that is missing is listed), or an input is wrong.
+    """
     layout = Layout(project)
     with heard() as notes:
         block, planar = _block(project)
@@ -106,7 +122,17 @@ def _block(project: Project) -> tuple[OrientedBlock, dict[str, Any] | None]:
 
 
 def restore_block(project: Project) -> OrientedBlock:
-    """Read the models that 'orient' wrote, with images and surface."""
+    """Block from the models that "orient" wrote, with images and surface.
+
+    Parameters
+    ----------
+    project : Project
+
+    Returns
+    -------
+    OrientedBlock
+        Without control points: they have done their work in "orient".
+    """
     inputs = project.inputs
     crs = positions_crs(inputs.crs, inputs.heights) if inputs.crs else None
     scenes = []
@@ -119,6 +145,15 @@ def restore_block(project: Project) -> OrientedBlock:
 
 
 def area_of(project: Project) -> Area:
-    """Where the project's output lies."""
+    """CRS, resolution and bounds of a project's output.
+
+    Parameters
+    ----------
+    project : Project
+
+    Returns
+    -------
+    Area
+    """
     output = project.settings.output
     return Area(output.crs, output.resolution, output.bounds)

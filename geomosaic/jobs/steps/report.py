@@ -1,4 +1,4 @@
-"""Steps 'check' and 'report'."""
+"""Steps "check" and "report": accuracy against limits, and the report of the project."""
 
 from __future__ import annotations
 
@@ -18,7 +18,18 @@ from geomosaic.whole_files import write_atomic
 
 
 def report(project: Project, context: Context) -> Mapping[str, Any]:
-    """Write report.html and report.json."""
+    """Step "report": report.html for people and report.json for programs.
+
+    Parameters
+    ----------
+    project : Project
+    context : Context
+
+    Returns
+    -------
+    dict
+        Name of the `report`.
+    """
     from geomosaic.report.report import render_html
 
     layout = Layout(project)
@@ -31,7 +42,19 @@ def report(project: Project, context: Context) -> Mapping[str, Any]:
 
 
 def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
-    """Everything that was done, with its numbers."""
+    """Record of a project's result: inputs, outputs, versions, warnings and the facts of all steps.
+
+    Parameters
+    ----------
+    project : Project
+    digests : mapping
+        SHA-256 of files by path.
+
+    Returns
+    -------
+    dict
+        Content of report.json.
+    """
     layout, inputs = Layout(project), project.inputs
     facts = {step: read_json(layout.facts(step)) for step in ("orient", "mosaic", "check")}
     roles = {
@@ -71,7 +94,18 @@ def _file(path: Path, role: str, project: Project, digests: Mapping[Path, str]) 
 
 
 def check(project: Project, context: Context) -> Mapping[str, Any]:
-    """Compare with the reference, where there is one, and judge."""
+    """Step "check": comparison with the reference image, where there is one, and verdicts on all limits.
+
+    Parameters
+    ----------
+    project : Project
+    context : Context
+
+    Returns
+    -------
+    dict
+        `passed`: whether all limits hold.
+    """
     from geomosaic.accuracy.product_check import against_reference
 
     layout, quality = Layout(project), project.settings.quality
@@ -98,6 +132,7 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
     for name, (what, value, unit) in found.items():
         limit = getattr(quality, name)
         if limit is not None:
+            # A limit on what could not be measured fails, or a missing measurement would pass as a good one.
             passed = value is not None and value <= limit
             verdicts.append(
                 {"name": name, "what": what, "value": value, "limit": limit, "unit": unit, "passed": passed}
@@ -117,7 +152,17 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
 
 
 def failure(project: Project) -> QualityError | None:
-    """Make the error that says which thresholds failed; None where none did."""
+    """Error that names the limits a project failed.
+
+    Parameters
+    ----------
+    project : Project
+
+    Returns
+    -------
+    QualityError or None
+        None where none failed, or nothing was checked yet.
+    """
     path = Layout(project).facts("check")
     if not path.is_file():
         return None
