@@ -64,7 +64,7 @@ class Manifest:
 
     @classmethod
     def load(cls, path: Path) -> Manifest:
-        """Manifest of a file; an absent or damaged one, or one of another format, is empty: everything is stale then."""
+        """Manifest of a file; an absent, damaged or foreign one is empty, so that all is stale."""
         try:
             values = json.loads(path.read_text(encoding="utf-8"))
             if values["format"] != FORMAT:
