@@ -39,7 +39,29 @@ FindOutlines = Callable[[tuple[OrientedImage, ...], Surface | None, CRS], list[F
 def plan(
     scenes: Sequence[OrientedImage], surface: Surface | None, area: Area, find: FindOutlines = footprints
 ) -> tuple[Grid, list[Footprint]]:
-    """Outlines of the images, which `find` finds or remembers, and the grid of the output."""
+    """Output grid, and the outlines of the images in its CRS.
+
+    Parameters
+    ----------
+    scenes : sequence of OrientedImage
+    surface : Surface or None
+        Ground; None for images without heights.
+    area : Area
+        CRS, bounds, pixel size and snapping, or a raster whose grid is taken; the images decide what is not given.
+    find : callable
+        Outlines of images on a surface in a CRS; a rerun gives those that it remembers.
+
+    Returns
+    -------
+    grid : Grid
+    outlines : list of Footprint
+        In the order of the images.
+
+    Raises
+    ------
+    InputError
+        The CRS is torn across the images, the pixel size is in a wrong unit, or the grid is too large to be meant.
+    """
     several = tuple(scenes)
     if area.like is not None:
         grid = grid_of(area.like)
@@ -89,11 +111,27 @@ _SCATTERED = 0.02
 def plan_mosaic(
     scenes: Sequence[OrientedImage], surface: Surface | None, area: Area, find: FindOutlines = footprints
 ) -> tuple[Grid, list[Footprint]]:
-    """Outlines of the images, which `find` finds or remembers, and the grid of their mosaic.
+    """Output grid of a mosaic, and the outlines of the images in its CRS.
 
     Where the first image is georeferenced in the output's CRS, north up, and neither bounds nor another pixel size is
-    asked for, the grid is the first image's own, extended over all images. Of images in degrees the mosaic is in
-    degrees, unless something else is asked for.
+    asked for, the grid is the first image's own, extended over all images: its pixels stay where they are. Of images in
+    degrees the mosaic is in degrees, unless something else is asked for.
+
+    Parameters
+    ----------
+    scenes, surface, area, find
+        As `plan`.
+
+    Returns
+    -------
+    grid : Grid
+    outlines : list of Footprint
+        In the order of the images.
+
+    Raises
+    ------
+    InputError
+        As `plan`.
     """
     if surface is None and area == Area():
         first = inspect(scenes[0].path).crs
@@ -145,7 +183,15 @@ def _extended(grid: Grid, outlines: Sequence[Footprint]) -> Grid:
 
 
 def note_scattered(grid: Grid, outlines: Sequence[Footprint]) -> None:
-    """Say so where the images lie so far apart that the mosaic is nearly empty: one has a wrong CRS, as a rule."""
+    """Warning about images so far apart that the mosaic is nearly empty: one has a wrong CRS, as a rule.
+
+    Parameters
+    ----------
+    grid : Grid
+        Of the mosaic.
+    outlines : sequence of Footprint
+        In the CRS of the grid.
+    """
     left, bottom, right, top = grid.bounds
     area = sum((b[2] - b[0]) * (b[3] - b[1]) for b in (outline.bounds for outline in outlines))
     if area >= _SCATTERED * (right - left) * (top - bottom):

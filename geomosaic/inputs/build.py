@@ -83,7 +83,17 @@ def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:
 
 
 def unadjusted(inputs: Block) -> Sequence[OrientedImage] | None:
-    """Images without what control points make of them; None where their sensor does not adjust itself, or fails."""
+    """Images of a block before the adjustment of their sensor on the control points.
+
+    Parameters
+    ----------
+    inputs : Block
+
+    Returns
+    -------
+    sequence of OrientedImage or None
+        None where the sensor does not adjust itself on control, or where the images cannot be built without it.
+    """
     if capabilities(inputs.sensor).control is not ControlUse.ADJUSTMENT:
         return None
     plain = replace(inputs, control=None, options={**inputs.options, "refine": "none"})

@@ -61,10 +61,22 @@ class Camera(Mapping[str, Any]):
 def read_toml(path: PathLike, what: str, largest: int = LARGEST) -> dict[str, Any]:
     """Table of a TOML file of limited size.
 
+    Parameters
+    ----------
+    path : path-like
+    what : str
+        Kind of file for messages, such as 'camera file'.
+    largest : int
+        Bytes: a file picked by mistake is refused before it fills the memory.
+
+    Returns
+    -------
+    dict
+
     Raises
     ------
     InputError
-        Names file and line.
+        The file cannot be read or is no TOML; names file and line.
     """
     try:
         return tomllib.loads(read_text(path, what, largest))
@@ -75,7 +87,23 @@ def read_toml(path: PathLike, what: str, largest: int = LARGEST) -> dict[str, An
 
 
 def read_camera(camera: PathLike | Camera) -> dict[str, Any]:
-    """Table of a camera file, or of a camera; a single [camera] table at the top is unwrapped."""
+    """Camera description as a table; a single [camera] table at the top of a file is unwrapped.
+
+    Parameters
+    ----------
+    camera : path-like or Camera
+        TOML file, or values.
+
+    Returns
+    -------
+    dict
+        Keys as the sensor documents them.
+
+    Raises
+    ------
+    InputError
+        The file does not end in .toml, cannot be read, or is no TOML.
+    """
     if isinstance(camera, Camera):
         return dict(camera)
     if Path(camera).suffix.lower() != ".toml":

@@ -32,12 +32,20 @@ _MENDS = {
 
 
 def refuse_misplaced(points: Sequence[ControlPoint], crs: CRS, where: str) -> None:
-    """Refuse coordinates in another unit than the CRS, or with exchanged axes.
+    """Check of control coordinates against their CRS: another unit, or exchanged axes.
+
+    Parameters
+    ----------
+    points : sequence of ControlPoint
+    crs : CRS
+        In which they are declared.
+    where : str
+        Their table, for the message.
 
     Raises
     ------
     InputError
-        Says what they look like, and a hint.
+        More than half of the points show one of the slips in `CERTAIN`; says what they look like, and a hint.
     """
     # A point measured in several images is one point on the ground.
     once = list({point.id: point for point in points}.values())

@@ -88,9 +88,19 @@ def read_control(path: PathLike, images: Sequence[str]) -> tuple[ControlPoint, .
 
 
 def control_values(given: Mapping[str, ControlPoints], crs: CRS) -> tuple[ControlPoint, ...]:
-    """Measurements of control points that are given as values by image name, brought to a block's CRS.
+    """Measurements of control points that are given as values, brought to a block's CRS.
 
-    A point without a height lies at 0.
+    Parameters
+    ----------
+    given : mapping of str to ControlPoints
+        By image name; points that are not enabled are left out.
+    crs : CRS
+        Of the block.
+
+    Returns
+    -------
+    tuple of ControlPoint
+        Ground x, y, z in `crs`, image (col, row) in pixels. A point without a height lies at 0.
     """
     found = []
     for image, points in given.items():

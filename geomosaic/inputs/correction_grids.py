@@ -26,6 +26,16 @@ RASTERS = (".tif", ".tiff")
 def read_corrections(path: PathLike) -> CorrectionGrid:
     """Correction grid of a file; see `geomosaic.sensor.corrected` for what is added to what.
 
+    Parameters
+    ----------
+    path : path-like
+        GeoTIFF of two bands, or a table; told apart by the ending.
+
+    Returns
+    -------
+    CorrectionGrid
+        Corrections of (col, row) in pixels.
+
     Raises
     ------
     InputError
@@ -40,6 +50,14 @@ def read_corrections(path: PathLike) -> CorrectionGrid:
 
 def write_corrections(path: PathLike, grid: CorrectionGrid, *, overwrite: bool = False) -> None:
     """Write a correction grid: a GeoTIFF (float64) where the name ends so, a table with 6 decimals otherwise.
+
+    Parameters
+    ----------
+    path : path-like
+    grid : CorrectionGrid
+        Corrections of (col, row) in pixels.
+    overwrite : bool
+        Replace an existing file.
 
     Raises
     ------

@@ -212,7 +212,18 @@ class Scene(Block):
 
 
 def file_of(given: object) -> Path | None:
-    """File of an input; None of one that is given as a value, or not at all."""
+    """File of an input.
+
+    Parameters
+    ----------
+    given : object
+        Path, `Dem`, another value or None.
+
+    Returns
+    -------
+    Path or None
+        None of an input that is given as a value, or not at all.
+    """
     if isinstance(given, Dem):
         return Path(given.path) if given.path else None
     return given if isinstance(given, Path) else None
@@ -257,5 +268,18 @@ def _named_in(value: Any, base: Path) -> tuple[Path, ...]:
 
 
 def wrong_policy(robust: bool, insist: bool) -> str:
-    """Policy for wrong points; to leave them out comes first."""
+    """Policy for wrong points.
+
+    Parameters
+    ----------
+    robust : bool
+        Leave them out; this comes first where both are asked for.
+    insist : bool
+        Keep them with a warning.
+
+    Returns
+    -------
+    str
+        'leave', 'keep' or 'stop'.
+    """
     return "leave" if robust else "keep" if insist else "stop"

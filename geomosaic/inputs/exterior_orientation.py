@@ -188,7 +188,12 @@ class ExteriorTable:
 
 
 def exterior_values(given: Mapping[str, Exterior]) -> tuple[ExteriorTable, dict[str, str]]:
-    """Table of orientations given as values by image name, and what they say of themselves.
+    """Table of orientations that are given as values by image name, and what they declare in common.
+
+    Parameters
+    ----------
+    given : mapping of str to Exterior
+        By image name.
 
     Returns
     -------
@@ -221,7 +226,19 @@ def exterior_values(given: Mapping[str, Exterior]) -> tuple[ExteriorTable, dict[
 
 
 def undeclared_reconstruction(path: PathLike | ExteriorTable | None, system: str) -> bool:
-    """Whether a file is a reconstruction, and nothing says whose: the two kinds look the same inside."""
+    """Whether a file is a reconstruction of undeclared frame: OpenSfM's and OpenDroneMap's look the same inside.
+
+    Parameters
+    ----------
+    path : path-like, ExteriorTable or None
+        Orientation input.
+    system : str
+        Angle system as declared.
+
+    Returns
+    -------
+    bool
+    """
     return (
         path is not None
         and not isinstance(path, ExteriorTable)
@@ -288,7 +305,17 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
 
 
 def systems_of(table: Table) -> list[str]:
-    """Angle systems whose columns the table has."""
+    """Angle systems whose columns a table has.
+
+    Parameters
+    ----------
+    table : Table
+
+    Returns
+    -------
+    list of str
+        Keys of `SYSTEMS`; some systems share their columns (opk and pok, matrix and patb).
+    """
     return [system for system, columns in SYSTEMS.items() if set(columns) <= set(table.columns)]
 
 
@@ -337,11 +364,20 @@ def check_units(table: ExteriorTable, unit: str | None, rows: Sequence[ExteriorR
 
 
 def half_turns_in_radians(angles: FloatArray) -> bool:
-    """Whether angles (N, 3), taken for degrees, are those of strips flown to and fro in radians.
+    """Whether angles taken for degrees are those of strips flown to and fro in radians.
 
     Strips along the map's x axis have headings near 0 and π radians. Read as degrees both are small turns that follow
     the flight, so the direction of flight gives nothing away; but such small tilts, with headings at 0 and at 3.14 and
     nowhere between, do not happen.
+
+    Parameters
+    ----------
+    angles : array (N, 3)
+        Two tilts, then the heading, as read.
+
+    Returns
+    -------
+    bool
     """
     tilts, turns = np.abs(angles[:, :2]), np.abs(angles[:, 2])
     to, fro = turns < 0.25, np.abs(turns - math.pi) < 0.25
@@ -360,7 +396,17 @@ _FRAME = ("systeme", "grid_alti")
 
 
 def frame_words(path: Path | None) -> tuple[str, str]:
-    """Names that a file of IGN gives its map and its heights, in brackets; empty where it says nothing."""
+    """Names that an orientation file of IGN gives its map and its heights, for hints.
+
+    Parameters
+    ----------
+    path : Path or None
+
+    Returns
+    -------
+    map_name, heights : str
+        In brackets with a space before them; '' where the file says nothing or cannot be read.
+    """
     try:
         text = "" if path is None else path.read_bytes()[:FIRST].decode("utf-8", "replace")
     except OSError:
@@ -371,7 +417,17 @@ def frame_words(path: Path | None) -> tuple[str, str]:
 
 
 def program_of(path: Path) -> str | None:
-    """Angle system of a file of Pix4D, Metashape, COLMAP or IGN; None where it is none of them."""
+    """Program that wrote an orientation file, recognised by its name and first bytes.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str or None
+        Angle system 'pix4d', 'metashape', 'colmap' or 'ori'; None where it is none of them.
+    """
     try:
         with path.open("rb") as file:
             start = file.read(FIRST).decode("utf-8", "replace").lower()

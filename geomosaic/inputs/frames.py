@@ -14,17 +14,50 @@ DATUMS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or a geoid grid fi
 
 
 def with_declared_heights(crs: CRS, heights: str | None, where: str | None = None) -> CRS:
-    """Join a CRS with the vertical datum that was declared for it; one that is declared replaces its own."""
+    """CRS with the vertical datum that was declared for it; one that is declared replaces its own.
+
+    Parameters
+    ----------
+    crs : CRS
+    heights : str or None
+        'ellipsoidal', a geoid model, an EPSG code or the path of a geoid grid; None leaves the CRS as it is.
+    where : str, optional
+        Input, for the message.
+
+    Returns
+    -------
+    CRS
+
+    Raises
+    ------
+    HeightDatumError
+        The vertical datum is unknown, or its grid file is missing.
+    """
     return crs if heights is None else with_heights(crs, heights, where)
 
 
 def positions_crs(crs: str, heights: str | None, where: str | None = None) -> CRS:
     """CRS of positions with its declared vertical datum.
 
+    Parameters
+    ----------
+    crs : str
+        As the user gives it: EPSG code, WKT or PROJ string.
+    heights : str or None
+        Declared vertical datum; see `with_declared_heights`.
+    where : str, optional
+        Input, for the message.
+
+    Returns
+    -------
+    CRS
+
     Raises
     ------
     InputError
         It is no CRS, or one that cannot hold positions.
+    HeightDatumError
+        As `with_declared_heights`.
     """
     given = parse_crs(crs, where)
     if given.is_vertical and not given.is_compound:
@@ -43,7 +76,16 @@ def positions_crs(crs: str, heights: str | None, where: str | None = None) -> CR
 
 
 def crs_name(crs: CRS) -> str:
-    """Name of the horizontal part; that of its projection where it has none of its own."""
+    """Name of the horizontal part of a CRS; that of its projection where it has none of its own.
+
+    Parameters
+    ----------
+    crs : CRS
+
+    Returns
+    -------
+    str
+    """
     flat = horizontal(crs)
     operation = flat.coordinate_operation
     if flat.name.lower() in ("unnamed", "unknown", "undefined") and operation is not None:
@@ -52,7 +94,17 @@ def crs_name(crs: CRS) -> str:
 
 
 def frame_description(crs: CRS | None) -> str:
-    """CRS in words: its name, unit and vertical datum."""
+    """CRS in words: its name, code, unit and vertical datum.
+
+    Parameters
+    ----------
+    crs : CRS or None
+
+    Returns
+    -------
+    str
+        'none' without a CRS.
+    """
     if crs is None:
         return "none"
     unit = crs.axis_info[0].unit_name if crs.axis_info else "unknown unit"

@@ -86,7 +86,21 @@ def build_surface(
 
 
 def undeclared_positions(inputs: Block, crs: CRS, photos: Sequence[Photo]) -> HeightDatumError:
-    """Error of positions without a vertical datum, with its cost at the first photo over the ground that is given."""
+    """Error about positions without a vertical datum, with the cost of a wrong guess at the first photo.
+
+    Parameters
+    ----------
+    inputs : Block
+    crs : CRS
+        Of the positions.
+    photos : sequence of Photo
+        The first that lies over the given ground tells place and flying height.
+
+    Returns
+    -------
+    HeightDatumError
+        To be raised by the caller.
+    """
     ground = 0.0 if inputs.height is None else inputs.height
     if inputs.dem is not None:
         ground = _as_written(inputs.dem, crs, photos)[1]

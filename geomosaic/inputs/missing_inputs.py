@@ -23,7 +23,18 @@ HEIGHTS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or the path of a 
 
 
 def list_missing_inputs(inputs: Block) -> list[str]:
-    """Missing inputs of a block, each with the key of a project file that takes it."""
+    """Missing inputs of a block, each with the key of a project file that takes it.
+
+    Parameters
+    ----------
+    inputs : Block
+        May be incomplete, as of a drafted project.
+
+    Returns
+    -------
+    list of str
+        One line for each; empty where the block can be built.
+    """
     found: list[str] = []
     power = known_capabilities(inputs.sensor)
     if inputs.planar is not None:
@@ -83,7 +94,17 @@ def list_missing_inputs(inputs: Block) -> list[str]:
 
 
 def undeclared_heights(dem: Path | None) -> bool:
-    """Whether there is a DEM whose file does not say what its heights count from."""
+    """Whether a DEM's file does not say from where its heights count.
+
+    Parameters
+    ----------
+    dem : Path or None
+
+    Returns
+    -------
+    bool
+        False without a DEM.
+    """
     crs = None if dem is None else inspect(dem).crs
     return dem is not None and (crs is None or not has_heights(crs))
 
@@ -94,7 +115,16 @@ def _takes_positions(inputs: Block, power: Capabilities) -> bool:
 
 
 def known_capabilities(sensor: str) -> Capabilities:
-    """Capabilities of a sensor; of one that is not installed here, those that a project can be drafted with."""
+    """Capabilities of a sensor; of one that is not installed here, those that a project can be drafted with.
+
+    Parameters
+    ----------
+    sensor : str
+
+    Returns
+    -------
+    Capabilities
+    """
     try:
         return capabilities(sensor)
     except SensorError:

@@ -55,11 +55,21 @@ def _table(inputs: Block, path: Path | ExteriorTable) -> ExteriorTable:
 def photos_of(inputs: Block) -> tuple[list[Photo], CRS | None]:
     """Images with their rows of the orientation table; no pixel is read.
 
+    Parameters
+    ----------
+    inputs : Block
+
     Returns
     -------
     photos : list of Photo
+        In the order of the images.
     crs : CRS or None
         3-D CRS of positions and control points, where one was named.
+
+    Raises
+    ------
+    InputError
+        No images, positions without a CRS, an image without a row, or angles in an implausible unit.
     """
     if not inputs.images:
         raise InputError("no images are given", hint="name one or more image files")

@@ -105,7 +105,19 @@ def read_printed(path: Path, how: PrintedList, unit: str | None, direction: str 
 
 
 def turned(angles: Mapping[str, float], sequence: Sequence[str]) -> FloatArray:
-    """Rotation ground → image of angles in degrees, turned in a sequence, the first one first."""
+    """Rotation ground → image from angles in a printed sequence.
+
+    Parameters
+    ----------
+    angles : mapping of str to float
+        Omega, phi, kappa in degrees.
+    sequence : sequence of str
+        Their names, the rotation that is applied first in front: omega, phi, kappa gives R3(κ)·R2(φ)·R1(ω).
+
+    Returns
+    -------
+    array (3, 3)
+    """
     rotation = np.eye(3)
     for name in sequence:
         rotation = TURNS[name](math.radians(angles[name])) @ rotation
@@ -113,7 +125,25 @@ def turned(angles: Mapping[str, float], sequence: Sequence[str]) -> FloatArray:
 
 
 def image_axes(axes: str, where: str) -> FloatArray:
-    """Declared image axes as rows in x right, y up, z towards the viewer; shape (3, 3)."""
+    """Declared image axes in the axes of geomosaic: x right, y up, z towards the viewer.
+
+    Parameters
+    ----------
+    axes : str
+        Directions of x and y in the image, such as 'right up'.
+    where : str
+        Input, for the message.
+
+    Returns
+    -------
+    array (3, 3)
+        Unit vectors of the declared x, y and z = x × y, as rows.
+
+    Raises
+    ------
+    InputError
+        They are not two directions at right angles.
+    """
     words = axes.lower().split()
     if len(words) != 2 or any(word not in DIRECTIONS for word in words):
         raise InputError(

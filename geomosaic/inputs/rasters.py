@@ -20,7 +20,17 @@ _COLOURS = ("red", "green", "blue")
 
 
 def with_named_bands(scenes: Sequence[OrientedImage], names: Sequence[str]) -> tuple[OrientedImage, ...]:
-    """Scenes of which the bands of these names are used, in this order; each file may have them where it will.
+    """Images restricted to bands of some names, in this order; each file may have them where it will.
+
+    Parameters
+    ----------
+    scenes : sequence of OrientedImage
+    names : sequence of str
+        Band descriptions.
+
+    Returns
+    -------
+    tuple of OrientedImage
 
     Raises
     ------
@@ -31,11 +41,16 @@ def with_named_bands(scenes: Sequence[OrientedImage], names: Sequence[str]) -> t
 
 
 def check_same_bands(scenes: Sequence[OrientedImage]) -> None:
-    """Refuse images with different numbers of bands, or with the same named bands in another order.
+    """Check that images have the same bands: number, order of names, scale and offset of values.
+
+    Parameters
+    ----------
+    scenes : sequence of OrientedImage
 
     Raises
     ------
     InputError
+        Names the first image that differs from the first of all, and a hint.
     """
     infos = [inspect(scene.path, scene.bands) for scene in scenes]
     first = infos[0]
@@ -104,7 +119,18 @@ HAIR = 0.01
 
 
 def check_placed(info: SourceInfo, given: CRS | None = None) -> CRS:
-    """CRS of a raster: `given`, or what the file says.
+    """CRS of a georeferenced raster, checked against its coordinates.
+
+    Parameters
+    ----------
+    info : SourceInfo
+    given : CRS, optional
+        In place of what the file says.
+
+    Returns
+    -------
+    CRS
+        Horizontal.
 
     Raises
     ------

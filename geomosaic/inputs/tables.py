@@ -97,7 +97,25 @@ class Table:
 
 
 def read_text(path: PathLike, what: str, largest: int = LARGEST) -> str:
-    """Text of a UTF-8 file of limited size."""
+    """Text of a UTF-8 file of limited size; a byte order mark is dropped.
+
+    Parameters
+    ----------
+    path : path-like
+    what : str
+        Kind of file for messages, such as 'camera file'.
+    largest : int
+        Bytes.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        The file is missing, a folder, too large or no UTF-8 text.
+    """
     file = Path(path)
     try:
         if file.stat().st_size > largest:
@@ -276,6 +294,14 @@ def stem(name: str) -> str:
     """Name of an image without folders and extension, whichever way the slashes lean.
 
     Only what looks like an extension is cut: 'IMG_0.5' keeps its '.5'.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    str
     """
     last = PurePath(name.replace("\\", "/")).name
     base, dot, extension = last.rpartition(".")
@@ -283,17 +309,52 @@ def stem(name: str) -> str:
 
 
 def file_name(name: str) -> str:
-    """Name without folders, to compare by: file systems of Macs part letters from their accents, tables do not."""
+    """Name without folders, to compare by: file systems of Macs part letters from their accents, tables do not.
+
+    Parameters
+    ----------
+    name : str
+        Slashes may lean either way.
+
+    Returns
+    -------
+    str
+        In Unicode normal form C.
+    """
     return unicodedata.normalize("NFC", PurePath(name.replace("\\", "/")).name)
 
 
 def corrections_file(pattern: str, image: str) -> Path:
-    """Correction grid of an image: '{image}' in a pattern takes its name, without folder and extension."""
+    """Correction grid of an image, by a pattern.
+
+    Parameters
+    ----------
+    pattern : str
+        Path in which '{image}' stands for the image's name without folder and extension.
+    image : str
+
+    Returns
+    -------
+    Path
+    """
     return Path(pattern.replace("{image}", stem(image)))
 
 
 def find_by_name(rows: Mapping[str, Value], image: str) -> Value | None:
-    """Entry of a table for an image: by its full file name, else with either side's extension left off."""
+    """Entry of a table for an image: by its full file name, else with either side's extension left off.
+
+    Parameters
+    ----------
+    rows : mapping
+        By image name as written.
+    image : str
+        Name or path.
+
+    Returns
+    -------
+    object or None
+        None where there is none.
+    """
     last = file_name(image)
     for key, value in rows.items():
         if file_name(key) == last:
@@ -306,7 +367,22 @@ def find_by_name(rows: Mapping[str, Value], image: str) -> Value | None:
 
 
 def missing_row(path: str, image: str, known: Iterable[str]) -> InputError:
-    """Error that a table has no row for an image."""
+    """Error about a table without a row for an image.
+
+    Parameters
+    ----------
+    path : str
+        Of the table.
+    image : str
+        Name or path.
+    known : iterable of str
+        Names that the table has, for the hint.
+
+    Returns
+    -------
+    InputError
+        To be raised by the caller.
+    """
     hint = did_you_mean(stem(image), known)
     return InputError(
         f"the table has no row for {PurePath(image).name}",

@@ -18,9 +18,23 @@ EVERY = "*"
 
 
 def with_usable(inputs: Block, scenes: Sequence[OrientedImage]) -> tuple[OrientedImage, ...]:
-    """Scenes of which only the usable part is seen, where the inputs name one.
+    """Images of which only the usable area is seen, where the inputs name one.
 
     A polygon of an image's own wins over one of all images, and that over the margin.
+
+    Parameters
+    ----------
+    inputs : Block
+    scenes : sequence of OrientedImage
+
+    Returns
+    -------
+    tuple of OrientedImage
+
+    Raises
+    ------
+    InputError
+        A polygon crosses itself, or lies outside of its image.
     """
     rings = read_usable(inputs.usable) if inputs.usable else {}
     found = []
@@ -43,7 +57,16 @@ def with_usable(inputs: Block, scenes: Sequence[OrientedImage]) -> tuple[Oriente
 
 
 def read_usable(path: Path) -> dict[str, Ring]:
-    """Polygons by image: a table with the columns image, col, row, one line per corner, in order around the area.
+    """Polygons of usable areas by image: a table with the columns image, col, row, one line per corner, in order.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    dict of str to tuple of (float, float)
+        Corners (col, row) in pixels, in order around the area.
 
     Raises
     ------

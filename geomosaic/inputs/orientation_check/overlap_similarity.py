@@ -44,7 +44,17 @@ class ReducedImage:
 
 
 def reduced_image(path: str) -> ReducedImage:
-    """Reduced copy of an image."""
+    """Reduced copy of an image, its grey values normalised by local mean and deviation.
+
+    Parameters
+    ----------
+    path : str
+
+    Returns
+    -------
+    ReducedImage
+        At most `SIDE` pixels along the longer side.
+    """
     rgb, valid = preview(path, SIDE)
     grey = rgb.mean(axis=2, dtype=np.float64)
     mean = _box_mean(grey)
@@ -65,10 +75,22 @@ def _box_mean(values: FloatArray) -> FloatArray:
 def correlation_of_pair(
     first: OrientedImage, second: OrientedImage, copies: tuple[ReducedImage, ReducedImage], surface: Surface
 ) -> float:
-    """Correlation of the details of two images where both show the same ground; 0 where nothing is shown by both.
+    """Correlation of the details of two images where both show the same ground.
 
     Places of a lattice in the first image go to the surface and from there into the second. The largest correlation
     over small shifts is taken, since orientations may be rough.
+
+    Parameters
+    ----------
+    first, second : OrientedImage
+    copies : (ReducedImage, ReducedImage)
+        Their reduced copies.
+    surface : Surface
+
+    Returns
+    -------
+    float
+        0 to 1; 0 where fewer than `FEWEST` places are shown by both.
     """
     here, there = copies
     rows, cols = here.detail.shape
@@ -99,7 +121,20 @@ def correlation_of_pair(
 
 
 def neighbours(places: FloatArray, pairs: int) -> list[tuple[int, int]]:
-    """Up to `pairs` pairs of nearest photos, spread over the block; places (N, 2)."""
+    """Pairs of nearest photos, spread over the block.
+
+    Parameters
+    ----------
+    places : array (N, 2)
+        Positions in one map CRS; NaN for those not known.
+    pairs : int
+        At most so many.
+
+    Returns
+    -------
+    list of (int, int)
+        Indices of each pair, the lower first.
+    """
     found: dict[tuple[int, int], None] = {}
     for first in np.unique(np.linspace(0, len(places) - 1, pairs).round().astype(int)):
         distance = np.hypot(*(places - places[first]).T)
@@ -111,7 +146,21 @@ def neighbours(places: FloatArray, pairs: int) -> list[tuple[int, int]]:
 
 
 def together(scenes: Sequence[OrientedImage], copies: Sequence[ReducedImage], surface: Surface) -> float:
-    """Median correlation of pairs of scenes: the first with the second, the third with the fourth, and so on."""
+    """Median correlation of pairs of images.
+
+    Parameters
+    ----------
+    scenes : sequence of OrientedImage
+        The first pairs with the second, the third with the fourth, and so on.
+    copies : sequence of ReducedImage
+        In the order of the scenes.
+    surface : Surface
+
+    Returns
+    -------
+    float
+        0 to 1; 0 without pairs.
+    """
     each = [
         correlation_of_pair(scenes[i], scenes[i + 1], (copies[i], copies[i + 1]), surface)
         for i in range(0, len(scenes) - 1, 2)

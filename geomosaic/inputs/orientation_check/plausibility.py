@@ -82,7 +82,23 @@ def check_orientation(
 
 
 def looking_down(inputs: Block, photos: Sequence[Photo], crs: CRS, build: Build) -> list[str]:
-    """Hints with which photos that look at the sky would look at the ground, the likeliest first."""
+    """Hints for photos that look at the sky: readings of the orientation with which they would look at the ground.
+
+    Parameters
+    ----------
+    inputs : Block
+    photos : sequence of Photo
+        About six of them, spread over the table, are tried.
+    crs : CRS
+        Of the positions.
+    build : callable
+        Makes scenes of another reading.
+
+    Returns
+    -------
+    list of str
+        The likeliest first.
+    """
     oriented = [photo for photo in photos if photo.exterior]
     some = oriented[:: max(1, len(oriented) // 6)]
     found = []
@@ -162,7 +178,20 @@ def _by_pictures(
 
 
 def median_distance(scenes: Sequence[OrientedImage], control: Sequence[ControlPoint], crs: CRS) -> float:
-    """Median distance in pixels of measured places from computed ones; a point that is not seen is infinitely far."""
+    """Median distance of measured control points from their computed image positions.
+
+    Parameters
+    ----------
+    scenes : sequence of OrientedImage
+    control : sequence of ControlPoint
+    crs : CRS
+        Of the control points.
+
+    Returns
+    -------
+    float
+        Pixels. A point that its image does not see is infinitely far; 0 where no point lies in these images.
+    """
     models = {scene.name: scene.model for scene in scenes}
     off = []
     for point in control:

@@ -22,9 +22,17 @@ from geomosaic.render.extent import Area
 
 
 def summarise_inputs(inputs: Block) -> tuple[list[str], str | None]:
-    """Describe images, positions, DEM and control points; where the block is complete, its place and sampling.
+    """Summary of a block's inputs: images, positions, DEM, control points; of a complete block its place and sampling.
 
-    Also what speaks against the whole, although nothing is missing.
+    Parameters
+    ----------
+    inputs : Block
+
+    Returns
+    -------
+    lines : list of str
+    complaint : str or None
+        What speaks against the whole, although nothing is missing.
     """
     lines = [*_images(inputs), f"sensor: {inputs.sensor}"]
     known = not undeclared_reconstruction(inputs.exterior, inputs.angles)

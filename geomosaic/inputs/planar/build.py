@@ -100,7 +100,26 @@ def build_planar(inputs: Block, wanted: PlanarInputs) -> tuple[OrientedBlock, di
 
 
 def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and control points") -> Placed:
-    """Place the photos of a block the way that was asked for; `tables` are named where points are wrong."""
+    """Placement of the photos of a planar block, by the kind of mosaic that is wanted.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    wanted : PlanarInputs
+    tables : str
+        Where points come from, for messages about wrong ones.
+
+    Returns
+    -------
+    Placed
+
+    Raises
+    ------
+    InputError
+        The kind of mosaic does not have the model, or inputs that it would not use are given.
+    SolveError
+        The points do not determine the photos.
+    """
     from geomosaic.orientation.planar.blunders import adjust_checked, search_any_adjustment, search_each_photo
 
     usual, allowed = MODELS[wanted.kind]

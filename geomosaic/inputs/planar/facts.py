@@ -24,7 +24,19 @@ if TYPE_CHECKING:
 
 
 def joint_facts(solution: PlanarSolution, kind: str) -> dict[str, Any]:
-    """Of all photos adjusted together."""
+    """Facts of photos adjusted together.
+
+    Parameters
+    ----------
+    solution : PlanarSolution
+    kind : str
+        Kind of mosaic.
+
+    Returns
+    -------
+    dict
+        JSON values.
+    """
     return {
         "kind": kind,
         "rectified": "together",
@@ -36,7 +48,21 @@ def joint_facts(solution: PlanarSolution, kind: str) -> dict[str, Any]:
 
 
 def single_facts(block: PlanarBlock, solutions: Mapping[str, PlanarSolution], model: str) -> dict[str, Any]:
-    """Of photos rectified each by its own control."""
+    """Facts of photos rectified singly, each by its own control.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    solutions : mapping of str to PlanarSolution
+        By photo.
+    model : str
+        Kind of transformation.
+
+    Returns
+    -------
+    dict
+        JSON values.
+    """
     transforms = {name: solution.transforms[name] for name, solution in solutions.items()}
     return {
         "kind": "controlled",
@@ -49,7 +75,22 @@ def single_facts(block: PlanarBlock, solutions: Mapping[str, PlanarSolution], mo
 
 
 def chain_facts(block: PlanarBlock, made: Chain, model: str, error: Accumulated) -> dict[str, Any]:
-    """Of an uncontrolled mosaic."""
+    """Facts of an uncontrolled mosaic.
+
+    Parameters
+    ----------
+    block : PlanarBlock
+    made : Chain
+    model : str
+        Kind of transformation.
+    error : Accumulated
+        Against the simultaneous adjustment.
+
+    Returns
+    -------
+    dict
+        JSON values.
+    """
     return {
         "kind": "uncontrolled",
         "model": model,
@@ -72,7 +113,19 @@ def chain_facts(block: PlanarBlock, made: Chain, model: str, error: Accumulated)
 
 
 def growth_facts(grown: Growth, model: str) -> dict[str, Any]:
-    """Of a mosaic grown photo by photo."""
+    """Facts of a sequential mosaic, placed photo by photo.
+
+    Parameters
+    ----------
+    grown : Growth
+    model : str
+        Kind of transformation.
+
+    Returns
+    -------
+    dict
+        JSON values.
+    """
     return {
         "kind": "grown",
         "model": model,
@@ -86,7 +139,17 @@ def growth_facts(grown: Growth, model: str) -> dict[str, Any]:
 
 
 def measurements(solution: PlanarSolution) -> list[dict[str, Any]]:
-    """Residuals of all measurements: measured minus computed, pixels."""
+    """Residuals of all measurements in photos: measured minus computed.
+
+    Parameters
+    ----------
+    solution : PlanarSolution
+
+    Returns
+    -------
+    list of dict
+        `id`, `image`, `col` and `row` in pixels, and `standardised` residuals; None where there is none.
+    """
     views = solution.views
     return [
         {
@@ -101,14 +164,34 @@ def measurements(solution: PlanarSolution) -> list[dict[str, Any]]:
 
 
 def control_facts(residuals: Sequence[ControlResidual]) -> dict[str, Any]:
-    """RMS of control and check points against the placed photos, pixels; None without any."""
+    """RMS of control and check points against the placed photos.
+
+    Parameters
+    ----------
+    residuals : sequence of ControlResidual
+
+    Returns
+    -------
+    dict
+        `rms_control_px` and `rms_check_px`, None without points of the role; `checks`, one entry per check point.
+    """
     return {f"rms_{role}_px": finite(rms(list(residuals), role)) for role in ("control", "check")} | {
         "checks": [asdict(one) for one in residuals if one.role == "check"]
     }
 
 
 def wrong_facts(found: BlunderReport) -> dict[str, Any]:
-    """Of the search for wrong points."""
+    """Facts of the search for wrong points.
+
+    Parameters
+    ----------
+    found : BlunderReport
+
+    Returns
+    -------
+    dict
+        JSON values under `wrong_points`.
+    """
     return {
         "wrong_points": {
             "measurements": found.measurements,
@@ -136,13 +219,33 @@ def wrong_facts(found: BlunderReport) -> dict[str, Any]:
 
 
 def gap_rms(found: Sequence[Join]) -> float:
-    """Root mean square gap over all points of all joins, pixels."""
+    """Root mean square gap over all points of all joins.
+
+    Parameters
+    ----------
+    found : sequence of Join
+
+    Returns
+    -------
+    float
+        Pixels; 0 without joins.
+    """
     count = sum(one.points for one in found)
     return float(np.sqrt(sum(one.points * one.rms**2 for one in found) / max(1, count)))
 
 
 def finite(value: float) -> float | None:
-    """JSON knows no NaN."""
+    """Number for JSON, which knows no NaN.
+
+    Parameters
+    ----------
+    value : float
+
+    Returns
+    -------
+    float or None
+        None where the value is not finite.
+    """
     number = float(value)
     return number if np.isfinite(number) else None
 
@@ -183,7 +286,18 @@ def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def placement_words(facts: Mapping[str, Any]) -> list[str]:
-    """Lines on how the photos were placed, and how well."""
+    """Placement of the photos in words: how, and how well.
+
+    Parameters
+    ----------
+    facts : mapping
+        Of `joint_facts`, `single_facts`, `chain_facts` or `growth_facts`, with those of `wrong_facts`.
+
+    Returns
+    -------
+    list of str
+        Lines.
+    """
     kind, model, count = facts["kind"], facts["model"], len(facts["photos"])
     lines = []
     if kind == "uncontrolled":
@@ -220,7 +334,18 @@ def placement_words(facts: Mapping[str, Any]) -> list[str]:
 
 
 def wrong_words(found: Mapping[str, Any]) -> list[str]:
-    """Whether points are wrong, and what the redundancy allows to say of it."""
+    """Search for wrong points in words: whether any are, and what the redundancy allows to say of it.
+
+    Parameters
+    ----------
+    found : mapping
+        `wrong_points` of `wrong_facts`.
+
+    Returns
+    -------
+    list of str
+        Lines.
+    """
     if not found["measurements"]:
         return ["wrong points cannot be looked for: the points do not hold all photos together"]
     wrong, unchecked = found["found"], found["unchecked"]

@@ -189,7 +189,22 @@ def check_control(points: Sequence[ControlPoint], crs: CRS, path: Path | None, p
 
 
 def image_control(points: Sequence[ControlPoint], crs: CRS, where: str) -> ControlPoints:
-    """Control points, no two of one name, as the examinations of `geomosaic.control` take them."""
+    """Control points of an image as arrays, as the diagnostics of `geomosaic.control` take them.
+
+    Parameters
+    ----------
+    points : sequence of ControlPoint
+        No two of one name.
+    crs : CRS
+        Horizontal CRS of their ground coordinates.
+    where : str
+        Table, for messages about points that carry no line of their own.
+
+    Returns
+    -------
+    ControlPoints
+        All as enabled control with a sigma of 1 pixel; heights are left out.
+    """
     count = len(points)
     return ControlPoints(
         tuple(point.id for point in points),
