@@ -61,7 +61,7 @@ def test_rpc_and_grid_are_the_sensor(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[Any] = []
-    fit = write.fit_pair
+    fit = write.fit_rpc_and_grid
 
     def once(*given: Any) -> Any:
         """The fit, made for the first run only."""
@@ -69,7 +69,7 @@ def test_rpc_and_grid_are_the_sensor(
             made.append(fit(*given))
         return made[0]
 
-    monkeypatch.setattr(write, "fit_pair", once)
+    monkeypatch.setattr(write, "fit_rpc_and_grid", once)
     image = blank(tmp_path / "IMAGERY.TIF", SIZE)
     (tmp_path / "METADATA.DIM").write_text(trembling())
     words = ["rpc", str(image), "--sensor", "pushbroom", "--height-range", "0", "900", "--text", "--grid"]

@@ -9,8 +9,8 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from geomosaic.sheets.label_placement import Piece, Placer
-from geomosaic.sheets.line_labels import LEAN, TURN, along_bend, along_line, cut_evenly, letters_of, upright
+from geomosaic.sheets.label_placement import LabelPart, LabelPlacer
+from geomosaic.sheets.line_labels import MOST_LEAN, MOST_TURN, along_curve, along_line, cut_evenly, letters_of, upright
 
 LETTERS = list("La Garonne")
 ADVANCES = [1.3, 1.4, 0.8, 1.9, 1.5, 1.0, 1.5, 1.5, 1.5, 1.5]
@@ -23,7 +23,7 @@ def circle(radius: float, first: float, last: float) -> NDArray[np.float64]:
     return radius * np.column_stack([np.cos(t), np.sin(t)])
 
 
-def text(pieces: tuple[Piece, ...]) -> str:
+def text(pieces: tuple[LabelPart, ...]) -> str:
     return "".join(piece.text for piece in pieces)
 
 
@@ -46,7 +46,7 @@ def test_names_along_lines() -> None:
 def test_letters_stand_on_a_circle(radius: float, first: float, last: float) -> None:
     """Each on the arc, along its tangent, in reading order, as far from the next as their advances say."""
     arc = circle(radius, first, last)
-    ways = along_bend(arc, LETTERS, ADVANCES, HEIGHT, ends=1.0)
+    ways = along_curve(arc, LETTERS, ADVANCES, HEIGHT, ends=1.0)
     assert ways
     for pieces in ways:
         assert text(pieces) == "La Garonne"
@@ -61,8 +61,8 @@ def test_letters_stand_on_a_circle(radius: float, first: float, last: float) -> 
         chord = xy[-1] - xy[0]
         assert -90.0 - 1e-6 < math.degrees(math.atan2(chord[1], chord[0])) <= 90.0 + 1e-6  # read from left to right
         lean = (angles - math.degrees(math.atan2(chord[1], chord[0])) + 180.0) % 360.0 - 180.0
-        assert np.abs(lean).max() < LEAN + 2.0
-        assert np.abs(np.diff(angles)).max() < TURN
+        assert np.abs(lean).max() < MOST_LEAN + 2.0
+        assert np.abs(np.diff(angles)).max() < MOST_TURN
     middle = np.array([(p.spot.x, p.spot.y) for p in ways[0]]).mean(axis=0)
     wanted = math.radians((first + last) / 2)
     assert middle / np.hypot(*middle) == pytest.approx((math.cos(wanted), math.sin(wanted)), abs=0.15)
@@ -74,7 +74,7 @@ def test_straight_lines_have_whole_texts() -> None:
     for angle in range(0, 360, 15):
         c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
         path = np.outer(np.linspace(0.0, 40.0, 150), (c, s)) + rng.normal(0, 0.05, (150, 2))
-        (piece,) = along_bend(path, LETTERS, ADVANCES, HEIGHT)[0]
+        (piece,) = along_curve(path, LETTERS, ADVANCES, HEIGHT)[0]
         assert piece.text == "La Garonne"
         assert abs(upright(piece.spot.angle - angle)) < 4.0 or abs(upright(piece.spot.angle - angle)) > 176.0
         assert abs(c * piece.spot.y - s * piece.spot.x) < 0.1
@@ -83,23 +83,23 @@ def test_straight_lines_have_whole_texts() -> None:
 
 def test_no_text_where_it_could_not_be_read() -> None:
     """Lines too short, circles too small, hairpins; the bends of a longer line are left for its straighter parts."""
-    assert along_bend(np.array([(0.0, 0.0), (12.0, 0.0)]), LETTERS, ADVANCES, HEIGHT) == []
-    assert along_bend(circle(4.0, 0, 359), LETTERS, ADVANCES, HEIGHT) == []
-    assert along_bend(np.zeros((1, 2)), LETTERS, ADVANCES, HEIGHT) == []
+    assert along_curve(np.array([(0.0, 0.0), (12.0, 0.0)]), LETTERS, ADVANCES, HEIGHT) == []
+    assert along_curve(circle(4.0, 0, 359), LETTERS, ADVANCES, HEIGHT) == []
+    assert along_curve(np.zeros((1, 2)), LETTERS, ADVANCES, HEIGHT) == []
     hairpins = np.array([(0.0, 0.0), (9.0, 0.3), (0.0, 0.6), (9.0, 0.9), (0.0, 1.2), (9.0, 1.5)])
-    assert along_bend(hairpins, LETTERS, ADVANCES, HEIGHT) == []
+    assert along_curve(hairpins, LETTERS, ADVANCES, HEIGHT) == []
     corner = np.array([(0.0, 0.0), (0.0, 30.0), (60.0, 30.0)])
-    for pieces in along_bend(corner, LETTERS, ADVANCES, HEIGHT):
+    for pieces in along_curve(corner, LETTERS, ADVANCES, HEIGHT):
         on = shapely.LineString(corner)
         assert all(on.distance(shapely.Point(p.spot.x, p.spot.y)) <= 0.6 * HEIGHT for p in pieces)
-    assert along_bend(corner, LETTERS, ADVANCES, HEIGHT)[0][0].text == "La Garonne"
+    assert along_curve(corner, LETTERS, ADVANCES, HEIGHT)[0][0].text == "La Garonne"
 
 
 def test_bent_texts_keep_off_what_is_there() -> None:
     """The box of no letter meets a symbol on the line; the first way that is free is taken, or none."""
     arc = circle(60.0, 160.0, 20.0)
-    ways = along_bend(arc, LETTERS, ADVANCES, HEIGHT, ends=1.0)
-    placer = Placer((-100.0, -100.0, 100.0, 100.0))
+    ways = along_curve(arc, LETTERS, ADVANCES, HEIGHT, ends=1.0)
+    placer = LabelPlacer((-100.0, -100.0, 100.0, 100.0))
     placer.block(0.0, 60.0, 2.0)
     placed = placer.place_pieces("La Garonne", ways, on_line=True)
     assert placed is not None

@@ -10,7 +10,7 @@ import shapely
 from pyproj import CRS, Transformer
 
 from geomosaic.sheets.grid_lines import map_grid
-from geomosaic.sheets.notes import grid_words
+from geomosaic.sheets.notes import grid_line
 
 DEGREES = CRS("EPSG:4326")
 SHEETS = {
@@ -57,7 +57,7 @@ def test_a_graticule_around_a_pole(name: str) -> None:
         )
         length = sum(shapely.LineString(piece).length for piece in line.pieces)
         assert length == pytest.approx(shapely.LineString(circle).length, rel=1e-3)
-    words = grid_words(grid)
+    words = grid_line(grid)
     assert "meridians every" in words or grid.intervals[0] == grid.intervals[1]
 
 

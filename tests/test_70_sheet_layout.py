@@ -16,12 +16,12 @@ from geomosaic.numbers import angle_text, grouped, multiples, nice_scale, nice_s
 from geomosaic.options.toml_tables import build
 from geomosaic.sheets.drawing.scale_and_north import bar_divisions, bar_length, magnetic_north, shown, true_north
 from geomosaic.sheets.grid_lines import map_grid
-from geomosaic.sheets.label_placement import Placer, Spot, around_point, corners, overlap, spread
+from geomosaic.sheets.label_placement import LabelPlacer, LabelPosition, around_point, corners, labels_that_fit, overlap
 from geomosaic.sheets.layout import Layout, MapPart, SheetPart, paper_size, parse_scale
-from geomosaic.sheets.notes import accuracy_words
+from geomosaic.sheets.notes import accuracy_statement
 from geomosaic.sheets.page import lay_out
 from geomosaic.sheets.styles.style import Line, Rule, Style, Symbol, built_in, parse_style
-from geomosaic.sheets.vector_layers import holds, overlay, parts_of, to_map
+from geomosaic.sheets.vector_layers import overlay, parts_of, rule_matches, to_map
 
 UTM33 = CRS("EPSG:32633")
 AREA = (399_100.0, 5_499_300.0, 400_800.0, 5_500_700.0)
@@ -261,7 +261,10 @@ def test_boxes_overlap_as_polygons_do() -> None:
     rng = np.random.default_rng(3)
     hits = 0
     for _ in range(400):
-        boxes = [corners(Spot(*rng.uniform(0, 10, 2), rng.uniform(-90, 90)), *rng.uniform(1, 6, 2)) for _ in range(2)]
+        boxes = [
+            corners(LabelPosition(*rng.uniform(0, 10, 2), rng.uniform(-90, 90)), *rng.uniform(1, 6, 2))
+            for _ in range(2)
+        ]
         area = shapely.Polygon(boxes[0]).intersection(shapely.Polygon(boxes[1])).area
         if 0 < area < 1e-6:
             continue
@@ -274,7 +277,7 @@ def test_labels_never_touch() -> None:
     """200 names at random points: those that are placed keep off each other, the symbols and the frame."""
     rng = np.random.default_rng(5)
     frame = (0.0, 0.0, 150.0, 100.0)
-    placer = Placer(frame)
+    placer = LabelPlacer(frame)
     points = rng.uniform((2, 2), (148, 98), (200, 2))
     for x, y in points:
         placer.block(float(x), float(y), 1.8)
@@ -295,7 +298,7 @@ def test_labels_stay_within_a_slanted_neatline() -> None:
     """Every corner of every text is inside; some that the frame alone would have taken are not there."""
     ring = np.array([(5.0, 0.0), (100.0, 6.0), (95.0, 100.0), (0.0, 94.0)])
     rng = np.random.default_rng(5)
-    slanted, plain = Placer((0.0, 0.0, 100.0, 100.0), outline=ring), Placer((0.0, 0.0, 100.0, 100.0))
+    slanted, plain = LabelPlacer((0.0, 0.0, 100.0, 100.0), outline=ring), LabelPlacer((0.0, 0.0, 100.0, 100.0))
     count = 0
     for x, y in rng.uniform(0, 100, (300, 2)):
         placed = slanted.place("name", 12.0, 2.0, around_point(x, y, 12.0, 2.0, 1.0))
@@ -316,7 +319,7 @@ def test_a_lone_name_stands_upper_right() -> None:
 
 
 def test_labels_beside_each_other() -> None:
-    assert spread([30.0, 10.0, 12.0, 20.0], [5.0, 5.0, 5.0, 5.0], 2.0) == [1, 3, 0]
+    assert labels_that_fit([30.0, 10.0, 12.0, 20.0], [5.0, 5.0, 5.0, 5.0], 2.0) == [1, 3, 0]
 
 
 STYLE = {
@@ -350,9 +353,9 @@ def test_graduated_classes() -> None:
     assert [len(group.geometries) for group in made.groups] == [10, 10, 10, 10]
     colors = [group.symbol.marker.color for group in made.groups if group.symbol.marker]
     assert colors == ["#000000", "#000055", "#0000aa", "#0000ff"]
-    assert holds(Rule(least=1.0, below=2.0), 1.0)
-    assert not holds(Rule(least=1.0, below=2.0), 2.0)
-    assert not holds(Rule(least=1.0), None)
+    assert rule_matches(Rule(least=1.0, below=2.0), 1.0)
+    assert not rule_matches(Rule(least=1.0, below=2.0), 2.0)
+    assert not rule_matches(Rule(least=1.0), None)
 
 
 @pytest.mark.parametrize(
@@ -410,11 +413,11 @@ def test_accuracy_is_what_the_report_measured() -> None:
         "mosaic": {"grid": {"crs": "x, metre", "resolution": [0.5, 0.5]}},
         "check": {"reference": {"registration_rms_px": 0.2, "matched": 9}},
     }
-    text = accuracy_words(report, 10_000.0)
+    text = accuracy_statement(report, 10_000.0)
     assert "0.29 px RMS in the images (3 measurements)" in text
     assert "0.2 px = 0.1 m RMS (9 places)" in text
     assert "0.3 mm on the sheet are 3 m" in text
-    assert accuracy_words({"orient": {}, "check": {"reference": None}}, 1.0) == ""
+    assert accuracy_statement({"orient": {}, "check": {"reference": None}}, 1.0) == ""
 
 
 def test_layouts_are_values() -> None:

@@ -14,7 +14,7 @@ LEVELS = 256
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A rising curve from values to 0 ... 255, straight between its nodes and level beyond them.
+    """Tone curve from values to 0 ... 255, linear between its nodes and constant beyond them.
 
     Attributes
     ----------
@@ -27,13 +27,13 @@ class Curve:
 
     def __call__(self, values: AnyArray) -> FloatArray:
         """Levels of values, not rounded."""
-        # Halves stay halves, and are rounded as they should.
+        # Nine decimals remove the noise of interpolation, so that exact halves are rounded the same way everywhere.
         found: FloatArray = np.round(np.interp(values, self.values, self.levels), 9)
         return found
 
 
 def percentile_limits(values: AnyArray, low: float, high: float) -> tuple[float, float]:
-    """Values below and above which `low` and 100 - `high` per cent of the values lie."""
+    """Percentiles `low` and `high` (0 to 100) of values."""
     if not 0 <= low < high <= 100:
         raise InputError(f"percentiles {low:g} and {high:g} enclose nothing", hint="give them from 0 to 100, rising")
     if not values.size:
@@ -70,11 +70,11 @@ def equalised(values: AnyArray) -> Curve:
 
 
 WEIGHTS = np.array([0.299, 0.587, 0.114])
-"""Of red, green and blue in luminance (ITU-R BT.601)."""
+"""Weights of red, green and blue in luminance (ITU-R BT.601)."""
 
 
 def luminance(rgb: ByteArray) -> FloatArray:
-    """Brightness (rows, cols) of colours (rows, cols, 3)."""
+    """Luminance (rows, cols), 0 to 255, of colours (rows, cols, 3)."""
     found: FloatArray = rgb[..., :3].astype(np.float64) @ WEIGHTS
     return found
 
@@ -135,22 +135,22 @@ class Clahe:
 
 
 def _table(counts: FloatArray, clip: float) -> FloatArray:
-    """Levels from counts; what is above the limit goes to the other levels, to each by the room it has."""
+    """Levels (256,) from counts (256,); the excess over the clip limit is spread in proportion to free capacity."""
     total = counts.sum()
     if not total:
         return np.arange(256.0)
     limit = max(1.0, clip) * total / 256.0
     over = np.maximum(counts - limit, 0.0).sum()
     counts = np.minimum(counts, limit)
-    room = limit - counts
-    counts = counts + over * room / max(room.sum(), 1e-300)
+    capacity = limit - counts
+    counts = counts + over * capacity / max(capacity.sum(), 1e-300)
     middle = np.cumsum(counts) - counts / 2.0
     levels: FloatArray = 255.0 * (middle - middle[0]) / (middle[-1] - middle[0])
     return levels
 
 
 def with_luminance(rgb: ByteArray, before: FloatArray, after: FloatArray) -> ByteArray:
-    """Colours with another luminance, the differences between their bands kept."""
+    """Colours with their luminance changed from `before` to `after`, differences between bands kept."""
     moved = rgb[..., :3] + (after - before)[..., None]
     return np.clip(np.floor(moved + 0.5), 0, 255).astype(np.uint8)
 
@@ -162,7 +162,7 @@ def sharpened(rgb: ByteArray, valid: ByteArray, radius: float, amount: float) ->
     ----------
     rgb : uint8 array (rows, cols, 3)
     valid : array (rows, cols) of 1 and 0
-        What is not does not blur into what is.
+        Validity; invalid pixels do not blur into valid ones.
     radius : float
         Standard deviation of the blur, pixels.
     amount : float

@@ -1,4 +1,4 @@
-"""Hillshade, and its blend with a picture."""
+"""Hillshade of a height grid, and its multiplication with an image."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def hillshade(
     step : tuple of float
         Distance of columns and rows in the unit of the heights.
     azimuth, altitude : float
-        Of the sun, degrees: clockwise from north, and above the horizon.
+        Direction of the sun, degrees: clockwise from north, and above the horizon.
 
     Returns
     -------
@@ -29,7 +29,7 @@ def hillshade(
         0 to 1.
     """
     z = np.pad(np.asarray(heights, dtype=np.float64), 1, mode="edge")
-    # At the edge the slope goes on: the node beyond mirrors through the last one.
+    # Linear extrapolation by one node: with repeated edge nodes slopes would halve along the border.
     z[0], z[-1] = 2 * z[1] - z[2], 2 * z[-2] - z[-3]
     z[:, 0], z[:, -1] = 2 * z[:, 1] - z[:, 2], 2 * z[:, -2] - z[:, -3]
     east = (
@@ -46,17 +46,17 @@ def hillshade(
 
 
 def shaded(rgb: ByteArray, shade: FloatArray, level: float, strength: float) -> ByteArray:
-    """Multiply a picture by the shade, level ground unchanged.
+    """Image multiplied by the hillshade, with level ground unchanged.
 
     Parameters
     ----------
     rgb : uint8 array (rows, cols, 3)
     shade : array (rows, cols)
-        NaN leaves the picture as it is.
+        Hillshade 0 to 1; NaN leaves the image as it is.
     level : float
-        Shade of level ground.
+        Hillshade of level ground, sin(altitude).
     strength : float
-        0 for nothing, 1 for all of it.
+        0 (no effect) to 1 (full).
     """
     factor = np.where(np.isnan(shade), 1.0, 1.0 + strength * (shade / level - 1.0))
     made: ByteArray = np.clip(np.floor(rgb[..., :3] * factor[..., None] + 0.5), 0, 255).astype(np.uint8)

@@ -9,7 +9,7 @@ from geomosaic.options.declaration import option
 
 @dataclass(frozen=True)
 class EnhancePart:
-    """`[enhance]`: the picture for print; nothing is changed unless something is asked for."""
+    """`[enhance]`: enhancement of the raster for print; the defaults change nothing."""
 
     bands: tuple[int, ...] = ()  # of red, green, blue, or one; from 1
     stretch: str = option(

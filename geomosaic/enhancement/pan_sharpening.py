@@ -14,7 +14,7 @@ METHODS = ("regression", "brovey", "weighted")
 
 @dataclass(frozen=True, eq=False)
 class PanModel:
-    """How the pan band follows from the others: pan = Σ weights · bands + offset; and gains of its detail.
+    """Linear model of the pan band from the others: pan = Σ weights · bands + offset; and gains of its detail.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class PanModel:
 
 
 def pan_model(method: str, bands: AnyArray, pan: AnyArray) -> PanModel:
-    """Find a model from samples at the resolution of the bands.
+    """Pan model from samples at the resolution of the bands.
 
     'regression': weights by least squares, gains cov(band, synthetic) / var(synthetic) (Gram-Schmidt adaptive: Aiazzi,
     Baronti and Selva, IEEE TGRS 45(10), 2007). 'weighted': the same weights, the detail added to all bands alike.
@@ -67,7 +67,7 @@ def pan_model(method: str, bands: AnyArray, pan: AnyArray) -> PanModel:
 
 
 def pan_sharpened(model: PanModel, bands: AnyArray, pan: AnyArray) -> FloatArray:
-    """Sharp bands (rows, cols, bands) from bands brought to the pixels of the pan band, and that band (rows, cols)."""
+    """Pan-sharpened bands (rows, cols, bands) from bands and pan (rows, cols), both on the pixels of the pan band."""
     x, y = bands.astype(np.float64), pan.astype(np.float64)
     synthetic = x @ model.weights + model.offset
     if model.method == "brovey":

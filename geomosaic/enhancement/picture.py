@@ -1,4 +1,4 @@
-"""Enhancement of a picture for print: what a layout asks for, as functions of the pixels."""
+"""Enhancement of a picture for print: functions of pixels from the options of a layout."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ SAMPLE = 1000
 """Pixels along the longer side of the reduced raster that statistics are taken of: the same for all its sheets."""
 
 Finish = Callable[[ByteArray, Bounds], ByteArray]
-"""From pixels (rows, cols, 4) and their area to the same pixels, finished."""
+"""Function from pixels (rows, cols, 4) and their area to enhanced pixels."""
 
 
-def stretch_given(
+def stretch_keys(
     stretch: str | None, limits: tuple[float, float] | None, percentiles: tuple[float, float] | None
 ) -> dict[str, Any]:
     """Keys of `EnhancePart` for a stretch; values or percentiles alone say which one is meant.
@@ -64,7 +64,7 @@ def stretch_given(
 
 
 def shown_bands(part: EnhancePart, count: int, where: str) -> tuple[int, ...]:
-    """Bands that are shown.
+    """Numbers of the bands that are shown, from 1.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def shown_bands(part: EnhancePart, count: int, where: str) -> tuple[int, ...]:
 
 
 def sample(source: Source, grid: Grid, bands: Sequence[int]) -> tuple[AnyArray, AnyArray]:
-    """The raster reduced: values (rows, cols, bands) and validity (rows, cols)."""
+    """Reduced raster for statistics: values (rows, cols, bands) and validity (rows, cols)."""
     factor = max(1, -(-max(grid.width, grid.height) // SAMPLE))
     size = (-(-grid.width // factor) * factor, -(-grid.height // factor) * factor)
     return read_bands(source, grid, Window(0, 0, *size), factor, bands)
@@ -125,7 +125,7 @@ def finishing(
     part: EnhancePart, source: Source, grid: Grid, bands: Sequence[int], curves: Curves, *, dpi: float,
     metres: float, dem: Path | None, dem_heights: str | None,
 ) -> Finish:  # fmt: skip
-    """Local contrast, hillshade and sharpening, in this order.
+    """Function that applies local contrast, hillshade and sharpening, in this order.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A whole raster enhanced for print, or sharpened by a panchromatic one, window by window."""
+"""Enhancement and pan-sharpening of a whole raster, window by window."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from geomosaic.enhancement.hillshade import hillshade as shade_of_slope
 from geomosaic.enhancement.hillshade import shaded
 from geomosaic.enhancement.options import EnhancePart
 from geomosaic.enhancement.pan_sharpening import PanModel, magnified, pan_model, pan_sharpened
-from geomosaic.enhancement.picture import band_curves, heights_at, sample, shown_bands, stretch_given
+from geomosaic.enhancement.picture import band_curves, heights_at, sample, shown_bands, stretch_keys
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import linear_unit
@@ -28,12 +28,12 @@ from geomosaic.types import AnyArray, FloatArray, PathLike
 
 TILE = (2048, 512)
 SHADE = 0.6
-"""Strength of a hillshade, as on sheets."""
+"""Default strength of a hillshade, as on sheets."""
 
 
 @dataclass(frozen=True, repr=False)
 class EnhancedRaster(RasterProduct):
-    """Raster of eight bits for print."""
+    """Enhanced 8-bit raster for print."""
 
     path: Path
     grid: Grid
@@ -41,7 +41,7 @@ class EnhancedRaster(RasterProduct):
 
 @dataclass(frozen=True, repr=False)
 class PanSharpened(RasterProduct):
-    """Raster sharpened by a panchromatic one, and the model of the pan band by the others."""
+    """Pan-sharpened raster, with the model of the panchromatic band."""
 
     path: Path
     grid: Grid
@@ -101,7 +101,7 @@ def enhance(
     check_output(output, overwrite=overwrite, inputs=(raster, *filter(None, [hillshade])))
     with Source(raster) as source:
         grid = raster_grid(source, str(raster))
-        own = {key: found for key, found in stretch_given(stretch, limits, percentiles).items() if found is not None}
+        own = {key: found for key, found in stretch_keys(stretch, limits, percentiles).items() if found is not None}
         own.setdefault("stretch", "none" if source.dtype == np.uint8 else "percentile")
         look = EnhancePart(bands=bands or (), gamma=gamma or 1.0, clahe=clahe or 0.0, **own)
         shown = shown_bands(look, source.info.bands, str(raster))
@@ -237,7 +237,7 @@ def _near(coarse: Source, low: Grid, high: Grid, window: Window, bands: Sequence
 
 
 def _filled(values: AnyArray, valid: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Unknown pixels with the value of the nearest known one, so that none of them enters an interpolation."""
+    """Bands with invalid pixels replaced by the nearest valid ones, so that none enters an interpolation."""
     if valid.all() or not valid.any():
         return values, valid
     from scipy.ndimage import distance_transform_edt
@@ -247,7 +247,7 @@ def _filled(values: AnyArray, valid: AnyArray) -> tuple[AnyArray, AnyArray]:
 
 
 def _model(method: str, coarse: Source, fine: Source, low: Grid, high: Grid, bands: Sequence[int]) -> PanModel:
-    """The model from at most about a million pixels of the bands, in evenly spread blocks."""
+    """Pan model from at most about a million pixels of the bands, in evenly spread blocks."""
     ratio = low.resolution[0] / high.resolution[0]
     if ratio < 1.0:
         raise InputError("the pan raster is coarser than the bands", where="`pan`", hint="are the two exchanged?")

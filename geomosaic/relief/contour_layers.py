@@ -22,7 +22,7 @@ from geomosaic.types import PathLike
 
 @dataclass(frozen=True)
 class ContourResult:
-    """What was made.
+    """Contours and spot heights written to a file.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Contours made smooth within a tolerance of height: all lines at once, vertex by vertex.
+"""Contour smoothing within a height tolerance: all lines at once, vertex by vertex.
 
 Each round moves every vertex towards the mean of its neighbours (weights 1/4, 1/2, 1/4), by all, a half or a quarter of
 the way or not at all: as far as the surface stays within the tolerance of the contour's height at the vertex and on the
@@ -53,7 +53,7 @@ class _Lines:
 def smooth(
     values: AnyArray, lines: Sequence[FloatArray], levels: Sequence[float], tolerance: float
 ) -> list[FloatArray]:
-    """Smooth contours without leaving the tolerance.
+    """Smoothed contours that keep within the tolerance.
 
     Parameters
     ----------
@@ -89,20 +89,20 @@ def smooth(
     for _ in range(PASSES):
         step = _averaged(points, all_) - points
         points = points + _allowed(values, points, step, all_, tolerance)[:, None] * step
-    return np.split(_held(values, start, points, all_, tolerance), last[:-1] + 1)
+    return np.split(_within_tolerance(values, start, points, all_, tolerance), last[:-1] + 1)
 
 
 def _allowed(values: AnyArray, points: FloatArray, step: FloatArray, lines: _Lines, tolerance: float) -> FloatArray:
-    """Part of its step that each vertex may move."""
+    """Share (N,) of its step by which each vertex may move."""
     weight = np.ones(len(points))
     for factor in (0.5, 0.5, 0.0):
-        bad = _beyond(values, points + weight[:, None] * step, lines, tolerance)
+        bad = _exceeds_tolerance(values, points + weight[:, None] * step, lines, tolerance)
         if not bad.any():
             return weight
         weight[bad] *= factor
     # Where a neighbour was held back, the line between may have left the tolerance again.
     for _ in range(20):
-        bad = _beyond(values, points + weight[:, None] * step, lines, tolerance) & (weight > 0)
+        bad = _exceeds_tolerance(values, points + weight[:, None] * step, lines, tolerance) & (weight > 0)
         if not bad.any():
             return weight
         weight[bad] = 0.0
@@ -110,7 +110,9 @@ def _allowed(values: AnyArray, points: FloatArray, step: FloatArray, lines: _Lin
     return weight
 
 
-def _held(values: AnyArray, start: FloatArray, points: FloatArray, lines: _Lines, tolerance: float) -> FloatArray:
+def _within_tolerance(
+    values: AnyArray, start: FloatArray, points: FloatArray, lines: _Lines, tolerance: float
+) -> FloatArray:
     """Take vertices back towards where they started, as far as the tolerance wants it on all of their sides.
 
     Where the ground has a kink, at the sides of steep cells, the few places that the rounds look at miss the worst one.
@@ -144,7 +146,7 @@ def _densified(nodes: FloatArray, step: float) -> FloatArray:
 
 
 def _onto_level(values: AnyArray, points: FloatArray, lines: _Lines, tolerance: float) -> FloatArray:
-    """Move vertices that miss their level by over half the tolerance along the slope: one step of Newton's method."""
+    """Vertices brought to their level along the slope where they miss half the tolerance (one Newton step)."""
     h = 1e-4
     col, row = points.T
     miss = bilinear_at(values, col, row) - lines.level
@@ -165,7 +167,7 @@ def _onto_level(values: AnyArray, points: FloatArray, lines: _Lines, tolerance: 
 
 
 def _averaged(points: FloatArray, lines: _Lines) -> FloatArray:
-    """Where vertices go: ends of open lines stay."""
+    """Vertices averaged with their neighbours; ends of open lines stay."""
     target = points.copy()
     target[1:-1] = 0.25 * points[:-2] + 0.5 * points[1:-1] + 0.25 * points[2:]
     open_ends = np.concatenate([lines.first[~lines.ring], lines.last[~lines.ring]])
@@ -176,7 +178,7 @@ def _averaged(points: FloatArray, lines: _Lines) -> FloatArray:
     return target
 
 
-def _beyond(values: AnyArray, points: FloatArray, lines: _Lines, tolerance: float) -> BoolArray:
+def _exceeds_tolerance(values: AnyArray, points: FloatArray, lines: _Lines, tolerance: float) -> BoolArray:
     """Vertices at which, or on a side of which, the surface leaves the tolerance: looked at four times per side.
 
     Between those places it may differ by a little more, which the last tenth of the tolerance is for.

@@ -29,16 +29,16 @@ MOST_LEVELS = 2000
 
 @dataclass(frozen=True)
 class Contour:
-    """One contour line.
+    """Contour line.
 
     Attributes
     ----------
     height : float
-        Its level in metres.
+        Height of the contour, metres.
     index : bool
         Whether it is a main contour.
     xy : array (N, 2)
-        In the CRS of the heights; the ground rises to the left. Closed where the first point is the last.
+        Vertices in the CRS of the heights; the ground rises to the left. Closed where the first point is the last.
     deviation : float
         Largest difference in metres between the surface along the line and `height`.
     """
@@ -142,7 +142,7 @@ def trace(
 
 
 def _finish(heights: Heights, nodes: FloatArray, level: float, main: bool) -> Contour:
-    """From vertices in node coordinates to a contour on the map."""
+    """Contour on the map from vertices (N, 2) in node coordinates, directed with higher ground to the left."""
     t = heights.transform
     col, row = nodes[:, 0] + 0.5, nodes[:, 1] + 0.5
     xy = np.column_stack([t.a * col + t.b * row + t.c, t.d * col + t.e * row + t.f])
@@ -156,7 +156,7 @@ def _closed(nodes: FloatArray) -> bool:
 
 
 def _distinct(nodes: FloatArray) -> FloatArray:
-    """Leave out vertices that lie on the one before."""
+    """Vertices without those that coincide with the one before."""
     keep = np.concatenate([[True], np.hypot(*np.diff(nodes, axis=0).T) > 1e-9])
     if not keep[-1]:  # a ring's last point stays the first
         keep[-1], keep[np.flatnonzero(keep)[-1]] = True, False

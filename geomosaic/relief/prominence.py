@@ -23,7 +23,7 @@ def _root(parents: IntArray, node: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _flood(heights: FloatArray, order: IntArray, rows: int, cols: int, found: FloatArray) -> None:
-    """Set `found` of each node that is the top of a hill to its prominence; the roots are the tops themselves."""
+    """Prominence of each summit into `found` (N,), by union-find over nodes in order of descending height."""
     parents = np.full(rows * cols, -1, np.int64)
     rank = np.empty(rows * cols, np.int64)
     for k in range(order.size):
@@ -46,7 +46,8 @@ def _flood(heights: FloatArray, order: IntArray, rows: int, cols: int, found: Fl
                     parents[low] = high
                     best = high
         parents[node] = best
-    for k in range(order.size - 1, -1, -1):  # what nothing higher has swallowed: down to the lowest there is
+    # Summits that joined no higher one keep their whole height above the lowest node of their component.
+    for k in range(order.size - 1, -1, -1):
         top = _root(parents, order[k])
         if found[top] == 0.0:
             found[top] = heights[top] - heights[order[k]]
@@ -63,8 +64,8 @@ def prominences(values: AnyArray) -> FloatArray:
     Returns
     -------
     array (rows, cols)
-        0 for nodes that are no summit; for the highest of what hangs together its height above the lowest there is.
-        A plateau has one summit. Those at the edge of what is known are 0: the ground may go on rising beyond.
+        0 for nodes that are no summit; for the highest summit of a connected component its height above the lowest
+        node there. A plateau has one summit. Summits at the edge of known heights are 0: ground may rise beyond.
     """
     heights = np.ascontiguousarray(values, dtype=np.float64).ravel()
     rows, cols = values.shape

@@ -1,4 +1,4 @@
-"""Spot heights: the summits and hollows that stand out, not too close to each other."""
+"""Spot heights: prominent summits and depressions at a minimum spacing."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from geomosaic.relief.contours import Heights
 
 @dataclass(frozen=True)
 class SpotHeight:
-    """A summit or a hollow.
+    """Summit or depression with its height and prominence.
 
     Attributes
     ----------
     x, y : float
-        In the CRS of the heights.
+        Map coordinates in the CRS of the heights.
     height : float
-        Metres, of the node itself.
+        Height of the node, metres.
     prominence : float
-        Metres between it and the saddle to higher ground (of a hollow: to lower ground).
+        Height difference in metres to the key saddle to higher ground (of a depression: to lower ground).
     hollow : bool
+        Whether it is a depression.
     """
 
     x: float
@@ -34,15 +35,15 @@ class SpotHeight:
 
 
 def find_spots(heights: Heights, prominence: float, spacing: float) -> list[SpotHeight]:
-    """Find the spot heights of a grid, the most prominent first.
+    """Spot heights of a height grid, the most prominent first.
 
     Parameters
     ----------
     heights : Heights
     prominence : float
-        Metres; what stands out less is left out. So are summits and hollows at the edge of what is known.
+        Least prominence, metres. Summits and depressions at the edge of known heights are left out.
     spacing : float
-        Map units; of two that are closer the more prominent one stays.
+        Least distance, map units; of two that are closer the more prominent one is kept.
 
     Raises
     ------
@@ -66,7 +67,7 @@ def find_spots(heights: Heights, prominence: float, spacing: float) -> list[Spot
 
 
 def thinned(spots: Sequence[SpotHeight], spacing: float) -> list[SpotHeight]:
-    """Keep those that are at least `spacing` from all before them."""
+    """Spot heights at least `spacing` (map units) from all that come before them."""
     kept: list[SpotHeight] = []
     places = np.empty((len(spots), 2))
     for spot in spots:

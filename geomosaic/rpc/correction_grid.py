@@ -20,7 +20,7 @@ from geomosaic.types import FloatArray
 
 WGS84 = CRS.from_epsg(4979)
 _TOLERANCE = 2.5e-3
-"""Pixels that interpolation along a line may err; nodes stand as far difference as that lets them."""
+"""Interpolation error along a line, pixels, that the chosen node spacing must keep."""
 _SPACINGS = (512.0, 256.0, 128.0, 64.0, 32.0, 16.0, 8.0)
 _TEST_LINES = (0.1, 0.5, 0.9)
 """Positions of the test lines for the spacing, as shares of the other side."""

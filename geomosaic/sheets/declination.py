@@ -1,4 +1,4 @@
-"""Magnetic declination of a sheet: what the layout declares, or the magnetic model at a date that it names."""
+"""Magnetic declination of a sheet, declared in the layout or from the World Magnetic Model at a date."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Declination:
 
 
 def declination(part: NorthPart, place: MapPlace | None) -> Declination | None:
-    """Find the declination at the middle of a sheet; None without a declared one and without a date.
+    """Declination at the middle of a sheet; None if the layout has neither a declination nor a date.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What part of a grid a sheet shows: across the 180th meridian, around a pole, the whole globe."""
+"""Extent of a grid on a sheet, also across the 180th meridian, around a pole, and of the whole globe."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from geomosaic.types import FloatArray
 SAMPLES = 65
 """Points along each side of the neatline and each line: a graticule bends by less than 1e-3 of its sagitta between."""
 
-HAIR = 1e-6
-"""Part of a sheet's size within which places are one."""
+COINCIDENT = 1e-6
+"""Share of a sheet's size within which two points coincide: above rounding, below any line width."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Extent:
 
 
 def extent_of(crs: CRS, there: Transform, back: Transform, bounds: Bounds) -> Extent:
-    """Find what a sheet shows of a grid.
+    """Extent of a grid within the neatline of a sheet.
 
     Parameters
     ----------
@@ -54,13 +54,13 @@ def extent_of(crs: CRS, there: Transform, back: Transform, bounds: Bounds) -> Ex
         A projected grid is not defined here. Of longitude and latitude the whole globe is taken where the sheet
         reaches beyond it.
     """
-    ring = around(bounds)
+    ring = neatline_points(bounds)
     edge = there(ring)
     if not crs.is_geographic:
         if not np.isfinite(edge).all():
             raise InputError(f"the grid of '{crs.name}' is not defined on this sheet", hint="choose another grid CRS")
         return Extent(edge.min(axis=0), edge.max(axis=0))
-    hair = HAIR * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
+    hair = COINCIDENT * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
     own = horizontal(there.source)
     folded = own.is_projected and domain(own).folds and bool(Rim.of(own).beyond(ring).any())
     whole = bool(np.isfinite(edge).all()) and not folded
@@ -80,21 +80,21 @@ def extent_of(crs: CRS, there: Transform, back: Transform, bounds: Bounds) -> Ex
 
 
 def _pole(back: Transform, sign: float, bounds: Bounds, hair: float) -> FloatArray | None:
-    """Where a pole is a point inside a neatline or on it."""
+    """Position of a pole that is a point inside a neatline or on it, else None."""
     places = back(np.array([[0.0, sign * 90.0], [90.0, sign * 90.0]]))
     x, y = places[0]
     inside = bounds[0] - hair <= x <= bounds[2] + hair and bounds[1] - hair <= y <= bounds[3] + hair
     return places[0] if inside and np.abs(places[1] - places[0]).max() < hair else None
 
 
-def around(bounds: Bounds) -> FloatArray:
+def neatline_points(bounds: Bounds) -> FloatArray:
     """Points around the neatline, counter-clockwise from the lower left corner."""
     left, bottom, right, top = bounds
-    return outline(np.array([(left, bottom), (right, bottom), (right, top), (left, top)]), SAMPLES - 1)
+    return densified_ring(np.array([(left, bottom), (right, bottom), (right, top), (left, top)]), SAMPLES - 1)
 
 
-def outline(ring: FloatArray, parts: int) -> FloatArray:
-    """A ring with every side divided into parts, not closed."""
+def densified_ring(ring: FloatArray, parts: int) -> FloatArray:
+    """Ring with every side divided into parts, not closed."""
     ahead = np.roll(ring, -1, axis=0)
     share = np.arange(parts)[None, :, None] / parts
     dense: FloatArray = (ring[:, None] * (1 - share) + ahead[:, None] * share).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""A PDF told where its map lies: a viewport with a geospatial measure dictionary on its page.
+"""Georeference of a PDF: a viewport with a geospatial measure dictionary on its page.
 
 The dictionary is that of ISO 32000-2:2020, 12.9 and 12.10 (first in Adobe Supplement to ISO 32000, extension level 3):
 `GPTS` are the geographic positions of the neatline's corners, `LPTS` the same corners as parts of `BBox`. The viewport
@@ -23,7 +23,7 @@ _CORNERS = ((0, 0), (0, 1), (1, 1), (1, 0))
 
 
 def add_georeference(path: Path, page: Page) -> bool:
-    """Append the viewport of a map to the PDF of its sheet, a file of one page with a plain cross-reference table.
+    """Viewport of a map appended to the PDF of its sheet, a file of one page with a plain cross-reference table.
 
     Returns
     -------
@@ -56,13 +56,13 @@ def add_georeference(path: Path, page: Page) -> bool:
 
 
 def _points(page: Page, box: Box) -> list[float]:
-    """A rectangle of the page in PDF's units, counted from the corner of all paper."""
+    """Rectangle of the page in PDF units (1/72 inch) from the corner of the paper, bleed included."""
     left, bottom = page.paper[:2]
     return [(v - (left, bottom)[k % 2]) * 72.0 / 25.4 for k, v in enumerate(box)]
 
 
 def boxes(page: Page) -> str:
-    """Where the paper is cut, and how far beyond it is printed (ISO 32000-2, 14.11.2); '' without bleed."""
+    """Trim box and bleed box (ISO 32000-2, 14.11.2); '' without bleed."""
     if page.bleed <= 0:
         return ""
     bleed = page.bleed
@@ -74,7 +74,7 @@ def boxes(page: Page) -> str:
 
 
 def viewport(page: Page) -> str:
-    """Viewport dictionary of a map, in PDF's notation; '' where its corners are no places, as on a map of the globe."""
+    """Viewport dictionary of a map, in PDF notation; '' where its corners are not on the Earth (map of the globe)."""
     points = _points(page, page.neatline)
     head = f"<< /Type /Viewport /Name (Map) /BBox [ {' '.join(f'{v:.6f}' for v in points)} ] "
     if is_local(page.crs):
@@ -110,6 +110,6 @@ def _rectilinear(page: Page) -> str:
 
 
 def _string(text: str) -> str:
-    """Escape a literal string; what is not ASCII becomes '?'."""
+    """Literal string of PDF, escaped; characters outside ASCII become '?'."""
     plain = text.encode("ascii", "replace").decode()
     return re.sub(r"([\\()])", r"\\\1", plain)

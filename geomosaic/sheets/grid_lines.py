@@ -1,4 +1,4 @@
-"""Grid lines of any CRS on a map of any other: where they run, where they leave the neatline, and their labels."""
+"""Grid lines of one CRS on a map in another, their ends at the neatline, and their labels."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.transform import Transform
 from geomosaic.numbers import angle_text, decimals, grouped, multiples, nice_step
-from geomosaic.sheets.extent import HAIR, SAMPLES, Extent, extent_of
+from geomosaic.sheets.extent import COINCIDENT, SAMPLES, Extent, extent_of
 from geomosaic.types import BoolArray, FloatArray
 
 MOST_MERIDIANS = 72
-"""Around a pole: more of them would crowd there."""
+"""Greatest number of meridians around a pole: every 5 degrees, since more would merge there."""
 
 
 @dataclass(frozen=True)
 class GridLine:
-    """One line of constant x or y of a grid.
+    """Line of constant x or y of a grid.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class GridLine:
 
 @dataclass(frozen=True)
 class MapGrid:
-    """A grid on the map.
+    """Grid on the map: its lines, intervals and CRS.
 
     Attributes
     ----------
@@ -182,12 +182,12 @@ def _steps(
 
 def _has_multiples(low: float, high: float, step: float) -> bool:
     """Whether a multiple lies between two values, and not on one of them."""
-    hair = HAIR * (high - low)
+    hair = COINCIDENT * (high - low)
     return bool(len(multiples(low + hair, high - hair, step)))
 
 
 def _whole(places: FloatArray, crs: CRS) -> FloatArray:
-    """Longitudes beyond 180 degrees as those of the west."""
+    """Longitudes wrapped to -180 ... 180 degrees."""
     if not crs.is_geographic:
         return places
     beyond = places[:, 0] > 180.0
@@ -202,10 +202,10 @@ def _within(points: FloatArray, bounds: Bounds) -> BoolArray:
 
 
 def _inside(axis: int, value: float, path: FloatArray, bounds: Bounds, pole: FloatArray | None) -> GridLine | None:
-    """Cut a line at the neatline; None where nothing of it is inside, or where it is the neatline's side itself."""
+    """Part of a line inside the neatline; None where nothing is, or where it coincides with a side."""
     import shapely
 
-    hair = HAIR * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
+    hair = COINCIDENT * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
     sides = zip((0, 1, 0, 1), bounds, strict=True)
     if len(path) < 2 or any(np.abs(path[:, k] - side).max() < hair for k, side in sides):
         return None
@@ -224,7 +224,7 @@ def _inside(axis: int, value: float, path: FloatArray, bounds: Bounds, pole: Flo
 
 
 def _longer(path: FloatArray, ends: Sequence[bool]) -> FloatArray:
-    """What is defined of a line, longer by a step at its ends: those that should meet the neatline then do."""
+    """Defined part of a line, extended by a step at its ends so that it surely crosses the neatline."""
     path = path[np.isfinite(path).all(axis=1)]
     if len(path) < 2:
         return path

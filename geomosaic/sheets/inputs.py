@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from geomosaic.enhancement.picture import stretch_given
+from geomosaic.enhancement.picture import stretch_keys
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.camera import read_toml
 from geomosaic.inputs.tables import read_text
@@ -23,7 +23,7 @@ from geomosaic.types import PathLike
 
 
 def read_records(raster: Path, report: Path | None = None) -> dict[str, Any] | None:
-    """Read the report, and the STAC item beside the raster.
+    """Report of the project and STAC item beside the raster.
 
     A report is that of `report`, or `report.json` beside the raster where it lists the raster among its outputs. The
     item is `NAME.stac.json` beside `NAME.tif`. Records that tell of a file of another size are left out, with a note.
@@ -48,7 +48,7 @@ def read_records(raster: Path, report: Path | None = None) -> dict[str, Any] | N
         near = raster.parent / "report.json"
         facts = _json(near) if raster.is_file() else None
         sizes = [out.get("bytes") for out in (facts or {}).get("outputs", ()) if Path(out["path"]).name == raster.name]
-        if facts is not None and _same(raster, sizes, near):
+        if facts is not None and _describes(raster, sizes, near):
             found.update(facts)
             read.append(near.name)
     item = raster.with_suffix(".stac.json")
@@ -56,14 +56,14 @@ def read_records(raster: Path, report: Path | None = None) -> dict[str, Any] | N
     if facts is not None:
         assets = facts.get("assets", {}).values()
         sizes = [a.get("file:size") for a in assets if Path(str(a.get("href"))).name == raster.name]
-        if _same(raster, sizes, item):
+        if _describes(raster, sizes, item):
             found["stac"] = facts
             read.append(item.name)
     return {**found, "read": read} if read else None
 
 
-def _same(raster: Path, sizes: list[Any], where: Path) -> bool:
-    """Whether a record tells of this file."""
+def _describes(raster: Path, sizes: list[Any], where: Path) -> bool:
+    """Whether a record describes this file."""
     if not sizes:
         return False
     if raster.stat().st_size in sizes:
@@ -75,7 +75,7 @@ def _same(raster: Path, sizes: list[Any], where: Path) -> bool:
 
 
 def _json(path: Path) -> dict[str, Any] | None:
-    """Contents of a file of JSON; None where it is not there or is something else."""
+    """Contents of a JSON file; None where it is missing or no JSON object."""
     try:
         facts = json.loads(read_text(path, "record", 256 << 20)) if path.is_file() else None
     except (InputError, json.JSONDecodeError):
@@ -96,7 +96,7 @@ def _report(path: Path) -> Mapping[str, Any]:
 
 
 def read_layout(path: Path) -> Layout:
-    """Read a layout file.
+    """Layout from a TOML file.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def read_layout(path: Path) -> Layout:
 
 
 def read_style(name: str, base: Path, where: str | None = None) -> Style:
-    """Read a style: a built-in one by its name, or a .toml, .qml or .sld file relative to `base`.
+    """Style: a built-in one by its name, or a .toml, .qml or .sld file relative to `base`.
 
     What of QML and SLD is not understood is told in a warning.
     """
@@ -131,7 +131,7 @@ def read_style(name: str, base: Path, where: str | None = None) -> Style:
 
 
 def vector_input(text: str, base: Path = Path()) -> VectorInput:
-    """Read FILE[#LAYER][:STYLE], as `vectors` has it.
+    """Vector input from FILE[#LAYER][:STYLE], an item of `vectors`.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def vector_input(text: str, base: Path = Path()) -> VectorInput:
 
 @dataclass(frozen=True)
 class SheetInputs:
-    """What files and options say of a sheet, read: arguments of `make_sheet`."""
+    """Inputs of `make_sheet`, read from files and options."""
 
     layout: Layout
     layers: tuple[VectorInput, ...]
@@ -187,7 +187,7 @@ def sheet_inputs(
     sharpen: float | None = None,
     hillshade: Path | None = None,
 ) -> SheetInputs:
-    """Read layout, styles and what is known of the raster; what is given here wins over the layout file."""
+    """Layout, styles and records of the raster; parameters given here override the layout file."""
     plan = read_layout(layout) if layout is not None else Layout()
     base = layout.parent if layout is not None else Path()
     if plan.sheet.logo:
@@ -196,16 +196,16 @@ def sheet_inputs(
     sheet = {"paper": paper, "orientation": orientation, "dpi": dpi, "title": title}
     area = {"scale": parse_scale(scale, "`scale`") if scale else None, "bounds": bounds}
     looks: dict[str, Any] = {
-        "bands": bands, **stretch_given(stretch, limits, percentiles), "gamma": gamma, "clahe": clahe,
+        "bands": bands, **stretch_keys(stretch, limits, percentiles), "gamma": gamma, "clahe": clahe,
         "sharpen": sharpen,
         "hillshade": 0.6 if hillshade is not None and not plan.enhance.hillshade else None,
     }  # fmt: skip
     plan = replace(
         plan,
-        sheet=replace(plan.sheet, **_given(sheet)),
-        map=replace(plan.map, **_given(area)),
-        contours=replace(plan.contours, **_given({"interval": interval})),
-        enhance=replace(plan.enhance, **_given(looks)),
+        sheet=replace(plan.sheet, **_declared(sheet)),
+        map=replace(plan.map, **_declared(area)),
+        contours=replace(plan.contours, **_declared({"interval": interval})),
+        enhance=replace(plan.enhance, **_declared(looks)),
     )
     layers = [
         VectorInput(
@@ -272,5 +272,5 @@ def sheet(
     )  # fmt: skip
 
 
-def _given(values: Mapping[str, Any]) -> dict[str, Any]:
+def _declared(values: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in values.items() if value is not None}

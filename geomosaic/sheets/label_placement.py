@@ -1,4 +1,4 @@
-"""Where labels stand: boxes that do not overlap, in the order of their weight.
+"""Label placement: boxes that do not overlap, in the order of their weight.
 
 Point labels try the eight places around a symbol in the order of E. Imhof (Positioning names on maps, The American
 Cartographer 2, 1975): upper right first, below last. Lengths are millimetres on the page.
@@ -19,8 +19,8 @@ Measure = Callable[[str, float], tuple[float, float]]
 
 
 @dataclass(frozen=True)
-class Spot:
-    """A place for a text: its centre in mm, and the angle of its baseline in degrees, counter-clockwise."""
+class LabelPosition:
+    """Position of a label: centre in mm, angle of the baseline in degrees, counter-clockwise."""
 
     x: float
     y: float
@@ -28,11 +28,11 @@ class Spot:
 
 
 @dataclass(frozen=True)
-class Piece:
-    """A text, or a letter of one, with the middle of its box at a spot; width and height in mm."""
+class LabelPart:
+    """Text, or one letter of it, whose box is centred at a position; width and height in mm."""
 
     text: str
-    spot: Spot
+    spot: LabelPosition
     width: float
     height: float
 
@@ -42,20 +42,20 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Placed:
-    """A text at its place: one piece, or a piece for each letter where it bends; maybe on a line that it names."""
+class PlacedLabel:
+    """Placed label: one part, or a part for each letter along a curve; `on_line` if it lies on the line it names."""
 
     text: str
-    pieces: tuple[Piece, ...]
+    pieces: tuple[LabelPart, ...]
     on_line: bool = False
 
     @property
-    def spot(self) -> Spot:
-        """Where the text, or its middle letter, stands."""
+    def spot(self) -> LabelPosition:
+        """Position of the text, or of its middle letter."""
         return self.pieces[len(self.pieces) // 2].spot
 
 
-def corners(spot: Spot, width: float, height: float) -> FloatArray:
+def corners(spot: LabelPosition, width: float, height: float) -> FloatArray:
     """Corners (4, 2) of a text's box, counter-clockwise."""
     c, s = math.cos(math.radians(spot.angle)), math.sin(math.radians(spot.angle))
     box = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (width / 2, height / 2)
@@ -75,8 +75,8 @@ def overlap(first: FloatArray, second: FloatArray) -> bool:
 
 
 @dataclass
-class Placer:
-    """Boxes that are taken already; labels come in the order of their weight.
+class LabelPlacer:
+    """Boxes occupied so far; labels are placed in the order of their weight.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class Placer:
 
     def block(self, x: float, y: float, size: float) -> None:
         """Keep a square around a symbol free."""
-        self._take(corners(Spot(x, y), size, size))
+        self._take(corners(LabelPosition(x, y), size, size))
 
     def inside(self, x: float, y: float) -> bool:
         """Whether a point lies in the frame and the outline."""
@@ -118,19 +118,21 @@ class Placer:
         near = (limits[:, :2] < high).all(axis=1) & (limits[:, 2:] > low).all(axis=1)
         return not any(overlap(box, self._taken[i]) for i in np.flatnonzero(near))
 
-    def place(self, text: str, width: float, height: float, spots: Iterable[Spot]) -> Placed | None:
+    def place(self, text: str, width: float, height: float, spots: Iterable[LabelPosition]) -> PlacedLabel | None:
         """Put a straight text at the first free spot; None where there is none."""
-        return self.place_pieces(text, ((Piece(text, spot, width, height),) for spot in spots))
+        return self.place_pieces(text, ((LabelPart(text, spot, width, height),) for spot in spots))
 
-    def place_pieces(self, text: str, ways: Iterable[tuple[Piece, ...]], on_line: bool = False) -> Placed | None:
+    def place_pieces(
+        self, text: str, ways: Iterable[tuple[LabelPart, ...]], on_line: bool = False
+    ) -> PlacedLabel | None:
         """Put a text in the first way in which all its pieces are free; None where there is none."""
         for pieces in ways:
             if all(self.free(piece.box(self.gap)) for piece in pieces):
                 self.take(pieces)
-                return Placed(text, pieces, on_line)
+                return PlacedLabel(text, pieces, on_line)
         return None
 
-    def take(self, pieces: Iterable[Piece]) -> None:
+    def take(self, pieces: Iterable[LabelPart]) -> None:
         """Keep off texts that stand where they stand."""
         for piece in pieces:
             self._take(piece.box())
@@ -144,31 +146,31 @@ class Placer:
 
 
 def _inside(ring: FloatArray, x: float, y: float) -> bool:
-    """Whether a point lies in a ring (N, 2): its line to the right cuts the ring an odd number of times."""
+    """Whether a point lies in a ring (N, 2): a ray to the right crosses the ring an odd number of times."""
     ahead = np.roll(ring, -1, axis=0)
     cut = (ring[:, 1] <= y) != (ahead[:, 1] <= y)
     a, b = ring[cut], ahead[cut]
     return bool((a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0]) > x).sum() % 2)
 
 
-def around_point(x: float, y: float, width: float, height: float, radius: float) -> list[Spot]:
-    """Eight places around a symbol of a radius, best first."""
+def around_point(x: float, y: float, width: float, height: float, radius: float) -> list[LabelPosition]:
+    """Eight positions around a symbol of a radius (mm), best first."""
     across, up = width / 2 + radius, height / 2 + radius
     aside = 0.4 * radius + height / 4
     return [
-        Spot(x + across, y + aside),
-        Spot(x + across, y - aside),
-        Spot(x - across, y + aside),
-        Spot(x - across, y - aside),
-        Spot(x + across, y),
-        Spot(x, y + up),
-        Spot(x - across, y),
-        Spot(x, y - up),
+        LabelPosition(x + across, y + aside),
+        LabelPosition(x + across, y - aside),
+        LabelPosition(x - across, y + aside),
+        LabelPosition(x - across, y - aside),
+        LabelPosition(x + across, y),
+        LabelPosition(x, y + up),
+        LabelPosition(x - across, y),
+        LabelPosition(x, y - up),
     ]
 
 
-def spread(values: Sequence[float], widths: Sequence[float], gap: float) -> list[int]:
-    """Numbers of the labels on one side of the neatline that fit beside each other, from the first one on."""
+def labels_that_fit(values: Sequence[float], widths: Sequence[float], gap: float) -> list[int]:
+    """Indices of the labels along one side of the neatline that fit beside each other, from the first on."""
     kept: list[int] = []
     end = -math.inf
     for i in np.argsort(values, kind="stable"):

@@ -1,4 +1,4 @@
-"""The layout of a sheet: what `layout.toml` may say, and what holds where it says nothing."""
+"""Layout of a sheet: the keys of `layout.toml` and their defaults."""
 
 from __future__ import annotations
 

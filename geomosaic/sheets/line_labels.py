@@ -1,4 +1,4 @@
-"""Places for texts along lines: straight ones, and ones that bend with their line letter by letter."""
+"""Label positions along lines, straight or letter by letter along a curve."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geomosaic.sheets.label_placement import Piece, Spot
+from geomosaic.sheets.label_placement import LabelPart, LabelPosition
 from geomosaic.types import FloatArray
 
 STRAIGHT = 4.0
-"""Degrees: a text whose letters would lean less than this from its direction is written as one."""
-LEAN = 45.0
-"""Degrees: no letter leans more from the text's direction, so that words are still seen as one."""
-TURN = 20.0
-"""Degrees: no two letters beside each other turn more, or their feet or heads would meet."""
+"""Angle in degrees: a text whose letters all deviate less from its direction is set straight."""
+MOST_LEAN = 45.0
+"""Largest deviation of a letter from the text's direction, degrees: beyond, a word falls apart."""
+MOST_TURN = 20.0
+"""Largest angle between neighbouring letters, degrees: beyond, their feet or heads would touch."""
 
 
 def along_line(
     path: FloatArray, width: float, *, bend: float = 20.0, offset: float = 0.0, ends: float = 0.0
-) -> list[Spot]:
-    """Places for a straight text on a line, best first: near the middle, where the line is straight.
+) -> list[LabelPosition]:
+    """Positions of a straight text on a line, best first: near the middle, where the line is straight.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def along_line(
     """
     path, at = _measured(path)
     middles = _middles(at[-1], width + 2 * ends)
-    found: list[tuple[float, int, Spot]] = []
+    found: list[tuple[float, int, LabelPosition]] = []
     for rank, middle in enumerate(middles):
         t = np.linspace(middle - width / 2, middle + width / 2, 7)
         points = _points(path, at, t)
@@ -57,15 +57,15 @@ def along_line(
         angle = upright(math.degrees(math.atan2(chord[1], chord[0])))
         x, y = points.mean(axis=0)
         up = math.radians(angle + 90.0)
-        spot = Spot(float(x) + offset * math.cos(up), float(y) + offset * math.sin(up), angle)
+        spot = LabelPosition(float(x) + offset * math.cos(up), float(y) + offset * math.sin(up), angle)
         found.append((round(worst / 5.0), rank, spot))
     return [spot for _, _, spot in sorted(found, key=lambda item: item[:2])]
 
 
-def along_bend(
+def along_curve(
     path: FloatArray, letters: Sequence[str], advances: Sequence[float], height: float, *, ends: float = 0.0
-) -> list[tuple[Piece, ...]]:
-    """Places for a text that follows a line, best first: near the middle, where the line bends little.
+) -> list[tuple[LabelPart, ...]]:
+    """Positions of a text that follows a line, best first: near the middle, where curvature is small.
 
     Each letter stands upright on the line as it runs when what is smaller than a letter is smoothed away, within 0.6
     of the text's height of the line itself.
@@ -105,19 +105,21 @@ def along_bend(
     worst = np.abs(lean).max(axis=1)
     turn = np.abs(np.diff(lean, axis=1)).max(axis=1, initial=0.0)
     off = np.interp(centres, at, shift).max(axis=1)
-    fits = (worst <= LEAN) & (turn <= TURN) & (off <= 0.6 * height)
+    fits = (worst <= MOST_LEAN) & (turn <= MOST_TURN) & (off <= 0.6 * height)
     order = np.lexsort((np.arange(len(middles)), np.round(worst / 10.0)))
     spots = _points(line, at, centres)
-    found: list[tuple[Piece, ...]] = []
+    found: list[tuple[LabelPart, ...]] = []
     for k in order[fits[order]].tolist():
         if worst[k] <= STRAIGHT:
             x, y = _points(line, at, middles[k])
-            found.append((Piece("".join(letters), Spot(float(x), float(y), float(way[k])), width, height),))
+            found.append(
+                (LabelPart("".join(letters), LabelPosition(float(x), float(y), float(way[k])), width, height),)
+            )
             continue
         angles = (way[k] + lean[k]).tolist()
         found.append(
             tuple(
-                Piece(letter, Spot(x, y, angle), step, height)
+                LabelPart(letter, LabelPosition(x, y, angle), step, height)
                 for letter, (x, y), angle, step in zip(letters, spots[k].tolist(), angles, steps.tolist(), strict=True)
             )
         )
@@ -125,7 +127,7 @@ def along_bend(
 
 
 def cut_evenly(path: FloatArray, most: float) -> list[FloatArray]:
-    """Cut a line (N, 2) into pieces of equal length, as many as pieces of the length `most` lie in it, one at least."""
+    """Pieces of equal length of a line (N, 2): as many as lengths `most` fit in it, at least one."""
     path, at = _measured(path)
     cuts = np.linspace(0.0, at[-1], max(1, int(at[-1] / most)) + 1)
     found = []
@@ -150,13 +152,13 @@ def letters_of(text: str) -> list[str]:
 
 
 def upright(angle: float) -> float:
-    """Turn a direction so that text along it can be read: above -90 up to 90 degrees."""
+    """Direction in which text along a line can be read: above -90 up to 90 degrees."""
     turned = (angle + 180.0) % 360.0 - 180.0
     return turned - 180.0 if turned > 90.0 else turned + 180.0 if turned <= -90.0 else turned
 
 
 def _middles(length: float, need: float) -> FloatArray:
-    """Middles of texts that need so much of a line, from the line's middle outwards; none where it is too short."""
+    """Distances of text centres along a line, from its middle outwards; none where the line is too short."""
     if length < need:
         return np.empty(0)
     middles = np.linspace(need / 2, length - need / 2, max(1, min(41, int((length - need) / 2.0) + 1)))
@@ -164,7 +166,7 @@ def _middles(length: float, need: float) -> FloatArray:
 
 
 def _measured(path: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A line without points that come twice, and the distance of each point from the first."""
+    """Line without repeated points, and the distance of each point from the first along it."""
     steps = np.hypot(*np.diff(path, axis=0).T)
     kept = path[np.concatenate([[True], steps > 1e-9])]
     return kept, np.concatenate([[0.0], np.cumsum(steps[steps > 1e-9])])
@@ -176,7 +178,7 @@ def _points(path: FloatArray, at: FloatArray, t: FloatArray) -> FloatArray:
 
 
 def _smooth(path: FloatArray, scale: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A line without what is smaller than a scale, its distances from the first point, and how far each point moved.
+    """Line smoothed at a scale, distances from its first point, and the displacement of each point.
 
     A Gaussian mean along the line of standard deviation 0.75 `scale`; the ends stay.
     """

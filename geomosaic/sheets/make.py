@@ -1,4 +1,4 @@
-"""A map sheet: raster, vectors, contours and layout to one file."""
+"""Map sheet from raster, vectors, contours and layout, as one file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from geomosaic.sheets.drawing.save import FileOptions, check_format, write_sheet
 from geomosaic.sheets.drawing.sheet import SheetParts
 from geomosaic.sheets.grid_lines import MapGrid, map_grid
 from geomosaic.sheets.layout import GraticulePart, GridPart, Layout
-from geomosaic.sheets.notes import accuracy_words, blocks
+from geomosaic.sheets.notes import accuracy_statement, blocks
 from geomosaic.sheets.page import Box, Page, lay_out
 from geomosaic.sheets.relief import SheetRelief, sheet_relief
 from geomosaic.sheets.series.neatline import SheetPlace
@@ -39,12 +39,12 @@ GRID_MM, GRATICULE_MM = 40.0, 50.0
 NODE_MM = 0.35
 """Distance on paper below which nodes of a DEM are averaged for contours."""
 AT_POLE = 89.9999
-"""Degrees of latitude beyond which the middle of a sheet is the pole, where north is no direction."""
+"""Latitude in degrees beyond which the middle of a sheet counts as the pole, where north has no direction."""
 
 
 @dataclass(frozen=True)
 class SheetResult:
-    """What was made.
+    """Map sheet written to a file, with its geometry and contents.
 
     Attributes
     ----------
@@ -52,16 +52,17 @@ class SheetResult:
     page : Page
         Paper, neatline, area and scale.
     intervals : tuple of float or None
-        Of grid and graticule, in their units.
+        Intervals of grid and graticule, in their units.
     contours : int
+        Number of contour lines.
     contour_interval : float
         Metres; 0 without contours.
     layers : mapping of str to int
-        Objects drawn, by title.
+        Number of objects drawn, by title of the layer.
     convergence : float or None
-        Degrees; None in a local frame.
+        Meridian convergence, degrees; None in a local frame.
     image_dpi : float
-        Pixels of the raster in an inch of paper.
+        Pixels of the raster per inch of paper.
     records : tuple of str
         Files that notes were taken from.
     """
@@ -91,7 +92,7 @@ def make_sheet(
     files: FileOptions | None = None,
     overwrite: bool = False,
 ) -> SheetResult:
-    """Make one sheet.
+    """Map sheet of a raster at an exact scale.
 
     Parameters
     ----------
@@ -128,14 +129,14 @@ def make_sheet(
     with Source(raster) as source:
         grid = raster_grid(source, str(raster))
         if series is not None:
-            layout = of_series(layout, series)
+            layout = layout_of_series_sheet(layout, series)
         page = lay_out(layout, grid.crs, grid.bounds, str(raster))
         if series is None and layout.map.bounds is None:
-            _warn_of_what_is_cut(page, grid.bounds)
+            _warn_of_cropping(page, grid.bounds)
         if series is not None and len(series.ring) > 4:
             page = replace(page, outline=tuple((float(x), float(y)) for x, y in series.ring))
         dpi = layout.sheet.dpi
-        parts = replace(_parts(layout, page, vectors, dem, dem_heights, report), series=series)
+        parts = replace(_sheet_parts(layout, page, vectors, dem, dem_heights, report), series=series)
 
         look = layout.enhance
         bands = shown_bands(look, source.info.bands, str(raster))
@@ -164,8 +165,8 @@ def make_sheet(
     )  # fmt: skip
 
 
-def of_series(layout: Layout, series: SheetPlace) -> Layout:
-    """A layout with area, scale, number and series of a sheet of a series."""
+def layout_of_series_sheet(layout: Layout, series: SheetPlace) -> Layout:
+    """Layout with area, scale, number and series name of one sheet of a series."""
     sheet = replace(
         layout.sheet,
         number=series.name,
@@ -175,7 +176,7 @@ def of_series(layout: Layout, series: SheetPlace) -> Layout:
     return replace(layout, sheet=sheet, map=area)
 
 
-def _parts(
+def _sheet_parts(
     layout: Layout,
     page: Page,
     vectors: Sequence[VectorInput],
@@ -183,7 +184,7 @@ def _parts(
     dem_heights: str | None,
     report: Mapping[str, Any] | None,
 ) -> SheetParts:
-    """Bring everything to the page."""
+    """Contents of a sheet in page coordinates."""
     left, bottom, right, top = page.bounds
     place = None if is_local(page.crs) else map_place(page.crs, (left + right) / 2, (bottom + top) / 2)
     shown = SheetRelief()
@@ -196,7 +197,7 @@ def _parts(
         )  # fmt: skip
     grids = (_grid(layout.grid, page, GRID_MM), _grid(layout.graticule, page, GRATICULE_MM))
     layers = tuple(read_overlay(vector, page, k) for k, vector in enumerate(vectors))
-    measured = layout.notes.accuracy or accuracy_words(report or {}, page.scale)
+    measured = layout.notes.accuracy or accuracy_statement(report or {}, page.scale)
     if not measured and {"orient", "check"} & set(report or {}):
         warnings.warn("the report measured no accuracy, so the sheet states none", GeomosaicWarning, stacklevel=2)
     texts = tuple(blocks(layout, page, place, shown.datum, report or {}))
@@ -229,8 +230,8 @@ def _grid(part: GridPart, page: Page, spacing: float) -> MapGrid | None:
     return map_grid(crs, page.crs, page.bounds, spacing / page.mm_per_unit, part.interval)
 
 
-def _warn_of_what_is_cut(page: Page, whole: Bounds) -> None:
-    """Say so where the paper shows a part of the picture only, which nobody asked for by its bounds."""
+def _warn_of_cropping(page: Page, whole: Bounds) -> None:
+    """Warning that the paper shows a part of the raster only, though no bounds were given."""
     shown = [(page.bounds[k + 2] - page.bounds[k]) / (whole[k + 2] - whole[k]) for k in (0, 1)]
     if min(shown) < 1.0 - 1e-6:
         warnings.warn(
@@ -242,7 +243,7 @@ def _warn_of_what_is_cut(page: Page, whole: Bounds) -> None:
 
 
 def _warn_of_glyphs(parts: SheetParts) -> None:
-    """Name the characters that would be drawn as boxes."""
+    """Warning that names the characters missing from the fonts."""
     sheet = parts.layout.sheet
     texts = [
         sheet.title, sheet.subtitle, sheet.series, sheet.number, sheet.name, parts.layout.legend.title,

@@ -1,4 +1,4 @@
-"""What a sheet says of itself in words: grids, CRS and datum, accuracy, sources."""
+"""Marginal notes of a sheet: grids, CRS and datum, accuracy, photography, sources."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from geomosaic.sheets.layout import Layout
 from geomosaic.sheets.page import Page
 
 PLOTTABLE_MM = 0.3
-"""What a point on a sheet may be off to count as accurate, mm on the paper."""
+"""Plottable error: tolerance of an accurate point on a sheet, mm on paper."""
 
 
 def crs_title(crs: CRS) -> str:
-    """Name and code."""
+    """Name and code of a CRS."""
     code = horizontal(crs).to_authority(min_confidence=100)
     name = horizontal(crs).name
     operation = horizontal(crs).coordinate_operation
@@ -29,7 +29,7 @@ def crs_title(crs: CRS) -> str:
     return f"{name} ({code[0]}:{code[1]})" if code else str(name)
 
 
-def crs_words(page: Page, place: MapPlace | None, heights: str | None) -> list[str]:
+def crs_lines(page: Page, place: MapPlace | None, heights: str | None) -> list[str]:
     """Lines of the block on CRS and datum; `place` is None in a local frame."""
     flat = page.crs
     unit = flat.axis_info[0].unit_name if flat.axis_info else "unit"
@@ -54,8 +54,8 @@ def crs_words(page: Page, place: MapPlace | None, heights: str | None) -> list[s
     return lines
 
 
-def grid_words(grid: MapGrid) -> str:
-    """One line of the legend on a grid."""
+def grid_line(grid: MapGrid) -> str:
+    """Line of the legend on a grid."""
     if grid.degrees:
         meridians, parallels = (
             _short(angle_text(step, step)) if step >= 1 / 3600 else f"{step:g}°" for step in grid.intervals
@@ -69,13 +69,13 @@ def grid_words(grid: MapGrid) -> str:
 
 
 def _short(step: str) -> str:
-    """Leave out leading parts that are zero: 0°00′10″ is 10″."""
+    """Angle without leading zero parts: 0°00′10″ is 10″."""
     for zero in ("0°", "00′"):
         step = step.removeprefix(zero) if len(step) > len(zero) else step
     return step.removeprefix("0") or step
 
 
-def accuracy_words(report: Mapping[str, Any], scale: float) -> str:
+def accuracy_statement(report: Mapping[str, Any], scale: float) -> str:
     """Accuracy statement from a project's report.
 
     Parameters
@@ -110,8 +110,8 @@ def accuracy_words(report: Mapping[str, Any], scale: float) -> str:
     return f"{text[0].upper()}{text[1:]}. {PLOTTABLE_MM:g} mm on the sheet are {PLOTTABLE_MM * scale / 1000:g} m."
 
 
-def photography_words(records: Mapping[str, Any]) -> str:
-    """When the images were taken, from the STAC item: one day or the first and the last; '' where none says it."""
+def photography_dates(records: Mapping[str, Any]) -> str:
+    """Dates of photography from the STAC item: one day, or the first and the last; '' if unknown."""
     known = [str(image.get("acquired") or "")[:10] for image in _images(records)]
     days = sorted(day for day in known if day)
     if not days:
@@ -120,8 +120,8 @@ def photography_words(records: Mapping[str, Any]) -> str:
     return text if len(days) == len(known) else f"{text} ({len(days)} of {len(known)} images say when)"
 
 
-def source_words(records: Mapping[str, Any]) -> str:
-    """What the raster was made of, from the STAC item and the report; '' where nothing is known."""
+def source_statement(records: Mapping[str, Any]) -> str:
+    """Sources of the raster from the STAC item and the report; '' if unknown."""
     images = _images(records)
     if not images:
         return ""
@@ -155,14 +155,14 @@ def blocks(
 ) -> list[tuple[str, list[str]]]:
     """Headed blocks of text for the margin, in their order; empty ones are left out."""
     notes = layout.notes
-    photography = notes.photography or photography_words(records)
+    photography = notes.photography or photography_dates(records)
     found = [
-        ("Coordinate reference system", crs_words(page, place, heights)),
-        ("Accuracy", [notes.accuracy or accuracy_words(records, page.scale)]),
+        ("Coordinate reference system", crs_lines(page, place, heights)),
+        ("Accuracy", [notes.accuracy or accuracy_statement(records, page.scale)]),
         (
             "Sources",
             [
-                notes.sources or source_words(records),
+                notes.sources or source_statement(records),
                 f"Date of photography: {photography}" if photography else "",
             ],
         ),

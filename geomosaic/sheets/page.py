@@ -1,4 +1,4 @@
-"""Where everything stands on the paper, and the map's place under it: scale, area and the affine between."""
+"""Page geometry: positions on paper, scale and area of the map, and the affine between them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Page:
-    """A sheet's geometry.
+    """Geometry of a sheet on paper and of its map.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class Page:
 
 
 def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) -> Page:
-    """Find paper, scale and area.
+    """Page with the paper, scale and area that a layout asks for.
 
     What is not given follows: the area is all of `extent` where it fits the paper, otherwise its middle; the scale is
     the largest round one at which the area fits the paper; the paper is the smallest from A4 to A0 on which the area
@@ -139,14 +139,14 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
             where=where,
             hint="make the raster in a projected CRS (`dst_crs`), such as a UTM zone",
         )
-    wanted = _area(layout, extent, where)
+    wanted = _requested_area(layout, extent, where)
     unit = 1000.0 * linear_unit(crs)
     papers = (
         [layout.sheet.paper] if layout.sheet.paper else (["A3"] if layout.map.scale is None else list(PAPERS)[::-1])
     )
     best: Page | None = None
     for paper in papers:
-        for landscape in _ways(layout, paper, wanted):
+        for landscape in _orientations(layout, paper, wanted):
             page = _on_paper(layout, paper, landscape, crs, wanted, unit, where)
             if page is not None and (best is None or _better(page, best)):
                 best = page
@@ -158,7 +158,7 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
             where=where,
             hint='give a larger `paper`, a smaller [sheet] margin, or panel = "none"',
         )
-    if layout.map.centre is not None and not _meet(best.bounds, extent):
+    if layout.map.centre is not None and not _rectangles_overlap(best.bounds, extent):
         raise InputError(
             f"the map about {list(layout.map.centre or ())} lies beside the picture, which covers "
             f"{[round(v, 3) for v in extent]}",
@@ -177,8 +177,8 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
     return replace(best, bleed=layout.sheet.bleed)
 
 
-def _area(layout: Layout, extent: Bounds, where: str | None) -> Bounds:
-    """Area that should be on the sheet."""
+def _requested_area(layout: Layout, extent: Bounds, where: str | None) -> Bounds:
+    """Area that the layout asks for, else that of the raster."""
     bounds = layout.map.bounds
     if bounds is None:
         return extent
@@ -186,7 +186,7 @@ def _area(layout: Layout, extent: Bounds, where: str | None) -> Bounds:
         raise InputError("[map] has bounds and a centre", where=where, hint="leave one of them out")
     if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
         raise InputError(f"[map] bounds {list(bounds)} enclose no area", where=where, hint="left, bottom, right, top")
-    if not _meet(bounds, extent):
+    if not _rectangles_overlap(bounds, extent):
         raise InputError(
             f"the area {list(bounds)} lies beside the picture, which covers {[round(v, 3) for v in extent]}",
             where=where,
@@ -195,12 +195,12 @@ def _area(layout: Layout, extent: Bounds, where: str | None) -> Bounds:
     return bounds
 
 
-def _meet(bounds: Bounds, extent: Bounds) -> bool:
+def _rectangles_overlap(bounds: Bounds, extent: Bounds) -> bool:
     """Whether two rectangles have area in common."""
     return bounds[0] < extent[2] and bounds[2] > extent[0] and bounds[1] < extent[3] and bounds[3] > extent[1]
 
 
-def _ways(layout: Layout, paper: str, wanted: Bounds) -> tuple[bool, ...]:
+def _orientations(layout: Layout, paper: str, wanted: Bounds) -> tuple[bool, ...]:
     if "x" in paper.lower() or layout.sheet.orientation != "auto":
         return (layout.sheet.orientation == "landscape",)
     wide = wanted[2] - wanted[0] > wanted[3] - wanted[1]
@@ -210,7 +210,7 @@ def _ways(layout: Layout, paper: str, wanted: Bounds) -> tuple[bool, ...]:
 def _on_paper(
     layout: Layout, paper: str, landscape: bool, crs: CRS, wanted: Bounds, unit: float, where: str | None
 ) -> Page | None:
-    """Lay the area on one paper; None where there is no room."""
+    """Page of the area on one paper size; None where it does not fit."""
     width, height = paper_size(paper, where)
     if layout.sheet.orientation == "landscape" or ("x" not in paper.lower() and landscape):
         width, height = max(width, height), min(width, height)

@@ -96,35 +96,35 @@ def sheet_relief(
             raise InputError("the DEM has no heights on the sheet", where=str(dem), hint="give one that covers it")
         if interval is None:
             interval = nice_interval(float(known.min()), float(known.max()))
-        _tell_of_gaps(surface, there(_lattice(bounds)), dem)
+        _warn_of_dem_gaps(surface, there(_lattice(bounds)), dem)
         cell = float(np.hypot(nodes.transform.a, nodes.transform.d))
         found = trace(nodes, interval, index=index, tolerance=tolerance, shortest=12.0 * cell)
         lines = tuple(replace(c, xy=back(c.xy)) for c in found)
         points: list[SpotHeight] = []
         if spots is not None:
             points = find_spots(nodes, prominence or interval, spots * ratio)
-            points = [_sharpened(surface, point, cell) for point in points]
+            points = [_snapped_to_extremum(surface, point, cell) for point in points]
         return SheetRelief(lines, interval, height_name(surface.crs), _moved(points, back))
     finally:
         surface.close()
 
 
 def _lattice(bounds: Bounds) -> FloatArray:
-    """Places (N, 2) all over bounds."""
+    """Sample positions (N, 2) spread over bounds."""
     t = (np.arange(24) + 0.5) / 24
     x, y = np.meshgrid(bounds[0] + t * (bounds[2] - bounds[0]), bounds[1] + t * (bounds[3] - bounds[1]))
     return np.column_stack([x.ravel(), y.ravel()])
 
 
-def _tell_of_gaps(surface: Dem, places: FloatArray, dem: Path) -> None:
-    """Say where contours end because the DEM does."""
+def _warn_of_dem_gaps(surface: Dem, places: FloatArray, dem: Path) -> None:
+    """Warning where contours end because the DEM does."""
     known = float(np.isfinite(surface.height(places)).mean())
     if known < 0.98:
         warnings.warn(f"{dem} has heights on {100 * known:.0f} % of the sheet", GeomosaicWarning, stacklevel=3)
 
 
-def _sharpened(surface: Dem, spot: SpotHeight, reach: float) -> SpotHeight:
-    """Move a spot height that was found on means of nodes to the highest (or lowest) node near it."""
+def _snapped_to_extremum(surface: Dem, spot: SpotHeight, reach: float) -> SpotHeight:
+    """Spot height found on averaged nodes, moved to the highest (or lowest) original node near it."""
     nodes = nodes_of(surface, (spot.x - reach, spot.y - reach, spot.x + reach, spot.y + reach), 0.0)
     values = -nodes.values if spot.hollow else nodes.values
     row, col = np.unravel_index(np.nanargmax(values), values.shape)

@@ -1,4 +1,4 @@
-"""A vector file as a layer of a sheet."""
+"""Vector file as a layer of a sheet."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from geomosaic.sheets.styles.style import Style, plain
 from geomosaic.sheets.vector_layers import Overlay, overlay
 
 COLORS = ("#d7191c", "#2c6fbb", "#f58231", "#7b3294", "#1a9641", "#00a6c8")
-"""Of layers without a style, in turn."""
+"""Colours of layers without a style, in turn."""
 
 
 @dataclass(frozen=True)
 class VectorInput:
-    """A vector file for the sheet: which layer of it (the first by default), its style, and a title."""
+    """Vector file with layer (the first by default), style and title."""
 
     path: Path
     layer: str | None = None
@@ -30,7 +30,7 @@ class VectorInput:
 
 
 def read_overlay(vector: VectorInput, page: Page, number: int) -> Overlay:
-    """Read a vector layer and bring it to the map; vectors without a CRS are taken in a local frame, as they stand.
+    """Vector layer in the CRS of the map; in a local frame vectors without a CRS are used unchanged.
 
     Raises
     ------

@@ -32,7 +32,7 @@ class Features:
 
 
 @dataclass(frozen=True)
-class Name:
+class LabelRequest:
     """A label to be placed: its text and the geometry (cut at the neatline) that it names."""
 
     text: str
@@ -57,7 +57,7 @@ class Overlay:
 
     title: str
     groups: tuple[Features, ...]
-    names: tuple[Name, ...]
+    names: tuple[LabelRequest, ...]
     style: Style
     notes: tuple[str, ...]
 
@@ -166,7 +166,7 @@ def overlay(
         cells = _column(columns, column, where)
         lost = 0
         for i in here:
-            number = next((n for n, rule in enumerate(rules) if holds(rule, cells[i])), -1)
+            number = next((n for n, rule in enumerate(rules) if rule_matches(rule, cells[i])), -1)
             lost += number < 0
             members.setdefault(number, []).append(cut[i])
             if rules[number].hide if number >= 0 else style.symbol == Symbol():
@@ -188,13 +188,13 @@ def overlay(
     bare = sorted({kind for group in groups for kind in _without_symbol(group)}, key=KINDS.index)
     if bare:
         notes.append(f"the style has nothing for {' and '.join(f'{kind}s' for kind in bare)}: not drawn")
-    names: list[Name] = []
+    names: list[LabelRequest] = []
     if style.label is not None:
         cells = _column(columns, style.label.column, where)
         for i in here:
             text = label_text(cells[i], style.label.decimals)
             if text and i not in hidden:
-                names.append(Name(text, cut[i]))
+                names.append(LabelRequest(text, cut[i]))
         names.sort(key=lambda item: -shapely.length(item.geometry))
     return Overlay(name, tuple(groups), tuple(names), style, tuple(notes))
 
@@ -254,10 +254,10 @@ def blend(start: str, end: str, share: float) -> str:
     return "#" + "".join(f"{round(v):02x}" for v in a + share * (b - a))
 
 
-def holds(rule: Rule, cell: Any) -> bool:
+def rule_matches(rule: Rule, cell: Any) -> bool:
     """Whether a cell is what a rule names."""
     if rule.value is not None:
-        return not missing(cell) and (value_text(cell) == rule.value or _equal(cell, rule.value))
+        return not is_missing(cell) and (value_text(cell) == rule.value or _equal(cell, rule.value))
     try:
         value = float(cell)
     except (TypeError, ValueError):
@@ -275,14 +275,14 @@ def _equal(cell: Any, value: str) -> bool:
         return False
 
 
-def missing(cell: Any) -> bool:
+def is_missing(cell: Any) -> bool:
     """Whether a cell says nothing: None, NaN, NaT, or blank."""
     return cell is None or cell != cell or (isinstance(cell, str) and not cell.strip())
 
 
 def label_text(cell: Any, digits: int | None = None) -> str:
     """Text of a label, '' where there is none."""
-    if missing(cell):
+    if is_missing(cell):
         return ""
     if digits is not None and not isinstance(cell, str):
         return f"{float(cell):.{digits}f}"

@@ -14,7 +14,7 @@ from geomosaic.sheets.drawing.fonts import BREAKS, CAP, FAMILY, POINT, advance, 
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
 if TYPE_CHECKING:
-    from geomosaic.sheets.label_placement import Piece
+    from geomosaic.sheets.label_placement import LabelPart
     from geomosaic.sheets.page import Box
 
 
@@ -186,7 +186,7 @@ class Canvas:
         self._text(x, y, text, size, angle, color, bold, italic)
 
     def pieces(
-        self, pieces: Sequence[Piece], size: float, *, color: str = "#000000", bold: bool = False,
+        self, pieces: Sequence[LabelPart], size: float, *, color: str = "#000000", bold: bool = False,
         italic: bool = False, halo: str | None = None, halo_width: float = 0.5, bridge: bool = False,
     ) -> None:  # fmt: skip
         """A text in pieces, the middle of the capitals of each at its spot; no halo lies over a letter.

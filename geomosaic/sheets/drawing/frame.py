@@ -9,7 +9,7 @@ import numpy as np
 from geomosaic.sheets.drawing.canvas import Canvas
 from geomosaic.sheets.drawing.fonts import CAP, POINT, text_size
 from geomosaic.sheets.grid_lines import GridLine, MapGrid
-from geomosaic.sheets.label_placement import Piece, Spot, spread
+from geomosaic.sheets.label_placement import LabelPart, LabelPosition, labels_that_fit
 from geomosaic.sheets.layout import GridPart
 from geomosaic.sheets.page import Page
 from geomosaic.sheets.styles.contrast import halo_of, on_paper
@@ -122,7 +122,7 @@ def _draw_row(
     low, high = (page.border[0] + 1.0, page.border[2] - 1.0) if axis == 0 else (page.neatline[1], page.neatline[3])
     aside = _aside(part.size, row)
     kept = []
-    for i in spread(along, widths, 2.0):
+    for i in labels_that_fit(along, widths, 2.0):
         first, last = along[i] - widths[i] / 2, along[i] + widths[i] / 2
         if first >= low and last <= high:
             x, y = _outside(page, side, along[i], aside)
@@ -153,7 +153,7 @@ def _marks(grid: MapGrid) -> list[tuple[GridLine, str, float, float]]:
     ]
 
 
-def around_pole(page: Page, grid: MapGrid, size: float) -> list[Piece]:
+def around_pole(page: Page, grid: MapGrid, size: float) -> list[LabelPart]:
     """Latitudes of the parallels around a pole that do not reach the neatline, on the parallels between meridians."""
     if grid.pole is None:
         return []
@@ -168,7 +168,7 @@ def around_pole(page: Page, grid: MapGrid, size: float) -> list[Piece]:
             turns = np.abs(np.arctan2(path[:, 0], -path[:, 1])) + 10.0 * (from_meridian > from_meridian.min() + 0.03)
             at = path[np.argmin(turns)] + centre
             text = grid.label(line)
-            found.append(Piece(text, Spot(float(at[0]), float(at[1])), *text_size(text, size)))
+            found.append(LabelPart(text, LabelPosition(float(at[0]), float(at[1])), *text_size(text, size)))
     return found
 
 

@@ -12,13 +12,13 @@ from geomosaic.relief.contours import Contour
 from geomosaic.relief.spot_heights import SpotHeight
 from geomosaic.sheets.drawing.canvas import Canvas
 from geomosaic.sheets.drawing.fonts import advances, text_size
-from geomosaic.sheets.label_placement import Piece, Placed, Placer, Spot, around_point
+from geomosaic.sheets.label_placement import LabelPart, LabelPlacer, LabelPosition, PlacedLabel, around_point
 from geomosaic.sheets.layout import ContoursPart
-from geomosaic.sheets.line_labels import along_bend, along_line, cut_evenly, letters_of
+from geomosaic.sheets.line_labels import along_curve, along_line, cut_evenly, letters_of
 from geomosaic.sheets.page import Page
 from geomosaic.sheets.styles.contrast import halo_of
 from geomosaic.sheets.styles.style import Label
-from geomosaic.sheets.vector_layers import Name, Overlay, parts_of
+from geomosaic.sheets.vector_layers import LabelRequest, Overlay, parts_of
 from geomosaic.types import FloatArray
 
 AGAIN = 80.0
@@ -27,7 +27,9 @@ LONG = 160.0
 """Length of line in mm for each time that its name is written."""
 
 
-def place_names(page: Page, layers: Sequence[Overlay], placer: Placer) -> tuple[list[tuple[Placed, Label]], int]:
+def place_names(
+    page: Page, layers: Sequence[Overlay], placer: LabelPlacer
+) -> tuple[list[tuple[PlacedLabel, Label]], int]:
     """Find places for the names of all layers, points first, then lines, then areas.
 
     Returns
@@ -42,7 +44,7 @@ def place_names(page: Page, layers: Sequence[Overlay], placer: Placer) -> tuple[
                 for point in parts_of(group.geometries, "point"):
                     x, y = page.to_page(np.array([(point.x, point.y)]))[0]
                     placer.block(float(x), float(y), group.symbol.marker.size)
-    found: list[tuple[Placed, Label]] = []
+    found: list[tuple[PlacedLabel, Label]] = []
     left_out = 0
     for kind in ("point", "line", "polygon"):
         for layer in layers:
@@ -68,7 +70,7 @@ def place_names(page: Page, layers: Sequence[Overlay], placer: Placer) -> tuple[
     return found, left_out
 
 
-def _merged(names: Sequence[Name]) -> list[Name]:
+def _merged(names: Sequence[LabelRequest]) -> list[LabelRequest]:
     """Join lines of one name where they meet, the longest first: a street is often stored in pieces."""
     import shapely
 
@@ -79,11 +81,11 @@ def _merged(names: Sequence[Name]) -> list[Name]:
     joined = []
     for text, parts in together.items():
         merged = shapely.line_merge(shapely.MultiLineString(parts)) if len(parts) > 1 else parts[0]
-        joined += [Name(text, part) for part in parts_of([merged], "line")]
+        joined += [LabelRequest(text, part) for part in parts_of([merged], "line")]
     return sorted(joined, key=lambda item: -item.geometry.length)
 
 
-def _said(found: list[tuple[Placed, Label]], text: str, label: Label, way: tuple[Piece, ...]) -> bool:
+def _said(found: list[tuple[PlacedLabel, Label]], text: str, label: Label, way: tuple[LabelPart, ...]) -> bool:
     """Whether the same name stands near already."""
     spot = way[len(way) // 2].spot
     return any(
@@ -91,15 +93,15 @@ def _said(found: list[tuple[Placed, Label]], text: str, label: Label, way: tuple
     )
 
 
-def _ways(page: Page, name: Name, kind: str, label: Label, radius: float) -> list[list[tuple[Piece, ...]]]:
+def _ways(page: Page, name: LabelRequest, kind: str, label: Label, radius: float) -> list[list[tuple[LabelPart, ...]]]:
     """Ways to write a name, best first, for each time that it is to be written; none of a geometry of another kind."""
     parts = parts_of([name.geometry], kind)
     if not parts:
         return []
     width, height = text_size(name.text, label.size, label.bold, label.italic)
 
-    def straight(spots: Sequence[Spot]) -> list[tuple[Piece, ...]]:
-        return [(Piece(name.text, spot, width, height),) for spot in spots]
+    def straight(spots: Sequence[LabelPosition]) -> list[tuple[LabelPart, ...]]:
+        return [(LabelPart(name.text, spot, width, height),) for spot in spots]
 
     if kind == "point":
         x, y = page.to_page(np.array([(parts[0].x, parts[0].y)]))[0]
@@ -111,7 +113,7 @@ def _ways(page: Page, name: Name, kind: str, label: Label, radius: float) -> lis
         pieces = cut_evenly(path, LONG)
         if len(letters) == 1:
             return [straight(along_line(piece, width, ends=1.0)) for piece in pieces]
-        return [along_bend(piece, letters, steps, height, ends=1.0) for piece in pieces]
+        return [along_curve(piece, letters, steps, height, ends=1.0) for piece in pieces]
     import shapely
 
     largest = shapely.intersection(max(parts, key=lambda p: p.area), shapely.box(*page.bounds))
@@ -121,10 +123,10 @@ def _ways(page: Page, name: Name, kind: str, label: Label, radius: float) -> lis
     middle = next((m for m in middles if largest.contains(m)), middles[-1])
     x, y = page.to_page(np.array([(middle.x, middle.y)]))[0]
     step = 1.2 * height
-    return [straight([Spot(float(x), float(y) + k * step) for k in (0, 1, -1, 2, -2)])]
+    return [straight([LabelPosition(float(x), float(y) + k * step) for k in (0, 1, -1, 2, -2)])]
 
 
-def draw_names(canvas: Canvas, placed: Sequence[tuple[Placed, Label]]) -> None:
+def draw_names(canvas: Canvas, placed: Sequence[tuple[PlacedLabel, Label]]) -> None:
     """Halos and texts."""
     for item, label in placed:
         canvas.pieces(
@@ -133,7 +135,9 @@ def draw_names(canvas: Canvas, placed: Sequence[tuple[Placed, Label]]) -> None:
         )  # fmt: skip
 
 
-def place_heights(page: Page, contours: Sequence[Contour], part: ContoursPart, placer: Placer) -> list[Placed]:
+def place_heights(
+    page: Page, contours: Sequence[Contour], part: ContoursPart, placer: LabelPlacer
+) -> list[PlacedLabel]:
     """Heights on contours, tops uphill: main contours every 120 mm, others where they are the only ones.
 
     Text that can be read from below is preferred, text on its head is kept where a contour offers nothing else.
@@ -141,7 +145,7 @@ def place_heights(page: Page, contours: Sequence[Contour], part: ContoursPart, p
     size = part.size
     wanted = [c for c in contours if c.index] or list(contours)
     digits = _digits([c.height for c in contours])
-    found: list[Placed] = []
+    found: list[PlacedLabel] = []
     for contour in sorted(wanted, key=lambda c: -len(c.xy)):
         text = f"{contour.height:.{digits}f}".replace("-", "−")
         width, height = text_size(text, size, True)
@@ -159,7 +163,7 @@ def _digits(heights: Sequence[float]) -> int:
     return next((n for n in range(4) if all(abs(h - round(h, n)) < 1e-6 for h in heights)), 3)
 
 
-def uphill(spot: Spot, path: FloatArray) -> Spot:
+def uphill(spot: LabelPosition, path: FloatArray) -> LabelPosition:
     """Turn a text on a contour so that its top is uphill, which is to the left of the contour's course.
 
     Parameters
@@ -174,10 +178,14 @@ def uphill(spot: Spot, path: FloatArray) -> Spot:
     course = path[nearest + 1] - path[nearest]
     a = math.radians(spot.angle)
     along = course[0] * math.cos(a) + course[1] * math.sin(a)
-    return spot if along >= 0 else Spot(spot.x, spot.y, spot.angle + 180.0 if spot.angle <= 0 else spot.angle - 180.0)
+    return (
+        spot
+        if along >= 0
+        else LabelPosition(spot.x, spot.y, spot.angle + 180.0 if spot.angle <= 0 else spot.angle - 180.0)
+    )
 
 
-def draw_heights(canvas: Canvas, placed: Sequence[Placed], part: ContoursPart) -> None:
+def draw_heights(canvas: Canvas, placed: Sequence[PlacedLabel], part: ContoursPart) -> None:
     """Heights with a halo that opens their contour."""
     for item in placed:
         canvas.pieces(item.pieces, part.size, color=part.color, halo=halo_of(part.color), halo_width=0.35, bold=True)
@@ -192,15 +200,15 @@ def dots(page: Page, spots: Sequence[SpotHeight]) -> FloatArray:
     return page.to_page(np.array([(spot.x, spot.y) for spot in spots]).reshape(-1, 2))
 
 
-def keep_free(page: Page, spots: Sequence[SpotHeight], placer: Placer) -> None:
+def keep_free(page: Page, spots: Sequence[SpotHeight], placer: LabelPlacer) -> None:
     """Keep names off the dots."""
     for x, y in dots(page, spots).tolist():
         placer.block(x, y, DOT)
 
 
 def place_spots(
-    page: Page, spots: Sequence[SpotHeight], part: ContoursPart, interval: float, placer: Placer
-) -> list[tuple[SpotHeight, Placed]]:
+    page: Page, spots: Sequence[SpotHeight], part: ContoursPart, interval: float, placer: LabelPlacer
+) -> list[tuple[SpotHeight, PlacedLabel]]:
     """Find places for the heights, the most prominent first; those without room are left out, dot and all.
 
     Whole metres where contours are 5 m apart or more, otherwise decimetres.
@@ -218,7 +226,9 @@ def place_spots(
     return found
 
 
-def draw_spots(canvas: Canvas, page: Page, placed: Sequence[tuple[SpotHeight, Placed]], part: ContoursPart) -> None:
+def draw_spots(
+    canvas: Canvas, page: Page, placed: Sequence[tuple[SpotHeight, PlacedLabel]], part: ContoursPart
+) -> None:
     """Dots and heights in the colour of the contours, with halo."""
     halo = halo_of(part.color)
     canvas.markers(dots(page, [spot for spot, _ in placed]), "circle", DOT, part.color, halo, 0.15)

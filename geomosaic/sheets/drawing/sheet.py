@@ -23,9 +23,9 @@ from geomosaic.sheets.drawing.margin import Entry, draw_head, draw_panel
 from geomosaic.sheets.drawing.neighbours import draw_around
 from geomosaic.sheets.drawing.symbols import draw_contours, draw_overlay, kinds_of
 from geomosaic.sheets.grid_lines import MapGrid
-from geomosaic.sheets.label_placement import Placer
+from geomosaic.sheets.label_placement import LabelPlacer
 from geomosaic.sheets.layout import Layout
-from geomosaic.sheets.notes import grid_words
+from geomosaic.sheets.notes import grid_line
 from geomosaic.sheets.page import Box, Page
 from geomosaic.sheets.series.neatline import SheetPlace
 from geomosaic.sheets.styles.contrast import halo_of, legend_line
@@ -92,7 +92,7 @@ def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> li
         for layer in parts.layers:
             draw_overlay(canvas, page, layer)
         left, bottom, right, top = page.neatline
-        placer = Placer((left + 0.8, bottom + 0.8, right - 0.8, top - 0.8), outline=page.outline_mm)
+        placer = LabelPlacer((left + 0.8, bottom + 0.8, right - 0.8, top - 0.8), outline=page.outline_mm)
         for grid, part in zip(parts.grids, (layout.grid, layout.graticule), strict=True):
             if grid is not None and part.style == "lines" and part.labels:
                 placer.take(around_pole(page, grid, part.size))
@@ -149,5 +149,5 @@ def legend(parts: SheetParts) -> list[Entry]:
         entries.append(Entry("Spot heights, metres", Symbol(marker=dot), frozenset({"point"})))
     for grid, looks in zip(parts.grids, (parts.layout.grid, parts.layout.graticule), strict=True):
         if grid is not None:
-            entries.append(Entry(grid_words(grid), Symbol(line=legend_line(looks.color, max(looks.width, 0.15))), line))
+            entries.append(Entry(grid_line(grid), Symbol(line=legend_line(looks.color, max(looks.width, 0.15))), line))
     return entries

@@ -17,7 +17,7 @@ from geomosaic.sheets.series.catalogue import scheme as by_name
 from geomosaic.sheets.series.make import SeriesInputs, SeriesResult, make_series
 from geomosaic.sheets.series.neatline import sheet_place
 from geomosaic.sheets.series.regular import Polygons, Scheme
-from geomosaic.sheets.vector_layers import missing
+from geomosaic.sheets.vector_layers import is_missing
 from geomosaic.types import PathLike, Progress
 
 
@@ -68,7 +68,7 @@ def sheet_scheme(
         )
     rings: dict[str, Any] = {}
     for number, (name, geometry) in enumerate(zip(frame[name_column], frame.geometry, strict=True), start=1):
-        if missing(name):
+        if is_missing(name):
             raise InputError(
                 f"polygon {number} has no name in column '{name_column}'", where=polygons, hint="give each a name"
             )

@@ -17,7 +17,7 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
-from geomosaic.sheets.extent import outline
+from geomosaic.sheets.extent import densified_ring
 from geomosaic.sheets.series.regular import DIRECTIONS, Cell, corners
 from geomosaic.types import FloatArray
 
@@ -121,7 +121,7 @@ class Mgrs:
 
     def _reach(self, zone: int, band: str, box: Cell) -> tuple[float, float]:
         """Least and largest northing of a zone in a band."""
-        ring = outline(corners(box), 20)
+        ring = densified_ring(corners(box), 20)
         north = Transform(parse_crs(self.crs), parse_crs(utm(zone, band)))(ring)[:, 1]
         return float(north.min()), float(north.max())
 
@@ -138,7 +138,7 @@ class Mgrs:
         zone, band, col, row = self._parse(name)
         area = zone_box(zone, band) or (0.0, 0.0, 0.0, 0.0)  # a name that is parsed has one
         crs = utm(zone, band)
-        inside = Polygon(Transform(parse_crs(self.crs), parse_crs(crs))(outline(corners(area), 400)))
+        inside = Polygon(Transform(parse_crs(self.crs), parse_crs(crs))(densified_ring(corners(area), 400)))
         size = float(self.size)
         square = box(col * size, row * size, (col + 1) * size, (row + 1) * size, ccw=True)
         part = square if inside.contains(square) else square.intersection(inside)
@@ -174,7 +174,7 @@ class Mgrs:
                 if common is None or common.is_empty or common.area == 0:
                     continue
                 to = Transform(parse_crs(self.crs), parse_crs(utm(zone, band)))
-                ring = to(outline(corners(common.bounds), 50))
+                ring = to(densified_ring(corners(common.bounds), 50))
                 low, high = ring.min(axis=0) // self.size, ring.max(axis=0) // self.size
                 for row in range(int(high[1]), int(low[1]) - 1, -1):
                     for col in range(int(low[0]), int(high[0]) + 1):

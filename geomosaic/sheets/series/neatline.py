@@ -12,7 +12,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.transform import Transform
-from geomosaic.sheets.extent import Extent, around, extent_of, outline
+from geomosaic.sheets.extent import Extent, densified_ring, extent_of, neatline_points
 from geomosaic.sheets.series.regular import Scheme
 from geomosaic.types import FloatArray
 
@@ -71,7 +71,7 @@ def sheet_place(scheme: Scheme, name: str, map_crs: CRS, overlap: float = 0.0) -
     crs, edges = scheme.edges(name)
     move = Transform(parse_crs(crs), map_crs)
     # Straight sides of a sheet in the map's own CRS stay as they are.
-    ring = edges if move.source == move.target else move(outline(edges, PARTS))
+    ring = edges if move.source == move.target else move(densified_ring(edges, PARTS))
     corners = move(edges)
     if not np.isfinite(ring).all():
         raise InputError(
@@ -97,7 +97,7 @@ def sheets_on(scheme: Scheme, map_crs: CRS, bounds: Bounds) -> Iterator[str]:
 
     crs = parse_crs(scheme.crs)
     there = Transform(map_crs, crs)
-    if not np.isfinite(there(around(bounds))).all():
+    if not np.isfinite(there(neatline_points(bounds))).all():
         raise InputError(f"the area has no coordinates in {scheme.crs}", hint="use another scheme")
     extent = extent_of(horizontal(crs), there, Transform(crs, map_crs), bounds)
     area = box(*bounds)
