@@ -135,7 +135,30 @@ def reproject(
 def reproject_raster(
     path: Path, output: Path, target: CRS, place: Area, src_crs: str | None, render: RenderOptions
 ) -> OrthoResult:
-    """Georeferenced raster in another CRS; notes what its file says of it that is doubtful."""
+    """Georeferenced raster in another CRS.
+
+    What is doubtful in its own georeference is told as a warning.
+
+    Parameters
+    ----------
+    path, output : Path
+    target : pyproj.CRS
+        Of the output.
+    place : Area
+        Of the output: `target` by name, with resolution and bounds where they are given.
+    src_crs : str or None
+        CRS of the source, instead of what the file says.
+    render : RenderOptions
+
+    Returns
+    -------
+    OrthoResult
+
+    Raises
+    ------
+    InputError
+        The raster is not georeferenced, or no operation leads from its CRS to the other.
+    """
     own = parse_map(src_crs, "`src_crs`") if src_crs else None
     info = inspect(path)
     check_placed(info, own)
@@ -183,16 +206,36 @@ def deskew(
     **options
         Of `RenderOptions`.
 
+    Returns
+    -------
+    OrthoResult
+
     Raises
     ------
     GeomosaicError
+        See `ortho`.
     """
     strip = Scene((Path(image),), sensor or relative_sensor(), options={**nominal, "relative": True}, bands=bands)
     return make_ortho(strip, area(None, resolution, bounds, None), Path(output), render_options(options))
 
 
 def render_options(given: Mapping[str, Any]) -> RenderOptions:
-    """Options of rendering from flat values, or given whole as `render`."""
+    """Options of rendering from keyword arguments.
+
+    Parameters
+    ----------
+    given : mapping
+        Options of `RenderOptions` by name; or the whole as `render`, of which the others change some.
+
+    Returns
+    -------
+    RenderOptions
+
+    Raises
+    ------
+    InputError
+        An option is not known, or a value is wrong.
+    """
     if "render" not in given:
         return compose(RenderOptions, given)
     whole: RenderOptions = given["render"]
@@ -200,7 +243,20 @@ def render_options(given: Mapping[str, Any]) -> RenderOptions:
 
 
 def on_ground(block: Block, dem: PathLike | Dem | float | None, dem_heights: str | None) -> Block:
-    """Block over another ground than its own, where one is given."""
+    """Block over another ground than its own, where one is given.
+
+    Parameters
+    ----------
+    block : Block
+    dem : path, Dem, float or None
+        DEM, or one height in metres; the block's own ground unless given.
+    dem_heights : str or None
+        Vertical datum of the heights, where they do not say it.
+
+    Returns
+    -------
+    Block
+    """
     if dem is None:
         return block if dem_heights is None else replace(block, dem_heights=dem_heights)
     if isinstance(dem, int | float):
@@ -217,7 +273,29 @@ def area(
     *,
     snap: bool = False,
 ) -> Area:
-    """Place of an output from plain arguments."""
+    """Area of an output from keyword arguments.
+
+    Parameters
+    ----------
+    crs : str or None
+    resolution : float or None
+        Map units.
+    bounds : tuple of float or None
+        Left, bottom, right, top in map units.
+    like : path, Grid or None
+        Raster or grid whose CRS, pixels and extent are taken instead.
+    snap : bool
+        Widen `bounds` to whole multiples of `resolution`.
+
+    Returns
+    -------
+    Area
+
+    Raises
+    ------
+    InputError
+        `like` and one of the others are given.
+    """
     if like is not None and (resolution is not None or bounds is not None or snap):
         given = {"resolution": resolution, "bounds": bounds, "snap": snap or None}
         useless = [f"`{name}`" for name, value in given.items() if value is not None]

@@ -64,7 +64,7 @@ class Manifest:
 
     @classmethod
     def load(cls, path: Path) -> Manifest:
-        """Manifest of a file; an absent, damaged or foreign one is empty, so that all is stale."""
+        """Manifest of a file; empty, so that all is stale, where it is absent, damaged or of another format."""
         try:
             values = json.loads(path.read_text(encoding="utf-8"))
             if values["format"] != FORMAT:

@@ -15,7 +15,12 @@ NAMES: dict[Any, str] = {str: "text", float: "a number", int: "a whole number", 
 
 
 def check_values(value: Any) -> None:
-    """Bring each option of a frozen options value to its type, and check it.
+    """Conversion and check of all options of a frozen options value, in place.
+
+    Parameters
+    ----------
+    value : options value
+        From its `__post_init__`: a text becomes a path where one is declared, a whole number a float, a list a tuple.
 
     Raises
     ------
@@ -27,6 +32,7 @@ def check_values(value: Any) -> None:
             found = getattr(value, one.name)
             settled = checked(found, one.kind, one.option, f"`{one.name}`", optional=one.optional)
             if settled is not found:
+                # The value is frozen, but still being made: this is called by its `__post_init__`.
                 object.__setattr__(value, one.name, settled)
 
 
@@ -44,9 +50,15 @@ def checked(value: Any, kind: Any, option: Option, where: str, *, optional: bool
     optional : bool
         Whether None is a value.
 
+    Returns
+    -------
+    object
+        Of type `kind`, or None.
+
     Raises
     ------
     InputError
+        The value is of another type, not one of the choices, or out of its limits.
     """
     if value is None and optional:
         return None
@@ -68,6 +80,7 @@ def checked(value: Any, kind: Any, option: Option, where: str, *, optional: bool
         value = Path(value)
     if hasattr(value, "item") and kind in (int, float, bool):  # a NumPy scalar
         value = kind(value.item())
+    # To Python true is the number 1; to a user it is not.
     if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
         name = NAMES.get(kind, f"a {kind.__name__}")
         raise InputError(f"'{value}' is not {name}", where=where, hint=f"give {name}")
@@ -86,7 +99,14 @@ def _sequence(value: Any, kinds: tuple[Any, ...], option: Option, where: str) ->
 
 
 def check_limits(value: Any, option: Option, where: str) -> None:
-    """Check a value against choices and limits.
+    """Check of a value against the choices and limits of its option.
+
+    Parameters
+    ----------
+    value : object
+    option : Option
+    where : str
+        Named by errors.
 
     Raises
     ------
@@ -138,7 +158,18 @@ def check_idle(value: Any, effective: Mapping[str, Any] | None = None) -> None:
 
 
 def is_given(one: Declared, value: Any) -> bool:
-    """Whether an option is set to something else than its default."""
+    """Whether an option is set to something else than its default.
+
+    Parameters
+    ----------
+    one : Declared
+    value : object
+
+    Returns
+    -------
+    bool
+        True for any value of an option without a default.
+    """
     return one.default is MISSING or bool(value != one.default)
 
 

@@ -82,7 +82,23 @@ class Option:
 
 
 def option(default: Any = MISSING, help: str = "", *, default_factory: Any = MISSING, **declared: Any) -> Any:
-    """Field of an options class; `declared` are attributes of `Option`."""
+    """Field of an options class.
+
+    Parameters
+    ----------
+    default : object, optional
+        A value must be given unless there is one.
+    help : str
+        One sentence.
+    default_factory : callable, optional
+        Makes the default, where it is mutable or an options value.
+    **declared
+        Attributes of `Option`; its `default`, the one in words, is named `shown` here.
+
+    Returns
+    -------
+    dataclasses.Field
+    """
     shown = declared.pop("shown", "")
     metadata = {"option": Option(help, default=shown, **declared)}
     if default_factory is not MISSING:
@@ -92,7 +108,7 @@ def option(default: Any = MISSING, help: str = "", *, default_factory: Any = MIS
 
 @dataclass(frozen=True)
 class Declared:
-    """An option with its name, type and default.
+    """Option of a class with its name, type and default.
 
     Attributes
     ----------
@@ -130,7 +146,17 @@ class Declared:
 
 
 def declared(kind: type) -> tuple[Declared, ...]:
-    """Options of a class in their order; those of the classes that it is composed of in place of these."""
+    """Options of a class in their order, with those of the classes that it is composed of in place of these.
+
+    Parameters
+    ----------
+    kind : type
+        Options class.
+
+    Returns
+    -------
+    tuple of Declared
+    """
     return _declared(kind)
 
 
@@ -148,12 +174,34 @@ def _declared(kind: Any) -> tuple[Declared, ...]:
 
 
 def is_part(kind: Any) -> bool:
-    """Whether a type is an options class, not a value such as a width."""
+    """Whether a type is an options class, not a value such as a width.
+
+    Parameters
+    ----------
+    kind : type
+
+    Returns
+    -------
+    bool
+    """
     return isinstance(kind, type) and is_dataclass(kind) and any("option" in item.metadata for item in fields(kind))
 
 
 def field_kind(kind: type, item: Field[Any]) -> tuple[Any, bool]:
-    """Type of a field without None, and whether None may stand for it."""
+    """Type of a field without None, and whether None may stand for it.
+
+    Parameters
+    ----------
+    kind : type
+        Dataclass that has the field; its annotations may be texts.
+    item : dataclasses.Field
+
+    Returns
+    -------
+    kind : type
+        `object` where only type checkers know the annotation.
+    optional : bool
+    """
     found = item.type
     if isinstance(found, str):
         try:
@@ -167,7 +215,17 @@ def field_kind(kind: type, item: Field[Any]) -> tuple[Any, bool]:
 
 
 def flat_values(value: Any) -> Iterator[tuple[Declared, Any]]:
-    """Each option of an options value with what it is set to."""
+    """Options of an options value with what they are set to, parts gone through.
+
+    Parameters
+    ----------
+    value : options value
+
+    Yields
+    ------
+    one : Declared
+    value : object
+    """
     own = {one.name: one for one in declared(type(value))}
     for item in fields(value):
         inner = getattr(value, item.name)
@@ -178,7 +236,18 @@ def flat_values(value: Any) -> Iterator[tuple[Declared, Any]]:
 
 
 def paths_of(value: Any, stages: Collection[str] = STAGES) -> tuple[Path, ...]:
-    """Files that options of some stages name."""
+    """Files that options name.
+
+    Parameters
+    ----------
+    value : options value
+    stages : collection of str
+        Options of these stages only; see `STAGES`.
+
+    Returns
+    -------
+    tuple of Path
+    """
     found: list[Path] = []
     for one, given in flat_values(value):
         if one.option.stage in stages:
@@ -187,7 +256,20 @@ def paths_of(value: Any, stages: Collection[str] = STAGES) -> tuple[Path, ...]:
 
 
 def stage_values(value: Any, stage: str) -> dict[str, Any]:
-    """What options of a stage are set to, as text; files count by their content, see `paths_of`."""
+    """Values of the options of a stage, as text for keys of reruns.
+
+    Files are left out: they count by their content, see `paths_of`.
+
+    Parameters
+    ----------
+    value : options value
+    stage : str
+        One of `STAGES`.
+
+    Returns
+    -------
+    dict of str to str
+    """
     named = ((one, given) for one, given in flat_values(value) if one.option.stage == stage)
     return {one.name: repr(given) for one, given in named if not (one.kind is Path or one.kind == tuple[Path, ...])}
 
@@ -200,6 +282,11 @@ def compose(kind: type[T], values: Mapping[str, Any]) -> T:
     kind : type
     values : mapping
         By name of the option, or of a part, which is an options value then.
+
+    Returns
+    -------
+    options value
+        Of type `kind`.
 
     Raises
     ------

@@ -22,11 +22,22 @@ RULES = ("first", "last", "min", "max", "mean", "median", "sum", "count")
 
 
 def parse_terms(text: Any) -> tuple[str, ...]:
-    """Terms of the balance from words with commas between, in lower case.
+    """Terms of the colour balance.
+
+    Parameters
+    ----------
+    text : str or sequence of str
+        'auto', or names out of `TERMS`, separated by commas in a text.
+
+    Returns
+    -------
+    tuple of str
+        In lower case.
 
     Raises
     ------
     InputError
+        A name is not known, or there is none.
     """
     words = text.split(",") if isinstance(text, str) else text
     terms = tuple(str(word).strip().lower() for word in words if str(word).strip())

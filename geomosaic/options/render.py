@@ -26,6 +26,15 @@ SIZES = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 def parse_size(text: str) -> int:
     """Bytes of a size such as 512M or 2G.
 
+    Parameters
+    ----------
+    text : str
+        A number with K, M, G or T, powers of 1024, or without; B and iB after it count for nothing.
+
+    Returns
+    -------
+    int
+
     Raises
     ------
     InputError

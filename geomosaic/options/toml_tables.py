@@ -1,4 +1,4 @@
-"""Tables of a TOML file to frozen dataclasses: each key and value is checked, an error says where it is wrong."""
+"""Frozen dataclasses from tables of a TOML file; each key and value is checked, an error says where it is wrong."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ COLORS = {
 
 
 def build(kind: type[T], values: Mapping[str, Any], where: str, table: str = "") -> T:
-    """Make a dataclass of a table.
+    """Dataclass value of a TOML table.
 
     Parameters
     ----------
@@ -39,11 +39,17 @@ def build(kind: type[T], values: Mapping[str, Any], where: str, table: str = "")
     table : str
         Name of the table in the file; empty at its top.
 
+    Returns
+    -------
+    dataclass value
+        Of type `kind`.
+
     Raises
     ------
     InputError
         An unknown key (with the one that was probably meant), a value of another kind, out of its limits, or missing.
     """
+    # A key that is a word of Python, such as "class", has a field with an underscore.
     known = {item.name.rstrip("_"): item for item in fields(kind) if item.init}
     place = f"{where}, [{table}]" if table else where
     for key in values:
@@ -78,6 +84,16 @@ def _value(value: Any, kind: Any, item: Field[Any], where: str, name: str) -> An
 
 def parse_color(value: Any) -> str:
     """Colour as #rrggbb.
+
+    Parameters
+    ----------
+    value : object
+        #rrggbb, or a name out of `COLORS`.
+
+    Returns
+    -------
+    str
+        In lower case.
 
     Raises
     ------

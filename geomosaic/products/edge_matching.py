@@ -54,6 +54,7 @@ class EdgeInputs:
     reach : float, optional
         Pixels, see `match_edges`.
     bands : tuple of int, optional
+        Counted from 1; all unless given.
     wrong : str
         See `match_edges`.
     """
@@ -69,9 +70,18 @@ class EdgeInputs:
 
 
 def read_common(path: PathLike, images: Sequence[str]) -> tuple[CommonPoint, ...]:
-    """Read common points: columns id, image, col, row and optionally sigma_px and z.
+    """Common points of photos, from a table with columns id, image, col, row and optionally sigma_px and z.
 
-    Other images are left out, and so are points that only one of these shows: a note counts them.
+    Parameters
+    ----------
+    path : path
+    images : sequence of str
+        Names of the photos; the table may name them without extension. Rows of other images are left out.
+
+    Returns
+    -------
+    tuple of CommonPoint
+        col and row in pixels; only points that two or more of the photos show. A note counts the others.
 
     Raises
     ------
@@ -102,7 +112,23 @@ def read_common(path: PathLike, images: Sequence[str]) -> tuple[CommonPoint, ...
 
 
 def match_photos(inputs: EdgeInputs) -> EdgeMatch:
-    """Edge matching of photos by their tables."""
+    """Edge matching of photos by their tables of control and common points.
+
+    Parameters
+    ----------
+    inputs : EdgeInputs
+
+    Returns
+    -------
+    EdgeMatch
+
+    Raises
+    ------
+    InputError
+        A table is wrong, or no two photos share a point.
+    SolveError
+        A photo cannot be placed.
+    """
     names = [path.name for path in inputs.images]
     control, common = read_control(inputs.control, names), read_common(inputs.common, names)
     crs = parse_map(inputs.crs, "CRS of the control")
@@ -121,7 +147,26 @@ def match_photos(inputs: EdgeInputs) -> EdgeMatch:
 def make_edge_mosaic(
     inputs: EdgeInputs, area: Area, output: Path, options: MosaicOptions
 ) -> tuple[EdgeMatch, MosaicResult]:
-    """Match the edges and make the mosaic."""
+    """Edge-matched mosaic of photos.
+
+    Parameters
+    ----------
+    inputs : EdgeInputs
+    area : Area
+    output : Path
+        GeoTIFF to write; labels, vectors and the STAC item go beside it.
+    options : MosaicOptions
+
+    Returns
+    -------
+    match : EdgeMatch
+    result : MosaicResult
+
+    Raises
+    ------
+    GeomosaicError
+        InputError, OutputError or SolveError; nothing is left under the final names.
+    """
     from geomosaic.mosaicking.mosaic import mosaic
 
     refuse_existing(output, options.render.overwrite)

@@ -24,7 +24,23 @@ if TYPE_CHECKING:
 
 
 def refuse_existing(path: Path, overwrite: bool, inputs: Block | None = None) -> None:
-    """Stop before any work where the output exists; an input is never written over, asked for or not."""
+    """Check, before any work, that an output may be written.
+
+    Parameters
+    ----------
+    path : Path
+    overwrite : bool
+        Whether an existing file may be replaced; an input never is.
+    inputs : Block, optional
+        Whose files are read.
+
+    Raises
+    ------
+    OutputExistsError
+        The output exists.
+    InputError
+        The output is one of the inputs.
+    """
     read = () if inputs is None else (*inputs.images, *inputs.tables, *inputs.ground)
     check_output(path, overwrite=overwrite, inputs=read)
 
@@ -36,9 +52,14 @@ def make_ortho(inputs: Block, area: Area, output: Path, options: RenderOptions) 
     ----------
     inputs : Block
     area : Area
+        Its CRS, resolution and bounds, as far as they are given.
     output : Path
         GeoTIFF to write.
     options : RenderOptions
+
+    Returns
+    -------
+    OrthoResult
 
     Raises
     ------
@@ -54,7 +75,20 @@ def make_ortho(inputs: Block, area: Area, output: Path, options: RenderOptions) 
 
 
 def reference_of(options: MosaicOptions, bands: Sequence[int] | None) -> OrientedImage | None:
-    """Georeferenced raster that colours are matched to, as a scene; its bands are those of the images unless given."""
+    """Georeferenced raster that colours are matched to, as a scene.
+
+    Parameters
+    ----------
+    options : MosaicOptions
+        The raster and its bands are `colours.reference` and `colours.reference_bands`.
+    bands : sequence of int or None
+        Bands of the images, counted from 1; those of the raster unless it has its own.
+
+    Returns
+    -------
+    OrientedImage or None
+        None where there is no reference.
+    """
     path, bands = options.colours.reference, options.colours.reference_bands or bands
     if path is None:
         return None
@@ -62,15 +96,20 @@ def reference_of(options: MosaicOptions, bands: Sequence[int] | None) -> Oriente
 
 
 def make_mosaic(inputs: Block, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
-    """Make a mosaic of all images of `inputs`.
+    """Mosaic of all images of `inputs`.
 
     Parameters
     ----------
     inputs : Block
     area : Area
+        Its CRS, resolution and bounds, as far as they are given.
     output : Path
         GeoTIFF to write; labels, vectors and the STAC item go beside it.
     options : MosaicOptions
+
+    Returns
+    -------
+    MosaicResult
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Reading a project file: all its errors at once, each with its line."""
+"""Project files as read: checked, with their images; all errors are told at once, each with its line."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LARGEST = 16 << 20
 
 @dataclass(frozen=True)
 class Project:
-    """A project file and the folder its relative paths start from.
+    """Project file with its images, and the folder its relative paths start from.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Project:
 
     @property
     def folder(self) -> Path:
-        """Where relative paths start."""
+        """Folder that relative paths start from."""
         return self.path.parent
 
     @property
@@ -59,7 +59,7 @@ class Project:
 
     @property
     def state(self) -> Path:
-        """Folder where the project keeps what it knows about its steps."""
+        """Folder of the manifest, the lock and the facts of the steps."""
         return self.folder / ".geomosaic" / self.path.stem
 
     def file(self, path: str | None) -> Path | None:
@@ -165,12 +165,22 @@ def _datum(folder: Path, heights: str | None) -> str | None:
 
 
 def load_project(path: PathLike) -> Project:
-    """Read and check a project file and find its images.
+    """Project of a project file, checked, with its images.
+
+    Parameters
+    ----------
+    path : path
+        TOML file.
+
+    Returns
+    -------
+    Project
 
     Raises
     ------
     InputError
-        Lists everything that is wrong, with lines.
+        Lists everything that is wrong, with lines; or an image or a pattern matches no file, or images lie where the
+        outputs go.
     """
     file = Path(path).resolve()
     text = read_text(path, "project file", LARGEST)
@@ -185,6 +195,7 @@ def load_project(path: PathLike) -> Project:
         raise _all_errors(error, str(path), text) from None
     project = Project(file, settings, find_images(file.parent, settings.project.images, f"{path}, [project] images"))
     with keys_in_errors(str(path)):
+        # Contradictions of options are told now, not in the middle of a run.
         _ = project.options
     written = {(project.output / part).resolve() for part in ("", "orthos")}
     mixed = next((image for image in project.images if image.parent.resolve() in written), None)
@@ -199,7 +210,18 @@ def load_project(path: PathLike) -> Project:
 
 @contextmanager
 def keys_in_errors(path: str) -> Iterator[None]:
-    """Name options by their section and key in errors: `feather` becomes [mosaic] feather."""
+    """Errors raised within that name options by section and key: `feather` becomes [mosaic] feather.
+
+    Parameters
+    ----------
+    path : str
+        Project file, as errors name it.
+
+    Raises
+    ------
+    GeomosaicError
+        The one raised within, with its texts translated.
+    """
     known = {one.name: one for one in declared(MosaicOptions) if one.option.section}
 
     def key(found: re.Match[str]) -> str:
@@ -227,17 +249,39 @@ def keys_in_errors(path: str) -> Iterator[None]:
 
 
 def is_pattern(name: str) -> bool:
-    """Whether a name stands for all files that match it."""
+    """Whether a name stands for all files that match it.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    bool
+    """
     return any(mark in name for mark in "*?[")
 
 
 def find_images(folder: Path, patterns: list[str], where: str) -> tuple[Path, ...]:
-    """Files that match patterns relative to a folder, each once.
+    """Image files that names and patterns stand for.
+
+    Parameters
+    ----------
+    folder : Path
+        Where relative patterns start.
+    patterns : list of str
+    where : str
+        Named by errors.
+
+    Returns
+    -------
+    tuple of Path
+        Each once, in the order of the patterns, then of their names; hidden files match no pattern.
 
     Raises
     ------
     InputError
-        A pattern matches nothing, or a file that is named does not exist.
+        A pattern matches nothing, a file that is named does not exist, or a name is not UTF-8.
     """
     found: dict[Path, None] = {}
     for pattern in patterns:
@@ -256,6 +300,7 @@ def find_images(folder: Path, patterns: list[str], where: str) -> tuple[Path, ..
                 hint = did_you_mean(matches[0].name, near)
                 raise InputError(f"image '{pattern}' does not exist", where=where, hint=hint or "check the path")
         for match in matches:
+            # GDAL, PROJ and every file that names an image take UTF-8 only.
             shown = str(match).encode(errors="backslashreplace").decode()
             if shown != str(match):
                 raise InputError(

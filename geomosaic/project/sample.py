@@ -1,4 +1,4 @@
-"""The sample block that comes with the program."""
+"""Sample block that comes with the program."""
 
 from __future__ import annotations
 
@@ -29,14 +29,25 @@ def sample_folder() -> Path:
 
 
 def copy_sample(target: Path) -> Path:
-    """Copy the sample to a folder and return its project file.
+    """Copy of the sample block in a folder of the user's.
 
     A folder that holds the sample already is used as it is; any other that is not empty is left alone.
 
+    Parameters
+    ----------
+    target : Path
+
+    Returns
+    -------
+    Path
+        The project file in it.
+
     Raises
     ------
-    InputError, OutputError
-        The folder holds something else, or cannot be written.
+    InputError
+        The folder holds something else, or the installation has no sample.
+    OutputError
+        The folder cannot be written.
     """
     source = sample_folder()
     project = target / PROJECT

@@ -1,4 +1,4 @@
-"""Features brought to another CRS in pieces, where its map does not show them whole."""
+"""Transformation of features to another CRS, cut where its map does not show them whole."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ CLOSE = 1.0
 
 
 def moved(geometries: Any, own: CRS, crs: CRS) -> tuple[Any, BoolArray]:
-    """Transform geometries, cutting those that reach over the edge of the new map.
+    """Geometries in another CRS, cut where they reach over the edge of its map.
 
     Vertices are transformed and lines between them stay straight. A feature that crosses the seam of the new map (the
     meridian opposite to its centre), or reaches where the map has no end, is cut there and gets a vertex every degree.
 
     Parameters
     ----------
-    geometries : array of shapely geometry or None
+    geometries : array (N,) of shapely geometry or None
     own, crs : CRS
+        Of the geometries, and of the new map; z stays as it is.
 
     Returns
     -------
-    geometries : array
+    geometries : array (N,)
         Not finite, or empty, where a feature has no place in the new map.
-    cut : bool array
+    cut : bool array (N,)
         Which of them were cut.
     """
     import shapely

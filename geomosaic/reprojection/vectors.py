@@ -38,9 +38,19 @@ _SEVERAL = ("GPKG",)
 
 @dataclass(frozen=True)
 class VectorResult:
-    """What was made: layers with their numbers of features, features without a place in the new CRS, CRS met.
+    """Vector file in another CRS.
 
-    `cut` is the number of features that the new map shows in pieces or in part.
+    Attributes
+    ----------
+    path : Path
+    layers : dict of str to int
+        Number of features by layer.
+    lost : int
+        Features without a place in the new CRS, left out.
+    sources : tuple of CRS
+        CRS of the layers read.
+    cut : int
+        Features that the new map shows in pieces or in part.
     """
 
     path: Path
@@ -51,7 +61,16 @@ class VectorResult:
 
 
 def is_vector(path: Path) -> bool:
-    """Whether a file's suffix is that of a vector file."""
+    """Whether a file's suffix is that of a vector file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
+    """
     return path.suffix.lower() in READ
 
 

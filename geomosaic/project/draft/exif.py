@@ -22,7 +22,7 @@ GIMBAL = ("GimbalYawDegree", "GimbalPitchDegree", "GimbalRollDegree")
 
 @dataclass(frozen=True)
 class PhotoFacts:
-    """What a photo says of itself.
+    """Position, attitude and focal length as a photo's tags give them.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class PhotoFacts:
     focal : float or None
         Focal length in pixels of the photo.
     focal_from : str
-        Where that comes from.
+        The tags that it comes from, in words.
     camera : str
         Maker and model.
     turned : bool
@@ -52,7 +52,19 @@ class PhotoFacts:
 
 
 def photo_facts(tags: PhotoTags, size: tuple[int, int]) -> PhotoFacts:
-    """Read the tags of a photo of `size` (width, height) pixels; what is damaged counts as missing."""
+    """Position, attitude and focal length from the tags of a photo.
+
+    Parameters
+    ----------
+    tags : PhotoTags
+    size : tuple of int
+        Width and height of the photo in pixels.
+
+    Returns
+    -------
+    PhotoFacts
+        What is damaged counts as missing.
+    """
     exif = tags.exif
     yaw, pitch, roll = (_xmp(tags.xmp, name) for name in GIMBAL)
     focal, source = _focal(exif, tags.xmp, size)
@@ -78,12 +90,15 @@ def _position(exif: Mapping[str, str], xmp: str) -> tuple[float, float, float] |
     altitude = _rational(exif.get("GPSAltitude", ""))
     if altitude is not None and exif.get("GPSAltitudeRef", "0").strip().lower() in BELOW:
         altitude = -altitude
+    # The maker's own position, where it is whole, has more digits than EXIF's degrees, minutes and seconds. Some of
+    # their cameras write 'Longtitude'.
     fine = _xmp(xmp, "GpsLatitude")
     east = [value for value in (_xmp(xmp, "GpsLongitude"), _xmp(xmp, "GpsLongtitude")) if value is not None]
     if fine is not None and east:
         lat, lon = fine, east[0]
     absolute = _xmp(xmp, "AbsoluteAltitude")
     altitude = absolute if absolute is not None else altitude
+    # (0, 0) is what receivers write before they know their position.
     if lat is None or lon is None or abs(lat) > 90.0 or abs(lon) > 180.0 or (lat == 0.0 and lon == 0.0):
         return None
     return lon, lat, math.nan if altitude is None else altitude

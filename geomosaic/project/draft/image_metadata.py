@@ -1,4 +1,4 @@
-"""What images say of how they were taken: their own sensor model, a georeference, or position and attitude in EXIF."""
+"""Orientation that images carry: a sensor model of their own, a georeference, or position and attitude in EXIF."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ RASTERS = (".tif", ".tiff", ".jp2", ".ntf", ".img", ".jpg")
 
 @dataclass(frozen=True)
 class Carried:
-    """What was found.
+    """Inputs completed from the images' metadata.
 
     Attributes
     ----------
     inputs : Block
     tables : dict of Path to str
-        Files to write beside the project.
+        Files to write beside the project, with their text.
     lines : list of str
-        What was understood.
+        What was read, for people.
     needed : list of str
-        What no image says.
+        What no image says and the project needs.
     """
 
     inputs: Block
@@ -43,7 +43,18 @@ class Carried:
 
 
 def images_of(paths: Sequence[Path]) -> tuple[Path, ...]:
-    """Image files of what was named: folders of scenes and metadata files stand for the images in them.
+    """Image files of the paths that were named.
+
+    A folder of a scene stands for the images in it, a DIMAP file (.dim) for its image.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+
+    Returns
+    -------
+    tuple of Path
+        Each once, in the order given.
 
     Raises
     ------
@@ -54,6 +65,7 @@ def images_of(paths: Sequence[Path]) -> tuple[Path, ...]:
     for path in paths:
         if path.is_dir():
             within = [file for file in sorted(path.iterdir()) if file.suffix.lower() in RASTERS]
+            # Scenes come with quicklooks and masks as rasters too: images with a producer's name leave out all others.
             scenes = [file for file in within if file.stem.upper().startswith(("IMAGERY", "IMG_"))]
             images = scenes or within
         elif path.suffix.lower() == ".dim":
@@ -72,12 +84,40 @@ def images_of(paths: Sequence[Path]) -> tuple[Path, ...]:
 
 
 def images_in_scene(folder: Path) -> list[Path]:
-    """Images of a scene's folder by the names its producer gives them."""
+    """Images of a scene's folder by the names its producer gives them, IMAGERY*.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    list of Path
+        By name.
+    """
     return [file for file in sorted(folder.glob("IMAGERY*")) if file.suffix.lower() in RASTERS]
 
 
 def carried_by(inputs: Block, project: Path) -> Carried:
-    """Complete the inputs of a project from its images, where no sensor was named."""
+    """Inputs of a project completed from its images, where no sensor was named.
+
+    Sensor models that all images carry come first, then georeferences or control points, then EXIF and XMP.
+
+    Parameters
+    ----------
+    inputs : Block
+    project : Path
+        The project file; tables are named after it and lie beside it.
+
+    Returns
+    -------
+    Carried
+
+    Raises
+    ------
+    InputError
+        The photos were taken with several cameras, and none is given.
+    """
     own = _own_models(inputs)
     infos = [inspect(path, inputs.bands) for path in inputs.images]
     placed = all(info.crs is not None and info.transform is not None for info in infos)
@@ -105,14 +145,41 @@ def carried_by(inputs: Block, project: Path) -> Carried:
 
 
 def planar_of(kind: str | None, ties: Path | None) -> PlanarInputs | None:
-    """How photos of flat ground are placed; None where neither a kind nor tie points are named."""
+    """Planar placement of photos of flat ground.
+
+    Parameters
+    ----------
+    kind : str or None
+        'uncontrolled' unless given, where there are tie points.
+    ties : Path or None
+        Table of tie points.
+
+    Returns
+    -------
+    PlanarInputs or None
+        None where neither is given.
+    """
     if kind is None and ties is None:
         return None
     return PlanarInputs(kind or "uncontrolled", ties=ties)
 
 
 def write_tables(carried: Carried, *, overwrite: bool = False) -> None:
-    """Write the tables beside the project, never over existing ones unasked."""
+    """Write the tables of a draft beside its project.
+
+    Parameters
+    ----------
+    carried : Carried
+    overwrite : bool
+        Replace existing files.
+
+    Raises
+    ------
+    OutputExistsError
+        One of them exists; none is written then.
+    OutputError
+        Writing failed.
+    """
     for path in carried.tables:
         if path.exists() and not overwrite:
             raise OutputExistsError("the table exists", where=str(path), hint="give another name, or `overwrite`")

@@ -1,4 +1,4 @@
-"""A project file written from what is known, for people to read and go on with."""
+"""Drafts of project files, written from what is known of the inputs, for people to complete."""
 
 from __future__ import annotations
 
@@ -28,7 +28,19 @@ from geomosaic.whole_files import write_atomic
 
 @dataclass(frozen=True)
 class Draft:
-    """A project file, what was understood, what it still needs, and what speaks against the whole."""
+    """Draft of a project file.
+
+    Attributes
+    ----------
+    path : Path
+    text : str
+    understood : list of str
+        What was read from the inputs, for people.
+    needed : list of str
+        What is missing.
+    misfit : str or None
+        What speaks against the inputs as a whole, such as an orientation that does not fit the ground.
+    """
 
     path: Path
     text: str
@@ -38,7 +50,7 @@ class Draft:
 
 
 def draft_project(path: Path, inputs: Block, angles: str | None) -> Draft:
-    """Write the text of a project.
+    """Draft of a project file.
 
     Parameters
     ----------
@@ -49,6 +61,10 @@ def draft_project(path: Path, inputs: Block, angles: str | None) -> Draft:
     angles : str or None
         Angle system as declared; read off the columns of the table where it is not. A reconstruction does not say
         whose it is: its system stays open unless the names of the files tell.
+
+    Returns
+    -------
+    Draft
 
     Raises
     ------
@@ -67,7 +83,21 @@ def draft_project(path: Path, inputs: Block, angles: str | None) -> Draft:
 
 
 def write_project(draft: Draft, *, overwrite: bool = False) -> None:
-    """Write the project file, never over an existing one unasked."""
+    """Write a draft to its project file.
+
+    Parameters
+    ----------
+    draft : Draft
+    overwrite : bool
+        Replace an existing file.
+
+    Raises
+    ------
+    OutputExistsError
+        The file exists.
+    OutputError
+        Writing failed.
+    """
     if draft.path.exists() and not overwrite:
         raise OutputExistsError("the project exists", where=str(draft.path), hint="give another name, or `overwrite`")
     write_atomic(draft.path, draft.text)
@@ -229,7 +259,19 @@ def _ground(inputs: Block, near: Any, folder: Path) -> list[str]:
 
 
 def patterns(images: Sequence[Path], folder: Path) -> list[str]:
-    """Name images relative to a folder: one pattern where they are all of one kind in one place, else one by one."""
+    """Names and patterns of images for a project file.
+
+    Parameters
+    ----------
+    images : sequence of Path
+    folder : Path
+        Folder of the project file.
+
+    Returns
+    -------
+    list of str
+        One pattern per folder and suffix where it matches these images and no others, else each image by its name.
+    """
     by_kind: dict[tuple[Path, str], set[Path]] = {}
     for image in images:
         full = image.absolute()
@@ -240,7 +282,17 @@ def patterns(images: Sequence[Path], folder: Path) -> list[str]:
 
 
 def relative(path: Path, folder: Path) -> str:
-    """Path as seen from a folder, with forward slashes; absolute where there is no way from one to the other."""
+    """Path as seen from a folder, with forward slashes.
+
+    Parameters
+    ----------
+    path, folder : Path
+
+    Returns
+    -------
+    str
+        Absolute where there is no way from one to the other, as between drives.
+    """
     try:
         return Path(os.path.relpath(path.absolute(), folder)).as_posix()
     except ValueError:
