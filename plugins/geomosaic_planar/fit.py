@@ -345,6 +345,10 @@ def fit_planar(
     where : str, optional
         Named in errors.
 
+    Returns
+    -------
+    PlanarFit
+
     Raises
     ------
     SolveError

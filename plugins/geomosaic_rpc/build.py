@@ -23,7 +23,17 @@ POINT = ("x", "y", "z", "col", "row")
 
 
 def build_model(request: SensorRequest) -> RpcModel:
-    """RPC model of one image.
+    """RPC model of one image, refined by its control points.
+
+    Parameters
+    ----------
+    request : SensorRequest
+        Image with its file, size in pixels, options of the sensor; the CRS is that of the control points.
+
+    Returns
+    -------
+    RpcModel
+        Ground in WGS 84 longitude, latitude (degrees) and ellipsoidal height (metres).
 
     Raises
     ------
@@ -70,9 +80,10 @@ def _chosen(request: SensorRequest) -> FoundRpc:
 
 
 def _warn_of_a_part(rpc: Rpc, size: tuple[int, int], where: str) -> None:
-    """Say so where the image is much smaller than the scene, and its RPC counts from the corner of the scene."""
+    """Warning about an image much smaller than the scene whose RPC counts from the corner of the scene."""
     whole = 2.0 * np.abs(rpc.image_scale)
     corner = rpc.image_offset - np.abs(rpc.image_scale)
+    # An RPC's box may reach a little beyond its scene; an image of less than half of it is a cut, or was reduced.
     if (np.abs(corner) < 0.02 * whole).all() and (np.array(size) < 0.5 * whole).any():
         warnings.warn(
             f"{where}: the image has {size[0]} x {size[1]} pixels, its RPC is made for about {whole[0]:.0f} x "

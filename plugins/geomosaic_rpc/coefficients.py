@@ -27,7 +27,18 @@ _BLOCK = 8192  # points at a time: the terms then stay in the processor's cache
 
 
 def terms(lph: FloatArray) -> FloatArray:
-    """Cubic terms (20, N) at normalised ground points (N, 3): longitude, latitude, height."""
+    """Cubic terms of RPC00B.
+
+    Parameters
+    ----------
+    lph : array (N, 3)
+        Normalised longitude, latitude, height.
+
+    Returns
+    -------
+    array (20, N)
+        In the order of the head of this module.
+    """
     out = np.empty((COUNT, len(lph)))
     L, P, H = lph.T
     out[0] = 1.0
@@ -42,7 +53,18 @@ def terms(lph: FloatArray) -> FloatArray:
 
 
 def slopes(lph: FloatArray) -> FloatArray:
-    """Derivatives (3, 20, N) of the terms by L, P and H."""
+    """Derivatives of the cubic terms.
+
+    Parameters
+    ----------
+    lph : array (N, 3)
+        Normalised longitude, latitude, height.
+
+    Returns
+    -------
+    array (3, 20, N)
+        By L, P and H.
+    """
     out = np.zeros((3, COUNT, len(lph)))
     L, P, H = lph.T
     by_l, by_p, by_h = out
@@ -56,9 +78,18 @@ def slopes(lph: FloatArray) -> FloatArray:
 
 
 def evaluate(coefficients: FloatArray, lph: FloatArray) -> FloatArray:
-    """Values (K, N) of K polynomials (K, 20) at normalised points (N, 3).
+    """Values of cubic polynomials.
 
-    Written out instead of a matrix product: BLAS may round a point differently from one array length to the next.
+    Parameters
+    ----------
+    coefficients : array (K, 20)
+        Of K polynomials, in the order of RPC00B.
+    lph : array (N, 3)
+        Normalised longitude, latitude, height.
+
+    Returns
+    -------
+    array (K, N)
     """
     out = np.empty((len(coefficients), len(lph)))
     for first in range(0, len(lph), _BLOCK):
@@ -68,7 +99,20 @@ def evaluate(coefficients: FloatArray, lph: FloatArray) -> FloatArray:
 
 
 def combine(coefficients: FloatArray, each: FloatArray) -> FloatArray:
-    """Sums (K, N) of coefficients (K, 20) times terms (20, N), in the order of the terms."""
+    """Sums of coefficients times terms, in the order of the terms.
+
+    Written out instead of a matrix product: BLAS may round a point differently from one array length to the next.
+
+    Parameters
+    ----------
+    coefficients : array (K, 20)
+    each : array (20, N)
+        Terms, or their derivatives.
+
+    Returns
+    -------
+    array (K, N)
+    """
     out = np.zeros((len(coefficients), each.shape[1]))
     for k in range(COUNT):
         out += coefficients[:, k, None] * each[k]
@@ -82,7 +126,7 @@ _FARTHEST = np.array([10.0, 10.0, 100.0])
 
 @dataclass(frozen=True)
 class Rpc:
-    """A rational polynomial map from WGS 84 (longitude, latitude, ellipsoidal height) to the image.
+    """Rational polynomial map from WGS 84 (longitude, latitude, ellipsoidal height) to the image.
 
     Attributes
     ----------
@@ -94,7 +138,7 @@ class Rpc:
     coefficients : array (4, 20)
         Numerator and denominator for columns, numerator and denominator for rows, in the order of RPC00B.
     errors : tuple of float, optional
-        What the producer says of the accuracy, root mean square: bias and random error per point, metres.
+        Accuracy as the producer states it, root mean square: bias and random error per point, metres.
     """
 
     image_offset: FloatArray
@@ -117,7 +161,20 @@ class Rpc:
             object.__setattr__(self, name, array)
 
     def normalised(self, lonlath: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Ground (N, 3) to L, P, H (N, 3), and which points lie where the polynomials mean something."""
+        """Normalised ground and its validity.
+
+        Parameters
+        ----------
+        lonlath : array (N, 3)
+            Longitude, latitude in degrees, ellipsoidal height in metres.
+
+        Returns
+        -------
+        lph : array (N, 3)
+            Normalised longitude, latitude, height; 0 where not valid.
+        inside : bool array (N,)
+            Whether a point lies where the polynomials are valid.
+        """
         offset = np.asarray(lonlath, dtype=np.float64) - self.ground_offset
         lon = offset[:, 0]
         with np.errstate(invalid="ignore"):
@@ -145,6 +202,7 @@ class Rpc:
             for k in range(2):
                 top, bottom = values[2 * k], values[2 * k + 1]
                 with np.errstate(divide="ignore", invalid="ignore"):
+                    # Divided twice by the denominator instead of once by its square, which may overflow.
                     quotient = (change[2 * k] - change[2 * k + 1] * (top / bottom)) / bottom
                 by_ground[:, k, axis] = quotient * (self.image_scale[k] / self.ground_scale[axis])
         bad = ~(inside & good)
@@ -154,13 +212,15 @@ class Rpc:
     def _divided(self, values: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Image (N, 2) of polynomial values (4, N), and where both denominators have the sign of the scene's middle."""
         bottom = values[1::2]
+        # The constant term is the denominator's value at the middle of the scene. Past a zero the quotient is finite
+        # again, but of another branch of the map, which the image does not show.
         good: BoolArray = np.all(bottom * np.sign(self.coefficients[1::2, :1]) > 0.0, axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = values[0::2] / bottom
         return np.ascontiguousarray((ratio * self.image_scale[:, None] + self.image_offset[:, None]).T), good
 
     def moved(self, cols: float, rows: float) -> Self:
-        """RPC of the same map, the image's coordinates counted larger by so many pixels."""
+        """RPC of the same map with image coordinates larger by a shift in pixels."""
         return replace(self, image_offset=self.image_offset + np.array([cols, rows]))
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""RPC of the numbers of any format; every format's pixel origin in one table."""
+"""RPC from the numbers of any format, and the pixel origin of every format in one table."""
 
 from __future__ import annotations
 
@@ -101,6 +101,7 @@ class RpcFields:
             )
         errors = (of["ERR_BIAS"], of["ERR_RAND"]) if {"ERR_BIAS", "ERR_RAND"} <= set(of) else None
         return Rpc(
+            # The centre of the first pixel is (0.5, 0.5) here, `first` in the file.
             np.array([of["SAMP_OFF"], of["LINE_OFF"]]) + 0.5 - first,
             np.array([of["SAMP_SCALE"], of["LINE_SCALE"]]),
             np.array([of["LONG_OFF"], of["LAT_OFF"], of["HEIGHT_OFF"]]),
@@ -113,10 +114,23 @@ class RpcFields:
 def number(text: str, name: str, where: str) -> float:
     """Finite number of a text.
 
+    Parameters
+    ----------
+    text : str
+        Digits, signs, point and exponent only.
+    name : str
+        Name of the number, for the message.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    float
+
     Raises
     ------
     InputError
-        Something else.
+        The text is no finite number.
     """
     # Python's own numbers may have underscores and blanks, which no RPC file has.
     value = finite_number(text) if re.fullmatch(r"[-+0-9.eE]{1,60}", text) else math.nan
@@ -126,7 +140,29 @@ def number(text: str, name: str, where: str) -> float:
 
 
 def numbered(found: Mapping[str, str], first: int, digits: int, where: str) -> dict[str, list[float]]:
-    """Polynomials whose coefficients stand one by one, as NAME_1 ... NAME_20 or NAME_00 ... NAME_19."""
+    """Polynomials whose coefficients stand one by one, as NAME_1 ... NAME_20 or NAME_00 ... NAME_19.
+
+    Parameters
+    ----------
+    found : mapping
+        Texts by key.
+    first : int
+        Number of the first coefficient, 0 or 1.
+    digits : int
+        Least digits of the number in the key.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    dict of list
+        Twenty numbers each of `POLYNOMIALS`.
+
+    Raises
+    ------
+    InputError
+        A coefficient is missing or no number.
+    """
     out = {}
     for name in POLYNOMIALS:
         keys = [f"{name}_{first + i:0{digits}d}" for i in range(COUNT)]

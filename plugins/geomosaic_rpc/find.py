@@ -1,4 +1,4 @@
-"""RPCs of an image: in its tags and in files beside it, recognised by their content."""
+"""RPC of an image: from its tags and from files beside it, recognised by their content."""
 
 from __future__ import annotations
 
@@ -25,6 +25,15 @@ FORMATS = "_RPC.TXT, RPB, DIMAP 2 XML (RPC_....XML), DigitalGlobe XML, OSSIM key
 def read_rpc(path: Path) -> RpcFields:
     """RPC of a file of any known format.
 
+    Parameters
+    ----------
+    path : Path
+        At most `LARGEST` bytes.
+
+    Returns
+    -------
+    RpcFields
+
     Raises
     ------
     InputError
@@ -43,7 +52,18 @@ def read_rpc(path: Path) -> RpcFields:
 
 
 def read_rpc_bytes(data: bytes, where: str) -> RpcFields:
-    """RPC of the bytes of a file, whose format is recognised.
+    """RPC from the bytes of a file, whose format is recognised by its content.
+
+    Parameters
+    ----------
+    data : bytes
+        Whole file.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    RpcFields
 
     Raises
     ------
@@ -69,9 +89,26 @@ def read_rpc_bytes(data: bytes, where: str) -> RpcFields:
 
 
 def rpc_tags(tags: Mapping[str, str], where: str) -> RpcFields | None:
-    """RPC of GDAL's metadata; None where there is none.
+    """RPC of GDAL's metadata domain 'RPC'.
 
     GDAL may add a unit to a number ('+000.12 degrees'); it has then turned everything into pixels, degrees and metres.
+
+    Parameters
+    ----------
+    tags : mapping
+        Texts by name.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    RpcFields or None
+        None where the tags hold no RPC.
+
+    Raises
+    ------
+    InputError
+        A value is no number.
     """
     if "LINE_NUM_COEFF" not in tags and "LINE_OFF" not in tags:
         return None
@@ -97,14 +134,36 @@ _SAME = 1e-3  # pixels: formats print offsets and coefficients with different nu
 
 @dataclass(frozen=True)
 class FoundRpc:
-    """An RPC and where it comes from: a file name, or 'image'."""
+    """RPC and its source.
+
+    Attributes
+    ----------
+    source : str
+        File name, or `OWN` for the image itself.
+    fields : RpcFields
+    """
 
     source: str
     fields: RpcFields
 
 
 def own_rpc(path: str) -> FoundRpc | None:
-    """RPC that GDAL reports for an image, from its tags or from what it finds beside it."""
+    """RPC that GDAL reports for an image, from its tags or from what it finds beside it.
+
+    Parameters
+    ----------
+    path : str
+        Image file.
+
+    Returns
+    -------
+    FoundRpc or None
+
+    Raises
+    ------
+    InputError
+        A value of the RPC is no number.
+    """
     fields = rpc_tags(read_rpc_tags(path), path)
     return None if fields is None else FoundRpc(OWN, fields)
 
@@ -115,6 +174,15 @@ def rpc_beside(path: Path) -> list[FoundRpc]:
     'scene.tif' has scene_RPC.TXT, scene.RPB, scene.geom, scene.kwl or scene.XML; 'IMG_x_R1C1.TIF' of a DIMAP product
     RPC_x.XML. Tiles of a scene other than the first have an RPC that counts from the corner of the scene, so a
     DIMAP file is taken for R1C1 only.
+
+    Parameters
+    ----------
+    path : Path
+        Image file.
+
+    Returns
+    -------
+    list of FoundRpc
 
     Raises
     ------
@@ -130,7 +198,17 @@ def rpc_beside(path: Path) -> list[FoundRpc]:
 
 
 def files_beside(path: Path) -> tuple[Path, ...]:
-    """Files beside an image that its RPC may come from, GDAL's .aux.xml among them where it holds one."""
+    """Files beside an image that its RPC may come from, GDAL's .aux.xml among them where it holds one.
+
+    Parameters
+    ----------
+    path : Path
+        Image file.
+
+    Returns
+    -------
+    tuple of Path
+    """
     sure, maybe = _named(path)
     if pam_has_rpc(path):
         maybe = [*maybe, path.with_name(f"{path.name}.aux.xml")]
@@ -149,6 +227,18 @@ def _named(path: Path) -> tuple[list[Path], list[Path]]:
 
 def find_rpc(path: str, where: str) -> FoundRpc:
     """RPC of an image: the one that it carries or that lies beside it.
+
+    Parameters
+    ----------
+    path : str
+        Image file.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    FoundRpc
+        The first where several agree within 0.001 px over the scene.
 
     Raises
     ------
@@ -177,6 +267,7 @@ def find_rpc(path: str, where: str) -> FoundRpc:
 
 def _difference(one: Rpc, other: Rpc) -> float:
     """Largest distance in pixels between two maps over the scene of the first; infinite where one of them fails."""
+    # Not to ±1: at the edges of the box one of two equal maps may already leave its range.
     levels = np.linspace(-0.9, 0.9, 5)
     lph = np.stack(np.meshgrid(levels, levels, levels), axis=-1).reshape(-1, 3)
     ground = one.ground_offset + lph * np.abs(one.ground_scale)

@@ -1,4 +1,4 @@
-"""Rational polynomials in place of any sensor model, fitted to exact ground points on levels of height.
+"""Fit of rational polynomials to any sensor model, on exact ground points at levels of height.
 
 For each image axis the coefficients of numerator and denominator minimise
 
@@ -68,6 +68,10 @@ def fit_rpc(model: SensorModel, heights: tuple[float, float]) -> RpcFit:
         With heights.
     heights : tuple of float
         Lowest and highest ellipsoidal height of the ground in metres, above WGS 84; at least a metre apart.
+
+    Returns
+    -------
+    RpcFit
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""RPC file formats: _RPC.TXT, RPB, OSSIM keyword lists, DIMAP and DigitalGlobe XML."""
+"""Formats of RPC files: _RPC.TXT, RPB, OSSIM keyword lists, DIMAP and DigitalGlobe XML."""
 
 from __future__ import annotations
 
@@ -22,7 +22,24 @@ _RPB_NAMES = {
 
 
 def rpc_txt(text: str, where: str) -> RpcFields:
-    """RPC of a text: one 'NAME: number unit' per line, as IKONOS, GeoEye, Planet and others have it."""
+    """RPC of a text with one 'NAME: number unit' per line, as of IKONOS, GeoEye, Planet and others.
+
+    Parameters
+    ----------
+    text : str
+        Whole file.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    RpcFields
+
+    Raises
+    ------
+    InputError
+        A number is damaged or missing, or in another unit than pixels, degrees or metres.
+    """
     found = _colons(text, where)
     numbers = {}
     for name in (*SCALARS, "ERR_BIAS", "ERR_RAND"):
@@ -35,7 +52,24 @@ def rpc_txt(text: str, where: str) -> RpcFields:
 
 
 def ossim(text: str, where: str) -> RpcFields:
-    """RPC of an OSSIM keyword list (.geom, .kwl); OSSIM itself counts pixels from 0 at centres."""
+    """RPC of an OSSIM keyword list (.geom, .kwl); OSSIM counts pixels from 0 at their centres.
+
+    Parameters
+    ----------
+    text : str
+        Whole file.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    RpcFields
+
+    Raises
+    ------
+    InputError
+        A number is damaged or missing, the polynomials are not RPC00B, or the file holds an adjustment made by OSSIM.
+    """
     found = {key.upper(): value.strip().strip('"').strip() for key, value in _colons(text, where).items()}
     if found.get("POLYNOMIAL_FORMAT", "B") != "B":
         raise InputError(
@@ -60,7 +94,24 @@ def ossim(text: str, where: str) -> RpcFields:
 
 
 def rpb(text: str, where: str) -> RpcFields:
-    """RPC of DigitalGlobe's RPB: 'name = value;' with polynomials in parentheses."""
+    """RPC of DigitalGlobe's RPB: 'name = value;' with polynomials in parentheses.
+
+    Parameters
+    ----------
+    text : str
+        Whole file.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    RpcFields
+
+    Raises
+    ------
+    InputError
+        A number is damaged, or the polynomials are not RPC00B.
+    """
     found: dict[str, str] = {}
     for statement in text.split(";"):
         head, equals, value = statement.rpartition("=")  # before it there may be a line without semicolon
@@ -81,7 +132,20 @@ def rpb(text: str, where: str) -> RpcFields:
 
 
 def specification(name: str, where: str) -> None:
-    """Refuse polynomials whose terms are not those of RPC00B."""
+    """Check that polynomials have the terms of RPC00B.
+
+    Parameters
+    ----------
+    name : str
+        Specification that the file names.
+    where : str
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        It is another one, such as RPC00A.
+    """
     if name.strip().upper() != "RPC00B":
         raise InputError(f"the polynomials are '{name.strip()[:20]}', not RPC00B", where=where, hint=_other())
 
@@ -101,6 +165,7 @@ def _colons(text: str, where: str) -> dict[str, str]:
 
 
 def _once(found: dict[str, str], key: str, value: str, where: str) -> None:
+    # The same value twice contradicts nothing; two values would be a guess.
     if key in found and found[key] != value:
         raise InputError(
             f"{key} stands twice with different values", where=where, hint="the file may hold two RPCs: keep one"
@@ -109,7 +174,24 @@ def _once(found: dict[str, str], key: str, value: str, where: str) -> None:
 
 
 def rpc_xml(data: bytes, where: str) -> RpcFields:
-    """RPC of an XML document, recognised by its root element."""
+    """RPC of an XML document, DIMAP or DigitalGlobe's, recognised by its root element.
+
+    Parameters
+    ----------
+    data : bytes
+        Whole file.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    RpcFields
+
+    Raises
+    ------
+    InputError
+        The document is neither, has no RPC, or its RPC is damaged.
+    """
     root = parse_xml(data, where)
     tag = root.tag.rpartition("}")[2]
     if tag == "Dimap_Document":
@@ -124,7 +206,10 @@ def rpc_xml(data: bytes, where: str) -> RpcFields:
 
 
 def _dimap(root: Element, where: str) -> RpcFields:
-    """DIMAP: the inverse model is the one from the ground to the image; versions 2 and 3 name it differently."""
+    """RPC of a DIMAP document.
+
+    Its inverse model is the one from the ground to the image; versions 2 and 3 name it differently.
+    """
     model = _find(root, "Global_RFM")
     inverse = None if model is None else (_find(model, "Inverse_Model", "GroundtoImage_Values"))
     if model is None or inverse is None:

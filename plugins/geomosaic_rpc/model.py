@@ -32,7 +32,7 @@ WGS84 = CRS.from_epsg(4979)
 
 @dataclass(frozen=True)
 class RpcModel:
-    """One scene.
+    """RPC sensor model of one scene, with corrections in the image.
 
     Attributes
     ----------
@@ -108,6 +108,8 @@ class RpcModel:
         by_parameters = np.zeros((len(image), 2, len(NAMES)))
         for k, term in enumerate((np.where(np.isnan(image[:, 0]), np.nan, 1.0), *self._edges(image)[::-1])):
             by_parameters[:, 0, 2 * k] = by_parameters[:, 1, 2 * k + 1] = term
+        # The corrections are functions of the uncorrected image: by the chain rule, I + their gradient multiplies its
+        # derivatives.
         turn = np.eye(2) + np.column_stack([values[4:], values[2:4]]) / half
         return by_parameters, np.einsum("ij,njk->nik", turn, by_ground)
 
@@ -153,6 +155,7 @@ def _middle(rpc: Rpc, size: tuple[int, int], where: str) -> tuple[float, float, 
         matrix = by_ground[:, :2]
         if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) == 0.0:
             break
+        # Half a scene at most: a full step from a far start may leave the range of the polynomials.
         step = np.linalg.solve(matrix, left)
         longest = float(np.max(np.abs(step / rpc.ground_scale[:2])))
         place[:2] += step * min(1.0, 0.5 / longest if longest > 0.0 else 1.0)

@@ -1,4 +1,4 @@
-"""Correcting an RPC with control points: shift, shift and drift, or affine, whatever some of the points say.
+"""Refinement of an RPC by control points: shift, shift and drift, or affine, robust against wrong points.
 
 Robust after Rousseeuw (Least Median of Squares Regression, JASA 79, 1984): the correction through few points that
 leaves the smallest median residual is untouched by wrong points as long as they are fewer than half. Points within a
@@ -29,7 +29,7 @@ _EXACT = 1e-6  # pixels; points that fit better than this are not told apart
 
 @dataclass(frozen=True)
 class Refinement:
-    """A corrected model and how well it fits.
+    """RPC model corrected by control points, with its residuals.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ def refine(
     *,
     robust: bool = True,
 ) -> Refinement:
-    """Correct a model with control points.
+    """RPC model corrected by control points, wrong ones left out.
 
     Parameters
     ----------
@@ -85,6 +85,10 @@ def refine(
         never left out.
     robust : bool
         Find wrong points and leave them out. With fewer than two points more than the kind needs nothing can be found.
+
+    Returns
+    -------
+    Refinement
 
     Raises
     ------
@@ -104,6 +108,7 @@ def refine(
         )
     spread = np.broadcast_to(np.nan if sigmas_px is None else np.asarray(sigmas_px, dtype=np.float64), seen.shape)
     used = seen.copy()
+    # With one point to spare a wrong point is seen, but not told from the right ones; with two it is.
     if robust and seen.sum() >= LEAST[kind] + 2:
         basis = start.jacobian(ground)[0][:, 0, : KINDS[kind] : 2]
         used[seen] = _good(basis[seen], offsets[seen], spread[seen])
@@ -147,6 +152,7 @@ def _good(basis: FloatArray, offsets: FloatArray, spread: FloatArray) -> BoolArr
         left = offsets - basis @ fitted
         free = 2 * (int(good.sum()) - terms)
         own = math.sqrt(float((left[good] ** 2).sum()) / free) if free > 0 else scatter
+        # Not below half of the first scatter: good points that happen to agree well would drive out others, one by one.
         again = _within(np.hypot(*left.T), max(own, 0.5 * scatter), spread)
         if (again == good).all() or again.sum() < terms:
             break
@@ -155,6 +161,7 @@ def _good(basis: FloatArray, offsets: FloatArray, spread: FloatArray) -> BoolArr
 
 
 def _within(lengths: FloatArray, scatter: float, spread: FloatArray) -> BoolArray:
+    """Points (N,) whose residual lengths lie within `_CUT` scatters, or a-priori sigmas where these are larger."""
     limit = _CUT * np.fmax(scatter, spread)
     good: BoolArray = lengths <= np.maximum(limit, _EXACT)
     return good

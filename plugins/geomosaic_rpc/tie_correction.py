@@ -1,4 +1,4 @@
-"""Tie point correction of RPCs: lines of sight made to meet, and intersection of several scenes.
+"""Tie point correction of RPCs: several scenes corrected so that their lines of sight meet in tie points.
 
 Every tie point has three unknown ground coordinates, which its measurements are freed of by a projection; what is left
 depends on the corrections alone. Where all scenes together lie is not seen by tie points: an a-priori sigma of the
@@ -47,7 +47,22 @@ class TieMeasurements:
         return int(self.point.max(initial=-1)) + 1
 
     def seen_by(self, models: Sequence[RpcModel], ground: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residuals (M, 2), measured minus computed, and derivatives by parameters (M, 2, 6) and ground (M, 2, 3)."""
+        """Residuals of the measurements and their derivatives.
+
+        Parameters
+        ----------
+        models : sequence of RpcModel
+        ground : array (T, 3)
+            Tie points: longitude, latitude in degrees, ellipsoidal height in metres.
+
+        Returns
+        -------
+        residuals : array (M, 2)
+            Measured minus computed, pixels.
+        by_parameters : array (M, 2, 6)
+        by_ground : array (M, 2, 3)
+            Pixels per `UNITS` of ground, about a metre each.
+        """
         residuals = np.full_like(self.colrow, np.nan)
         by_parameters, by_ground = np.zeros((len(self.colrow), 2, 6)), np.zeros((len(self.colrow), 2, 3))
         for index, model in enumerate(models):
@@ -65,17 +80,18 @@ def intersect(
     sigma_height: float,
     start: FloatArray | None = None,
 ) -> FloatArray:
-    """Ground points whose images are nearest to the measurements.
+    """Intersection of lines of sight: ground points whose images are nearest to the measurements.
 
     Parameters
     ----------
     models : sequence of RpcModel
-    sights : Sights
+    sights : TieMeasurements
         At least two of each point.
     sigma_px, sigma_height : float
-        Of a measurement, and of the height about that of the seed of the scenes, in metres: it decides only where lines
-        of sight are nearly parallel.
+        Standard deviations of a measurement in pixels, and of the height about that of the scenes' seeds in metres; the
+        latter decides only where lines of sight are nearly parallel.
     start : array (T, 3), optional
+        Approximate ground; that of each point's first measurement at the height of the seeds unless given.
 
     Returns
     -------
@@ -118,7 +134,7 @@ _CUT = 3.5
 
 @dataclass(frozen=True)
 class TieCorrection:
-    """Scenes that agree.
+    """Scenes corrected by tie points, with the tie points' ground and residuals.
 
     Attributes
     ----------
@@ -154,24 +170,28 @@ def correct_by_ties(
     sigma_height: float = 1000.0,
     fixed: Sequence[int] = (),
 ) -> TieCorrection:
-    """Correct scenes so that their lines of sight meet in tie points.
+    """Corrections of several scenes by which their lines of sight meet in tie points.
 
     Parameters
     ----------
     models : sequence of RpcModel
         At least two; corrections they have are the start, and the values the a-priori sigmas hold to.
-    sights : Sights
+    sights : TieMeasurements
         Measurements of tie points.
     kind : str
         'shift', 'drift' or 'affine'.
     sigma_px : float
-        Standard deviation of a measurement.
+        Standard deviation of a measurement, pixels.
     sigma_correction : float
         A-priori standard deviation of every correction, pixels.
     sigma_height : float
-        See `intersect`.
+        Metres, see `intersect`.
     fixed : sequence of int
         Scenes that keep their corrections, because they have been refined with control.
+
+    Returns
+    -------
+    TieCorrection
 
     Raises
     ------
@@ -198,6 +218,7 @@ def correct_by_ties(
             weights = np.where(used, 1.0 / np.maximum(_sizes(misfit), 0.05 * np.median(_sizes(misfit)[used])), 0.0)
         elif number == _ROBUST_ROUNDS:
             size = _sizes(misfit)
+            # 1.4826 medians of absolute values are one standard deviation of normal errors.
             scatter = 1.4826 * float(np.median(size[used]))
             good = used & (size <= _CUT * max(scatter, 1e-6 / sigma_px))
             weights = good.astype(np.float64)
@@ -233,6 +254,7 @@ def _freed(
             misfit.append(np.zeros(0))
             design.append(np.zeros((0, len(scenes), len(NAMES))))
             continue
+        # Directions orthogonal to the columns of b do not change with the ground point: its coordinates drop out.
         across = np.linalg.qr(b, mode="complete")[0][:, 3:].T
         misfit.append(across @ r)
         design.append(np.tensordot(across, a, 1))
@@ -240,6 +262,7 @@ def _freed(
 
 
 def _sizes(misfit: list[FloatArray]) -> FloatArray:
+    """RMS misfit (T,) of each tie point, in units of `sigma_px`; 0 for a point without equations."""
     return np.array([float(np.sqrt((each**2).mean())) if len(each) else 0.0 for each in misfit])
 
 
@@ -264,4 +287,5 @@ def _solve(
 
 
 def _length(sights: TieMeasurements, residuals: FloatArray, used: BoolArray) -> float:
+    """RMS length of the residuals (M, 2) of tie points used (T,), pixels."""
     return float(np.sqrt((residuals[used[sights.point]] ** 2).sum(axis=1).mean()))

@@ -1,4 +1,4 @@
-"""RPCs as other programs read them: TIFF tags and _RPC.TXT, both RPC00B with pixel centres counted from 0."""
+"""RPCs for other programs: TIFF tags and _RPC.TXT, both RPC00B with pixel centres counted from 0."""
 
 from __future__ import annotations
 
@@ -23,6 +23,19 @@ def plain(model: RpcModel) -> Rpc:
 
     A shift goes into the offsets and nothing is lost. Drift and affine corrections are fitted again, over the heights
     the RPC was made for; `fit_rpc` of the model tells the error, which is far below 0.001 px.
+
+    Parameters
+    ----------
+    model : RpcModel
+
+    Returns
+    -------
+    Rpc
+
+    Raises
+    ------
+    SolveError
+        No rational polynomials describe the corrected model.
     """
     values = model.parameters.values
     if not values[2:].any():
@@ -31,13 +44,37 @@ def plain(model: RpcModel) -> Rpc:
 
 
 def rewritten(model: RpcModel) -> RpcFit:
-    """RPC fitted to a model with its corrections, over the heights its RPC was made for."""
+    """RPC fitted to a model with its corrections, over the heights its RPC was made for.
+
+    Parameters
+    ----------
+    model : RpcModel
+
+    Returns
+    -------
+    RpcFit
+
+    Raises
+    ------
+    SolveError
+        As `fit_rpc`.
+    """
     middle, half = float(model.rpc.ground_offset[2]), abs(float(model.rpc.ground_scale[2]))
     return fit_rpc(model, (middle - half, middle + half))
 
 
 def tags_of(rpc: Rpc) -> dict[str, str]:
-    """GDAL's RPC domain of coefficients, in full precision."""
+    """GDAL's metadata domain 'RPC' of coefficients, in full precision.
+
+    Parameters
+    ----------
+    rpc : Rpc
+
+    Returns
+    -------
+    dict of str
+        Texts by name; errors of −1 where they are not known.
+    """
     numbers = dict(zip(SCALARS, _scalars(rpc), strict=True))
     bias, random = rpc.errors or (-1.0, -1.0)  # -1: unknown
     tags = {"ERR_BIAS": _text(bias), "ERR_RAND": _text(random)}
@@ -48,7 +85,16 @@ def tags_of(rpc: Rpc) -> dict[str, str]:
 
 
 def text_of(rpc: Rpc) -> str:
-    """Text of an _RPC.TXT file, in full precision."""
+    """Text of an _RPC.TXT file, in full precision.
+
+    Parameters
+    ----------
+    rpc : Rpc
+
+    Returns
+    -------
+    str
+    """
     lines = [
         f"{name}: {_text(value)} {_UNITS[name.partition('_')[0]]}"
         for name, value in zip(SCALARS, _scalars(rpc), strict=True)
@@ -64,10 +110,25 @@ def text_of(rpc: Rpc) -> str:
 def write_text(model: RpcModel, image: PathLike, *, overwrite: bool = False) -> Path:
     """Write the RPC of a model, corrections included, as the _RPC.TXT file that belongs to an image.
 
+    Parameters
+    ----------
+    model : RpcModel
+    image : path
+        Image file, NAME.tif; the RPC becomes NAME_RPC.TXT beside it.
+    overwrite : bool
+        Replace a file of that name.
+
+    Returns
+    -------
+    Path
+        The file written.
+
     Raises
     ------
     OutputExistsError
         There is one already.
+    SolveError
+        As `plain`.
     """
     path = Path(image)
     path = path.with_name(f"{path.stem}_RPC.TXT")
@@ -80,10 +141,18 @@ def write_text(model: RpcModel, image: PathLike, *, overwrite: bool = False) -> 
 def write_tags(model: RpcModel, image: PathLike) -> None:
     """Write the RPC of a model, corrections included, into the tags of an existing TIFF; its pixels stay as they are.
 
+    Parameters
+    ----------
+    model : RpcModel
+    image : path
+        TIFF file.
+
     Raises
     ------
     OutputError
         The file is no TIFF that can be changed.
+    SolveError
+        As `plain`.
     """
     write_rpc_tags(image, tags_of(plain(model)))
 
