@@ -283,7 +283,15 @@ class SensorModelTests:
 
 
 def failures(model: SensorModel, ground: FloatArray, kit: type[SensorModelTests] = SensorModelTests) -> dict[str, str]:
-    """Run the kit without pytest; `ground` is (N, 3) in `model.crs`, inside the image.
+    """Failed conformance tests of a sensor model, found without pytest.
+
+    Parameters
+    ----------
+    model : SensorModel
+    ground : array (N, 3)
+        Points in `model.crs` that lie inside the image.
+    kit : type
+        `SensorModelTests`, or a subclass with tolerances of its own.
 
     Returns
     -------

@@ -18,13 +18,37 @@ from geomosaic.types import BoolArray, FloatArray
 
 
 def require(condition: bool | np.bool, broken: str) -> None:
-    """Fail with the broken part of the contract in words."""
+    """Assertion with the broken part of the contract in words.
+
+    Parameters
+    ----------
+    condition : bool
+    broken : str
+        Message.
+
+    Raises
+    ------
+    AssertionError
+        The condition is false; raised under `python -O` too, as the kit also runs outside pytest.
+    """
     if not condition:
         raise AssertionError(broken)
 
 
 def level(model: SensorModel, ground: FloatArray) -> Plane | None:
-    """Plane at the mean height of the ground points; None for models without heights."""
+    """Level plane at the mean height of ground points.
+
+    Parameters
+    ----------
+    model : SensorModel
+    ground : array (N, 3)
+        Points in `model.crs`.
+
+    Returns
+    -------
+    Plane or None
+        In `model.crs`, or in its geographic CRS where that is geocentric; None for models without heights.
+    """
     if not has_heights(model.crs):
         return None
     crs = geographic(model.crs) if model.crs.is_geocentric else model.crs
@@ -32,7 +56,20 @@ def level(model: SensorModel, ground: FloatArray) -> Plane | None:
 
 
 def near(a: FloatArray, b: FloatArray | float, tolerance: float) -> bool:
-    """Whether arrays agree within a tolerance, NaN with NaN."""
+    """Whether arrays agree within an absolute tolerance, NaN with NaN.
+
+    Parameters
+    ----------
+    a : array
+    b : array or float
+        Of a shape that broadcasts with `a`.
+    tolerance : float
+        In the unit of the arrays.
+
+    Returns
+    -------
+    bool
+    """
     return bool(np.allclose(a, b, rtol=0.0, atol=tolerance, equal_nan=True))
 
 

@@ -34,7 +34,26 @@ KEEP = 0.72  # share of plots that are built on
 def houses(
     ground: Float32Array, u: Float32Array, v: Float32Array, edge: float, seed: int, sun: tuple[float, float]
 ) -> Float32Array:
-    """Lay streets, shadows and roofs over the colours (N, 4) of the ground at (u, v), with edges of the given width."""
+    """Village laid over the ground's colours: streets, shadows and roofs.
+
+    Parameters
+    ----------
+    ground : float32 array (N, 4)
+        Colours, 0..1.
+    u, v : float32 array (N,)
+        Places in metres from the origin of the ground.
+    edge : float
+        Width of soft edges in metres.
+    seed : int
+        Fixes plots, sizes and colours.
+    sun : (float, float)
+        Horizontal direction to the sun in the axes u, v.
+
+    Returns
+    -------
+    float32 array (N, 4)
+        Colours, 0..1.
+    """
     turn_c, turn_s = np.float32(np.cos(TURN)), np.float32(np.sin(TURN))
     a, b = turn_c * u + turn_s * v, turn_c * v - turn_s * u
     i, j = np.floor(a / np.float32(PLOT)), np.floor(b / np.float32(PLOT))

@@ -19,7 +19,21 @@ MASK = PERIOD - 1
 
 @lru_cache(maxsize=64)
 def table(seed: int, name: str, columns: int) -> Float32Array:
-    """Uniform random numbers 0..1 of the cells, shape (PERIOD², columns), fixed by seed and name."""
+    """Uniform random numbers of the cells, fixed by seed and name.
+
+    Parameters
+    ----------
+    seed : int
+    name : str
+        Of what the numbers are for: each purpose has a stream of its own.
+    columns : int
+        Numbers per cell.
+
+    Returns
+    -------
+    float32 array (PERIOD², columns)
+        0..1, read-only.
+    """
     key = [seed, *name.encode()]
     values = np.random.default_rng(key).random((PERIOD * PERIOD, columns)).astype(np.float32)
     values.setflags(write=False)
@@ -27,15 +41,42 @@ def table(seed: int, name: str, columns: int) -> Float32Array:
 
 
 def soft(distance: Float32Array, width: float) -> Float32Array:
-    """Soft step: 0 far on the negative side, 1 far on the positive side, tanh of the given width in metres."""
+    """Soft step between 0 and 1: ½ + ½ tanh(distance / width).
+
+    Parameters
+    ----------
+    distance : float32 array
+        Metres from the edge, positive inside.
+    width : float
+        Metres.
+
+    Returns
+    -------
+    float32 array
+        0 far on the negative side, 1 far on the positive side.
+    """
     step: Float32Array = np.float32(0.5) + np.float32(0.5) * np.tanh(distance * np.float32(1.0 / width))
     return step
 
 
 def spline_noise(u: Float32Array, v: Float32Array, spacing: float, values: Float32Array) -> Float32Array:
-    """Random surface of zero mean: cubic B-spline over a lattice of the given spacing (m) with `values` (PERIOD²,).
+    """Random surface: a cubic B-spline over a lattice of random values.
 
     The basis has a spectrum of sinc⁴, so waves shorter than the spacing carry next to nothing.
+
+    Parameters
+    ----------
+    u, v : float32 array (N,)
+        Places in metres.
+    spacing : float
+        Of the lattice, metres.
+    values : float32 array (PERIOD²,)
+        0..1 at its nodes.
+
+    Returns
+    -------
+    float32 array (N,)
+        −0.5 to 0.5, of zero mean.
     """
     p, q = u * np.float32(1.0 / spacing), v * np.float32(1.0 / spacing)
     i, j = np.floor(p), np.floor(q)
@@ -61,7 +102,24 @@ def _bspline(t: Float32Array) -> tuple[Float32Array, Float32Array, Float32Array,
 def neighbours(
     p: Float32Array, q: Float32Array, places: Float32Array, jitter: float
 ) -> Iterator[tuple[IntArray, Float32Array, Float32Array]]:
-    """Of the nine cells around (p, q), in cell units: row of the table, and offset from the cell's jittered centre."""
+    """Nine cells around each place, with the offsets from their jittered centres.
+
+    Parameters
+    ----------
+    p, q : float32 array (N,)
+        Places in cell units.
+    places : float32 array (PERIOD², 2)
+        Random numbers 0..1 that move the centres.
+    jitter : float
+        Largest shift of a centre, in cell units.
+
+    Yields
+    ------
+    index : int array (N,)
+        Row of the cell in the tables.
+    dp, dq : float32 array (N,)
+        Place minus centre, in cell units.
+    """
     i, j = np.floor(p), np.floor(q)
     columns, rows = i.astype(np.int64), j.astype(np.int64)
     fp, fq = p - i, q - j

@@ -61,14 +61,37 @@ class Vignetting:
 
 
 def radiance(ground: AnalyticGround, xyz: FloatArray) -> Float32Array:
-    """Texture of an ordinary photo: the colour of the ground, 0..1."""
+    """Texture of an ordinary photo: the colour of the ground.
+
+    Parameters
+    ----------
+    ground : AnalyticGround
+    xyz : array (N, 3)
+        Points in `ground.crs`.
+
+    Returns
+    -------
+    float32 array (N, bands)
+        0..1.
+    """
     return ground.texture(xyz[:, :2])
 
 
 def coordinates(ground: AnalyticGround, xyz: FloatArray) -> FloatArray:
-    """Texture whose value *is* the place: x, y, z counted from `ground.datum`, metres.
+    """Texture whose values are the ground coordinates, counted from `ground.datum`.
 
     Differences, because float32 resolves a northing of 5 500 km to half a metre only, and 1 km to 0.06 mm.
+
+    Parameters
+    ----------
+    ground : AnalyticGround
+    xyz : array (N, 3)
+        Points in `ground.crs`.
+
+    Returns
+    -------
+    array (N, 3)
+        x, y, z in metres.
     """
     return xyz - ground.datum
 
@@ -99,12 +122,27 @@ def intersect(model: Camera, ground: AnalyticGround, colrow: FloatArray) -> Floa
 
 
 def trace(crs: CRS, origins: FloatArray, directions: FloatArray, ground: AnalyticGround) -> FloatArray:
-    """First points (N, 3) in `ground.crs` where rays (N, 3), (N, 3) of a Cartesian `crs` meet the relief; or NaN.
+    """First intersection of each ray with the relief.
 
     A plane at the top of the relief gives one exact point of each ray in map coordinates, and derivatives in the middle
     of all give its direction there. Along that straight line a step of gap/(fall + steepest slope · run) can never pass
     the relief, so marching stops just before the first hit, wherever the ray comes from. Newton steps with exact map
     coordinates then take out what is left, including the bend of the ray in the map.
+
+    Parameters
+    ----------
+    crs : CRS
+        Cartesian CRS of the rays.
+    origins : array (N, 3)
+        Metres.
+    directions : array (N, 3)
+        Of any length.
+    ground : AnalyticGround
+
+    Returns
+    -------
+    array (N, 3)
+        Points in `ground.crs`; NaN where a ray does not meet the relief.
     """
     to_map = Transform(crs, ground.crs)
     highest = ground.range[1]

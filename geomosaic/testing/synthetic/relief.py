@@ -47,7 +47,20 @@ RIVER_OFFSET = -120.0
 
 
 def river(u: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Course of the river: v (N,) and its slope dv/du (N,) at u (N,), metres; in the precision of u."""
+    """Course of the river, and its slope.
+
+    Parameters
+    ----------
+    u : array (N,)
+        Metres.
+
+    Returns
+    -------
+    course : array (N,)
+        v in metres, in the precision of `u`.
+    slope : array (N,)
+        dv/du.
+    """
     course, slope = np.full_like(u, RIVER_OFFSET), np.zeros_like(u)
     for amplitude, length, phase in MEANDERS:
         angle = u * (1.0 / length) + phase
@@ -57,7 +70,20 @@ def river(u: AnyArray) -> tuple[AnyArray, AnyArray]:
 
 
 def relief(u: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-    """Height above the base (N,) and its slopes along u and v (N,), metres per metre, in the precision given."""
+    """Height of the relief above its base, and its gradient.
+
+    Parameters
+    ----------
+    u, v : array (N,)
+        Metres.
+
+    Returns
+    -------
+    z : array (N,)
+        Metres, in the precision of `u`.
+    zu, zv : array (N,)
+        Slopes along u and v, metres per metre.
+    """
     z, zu, zv = np.zeros_like(u), np.zeros_like(u), np.zeros_like(u)
     for amplitude, length, direction, phase in WAVES.tolist():
         k = 2.0 * math.pi / length
@@ -83,7 +109,18 @@ def relief(u: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
 
 
 def heights(u: AnyArray, v: AnyArray) -> AnyArray:
-    """Height above the base (N,), in the precision given: `relief` without its derivatives."""
+    """Height of the relief above its base: `relief` without its derivatives.
+
+    Parameters
+    ----------
+    u, v : array (N,)
+        Metres.
+
+    Returns
+    -------
+    array (N,)
+        Metres, in the precision of `u`.
+    """
     z = np.zeros_like(u)
     for amplitude, length, direction, phase in WAVES.tolist():
         k = 2.0 * math.pi / length
