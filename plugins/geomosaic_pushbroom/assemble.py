@@ -32,14 +32,28 @@ def initial_model(
     crs: CRS = ECEF,
     notes: tuple[str, ...] = (),
 ) -> PushbroomModel:
-    """Model with a ground point to start from and steps of about a pixel.
+    """Initial model of platform and look directions: seed, rough rows, parameter steps of about a pixel.
 
     Parameters
     ----------
+    platform : Platform
+    look : LookDirections
+    size : tuple of int
+        Width and height in pixels.
     values, sigmas : array (P,)
         Of the platform's parameters.
     height : float
         Rough ellipsoidal height of the ground in metres.
+    where : str
+        Named in errors.
+    crs : CRS
+        Geocentric.
+    notes : tuple of str
+        What was assumed so far.
+
+    Returns
+    -------
+    PushbroomModel
 
     Raises
     ------

@@ -32,7 +32,17 @@ OF_POINTS = ("flying_height", "additional")
 
 
 def build_pushbroom(request: SensorRequest) -> PushbroomModel:
-    """Model of one image.
+    """Pushbroom model of one image: from metadata, a track, or control points alone.
+
+    Parameters
+    ----------
+    request : SensorRequest
+        Image with its file, size in pixels, CRS of track and control points, and the options of the sensor.
+
+    Returns
+    -------
+    PushbroomModel
+        Geocentric, in metres; pixel origin at the outer corner of the upper-left pixel.
 
     Raises
     ------
@@ -75,6 +85,7 @@ def build_pushbroom(request: SensorRequest) -> PushbroomModel:
 
 
 def _metadata(request: SensorRequest) -> Path | None:
+    """Metadata file that the inputs name, or the one beside the image; None for a track or metadata = none."""
     given = request.options.get("metadata")
     if given is None:
         return None if request.options.get("track") is not None else find_beside(request.path)
@@ -84,7 +95,7 @@ def _metadata(request: SensorRequest) -> Path | None:
 
 
 def _need_only(options: Mapping[str, Any], way: str, where: str) -> None:
-    """Refuse inputs that would be passed over."""
+    """Check that no input would have no effect for the way the model is made."""
     foreign = {
         "metadata": (*OF_TRACK, *OF_POINTS, "focal_length_px", "principal_col", "track"),
         "track": (*OF_POINTS, "band", "offset"),
@@ -100,7 +111,25 @@ def _need_only(options: Mapping[str, Any], way: str, where: str) -> None:
 
 
 def of_scene(reported: SceneMetadata, request: SensorRequest) -> PushbroomModel:
-    """Model of a scene or of a cut of it."""
+    """Model of a whole scene or of a cut of it, from its metadata.
+
+    Parameters
+    ----------
+    reported : SceneMetadata
+        Of the whole scene.
+    request : SensorRequest
+        Image of the scene, or of a cut whose upper-left corner is the option `offset`, (col, row) in the scene.
+
+    Returns
+    -------
+    PushbroomModel
+        With a-priori sigmas of the mission for its corrections.
+
+    Raises
+    ------
+    InputError
+        The image is not of the scene's size and no offset is given, or it reaches beyond the scene.
+    """
     where, size = request.image, request.size
     given = request.options.get("offset")
     col, row = numbers(given if given is not None else (0, 0), 2, "offset", where)
@@ -126,6 +155,7 @@ def of_scene(reported: SceneMetadata, request: SensorRequest) -> PushbroomModel:
 
 
 def _of_track(request: SensorRequest) -> PushbroomModel:
+    """Model of a strip from the track of its flight."""
     flight, look, quality = read_track(request)
     sigmas = _sigmas(request.options, quality, request.image)
     height = _ellipsoidal(request, flight)

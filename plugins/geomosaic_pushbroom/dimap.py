@@ -29,14 +29,20 @@ _STRIP = ".//Data_Strip"
 
 
 def read_spot(root: Element, where: str, band: str | None = None) -> SceneMetadata:
-    """Metadata of a scene.
+    """Metadata of a SPOT 1 to 5 scene, level 1A.
 
     Parameters
     ----------
     root : Element
         Of the document.
+    where : str
+        Named in errors.
     band : str, optional
         BAND_INDEX whose look angles are taken; needed where those of the bands differ by more than a tenth of a pixel.
+
+    Returns
+    -------
+    SceneMetadata
 
     Raises
     ------

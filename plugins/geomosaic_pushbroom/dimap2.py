@@ -24,14 +24,20 @@ _MARGIN = 0.25
 
 
 def read_refined(root: Element, where: str, band: str | None = None) -> SceneMetadata:
-    """Metadata of a scene.
+    """Metadata of a Pléiades, Pléiades Neo, SPOT 6 or SPOT 7 product (DIMAP 2), level SENSOR.
 
     Parameters
     ----------
     root : Element
         Of the document.
+    where : str
+        Named in errors.
     band : str, optional
         BAND_ID whose look angles are taken; needed where those of the bands differ by more than a tenth of a pixel.
+
+    Returns
+    -------
+    SceneMetadata
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Look angles of detectors, and which hold where metadata have those of several bands."""
+"""Look directions of detectors, and the choice among those of several bands."""
 
 from __future__ import annotations
 
@@ -80,6 +80,7 @@ class LookDirections:
     @cached_property
     def _by_across(self) -> tuple[FloatArray, FloatArray]:
         cols, across, _ = self._table
+        # `np.interp` needs nodes that increase.
         return (across, cols) if across[0] < across[-1] else (across[::-1], cols[::-1])
 
     @cached_property
@@ -120,6 +121,7 @@ class LookDirections:
         return cols
 
     def _as_known(self, slopes: FloatArray) -> FloatArray:
+        """Slopes in the form the nodes are stored in: angles where `angular`."""
         known: FloatArray = np.arctan(slopes) if self.angular else slopes
         return known
 
@@ -140,13 +142,21 @@ _SAME = 0.1  # pixels
 def choose_band(
     looks: Mapping[str, LookDirections], band: str | None, where: str
 ) -> tuple[LookDirections, tuple[str, ...]]:
-    """Look directions of the band asked for, or of all where they are the same, and what is to be noted.
+    """Look directions of the band asked for, or of all bands where they are the same.
 
     Parameters
     ----------
-    looks : mapping of str to Look
+    looks : mapping of str to LookDirections
         By band, one at least.
     band : str, optional
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    look : LookDirections
+    notes : tuple of str
+        What is to be noted of the choice.
 
     Raises
     ------

@@ -18,7 +18,18 @@ _LARGEST = 256 * 2**20
 
 
 def find_beside(image: str | None) -> Path | None:
-    """Metadata beside an image: METADATA.DIM, a .DIM of its name, or DIM_x.XML of IMG_x.TIF or IMG_x_R1C1.TIF."""
+    """Metadata beside an image: METADATA.DIM, a .DIM of its name, or DIM_x.XML of IMG_x.TIF or IMG_x_R1C1.TIF.
+
+    Parameters
+    ----------
+    image : str, optional
+        Image file.
+
+    Returns
+    -------
+    Path or None
+        The first that is there.
+    """
     if image is None:
         return None
     path = Path(image)
@@ -31,6 +42,16 @@ def find_beside(image: str | None) -> Path | None:
 
 def read_metadata(path: Path, band: str | None = None) -> SceneMetadata:
     """Metadata of a scene: DIMAP of SPOT 1 to 7 or Pléiades, or an OSSIM keyword list of SPOT 5.
+
+    Parameters
+    ----------
+    path : Path
+    band : str, optional
+        Band whose look angles are taken, where the metadata have those of several.
+
+    Returns
+    -------
+    SceneMetadata
 
     Raises
     ------
@@ -48,7 +69,26 @@ def read_metadata(path: Path, band: str | None = None) -> SceneMetadata:
 
 
 def read_bytes(data: bytes, where: str, band: str | None = None) -> SceneMetadata:
-    """Metadata of a scene from the bytes of a file."""
+    """Metadata of a scene from the bytes of a file, whose format is recognised by its content.
+
+    Parameters
+    ----------
+    data : bytes
+        Whole file.
+    where : str
+        Named in errors.
+    band : str, optional
+        As for `read_metadata`.
+
+    Returns
+    -------
+    SceneMetadata
+
+    Raises
+    ------
+    InputError
+        As `read_metadata`.
+    """
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         return read_ossim(data, where)
     root = parse_dimap(data, where)

@@ -30,13 +30,26 @@ if TYPE_CHECKING:
 
 
 def derivatives(model: PushbroomModel, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Derivatives of (col, row) by parameters (N, 2, P) and by ground coordinates (N, 2, 3), pixels per unit.
+    """Derivatives of (col, row) by parameters and ground coordinates, by implicit differentiation.
 
     With the column c and the misfit m as seen from a given row, m(p, row) = 0 defines the row, so
 
         d row / dp = −(∂m/∂p) / (∂m/∂row),     d col / dp = ∂c/∂p + ∂c/∂row · d row / dp
 
     The partial derivatives are central differences over one pixel, which need no search for rows.
+
+    Parameters
+    ----------
+    model : PushbroomModel
+    xyz : array (N, 3)
+        Geocentric ground, metres.
+
+    Returns
+    -------
+    by_values : array (N, 2, P)
+        Pixels per unit of each parameter.
+    by_ground : array (N, 2, 3)
+        Pixels per metre.
     """
     rows = model.ground_to_image(xyz)[:, 1]
     by_row = _difference(model, model, xyz, xyz, rows + 0.5, rows - 0.5, 1.0)
@@ -91,13 +104,13 @@ _FURTHEST = 20.0  # image heights beyond the image
 
 @dataclass(frozen=True, eq=False)
 class PushbroomModel:
-    """One scene or strip of a line scanner.
+    """Pushbroom model of one scene or strip of a line scanner.
 
     Attributes
     ----------
-    platform : Flight or Straight
+    platform : Platform
         Poses over rows.
-    look : Look
+    look : LookDirections
         Directions over columns.
     crs : CRS
         Geocentric.
@@ -127,9 +140,20 @@ class PushbroomModel:
         return self.platform.bend(self.parameters.values)
 
     def seen_from(self, xyz: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Column and misfit along, as a slope, of points (N, 3) seen from the poses of rows (N,); (N,) each.
+        """Column and misfit of ground points seen from the poses of given rows.
 
-        The misfit is NaN where the scanner is below the point's horizon or the point behind it.
+        Parameters
+        ----------
+        xyz : array (N, 3)
+            Geocentric ground, metres.
+        rows : array (N,)
+            One for each point.
+
+        Returns
+        -------
+        cols : array (N,)
+        misfit : array (N,)
+            Along the flight, as a slope; NaN where the scanner is below the point's horizon or the point behind it.
         """
         position, axes = self.platform.pose(self.parameters.values, rows)
         line = xyz - position

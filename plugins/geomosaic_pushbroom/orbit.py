@@ -16,7 +16,7 @@ NODES = 8
 
 @dataclass(frozen=True, eq=False)
 class Orbit:
-    """Lagrange's polynomial through the ephemeris points about a scene.
+    """Lagrange polynomial through the ephemeris points about a scene.
 
     The nodes are chosen once for the scene, so that its orbit is one smooth curve, and the polynomial is written in
     powers of time: evaluating it is then a few products.
@@ -102,7 +102,18 @@ class Orbit:
 
 
 def horner(coefficients: FloatArray, u: FloatArray) -> FloatArray:
-    """Polynomials with coefficients (K, D), lowest power first, at u (N, 1); shape (N, D)."""
+    """Polynomials of several components, by Horner's rule.
+
+    Parameters
+    ----------
+    coefficients : array (K, D)
+        Lowest power first.
+    u : array (N, 1)
+
+    Returns
+    -------
+    array (N, D)
+    """
     total = np.broadcast_to(coefficients[-1], (len(u), coefficients.shape[1]))
     for row in coefficients[-2::-1]:
         total = total * u + row
@@ -110,11 +121,28 @@ def horner(coefficients: FloatArray, u: FloatArray) -> FloatArray:
     return result
 
 
+# Attitudes of these missions are small about their orbital axes; values in degrees exceed this at once.
 _STEEPEST = 0.2  # radians, and radians per second
 
 
 def samples_in_order(times: FloatArray, values: FloatArray, what: str, where: str) -> tuple[FloatArray, FloatArray]:
-    """Times (K,) and pitch, roll, yaw (K, 3), or their speeds, in the order of time.
+    """Attitude samples in the order of time.
+
+    Parameters
+    ----------
+    times : array (K,)
+        Seconds.
+    values : array (K, 3)
+        Pitch, roll, yaw in radians, or their speeds in radians per second.
+    what : str
+        Name of the list, for the message.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    times : array (K,)
+    values : array (K, 3)
 
     Raises
     ------
@@ -133,7 +161,7 @@ def samples_in_order(times: FloatArray, values: FloatArray, what: str, where: st
 
 
 def require_cover(times: FloatArray, rows: int, middle: float, period: float, where: str) -> None:
-    """Refuse a line period that is none, and attitudes that do not reach over the scene, up to a tenth of it.
+    """Check that attitudes reach over the scene, up to a tenth of it, and that the line period is one.
 
     Parameters
     ----------
@@ -142,8 +170,16 @@ def require_cover(times: FloatArray, rows: int, middle: float, period: float, wh
     rows : int
         Of the scene.
     middle : float
+        Row at which the times are 0.
     period : float
         Seconds per row.
+    where : str
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        The line period is none, or the attitudes leave out more than a tenth of the scene.
     """
     if not 0.0 < period < 1.0:
         raise InputError(f"the line period is {period:g} s", where=where, hint="get the file again")

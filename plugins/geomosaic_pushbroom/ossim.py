@@ -19,7 +19,26 @@ _PREFIX = "support_data."
 
 
 def read_ossim(data: bytes, where: str) -> SceneMetadata:
-    """Metadata of a scene. Attitudes are pitch, roll, yaw; lines and detectors count from 1 at the pixel's centre."""
+    """Metadata of a SPOT 5 scene in an OSSIM keyword list.
+
+    Attitudes are pitch, roll, yaw; lines and detectors count from 1 at the pixel's centre.
+
+    Parameters
+    ----------
+    data : bytes
+        Whole file.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    SceneMetadata
+
+    Raises
+    ------
+    InputError
+        The list is of another type, not whole, of a part of a scene, or adjusted by OSSIM.
+    """
     words = _words(data.decode("utf-8", "replace"), where)
     if words.get("type") != KIND:
         raise InputError(
@@ -54,7 +73,7 @@ def read_ossim(data: bytes, where: str) -> SceneMetadata:
 
 
 def _need_whole(words: dict[str, str], where: str) -> None:
-    """Refuse what would be passed over: adjustments made by OSSIM, and a part of a scene."""
+    """Check that the list holds no adjustment made by OSSIM and no part of a scene, which have no effect here."""
     for name, value in words.items():
         changed = re.fullmatch(r"adjustment_\d+\.adj_param_\d+\.(parameter|center)", name)
         if (changed or name == f"{_PREFIX}sub_image_offset") and not all(_is_zero(word) for word in value.split()):

@@ -15,9 +15,9 @@ from geomosaic_pushbroom.pose import Pose, cross, matrices_of_quaternions, satel
 
 @dataclass(frozen=True, eq=False)
 class QuaternionTable:
-    """Orbit, with quaternions that are linear between the times of a table, and brought to length one.
+    """Orbit with quaternions linear between the times of a table, and normalised.
 
-    Beyond its ends the table goes on at the mean speed of its outer tenth, for as long as it is itself.
+    Beyond its ends the table goes on at the mean speed of its outer tenth, for as long as its own duration.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class QuaternionTable:
     times : array (K,)
         Seconds from the middle of the scene.
     quaternions : array (K, 4)
-        From satellite to geocentric axes, see `satellite_pose`; neighbours of the same side.
+        From satellite to geocentric axes, see `satellite_pose`; neighbours of the same sign.
     """
 
     kind: ClassVar[str] = "quaternion_table"
@@ -60,7 +60,7 @@ class QuaternionTable:
 
 
 class Path(Protocol):
-    """The flight as it was reported; x right, y forward, z up in the scanner's axes."""
+    """Flight path as reported; x right, y forward, z up in the scanner's axes."""
 
     kind: ClassVar[str]
 
@@ -77,7 +77,7 @@ class Path(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class AnglePath:
-    """Orbit, with attitude angles about the orbital axes (SPOT 1 to 5).
+    """Orbit with attitude angles about the orbital axes (SPOT 1 to 5).
 
     z is the direction from the Earth's centre, x = velocity × z, y = z × x; velocity is that in the turning Earth's
     frame, as the ephemeris gives it. The angles are interpolated linearly and stay as they are beyond their ends.
@@ -117,7 +117,7 @@ class AnglePath:
 
 @dataclass(frozen=True, eq=False)
 class QuaternionPath:
-    """Orbit, with a polynomial for each component of the quaternion from satellite to geocentric axes (Pléiades).
+    """Orbit with a polynomial for each component of the quaternion from satellite to geocentric axes (Pléiades).
 
     Of the satellite's axes the first points forward, the second right and the third to the ground.
 
@@ -154,7 +154,7 @@ class QuaternionPath:
 
 @dataclass(frozen=True, eq=False)
 class TrackPath:
-    """Poses of a table, as GNSS and inertial measurement give them, on smooth curves through them.
+    """Poses of a table from GNSS and inertial measurement, on smooth curves.
 
     Positions and components of quaternions run on cubic Hermite curves whose slope at a node is that of the parabola
     through it and its neighbours; quaternions are then brought to length one. Before the first and after the last pose
@@ -178,6 +178,7 @@ class TrackPath:
     @cached_property
     def _curve(self) -> tuple[FloatArray, FloatArray]:
         """Values at the nodes relative to the first (K, 7), and their slopes."""
+        # Relative to the first position: geocentric coordinates of 6e6 m would cost the curve digits.
         values = np.column_stack([self.positions - self.positions[0], self.quaternions])
         edge: Literal[1, 2] = 2 if len(self.times) > 2 else 1
         return values, np.gradient(values, self.times, axis=0, edge_order=edge)

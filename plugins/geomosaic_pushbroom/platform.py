@@ -38,7 +38,15 @@ from geomosaic_pushbroom.pose import Pose, combined, turned
 
 
 class LineDistortion(NamedTuple):
-    """Changes of the look directions over the line: multiples of its second Legendre polynomial, as slopes."""
+    """Changes of the look directions over the line: multiples of its second Legendre polynomial, as slopes.
+
+    Attributes
+    ----------
+    stretch : float
+        Across the flight.
+    bend : float
+        Along the flight.
+    """
 
     stretch: float = 0.0
     bend: float = 0.0
@@ -67,7 +75,7 @@ class Platform(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ReportedFlight:
-    """A reported flight with corrections that control points can find.
+    """Reported flight with corrections that control points determine.
 
     With t the seconds from the middle of the scene, the pose of the path at t + `time` is moved by (across, along, up)
     along its own axes and then turned by `pose.turned` with pitch + pitch_rate·t and so on.
@@ -75,6 +83,7 @@ class ReportedFlight:
     Attributes
     ----------
     path : Path
+        Flight as it was reported.
     period : float
         Seconds from one row to the next.
     middle : float
@@ -179,7 +188,18 @@ class StraightFlight:
 
 
 def omega_phi_kappa(omega: FloatArray, phi: FloatArray, kappa: FloatArray) -> FloatArray:
-    """Ground→image rotations R3(κ)·R2(φ)·R1(ω) of angles (N,) in radians; shape (N, 3, 3)."""
+    """Rotations from ground to image axes, M = R3(κ)·R2(φ)·R1(ω).
+
+    Parameters
+    ----------
+    omega, phi, kappa : array (N,)
+        Radians.
+
+    Returns
+    -------
+    array (N, 3, 3)
+        Rows are the image axes x, y, z in ground components.
+    """
     cw, sw, cp, sp, ck, sk = (f(a) for a in (omega, phi, kappa) for f in (np.cos, np.sin))
     rows = [
         [cp * ck, cw * sk + sw * sp * ck, sw * sk - cw * sp * ck],

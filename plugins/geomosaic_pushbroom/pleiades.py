@@ -1,4 +1,4 @@
-"""Pleiades metadata: triples of coordinates, quaternion polynomials, primary scenes with a physical model."""
+"""Metadata of Pléiades primary scenes: ephemeris, quaternion polynomials, viewing directions."""
 
 from __future__ import annotations
 
@@ -15,12 +15,24 @@ from geomosaic_pushbroom.reported import AGILE, SceneMetadata, each, find, numbe
 
 
 def triples(points: list[Element], name: str, where: str) -> FloatArray:
-    """Three numbers of each point, (K, 3).
+    """Triples of numbers of several elements.
+
+    Parameters
+    ----------
+    points : list of Element
+    name : str
+        Path of the element that holds them, below each.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    array (K, 3)
 
     Raises
     ------
     InputError
-        A point has more or fewer.
+        An element has more or fewer than three numbers.
     """
     rows = [numbers(point, name, where) for point in points]
     odd = [row for row in rows if len(row) != 3]
@@ -73,7 +85,23 @@ PART = ".//Sensor_Model_Characteristics"
 
 
 def read_pleiades(root: Element, where: str) -> SceneMetadata:
-    """Metadata of a scene.
+    """Metadata of a Pléiades primary scene.
+
+    Parameters
+    ----------
+    root : Element
+        Of the DIMAP document.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    SceneMetadata
+
+    Raises
+    ------
+    InputError
+        Something is missing or wrong; names it.
 
     Notes
     -----
@@ -101,6 +129,7 @@ def read_pleiades(root: Element, where: str) -> SceneMetadata:
 
 
 def _line(model: Element, width: int, where: str) -> LookDirections:
+    """Look directions of the line from the polynomials of its viewing angles."""
     view = find(model, "Sensor_Viewing_Model", where)
     first, last = (number(view, f"Position_In_Retina/{name}", where) for name in ("FIRST_COL", "LAST_COL"))
     psi = [numbers(view, f"Viewing_Directions/{name}/COEFFICIENTS", where) for name in ("PsiX_Model", "PsiY_Model")]
@@ -111,6 +140,7 @@ def _line(model: Element, width: int, where: str) -> LookDirections:
             where=where,
             hint="get the file again, or use the sensor 'rpc' with the scene's RPC file",
         )
+    # A straight line needs its two ends only; a curved one is interpolated linearly between many nodes.
     nodes = np.linspace(0.0, last - first, 2 if max(map(len, psi)) <= 2 else 2001)
     with np.errstate(all="ignore"):
         x, y = (horner(c[:, None], nodes[:, None])[:, 0] for c in psi)

@@ -43,12 +43,23 @@ class ImageControl:
 
 
 def read_points(points: Any, where: str) -> ImageControl:
-    """Control points of the input 'points'.
+    """Control points of the inputs.
+
+    Parameters
+    ----------
+    points : object
+        List of tables with x, y, z, col, row and, optionally, id and sigma (pixels, 1 unless given).
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    ImageControl
 
     Raises
     ------
     InputError
-        It is no list of tables, or a point lacks a coordinate; names the point.
+        It is no list of points, or a point lacks a coordinate or has one that is no number.
     """
     if not isinstance(points, Iterable) or isinstance(points, str | Mapping) or not list(points):
         raise InputError("'points' is not a list of control points", where=where, hint=f"each with {', '.join(POINT)}")
@@ -72,7 +83,15 @@ def read_points(points: Any, where: str) -> ImageControl:
 
 
 def need_crs(request: SensorRequest) -> CRS:
-    """The CRS of points and track.
+    """CRS of the control points and the track.
+
+    Parameters
+    ----------
+    request : SensorRequest
+
+    Returns
+    -------
+    CRS
 
     Raises
     ------
@@ -90,7 +109,20 @@ def need_crs(request: SensorRequest) -> CRS:
 
 
 def with_residual_notes(model: PushbroomModel, residuals: FloatArray, control: ImageControl) -> PushbroomModel:
-    """Model with a note on its control points."""
+    """Model with a note on the residuals of its control points.
+
+    Parameters
+    ----------
+    model : PushbroomModel
+    residuals : array (N, 2)
+        Measured minus computed (col, row), pixels; NaN for points not seen.
+    control : ImageControl
+        N points.
+
+    Returns
+    -------
+    PushbroomModel
+    """
     length = np.hypot(residuals[:, 0], residuals[:, 1])
     worst = int(np.nanargmax(length))
     rms = float(np.sqrt(np.nanmean(length**2)))

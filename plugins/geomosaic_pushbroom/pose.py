@@ -25,15 +25,39 @@ class Pose(NamedTuple):
 
 
 def components(axes: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Components (N, 3) of geocentric vectors (N, 3) along axes (N, 3, 3).
+    """Components of vectors along axes.
 
     Written out instead of a matrix product: BLAS may round a point differently from one array length to the next.
+
+    Parameters
+    ----------
+    axes : array (N, 3, 3)
+        Rows are unit vectors, geocentric.
+    vectors : array (N, 3)
+        Geocentric.
+
+    Returns
+    -------
+    array (N, 3)
     """
     return np.stack([_dot(axes[:, i], vectors) for i in range(3)], axis=1)
 
 
 def combined(axes: FloatArray, parts: FloatArray) -> FloatArray:
-    """Geocentric vectors (N, 3) of components (N, 3) along axes (N, 3, 3)."""
+    """Vectors of given components along axes, the inverse of `components`.
+
+    Parameters
+    ----------
+    axes : array (N, 3, 3)
+        Rows are unit vectors, geocentric.
+    parts : array (N, 3)
+        Components.
+
+    Returns
+    -------
+    array (N, 3)
+        Geocentric.
+    """
     vectors: FloatArray = parts[:, :1] * axes[:, 0] + parts[:, 1:2] * axes[:, 1] + parts[:, 2:] * axes[:, 2]
     return vectors
 
@@ -44,7 +68,7 @@ def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def turned(axes: FloatArray, pitch: FloatArray, roll: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Axes (N, 3, 3) turned by the SPOT attitude angles (N,), radians.
+    """Axes turned by the SPOT attitude angles.
 
     A look direction u in the turned axes is Mp·Mr·My·u in the axes given, with (SPOT Geometry Handbook, CNES, 2002)
 
@@ -53,6 +77,17 @@ def turned(axes: FloatArray, pitch: FloatArray, roll: FloatArray, yaw: FloatArra
              0  −sp    cp            sr   0   cr             0   0   1
 
     so the rows of the turned axes are those of (Mp·Mr·My)ᵀ times the axes.
+
+    Parameters
+    ----------
+    axes : array (N, 3, 3)
+        Rows are the axes x, y, z.
+    pitch, roll, yaw : array (N,)
+        Radians.
+
+    Returns
+    -------
+    array (N, 3, 3)
     """
     x, y, z = axes[:, 0], axes[:, 1], axes[:, 2]
     c, s = np.cos(pitch)[:, None], np.sin(pitch)[:, None]
@@ -65,13 +100,31 @@ def turned(axes: FloatArray, pitch: FloatArray, roll: FloatArray, yaw: FloatArra
 
 
 def unit(vectors: FloatArray) -> FloatArray:
-    """Vectors (N, 3) of length one."""
+    """Unit vectors.
+
+    Parameters
+    ----------
+    vectors : array (N, 3)
+
+    Returns
+    -------
+    array (N, 3)
+    """
     scaled: FloatArray = vectors / np.sqrt(_dot(vectors, vectors))[:, None]
     return scaled
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross products (N, 3), by components."""
+    """Cross products a × b, by components.
+
+    Parameters
+    ----------
+    a, b : array (N, 3)
+
+    Returns
+    -------
+    array (N, 3)
+    """
     return np.stack(
         [
             a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
@@ -83,7 +136,17 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def matrices_of_quaternions(q: FloatArray) -> FloatArray:
-    """Rotation matrices (N, 3, 3) of quaternions (N, 4), scalar first, brought to length one."""
+    """Rotation matrices of quaternions.
+
+    Parameters
+    ----------
+    q : array (N, 4)
+        Scalar first, of any length but 0.
+
+    Returns
+    -------
+    array (N, 3, 3)
+    """
     w, x, y, z = (q / np.sqrt((q * q).sum(axis=1))[:, None]).T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -94,9 +157,18 @@ def matrices_of_quaternions(q: FloatArray) -> FloatArray:
 
 
 def quaternions_of(matrices: FloatArray) -> FloatArray:
-    """Quaternions (N, 4), scalar first, of rotation matrices (N, 3, 3); neighbours have the same sign.
+    """Quaternions of rotation matrices; neighbours have the same sign.
 
     Of the four forms the one with the largest divisor is taken (Shepperd, 1978).
+
+    Parameters
+    ----------
+    matrices : array (N, 3, 3)
+
+    Returns
+    -------
+    array (N, 4)
+        Scalar first, of length one.
     """
     m = np.asarray(matrices, dtype=np.float64)
     trace = np.trace(m, axis1=1, axis2=2)
@@ -123,13 +195,29 @@ def satellite_pose(position: FloatArray, quaternions: FloatArray) -> Pose:
         Geocentric metres.
     quaternions : array (N, 4)
         From the satellite's to geocentric axes, scalar first, of any length.
+
+    Returns
+    -------
+    Pose
+        Axes right, forward, up.
     """
     turns = matrices_of_quaternions(quaternions)
     return Pose(position, np.stack([turns[:, :, 1], turns[:, :, 0], -turns[:, :, 2]], axis=1))
 
 
 def same_side(quaternions: FloatArray) -> FloatArray:
-    """Quaternions (K, 4) with signs such that no neighbours are opposite: q and −q are the same turn."""
+    """Quaternions with signs such that no neighbours are opposite: q and −q are the same rotation.
+
+    Interpolated between opposite signs, components would pass through zero, where there is no rotation.
+
+    Parameters
+    ----------
+    quaternions : array (K, 4)
+
+    Returns
+    -------
+    array (K, 4)
+    """
     away = (quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0.0
     signs = np.concatenate([[1.0], np.cumprod(np.where(away, -1.0, 1.0))])
     turned: FloatArray = quaternions * signs[:, None]

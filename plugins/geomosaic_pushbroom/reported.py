@@ -1,4 +1,4 @@
-"""Reported scene metadata in one form for all formats, and XML without document types or entities."""
+"""Scene metadata in one form for all formats, and the reading of numbers and times from their XML."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d):(\d\d(?:\.\d*)?)Z?")
 
 @dataclass(frozen=True)
 class AprioriSigmas:
-    """Standard deviations of what the metadata says: what control points may change, and how far.
+    """A-priori standard deviations of what the metadata reports: how far control points may correct it.
 
     Attributes
     ----------
@@ -49,21 +49,24 @@ AGILE = AprioriSigmas(angles=0.001, rates=3e-5, position=2.0)
 
 @dataclass(frozen=True)
 class SceneMetadata:
-    """One scene as its metadata reports it; times count from the row `middle`.
+    """Orbit, attitude, look directions and times of one scene, as reported; times count from the row `middle`.
 
     Attributes
     ----------
     title : str
         Mission, instrument and date.
     path : Path
-    look : Look
+        Positions and axes over time.
+    look : LookDirections
+        Directions over columns.
     period : float
         Seconds per row.
     middle : float
         Row at t = 0.
     size : tuple of int
         Width and height of the whole scene in pixels.
-    quality : Quality
+    quality : AprioriSigmas
+        Those of the mission.
     notes : tuple of str
         What was assumed in reading.
     """
@@ -79,18 +82,50 @@ class SceneMetadata:
 
 
 def seconds(text: str, where: str, since: tuple[int, float] = (0, 0.0)) -> float:
-    """Seconds of a time 2005-03-13T05:18:28.000000 since (day, second), see `utc_time`."""
+    """Seconds of a UTC time since another.
+
+    Parameters
+    ----------
+    text : str
+        Such as 2005-03-13T05:18:28.000000.
+    where : str
+        Named in errors.
+    since : tuple
+        Day and second of the day, see `utc_time`.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    InputError
+        The text is no time.
+    """
     day, second = utc_time(text, where)
     return (day - since[0]) * 86400.0 + (second - since[1])
 
 
 def utc_time(text: str, where: str) -> tuple[int, float]:
-    """Day number and second of the day (UTC), apart, so that microseconds are not lost.
+    """Day number and second of the day of a UTC time, apart, so that microseconds are not lost.
+
+    Parameters
+    ----------
+    text : str
+        Such as 2005-03-13T05:18:28.000000.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    day : int
+        Proleptic Gregorian ordinal.
+    second : float
 
     Raises
     ------
     InputError
-        No such time.
+        The text is no time.
     """
     found = _TIME.fullmatch(text.strip())
     try:
@@ -107,7 +142,25 @@ def utc_time(text: str, where: str) -> tuple[int, float]:
 
 
 def since_times(texts: list[str], where: str, since: tuple[int, float]) -> FloatArray:
-    """Seconds (K,) of several times."""
+    """Seconds of several UTC times since another.
+
+    Parameters
+    ----------
+    texts : list of str
+    where : str
+        Named in errors.
+    since : tuple
+        Day and second of the day, see `utc_time`.
+
+    Returns
+    -------
+    array (K,)
+
+    Raises
+    ------
+    InputError
+        A text is no time.
+    """
     import numpy as np
 
     return np.array([seconds(text, where, since) for text in texts])
@@ -118,12 +171,41 @@ _SKIPPED = frozenset({"Sensor_Calibration", "Image_Display"})
 
 
 def parse_dimap(data: bytes, where: str) -> Element:
-    """Root of a DIMAP document, without the parts that say nothing of geometry; see `geomosaic.sensor.metadata`."""
+    """Root of a DIMAP document, without the parts that say nothing of geometry; see `geomosaic.sensor.metadata`.
+
+    Parameters
+    ----------
+    data : bytes
+        Whole file.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    Element
+
+    Raises
+    ------
+    InputError
+        The document is damaged, or has a document type.
+    """
     return parse_xml(data, where, _SKIPPED)
 
 
 def find(element: Element, path: str, where: str) -> Element:
     """Element at a path that must be there.
+
+    Parameters
+    ----------
+    element : Element
+    path : str
+        Of ElementTree, below the element.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    Element
 
     Raises
     ------
@@ -141,28 +223,114 @@ def find(element: Element, path: str, where: str) -> Element:
 
 
 def text(element: Element, path: str, where: str) -> str:
-    """Text of the element at a path that must be there."""
+    """Text of the element at a path that must be there, without blanks at its ends.
+
+    Parameters
+    ----------
+    element : Element
+    path : str
+        Of ElementTree, below the element.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        The element is missing.
+    """
     return (find(element, path, where).text or "").strip()
 
 
 def number(element: Element, path: str, where: str) -> float:
-    """Finite number at a path."""
+    """Finite number at a path that must be there.
+
+    Parameters
+    ----------
+    element : Element
+    path : str
+        Of ElementTree, below the element.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    InputError
+        The element is missing, or no number.
+    """
     return _number(text(element, path, where), path, where)
 
 
 def numbers(element: Element, path: str, where: str) -> FloatArray:
-    """Finite numbers, parted by blanks, at a path."""
+    """Finite numbers, separated by blanks, at a path that must be there.
+
+    Parameters
+    ----------
+    element : Element
+    path : str
+        Of ElementTree, below the element.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    array (K,)
+
+    Raises
+    ------
+    InputError
+        The element is missing, or one is no number.
+    """
     return np.array([_number(word, path, where) for word in text(element, path, where).split()])
 
 
 def children(element: Element, path: str, names: tuple[str, ...], where: str) -> FloatArray:
-    """Table (K, len(names)) of all elements at a path, each with one child per name."""
+    """Table of numbers: one row for each element at a path, one column for each of its children.
+
+    Parameters
+    ----------
+    element : Element
+    path : str
+        Of ElementTree, below the element.
+    names : tuple of str
+        Of the children.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    array (K, len(names))
+        K may be 0.
+
+    Raises
+    ------
+    InputError
+        A child is missing, or no number.
+    """
     rows = [[number(child, name, where) for name in names] for child in each(element, path)]
     return np.array(rows, dtype=np.float64).reshape(len(rows), len(names))
 
 
 def each(element: Element, path: str) -> Iterator[Element]:
-    """Elements at a path."""
+    """Elements at a path, in their order.
+
+    Parameters
+    ----------
+    element : Element
+    path : str
+        Of ElementTree, below the element.
+
+    Yields
+    ------
+    Element
+    """
     yield from element.iterfind(path)
 
 

@@ -40,7 +40,18 @@ NEEDED = {
 
 
 def read_track(request: SensorRequest) -> tuple[ReportedFlight, LookDirections, AprioriSigmas]:
-    """Flight, look directions and a-priori sigmas of a strip.
+    """Flight, look directions and a-priori sigmas of an airborne strip.
+
+    Parameters
+    ----------
+    request : SensorRequest
+        Size in pixels, CRS of the positions, and the options of a track, see `NEEDED`.
+
+    Returns
+    -------
+    flight : ReportedFlight
+    look : LookDirections
+    sigmas : AprioriSigmas
 
     Raises
     ------
@@ -119,6 +130,7 @@ def _table(file: Path) -> tuple[str, FloatArray]:
 
 
 def _need_cover(times: FloatArray, half: float, where: str) -> None:
+    """Check that the track covers `half` seconds before and after the middle of the strip."""
     if times[0] > -half or times[-1] < half:
         raise InputError(
             f"the track covers {times[0]:.3f} to {times[-1]:.3f} s about the middle of the strip, which takes "
@@ -129,18 +141,33 @@ def _need_cover(times: FloatArray, half: float, where: str) -> None:
 
 
 def poses(crs: CRS, xyz: FloatArray, system: str, angles: FloatArray, where: str) -> tuple[FloatArray, FloatArray]:
-    """Geocentric positions (K, 3) and axes right, forward, up (K, 3, 3).
+    """Geocentric positions and axes of a track.
 
     Parameters
     ----------
     crs : CRS
         3-D, of the positions.
     xyz : array (K, 3)
+        In `crs`.
     system : str
         'rpy': roll (right wing down), pitch (nose up), heading (clockwise from true north), turned in the order
         heading, pitch, roll. 'opk': M = R3(κ)·R2(φ)·R1(ω) from grid axes to right, forward, up.
     angles : array (K, 3)
         Radians.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    positions : array (K, 3)
+        Geocentric metres.
+    axes : array (K, 3, 3)
+        Rows right, forward, up in geocentric components.
+
+    Raises
+    ------
+    InputError
+        A position lies outside the CRS.
     """
     to_geographic = Transform(crs, geographic(crs))
     places = to_geographic(xyz)
@@ -153,6 +180,7 @@ def poses(crs: CRS, xyz: FloatArray, system: str, angles: FloatArray, where: str
     matrices = omega_phi_kappa(*angles.T)
     if crs.is_projected:
         zero = np.zeros(len(xyz))
+        # Omega, phi, kappa refer to grid axes, which differ from east and north by the meridian convergence.
         matrices = matrices @ omega_phi_kappa(zero, zero, -_convergence(crs, xyz))
     return positions, matrices @ enu
 

@@ -1,4 +1,4 @@
-"""Scenes without metadata: a straight flight started from a parallel projection of control points; the point to blame.
+"""Scenes without metadata: straight flight from control points, started by a parallel projection; blunder check.
 
 Seen from far away a scanned line is nearly a parallel projection, and over a short flight so is the whole scene:
 col = a₀ + a·g and row = b₀ + b·g for ground points g in local east, north, up. Both forms are linear, so no start is
@@ -35,7 +35,7 @@ CLEARLY = 5.0
 
 
 def odd_one(ground: FloatArray, colrow: FloatArray) -> tuple[int, float, float] | None:
-    """The point that the others contradict most, if one stands out.
+    """Control point that the others contradict most, if one stands out.
 
     From afar a scene is nearly a parallel projection, col and row linear in the ground (with squares of east and north
     where there are points enough). A point's distance from what a fit to all others says follows from the one fit to
@@ -50,13 +50,14 @@ def odd_one(ground: FloatArray, colrow: FloatArray) -> tuple[int, float, float] 
 
     Returns
     -------
-    tuple
-        Index, pixels it is off from what the others say, RMS of these; None where none stands out.
+    tuple or None
+        Index of the point, pixels it is off from what the others say, their RMS in pixels; None where none stands out.
     """
     off = (ground - ground.mean(axis=0)) / np.abs(ground - ground.mean(axis=0)).max()
     e, n, u = off.T
     design = np.column_stack([np.ones(len(off)), e, n, u, e * e, e * n, n * n])
     design = design[:, : 7 if len(off) > 9 else 4]
+    # With one point to spare, all others fit exactly whichever is left out: none stands out.
     if len(off) < design.shape[1] + 2:
         return None
     away = np.hypot(*_deleted(design, colrow).T)
@@ -68,8 +69,9 @@ def odd_one(ground: FloatArray, colrow: FloatArray) -> tuple[int, float, float] 
 
 
 def _deleted(design: FloatArray, colrow: FloatArray) -> FloatArray:
-    """Residuals (N, 2) of each point in a fit to all others."""
+    """Deleted residuals (N, 2): of each point in a fit to all others."""
     basis = np.linalg.svd(design, full_matrices=False)[0]
+    # A point that alone determines a coefficient has a share of 1, and no others to contradict it.
     share = np.minimum((basis**2).sum(axis=1), 1.0 - 1e-9)
     residuals: FloatArray = (colrow - basis @ (basis.T @ colrow)) / (1.0 - share)[:, None]
     return residuals
@@ -92,7 +94,17 @@ _STEEPEST = np.tan(np.radians(60.0))
 
 @dataclass(frozen=True)
 class InitialValues:
-    """First values of the straight flight: those of `IDEAL`, the camera constant (px) and the flying height (m)."""
+    """Initial values of the straight flight.
+
+    Attributes
+    ----------
+    values : array (9,)
+        Those of `IDEAL`, metres and degrees.
+    focal : float
+        Camera constant in pixels.
+    flying_height : float
+        Metres above the ground.
+    """
 
     values: FloatArray
     focal: float
@@ -101,6 +113,16 @@ class InitialValues:
 
 def model_from_control(request: SensorRequest, control: ImageControl) -> PushbroomModel:
     """Model of a scene from its control points alone.
+
+    Parameters
+    ----------
+    request : SensorRequest
+        Size in pixels, CRS of the points, and the options focal_length_px or flying_height, or both.
+    control : ImageControl
+
+    Returns
+    -------
+    PushbroomModel
 
     Raises
     ------
@@ -197,7 +219,7 @@ def initial_values(
     options: Mapping[str, Any],
     where: str,
 ) -> InitialValues:
-    """Initial values from control points, by a parallel projection.
+    """Initial values of the straight flight, from a parallel projection of control points.
 
     Parameters
     ----------
@@ -205,8 +227,18 @@ def initial_values(
         East, north, up in metres.
     colrow : array (N, 2)
         Pixels.
+    size : tuple of int
+        Width and height in pixels.
+    principal : float
+        Column of the principal point.
     options : mapping
         With focal_length_px or flying_height, or both.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    InitialValues
 
     Raises
     ------
@@ -256,7 +288,10 @@ def initial_values(
 
 
 def _slant(height: float, cosine: float) -> float:
-    """Distance to a height above a round Earth, along a line that leaves the ground at that cosine to the vertical."""
+    """Slant distance to a height above a round Earth.
+
+    The line leaves the ground at an angle to the vertical of the given cosine; height and distance in metres.
+    """
     along = EARTH_RADIUS * cosine
     return float(np.sqrt(along**2 + 2.0 * EARTH_RADIUS * height + height**2) - along)
 
@@ -264,10 +299,31 @@ def _slant(height: float, cosine: float) -> float:
 def parallel_projection(
     ground: FloatArray, colrow: FloatArray, where: str
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Constant (2,) and gradients (3,) of col and of row by least squares.
+    """Parallel projection from ground to image by least squares.
 
     Without relief the vertical parts are unknown; a view from straight above is put against that, with the weight of
     one observation of a point 60° oblique.
+
+    Parameters
+    ----------
+    ground : array (N, 3)
+        East, north, up in metres.
+    colrow : array (N, 2)
+        Pixels.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    constant : array (2,)
+        col and row at the origin, pixels.
+    a, b : array (3,)
+        Gradients of col and of row, pixels per metre.
+
+    Raises
+    ------
+    SolveError
+        The points lie on a line.
     """
     middle = ground.mean(axis=0)
     off = ground - middle
