@@ -54,9 +54,6 @@ def merge(
         Georeferenced raster that colours are matched to.
     about : mapping of str to mapping, optional
         Further facts of the images by name.
-    reference : OrientedImage, optional
-    about : mapping of str to mapping, optional
-        As in `mosaic`.
 
     Returns
     -------
@@ -65,7 +62,10 @@ def merge(
 
     Raises
     ------
-    InputError, OutputError
+    InputError
+        An unknown order or image, or no image shows anything of the output.
+    OutputError
+        Writing failed.
     """
     from shapely import Polygon
 

@@ -17,7 +17,21 @@ if TYPE_CHECKING:
 
 
 def companion(output: Path, mark: str, suffix: str) -> Path:
-    """Path of a file named after the mosaic: mosaic-labels.tif, mosaic.gpkg beside mosaic.tif."""
+    """Path of a file named after the mosaic, beside it.
+
+    Parameters
+    ----------
+    output : Path
+        The mosaic, such as mosaic.tif.
+    mark : str
+        Put after its stem: '-labels' for mosaic-labels.tif; may be empty.
+    suffix : str
+        With its dot.
+
+    Returns
+    -------
+    Path
+    """
     return output.with_name(f"{output.stem}{mark}{suffix}")
 
 
@@ -82,7 +96,18 @@ class MosaicFiles:
 
 
 def label_type(images: int) -> str:
-    """Sample type of a label raster: the smallest that numbers so many images from 1, and pixels hidden from all."""
+    """Sample type of a label raster: the smallest that holds all its labels.
+
+    Parameters
+    ----------
+    images : int
+        They are labelled from 1; the label after the last one is that of ground hidden from all images.
+
+    Returns
+    -------
+    str
+        'uint8', 'uint16' or 'int32'.
+    """
     return "uint8" if images < 255 else "uint16" if images < 65535 else "int32"
 
 

@@ -25,7 +25,21 @@ CROWD = 40
 
 @dataclass(frozen=True)
 class Mark:
-    """Control point in the figure: position and residual vector in pixels of the preview."""
+    """Control point in the figure, with its residual vector.
+
+    Attributes
+    ----------
+    name, state : str
+        Id, and one of `WORDS`.
+    x, y : float
+        Position in pixels of the preview.
+    dx, dy : float
+        Enlarged residual, in pixels of the preview.
+    cut : bool
+        Whether the vector is longer than it is drawn.
+    title : str
+        Text on the point.
+    """
 
     name: str
     state: str
@@ -39,9 +53,25 @@ class Mark:
 
 @dataclass(frozen=True)
 class ControlFigure:
-    """Image with its control points, in pixels of its preview, with `margin` around it for points beyond the edges.
+    """Image with its control points and enlarged residual vectors, in pixels of its preview.
 
-    Vectors are drawn `enlarged` times as long as in the image.
+    Attributes
+    ----------
+    width, height : int
+        Of the preview.
+    margin : float
+        Around it, for points beyond the edges.
+    picture : str
+        Preview as a data URI.
+    marks : list of Mark
+    bar : float
+        Length of the scale bar of the residuals, in pixels of the preview.
+    bar_text : str
+        Its length in image pixels.
+    enlarged : float
+        Times as long as in the image the vectors are drawn.
+    named : bool
+        Whether points are few enough to be labelled with their ids.
     """
 
     width: int
@@ -61,10 +91,14 @@ def control_figure(points: Sequence[Mapping[str, Any]], size: tuple[int, int], i
     Parameters
     ----------
     points : sequence of mapping
-        id, state, col, row, residual_px.
+        id, state, col, row, residual_px; positions and residuals (col, row) in image pixels.
     size : tuple of int
         Width and height of the image.
     image : Path
+
+    Returns
+    -------
+    ControlFigure
     """
     rgb, valid = preview(image, LONGEST)
     height, width = valid.shape
@@ -164,7 +198,18 @@ def render_control(data: Mapping[str, Any], image: Path) -> str:
 
 
 def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Key figures: title, value, unit, explanation, and whether it is good news (None where it is neither)."""
+    """Key figures of a control report.
+
+    Parameters
+    ----------
+    data : mapping
+        The facts of the JSON report.
+
+    Returns
+    -------
+    list of dict
+        `title`, `value`, `unit`, `text` (explanation), and `passed`: whether it is good news, None where it is neither.
+    """
     accuracy, check, robust = data["accuracy"], data["check"], data["robust"]
     pixels, metres = accuracy["residuals"]["px"], accuracy["residuals"]["m"]
 

@@ -22,7 +22,16 @@ LONGEST = 1100
 
 @dataclass(frozen=True)
 class Outline:
-    """Footprint of one image on the map: SVG path, and the position of its name."""
+    """Footprint of one image on the map.
+
+    Attributes
+    ----------
+    name : str
+    path : str
+        SVG path, in pixels of the preview.
+    x, y : float
+        Position of the name, in the same pixels.
+    """
 
     name: str
     path: str
@@ -32,7 +41,22 @@ class Outline:
 
 @dataclass(frozen=True)
 class MosaicMap:
-    """Mosaic with footprints and seamlines, in pixels of its preview."""
+    """Mosaic with footprints and seamlines, in pixels of its preview.
+
+    Attributes
+    ----------
+    width, height : int
+        Of the preview.
+    picture : str
+        Preview as a data URI.
+    footprints : list of Outline
+    seams : list of str
+        SVG paths.
+    bar_pixels : float
+        Length of the scale bar.
+    bar_text : str
+        Its length on the ground.
+    """
 
     width: int
     height: int
@@ -45,7 +69,19 @@ class MosaicMap:
 
 @dataclass(frozen=True)
 class Vector:
-    """Residual vector in a picture of the image plane."""
+    """Residual vector in a picture of the image plane.
+
+    Attributes
+    ----------
+    x, y : float
+        Measured image point, in units of the picture.
+    dx, dy : float
+        Enlarged residual, in the same units.
+    role : str
+        'control' or 'check'.
+    title : str
+        Text on the vector.
+    """
 
     x: float
     y: float
@@ -57,7 +93,18 @@ class Vector:
 
 @dataclass(frozen=True)
 class ResidualPlot:
-    """Residual vectors of all images in one image plane, enlarged."""
+    """Residual vectors of all images in one image plane, enlarged.
+
+    Attributes
+    ----------
+    width, height : float
+        Of the picture.
+    vectors : list of Vector
+    bar : float
+        Length of the scale bar of the residuals, in units of the picture.
+    bar_text : str
+        Its length in image pixels.
+    """
 
     width: float
     height: float
@@ -123,6 +170,10 @@ def residual_plot(
         Width and height of the images.
     measured : mapping
         'id image' to measured (col, row).
+
+    Returns
+    -------
+    ResidualPlot
     """
     known = [p for p in points if p["col"] is not None and f"{p['id']} {p['image']}" in measured]
     width = 400.0
@@ -140,19 +191,54 @@ def residual_plot(
 
 
 def path_data(points: FloatArray, closed: bool = False) -> str:
-    """SVG path through points (N, 2), to a tenth of a pixel."""
+    """SVG path through points, to a tenth of a pixel.
+
+    Parameters
+    ----------
+    points : array (N, 2)
+        x to the right, y down, in pixels of the picture.
+    closed : bool
+        Whether the path ends where it began.
+
+    Returns
+    -------
+    str
+        Value of the attribute `d`.
+    """
     text = "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
     return f"M{text}{'Z' if closed else ''}"
 
 
 def nice_length(length: float) -> float:
-    """Length of a scale bar: the largest of 1, 2, 5 times a power of ten that is not longer."""
+    """Length of a scale bar: the largest of 1, 2, 5 times a power of ten that is not longer than a given one.
+
+    Parameters
+    ----------
+    length : float
+        Above 0, in any unit.
+
+    Returns
+    -------
+    float
+    """
     power = 10.0 ** math.floor(math.log10(length))
     return float(max(step * power for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))
 
 
 def data_uri(picture: bytes, kind: str = "image/png") -> str:
-    """Image as a data URI for a page."""
+    """Image as a data URI, so that a page needs no other file.
+
+    Parameters
+    ----------
+    picture : bytes
+        Encoded image.
+    kind : str
+        Its media type.
+
+    Returns
+    -------
+    str
+    """
     return f"data:{kind};base64,{base64.b64encode(picture).decode('ascii')}"
 
 

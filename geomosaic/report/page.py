@@ -15,9 +15,20 @@ if TYPE_CHECKING:
 
 
 def decimals(scale: float | None, least: int = 0) -> int:
-    """Number of decimals that show three figures of a value of this size, at least `least`.
+    """Number of decimals that show three figures of a value.
 
     Pixels of 0.5 m take 3, of 0.00001 degrees 7; grey values of bytes keep the least, reflectances of 0.02 take 4.
+
+    Parameters
+    ----------
+    scale : float or None
+        Typical size of the values.
+    least : int
+        Smallest number of decimals; also where the size is not known.
+
+    Returns
+    -------
+    int
     """
     if scale is None or not math.isfinite(scale) or scale <= 0:
         return least
@@ -25,14 +36,36 @@ def decimals(scale: float | None, least: int = 0) -> int:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Number as text, or a dash for None and NaN."""
+    """Number as text with a true minus sign, or a dash where there is none.
+
+    Parameters
+    ----------
+    value : float or None
+    digits : int
+        Decimals.
+
+    Returns
+    -------
+    str
+        '–' for None, NaN and infinity.
+    """
     if value is None or not math.isfinite(value):
         return "–"
     return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")
 
 
 def words(values: Mapping[str, Any]) -> str:
-    """Table of inputs as one line of text, nested tables in brackets."""
+    """Table of inputs as one line of text, nested tables in brackets.
+
+    Parameters
+    ----------
+    values : mapping
+        Values may be mappings and lists.
+
+    Returns
+    -------
+    str
+    """
     parts = []
     for key, value in values.items():
         if isinstance(value, Mapping):
@@ -46,7 +79,18 @@ def words(values: Mapping[str, Any]) -> str:
 
 
 def byte_size(size: float) -> str:
-    """Bytes as text in a readable unit."""
+    """Size of a file as text, in the largest decimal unit in which it is at least 1.
+
+    Parameters
+    ----------
+    size : float
+        Bytes.
+
+    Returns
+    -------
+    str
+        In bytes, kB, MB or GB.
+    """
     for unit in ("bytes", "kB", "MB", "GB"):
         if size < 1000 or unit == "GB":
             return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.1f} {unit}"
@@ -55,13 +99,33 @@ def byte_size(size: float) -> str:
 
 
 def rms(values: Sequence[float | None]) -> float | None:
-    """Root mean square over bands; None where a value is missing."""
+    """Root mean square over bands.
+
+    Parameters
+    ----------
+    values : sequence of float or None
+
+    Returns
+    -------
+    float or None
+        None where a value is missing, or all are.
+    """
     known = [value for value in values if value is not None]
     return math.sqrt(sum(v * v for v in known) / len(known)) if known and len(known) == len(values) else None
 
 
 def share(part: float, whole: float) -> str:
-    """Part of a whole as text, in per cent."""
+    """Part of a whole as text, in per cent.
+
+    Parameters
+    ----------
+    part, whole : float
+        `whole` is not 0.
+
+    Returns
+    -------
+    str
+    """
     return f"{100 * part / whole:.1f} %"
 
 
@@ -74,6 +138,10 @@ def environment() -> Environment:
 
     Compiled templates are cached beside Python's own bytecode where that is possible: compiling takes a fifth of a
     second.
+
+    Returns
+    -------
+    jinja2.Environment
     """
     import jinja2
 

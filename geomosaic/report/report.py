@@ -24,7 +24,22 @@ ASPRS = 2.0
 
 
 def seam_facts(parts: Sequence[Segment], quality: Sequence[SeamQuality], names: Sequence[str]) -> dict[str, Any] | None:
-    """Facts of all seam segments and of the whole for JSON; None where the quality was not measured."""
+    """Facts of all seam segments and of the whole, for JSON.
+
+    Parameters
+    ----------
+    parts : sequence of Segment
+    quality : sequence of SeamQuality
+        Of the segments; empty where it was not measured.
+    names : sequence of str
+        Of the images.
+
+    Returns
+    -------
+    dict or None
+        Differences in grey values, mismatches in output pixels, lengths in map units; NaN where nothing was measured.
+        None without any quality.
+    """
     if not quality:
         return None
     rows = [
@@ -56,13 +71,38 @@ def seam_facts(parts: Sequence[Segment], quality: Sequence[SeamQuality], names: 
 
 
 def seam_limit(orient: Mapping[str, Any], made: Mapping[str, Any]) -> float | None:
-    """Largest admissible mismatch at seams in output pixels, from the RMSE of check points; None without any."""
+    """Largest admissible mismatch at seams: `ASPRS` times the RMSE of check points.
+
+    Parameters
+    ----------
+    orient : mapping
+        Facts of the orientation; `rms_check_px` in image pixels.
+    made : mapping
+        Facts of the mosaic; `scale` in image pixels per output pixel.
+
+    Returns
+    -------
+    float or None
+        Output pixels; None without check points.
+    """
     rms, scale = orient.get("rms_check_px"), made.get("scale")
     return ASPRS * rms / scale if rms and scale else None
 
 
 def place_pictures(places: Sequence[SeamPlace], rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Worst seam places: figures and one picture each, of the first image, the second one and the mosaic."""
+    """Worst seam places: figures and one picture each, of the first image, the second one and the mosaic.
+
+    Parameters
+    ----------
+    places : sequence of SeamPlace
+    rows : sequence of mapping
+        Facts of all segments, from `seam_facts`.
+
+    Returns
+    -------
+    list of dict
+        The row of each place, with `picture` as a data URI.
+    """
     from geomosaic.raster.preview import png_bytes
 
     return [
@@ -72,7 +112,18 @@ def place_pictures(places: Sequence[SeamPlace], rows: Sequence[Mapping[str, Any]
 
 
 def strip(views: Sequence[AnyArray]) -> ByteArray:
-    """Images (rows, cols, bands) side by side in one contrast stretch, so that their colours can be compared."""
+    """Images side by side in one contrast stretch, so that their colours can be compared.
+
+    Parameters
+    ----------
+    views : sequence of array (rows, cols, bands)
+        Of equal size; 0 in all bands where not valid. The first three bands are shown, or the first one.
+
+    Returns
+    -------
+    uint8 array (rows, cols, 3)
+        White between the images.
+    """
     from geomosaic.raster.preview import stretch
 
     bands = 3 if views[0].shape[2] >= 3 else 1
@@ -137,7 +188,19 @@ def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path, places: Se
 
 
 def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Key figures: title, value, unit, explanation, and whether a threshold on it passed (None where there is none)."""
+    """Key figures of a mosaic's report.
+
+    Parameters
+    ----------
+    data : mapping
+        Content of report.json, as in `render_html`.
+
+    Returns
+    -------
+    list of dict
+        `title`, `value`, `unit`, `text` (explanation), `passed` and `limit`: verdict of a threshold on it, None where
+        there is none.
+    """
     orient, made, check = data["orient"], data["mosaic"], data["check"]
     verdicts = {verdict["name"]: verdict for verdict in check["verdicts"]}
 

@@ -304,7 +304,16 @@ class Blender:
 
 
 def cells_of(mask: AnyArray) -> AnyArray:
-    """Cells of 64 × 64 pixels that contain any pixel of a mask."""
+    """Cells of 64 × 64 pixels that contain any pixel of a mask.
+
+    Parameters
+    ----------
+    mask : bool array (rows, cols)
+
+    Returns
+    -------
+    bool array (⌈rows / 64⌉, ⌈cols / 64⌉)
+    """
     rows, cols = -(-mask.shape[0] // CELL), -(-mask.shape[1] // CELL)
     padded = mask
     if mask.shape != (rows * CELL, cols * CELL) or not mask.flags.c_contiguous:

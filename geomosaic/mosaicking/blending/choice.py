@@ -45,7 +45,20 @@ PIXELS = 32.0
 
 
 def width_px(width: Width, grid: Grid) -> float:
-    """Width in pixels of a grid; in degrees a metre is that at the middle of the grid."""
+    """Width of a transition in pixels of a grid.
+
+    Parameters
+    ----------
+    width : Width
+        Value with its unit: pixels, metres, or map units.
+    grid : Grid
+        Of the output. In a geographic CRS a metre is converted at the grid's middle latitude.
+
+    Returns
+    -------
+    float
+        Pixels, by the geometric mean of both sides of a pixel.
+    """
     if width.unit == "px":
         return width.value
     x, y = grid.resolution
@@ -54,7 +67,19 @@ def width_px(width: Width, grid: Grid) -> float:
 
 
 def transition_px(options: BlendOptions, grid: Grid) -> float:
-    """Width of the transition in pixels of the output; infinite for all that images share, 0 for hard seams."""
+    """Width of the transition across seams in output pixels.
+
+    Parameters
+    ----------
+    options : BlendOptions
+    grid : Grid
+        Of the output.
+
+    Returns
+    -------
+    float
+        0 for hard seams; infinite where images are blended over all that they share; `PIXELS` unless a width is given.
+    """
     if options.blend == "none":
         return 0.0
     if options.feather is None:

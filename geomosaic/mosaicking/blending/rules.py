@@ -35,6 +35,17 @@ def output_info(info: SourceInfo, rule: str) -> SourceInfo:
     """Bands and sample type of the output of a rule.
 
     A count is one band of uint16. Sums of 8 and 16 bits are uint32 or int32, and others float64: nothing overflows.
+
+    Parameters
+    ----------
+    info : SourceInfo
+        Of the images.
+    rule : str
+        One of `RULES`.
+
+    Returns
+    -------
+    SourceInfo
     """
     if rule == "count":
         return replace(info, bands=1, dtype="uint16", descriptions=("images",))

@@ -16,7 +16,18 @@ _MAX_SEPARABLE = 48
 
 
 def reduction(feather: float) -> int:
-    """Pixels per cell of the weights: a power of two with at least eight cells to a ramp; 1 for hard seams."""
+    """Reduction factor of the lattice of weights: a power of two with at least eight cells to a ramp.
+
+    Parameters
+    ----------
+    feather : float
+        Width of the ramp in output pixels.
+
+    Returns
+    -------
+    int
+        Output pixels per cell; 1 for hard seams, at most `MAX_REDUCTION`.
+    """
     factor = 1
     while factor * 2 <= min(feather / 8, MAX_REDUCTION):
         factor *= 2
@@ -24,7 +35,22 @@ def reduction(feather: float) -> int:
 
 
 def halo(feather: float, factor: int) -> int:
-    """Cells beyond a block that its weights depend on: the ramp at a footprint's edge is a whole feather wide."""
+    """Margin of the lattice of weights around a block.
+
+    The ramp at a footprint's edge is a whole feather wide, that at a seam half of it to each side.
+
+    Parameters
+    ----------
+    feather : float
+        Width of the ramp in output pixels.
+    factor : int
+        Output pixels per cell.
+
+    Returns
+    -------
+    int
+        Cells beyond the block that its weights depend on.
+    """
     return int(np.ceil(feather / factor)) + 2
 
 
@@ -143,9 +169,13 @@ def interpolated(nodes: AnyArray, at: AnyArray, axis: int) -> AnyArray:
     ----------
     nodes : array (rows, cols)
     at : array (N,)
-        Positions in node numbers.
+        Positions in node numbers, from 0 to below that of the last node.
     axis : int
         0 or 1.
+
+    Returns
+    -------
+    array (N, cols) or (rows, N)
     """
     first = at.astype(np.int64)
     shape = [1, 1]

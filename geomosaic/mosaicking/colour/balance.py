@@ -32,7 +32,18 @@ MAX_SAMPLES = 3
 
 
 def balance(photos: Photos, options: RenderOptions) -> Balance:
-    """Gain and offset of all photos over their overlaps."""
+    """Gain and offset of all photos over their overlaps.
+
+    Parameters
+    ----------
+    photos : Photos
+    options : RenderOptions
+        Threads and progress.
+
+    Returns
+    -------
+    Balance
+    """
     return solve_gain_offset(
         len(photos), photos.info.bands, overlap_samples(photos, options, comparison_grid(photos))[0]
     )
@@ -77,7 +88,22 @@ def overlap_samples(
 
 
 def outside_areas(piece: Thumbnail, grid: Grid, hidden: Sequence[Any]) -> Thumbnail:
-    """Thumbnail without the cells whose centres lie in some areas."""
+    """Thumbnail without the cells whose centres lie in some areas.
+
+    Parameters
+    ----------
+    piece : Thumbnail
+        Its `valid` is changed in place.
+    grid : Grid
+        Coarse grid of all thumbnails.
+    hidden : sequence of Polygon or MultiPolygon
+        Areas to leave out, in the map of the grid.
+
+    Returns
+    -------
+    Thumbnail
+        `piece` itself.
+    """
     if not hidden or piece.window.empty:
         return piece
     from geomosaic.raster.validity import burn
@@ -87,7 +113,22 @@ def outside_areas(piece: Thumbnail, grid: Grid, hidden: Sequence[Any]) -> Thumbn
 
 
 def inside_areas(piece: Thumbnail, grid: Grid, region: Sequence[Any] | None) -> Thumbnail:
-    """Thumbnail of the cells whose centres lie in some areas; of all cells where no areas are given."""
+    """Thumbnail of the cells whose centres lie in some areas.
+
+    Parameters
+    ----------
+    piece : Thumbnail
+        Its `valid` is changed in place.
+    grid : Grid
+        Coarse grid of all thumbnails.
+    region : sequence of Polygon or MultiPolygon, or None
+        Areas to keep, in the map of the grid; None keeps all cells.
+
+    Returns
+    -------
+    Thumbnail
+        `piece` itself.
+    """
     if region is None or piece.window.empty:
         return piece
     from geomosaic.raster.validity import burn
@@ -97,14 +138,36 @@ def inside_areas(piece: Thumbnail, grid: Grid, region: Sequence[Any] | None) -> 
 
 
 def comparison_grid(photos: Photos, cells: int = CELLS) -> Grid:
-    """Output grid coarsened until the median footprint is about so many cells across."""
+    """Coarse grid on which images are compared: the output grid coarsened by a whole factor.
+
+    Parameters
+    ----------
+    photos : Photos
+    cells : int
+        Cells across the median footprint, about.
+
+    Returns
+    -------
+    Grid
+        With the upper left corner of the output grid; cells are never finer than its pixels.
+    """
     areas = [np.prod(np.ptp(outline.ring, axis=0)) for outline in photos.outlines]
     cell = np.sqrt(float(np.median(areas))) / cells
     return photos.grid.coarser(max(1, round(cell / photos.grid.resolution[0])))
 
 
 def cell_count(windows: Sequence[Window]) -> int:
-    """Cells of all thumbnails of these windows."""
+    """Number of cells of all thumbnails.
+
+    Parameters
+    ----------
+    windows : sequence of Window
+        Of the coarse grid; empty ones do not count.
+
+    Returns
+    -------
+    int
+    """
     return sum(window.width * window.height for window in windows if not window.empty)
 
 
@@ -147,6 +210,11 @@ def thumbnail(
         Sample type of the values.
     cells : int
         Of all thumbnails that will be made, if this is one of many; they decide on compiled kernels.
+
+    Returns
+    -------
+    Thumbnail
+        Values before any correction; 0 where not valid.
     """
     bands = photo.source.info.bands
     values = np.zeros((max(window.height, 0), max(window.width, 0), bands), dtype=dtype)
@@ -174,7 +242,24 @@ def thumbnail(
 
 
 def master_index(photos: Photos, master: str | None) -> int | None:
-    """Number of the master image, with or without its suffix; None without a master."""
+    """Number of the master image.
+
+    Parameters
+    ----------
+    photos : Photos
+    master : str or None
+        Name of the image, with or without its suffix.
+
+    Returns
+    -------
+    int or None
+        None without a master.
+
+    Raises
+    ------
+    InputError
+        No image, or several, of that name.
+    """
     if master is None:
         return None
     hint = "; a raster besides the images is a reference"

@@ -20,13 +20,35 @@ Correction = Colour | ToneCurve | CorrectionField
 
 
 def corrections(solved: Balance) -> Sequence[Correction]:
-    """Corrections of all images in a balance."""
+    """Corrections of all images in a balance.
+
+    Parameters
+    ----------
+    solved : Balance
+
+    Returns
+    -------
+    sequence of Correction
+        Its curves where it has any, else gain and offset.
+    """
     plain = [Colour(gain, offset) for gain, offset in zip(solved.gain, solved.offset, strict=True)]
     return solved.curves or plain
 
 
 def with_gain_offset(correction: Correction, gain: float, offset: float) -> Correction:
-    """Correction followed by gain · value + offset, in all bands."""
+    """Correction followed by gain · value + offset, in all bands.
+
+    Parameters
+    ----------
+    correction : Correction
+    gain, offset : float
+        Applied to corrected values; `offset` in grey values.
+
+    Returns
+    -------
+    Correction
+        Of the same class.
+    """
     if isinstance(correction, CorrectionField):
         bands = len(correction.dark)
         return correction.then(np.full(bands, gain), np.full(bands, offset))
@@ -75,6 +97,10 @@ def image_numbers(wanted: Sequence[str], names: Sequence[str], what: str) -> set
     what : str
         What is done to them, for the error.
 
+    Returns
+    -------
+    set of int
+
     Raises
     ------
     InputError
@@ -88,7 +114,28 @@ def image_numbers(wanted: Sequence[str], names: Sequence[str], what: str) -> set
 
 
 def retouched(colours: Sequence[Correction], names: Sequence[str], edits: Mapping[str, Retouch]) -> list[Correction]:
-    """Corrections of all images with manual edits applied; the balance is not solved again, so the others stay."""
+    """Corrections of all images with manual edits applied.
+
+    The balance is not solved again, so the images that no edit names stay as they are.
+
+    Parameters
+    ----------
+    colours : sequence of Correction
+        Of all images.
+    names : sequence of str
+        Of all images.
+    edits : mapping of str to Retouch
+        Gain and offset by name of the image.
+
+    Returns
+    -------
+    list of Correction
+
+    Raises
+    ------
+    InputError
+        A name that no image has.
+    """
     image_numbers(list(edits), list(names), "to be touched up")
     return [
         with_gain_offset(own, edits[name].gain, edits[name].offset) if name in edits else own
@@ -101,6 +148,15 @@ def rounded(solved: Balance) -> Balance:
 
     Solvers of linear algebra may differ in the last digits from run to run, as their threads divide the work; with
     fewer digits equal runs have equal gains, and units of an earlier run can be used.
+
+    Parameters
+    ----------
+    solved : Balance
+
+    Returns
+    -------
+    Balance
+        With rounded gains, offsets and knots of tone curves; correction fields were rounded when they were laid out.
     """
     curves = solved.curves
     if curves is not None and all(isinstance(curve, ToneCurve) for curve in curves):

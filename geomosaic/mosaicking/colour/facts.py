@@ -28,7 +28,11 @@ def colour_facts(balance: Balance, names: Sequence[str] | None) -> dict[str, Any
     ----------
     balance : Balance
     names : sequence of str, optional
-        Of the images.
+        Of the images; numbers from 1 unless given.
+
+    Returns
+    -------
+    dict
     """
     fields = balance.fields
     terms = [] if fields is None else [term for term in bases.TERMS if term in fields.setting.terms]
@@ -71,7 +75,16 @@ def colour_facts(balance: Balance, names: Sequence[str] | None) -> dict[str, Any
 
 
 def term_notes(balance: Balance) -> list[str]:
-    """Lines of text on what was solved besides gain and offset."""
+    """Lines of text on the terms that were solved besides gain and offset.
+
+    Parameters
+    ----------
+    balance : Balance
+
+    Returns
+    -------
+    list of str
+    """
     lines = list(balance.notes)
     if balance.fields is not None:
         terms = [NAMES[term] for term in bases.TERMS if term in balance.fields.setting.terms]
@@ -82,12 +95,18 @@ def term_notes(balance: Balance) -> list[str]:
 
 
 def correction_picture(balance: Balance, side: int = 96) -> np.ndarray | None:
-    """Correction fields of the first twelve images side by side.
+    """Picture of the correction fields of the first twelve images, side by side.
+
+    Parameters
+    ----------
+    balance : Balance
+    side : int
+        Pixels of one field along each side.
 
     Returns
     -------
     uint8 array (rows, cols, 3) or None
-        128 is a factor of 1, a tenth is 64 grey values; None without fields.
+        128 is the image's mean gain, a tenth more or less is 64 grey values; None without fields.
     """
     shades = [shade for shade in balance.curves or () if isinstance(shade, CorrectionField)][:12]
     if not shades:

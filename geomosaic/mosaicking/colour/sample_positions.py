@@ -21,7 +21,17 @@ SIZE_TOLERANCE = 0.05
 
 
 def cameras(photos: Photos) -> IntArray:
-    """Number (images,) of each photo's camera: photos of one sensor and of about one size share a camera."""
+    """Camera of each photo: photos of one sensor and of about one size share a camera.
+
+    Parameters
+    ----------
+    photos : Photos
+
+    Returns
+    -------
+    int array (images,)
+        Number of the camera, from 0.
+    """
     known: list[tuple[str, float, float]] = []
     numbers = []
     for scene in photos.block.scenes:
@@ -37,15 +47,35 @@ def cameras(photos: Photos) -> IntArray:
 
 
 def view_radius(photos: Photos) -> float:
-    """Half the diagonal of a footprint in map units, the median of all."""
+    """Half the diagonal of a footprint, the median of all.
+
+    Parameters
+    ----------
+    photos : Photos
+
+    Returns
+    -------
+    float
+        Map units.
+    """
     radii = [np.hypot(*(outline.ring - np.array(outline.centre)).T).max() for outline in photos.outlines]
     return float(np.median(radii))
 
 
 def sample_positions(photos: Photos, grid: Grid) -> SamplePositions:
-    """Function that gives the positions of cells of a coarse grid in an image and about its nadir.
+    """Function that gives the positions of cells of a coarse grid in an image and relative to its nadir.
 
-    See `radiometry.bases`. For a reference, numbered after the photos, all positions are 0.
+    Parameters
+    ----------
+    photos : Photos
+    grid : Grid
+        Coarse grid of the cells.
+
+    Returns
+    -------
+    SamplePositions
+        Image and cells (N, 2) as (col, row) → positions in the image and on the ground, each (N, 2), in the units of
+        `radiometry.bases`. For a reference, which is numbered after the photos, all positions are 0.
     """
     radius = view_radius(photos)
 
@@ -71,7 +101,20 @@ def _positions(photos: Photos, index: int, xy: FloatArray, radius: float) -> tup
 
 
 def correction_field(photos: Photos, index: int, fields: ColourModel) -> CorrectionField:
-    """Correction of one photo, laid out over its footprint in the output."""
+    """Correction field of one photo, laid out over its footprint in the output.
+
+    Parameters
+    ----------
+    photos : Photos
+    index : int
+        Number of the photo.
+    fields : ColourModel
+
+    Returns
+    -------
+    CorrectionField
+        Nodes that the photo does not show have the mean gain of those that it shows.
+    """
     window = photos.grid.window_of(photos.outlines[index].bounds)
     longer = max(window.width, window.height, 1)
     spacing = longer / NODES

@@ -27,7 +27,15 @@ LOWEST, HIGHEST = 1.0, 255.0
 
 @dataclass(frozen=True)
 class Stretch:
-    """Linear stretch of corrected values: `low` to 1 and `high` to 255; `how` says where the ends come from."""
+    """Linear stretch of corrected values to eight bits.
+
+    Attributes
+    ----------
+    low, high : float
+        Corrected values that go to 1 and to 255.
+    how : str
+        Where the ends come from, in words.
+    """
 
     low: float
     high: float
@@ -35,7 +43,12 @@ class Stretch:
 
 
 def parse_stretch(text: str) -> tuple[bool, float, float]:
-    """Ends of a stretch from text: '2,98' (percentiles) or 'v100,v3000' (values).
+    """Ends of a stretch from text.
+
+    Parameters
+    ----------
+    text : str
+        '2,98' (percentiles) or 'v100,v3000' (values).
 
     Returns
     -------
@@ -63,7 +76,21 @@ def parse_stretch(text: str) -> tuple[bool, float, float]:
 
 
 def stretch_of(photos: Photos, options: RenderOptions, applied: Sequence[Correction], text: str) -> Stretch:
-    """Stretch that a text such as '2,98' asks for, of images with these corrections.
+    """Stretch between two percentiles or two values of the corrected images.
+
+    Parameters
+    ----------
+    photos : Photos
+    options : RenderOptions
+        Threads.
+    applied : sequence of Correction
+        Of all images.
+    text : str
+        As in `parse_stretch`.
+
+    Returns
+    -------
+    Stretch
 
     Raises
     ------
@@ -80,7 +107,18 @@ def stretch_of(photos: Photos, options: RenderOptions, applied: Sequence[Correct
 
 
 def stretched(stretch: Stretch, applied: Sequence[Correction]) -> list[Correction]:
-    """Corrections followed by the stretch."""
+    """Corrections followed by a stretch.
+
+    Parameters
+    ----------
+    stretch : Stretch
+    applied : sequence of Correction
+        Of all images.
+
+    Returns
+    -------
+    list of Correction
+    """
     gain = (HIGHEST - LOWEST) / (stretch.high - stretch.low)
     offset = LOWEST - gain * stretch.low
     return [with_gain_offset(colour, gain, offset) for colour in applied]

@@ -118,7 +118,17 @@ def _footprints(crs: CRS, sources: SourceImages) -> Layer:
 
 
 def gains(balance: Balance) -> dict[str, list[float]]:
-    """Columns of gains and offsets by image, one of each per band."""
+    """Columns of gains and offsets by image, one of each per band.
+
+    Parameters
+    ----------
+    balance : Balance
+
+    Returns
+    -------
+    dict of str to list of float
+        `gain_1`, `offset_1`, `gain_2` ...; one value per image.
+    """
     columns = {}
     for band in range(balance.gain.shape[1]):
         columns[f"gain_{band + 1}"] = [float(value) for value in balance.gain[:, band]]

@@ -45,7 +45,7 @@ def source_facts(photos: Photos, further: Mapping[str, Mapping[str, Any]]) -> di
     Parameters
     ----------
     photos : Photos
-    given : mapping of str to mapping
+    further : mapping of str to mapping
         Further facts by name of the image.
 
     Returns

@@ -73,8 +73,7 @@ def displacement(
     """Relief displacement of one image over a window of a grid.
 
     At nodes the image position is a cubic in height, and between them its coefficients are interpolated. On the ground
-    it
-    is the length of the line of sight between both heights in plan, |z − level| · tan(view angle).
+    it is the length of the line of sight between both heights in plan, |z − level| · tan(view angle).
 
     Parameters
     ----------

@@ -81,7 +81,7 @@ class ResultCache:
         self.recalled: list[str] = []
 
     def get(self, kind: str, key: str, compute: Callable[[], Value]) -> Value:
-        """Result under a key, else what `find` computes, which replaces it in the cache."""
+        """Result under a key, else what `compute` gives, which replaces it in the cache."""
         if self._folder is None:
             return compute()
         known: Value | None = self.table(kind).get(key)
@@ -113,6 +113,16 @@ class ResultCache:
 def encode(value: Any) -> Any:
     """JSON form of a value.
 
+    Parameters
+    ----------
+    value : object
+        None, number, text, array, list, tuple, frozenset, or a dataclass of `CLASSES`, nested in any way.
+
+    Returns
+    -------
+    object
+        Of what JSON knows: arrays as base64 of their bytes, so that they come back to the bit.
+
     Raises
     ------
     TypeError
@@ -138,7 +148,23 @@ def encode(value: Any) -> Any:
 
 
 def decode(value: Any) -> Any:
-    """Value of its JSON form, the inverse of `encode`."""
+    """Value of its JSON form, the inverse of `encode`.
+
+    Parameters
+    ----------
+    value : object
+        From `encode`.
+
+    Returns
+    -------
+    object
+        Arrays are copies that can be written to.
+
+    Raises
+    ------
+    KeyError, TypeError, AttributeError
+        The form of an older version, with classes or fields that are no more.
+    """
     if isinstance(value, list):
         return [decode(part) for part in value]
     if not isinstance(value, dict):

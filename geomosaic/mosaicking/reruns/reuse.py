@@ -109,7 +109,7 @@ class Reuse:
             return {}
 
     def forget(self) -> None:
-        """Compute all units anew."""
+        """Units of the earlier run dropped: all are computed anew."""
         self._known = {}
 
     def left(self, windows: Sequence[Window]) -> int:
@@ -168,7 +168,24 @@ class Reuse:
 def reuse_of(
     options: MosaicOptions, memory: Memory | None, blender: Blender, files: dict[str, Path], water: str = ""
 ) -> Reuse | None:
-    """Reuse of an earlier run; None without a memory, and where files do not hold exact values (lossy compression)."""
+    """Reuse of the units of an earlier run, where it is possible.
+
+    Parameters
+    ----------
+    options : MosaicOptions
+    memory : Memory or None
+        Of the earlier run.
+    blender : Blender
+    files : dict of str to Path
+        Rasters of the earlier run, as in `Reuse`.
+    water : str
+        Fingerprint of water that is filled with a tone.
+
+    Returns
+    -------
+    Reuse or None
+        None without a memory, and where lossy compression has changed the values in the files.
+    """
     compression = options.render.creation.get("COMPRESS", "DEFLATE").upper()
     if memory is None or compression not in LOSSLESS:
         return None
@@ -176,7 +193,17 @@ def reuse_of(
 
 
 def colour_bytes(colour: Correction) -> bytes:
-    """Bytes of all that decides what a correction does."""
+    """Bytes of all that decides what a correction does, for keys.
+
+    Parameters
+    ----------
+    colour : Correction
+
+    Returns
+    -------
+    bytes
+        Equal where corrections are equal to the bit.
+    """
     if isinstance(colour, ToneCurve):
         return b"".join(x.tobytes() + y.tobytes() for x, y in colour.knots) + repr(colour.slope).encode()
     if isinstance(colour, CorrectionField):

@@ -192,12 +192,18 @@ def _with_site_terms(
 
 
 def cell_heights(photos: Photos, grid: Grid) -> Float32Array:
-    """Heights of the surface at the cells of a grid.
+    """Heights of the surface at the cell centres of a grid.
+
+    Parameters
+    ----------
+    photos : Photos
+        Of a block with or without a surface.
+    grid : Grid
 
     Returns
     -------
     float32 array (rows, cols)
-        Metres; NaN where unknown, or where the block has no surface.
+        Metres, bilinear between the posts of the DEM; NaN where unknown, or where the block has no surface.
     """
     from scipy.ndimage import map_coordinates
 
@@ -235,7 +241,18 @@ class SeamLayers:
 
 
 def read_seam_layers(follow: Sequence[Path], avoid: Sequence[Path], grid: Grid) -> SeamLayers:
-    """Lines and areas of all layers of vector files, transformed to the map of a grid.
+    """Lines and areas that seams follow or avoid, from all layers of vector files.
+
+    Parameters
+    ----------
+    follow, avoid : sequence of Path
+        Files of lines or areas to follow, and of areas to avoid.
+    grid : Grid
+        Of the output, to whose map they are transformed.
+
+    Returns
+    -------
+    SeamLayers
 
     Raises
     ------

@@ -51,12 +51,34 @@ def with_cutlines(shares: Sequence[Any], drawn: Mapping[int, Any]) -> list[Any]:
 
 
 def significant(part: Any, whole: Any) -> bool:
-    """Whether an area is more than rounding in an overlay leaves: a part in 10⁸ of another."""
+    """Whether an area is more than rounding in an overlay leaves: a part in 10⁸ of another.
+
+    Parameters
+    ----------
+    part, whole : geometry
+        In one map.
+
+    Returns
+    -------
+    bool
+    """
     return bool(part.area > 1e-8 * whole.area)
 
 
 def cover_everything(drawn: Mapping[int, Any], outlines: Sequence[Any]) -> bool:
-    """Whether drawn shares leave less than a millionth of the footprints to others."""
+    """Whether drawn shares leave less than a millionth of the footprints to others.
+
+    Parameters
+    ----------
+    drawn : mapping of int to Polygon or MultiPolygon
+        By number of the image.
+    outlines : sequence of Polygon or MultiPolygon
+        Footprints of all images.
+
+    Returns
+    -------
+    bool
+    """
     import shapely
 
     if not drawn:
@@ -140,7 +162,22 @@ def read_cutlines(path: Path, names: Sequence[str], outlines: Sequence[Any], crs
 
 
 def warn_of_gaps(path: Path, drawn: Mapping[int, Any], outlines: Sequence[Any]) -> None:
-    """Warning of ground between drawn areas that cover every image: a border was moved in one area only."""
+    """Warning of ground between drawn areas of all images: a border was moved in one area only.
+
+    Parameters
+    ----------
+    path : Path
+        File that they were drawn in.
+    drawn : mapping of int to Polygon or MultiPolygon
+        By number of the image; each image has one.
+    outlines : sequence of Polygon or MultiPolygon
+        Footprints of all images.
+
+    Warns
+    -----
+    GeomosaicWarning
+        With the area of the ground that no drawn area takes.
+    """
     import shapely
 
     area = shapely.union_all(list(outlines)).difference(shapely.union_all(list(drawn.values()))).area

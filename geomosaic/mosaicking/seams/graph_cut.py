@@ -176,7 +176,18 @@ def minimise(graph: RegionGraph, labels: IntArray) -> IntArray:
 
 
 def energy(graph: RegionGraph, labels: IntArray) -> float:
-    """Cost of a labelling: of all borders between different images, and of all regions in theirs."""
+    """Energy of a labelling: costs of all borders between different images, and of all regions in theirs.
+
+    Parameters
+    ----------
+    graph : RegionGraph
+    labels : int array (regions,)
+        Image that shows each region.
+
+    Returns
+    -------
+    float
+    """
     differ = labels[graph.first] != labels[graph.second]
     unary = np.where(graph.allowed == labels[:, None], graph.unary, 0.0).sum()
     return float(graph.weight[differ].sum() + unary)

@@ -17,7 +17,7 @@ ORDERS = ("list", "name", "resolution", "date")
 def image_order(
     scenes: Sequence[OrientedImage], outlines: Sequence[Footprint], order: str = "list", base: str | None = None
 ) -> list[int]:
-    """Numbers of the images in order of precedence, the uppermost first.
+    """Order of precedence of images that lie upon each other, the uppermost first.
 
     Parameters
     ----------
@@ -29,6 +29,11 @@ def image_order(
         Equals stay as given.
     base : str, optional
         Name of the image that comes last, whatever the order.
+
+    Returns
+    -------
+    list of int
+        Numbers of the images.
 
     Raises
     ------
@@ -58,11 +63,15 @@ def image_index(name: str, scenes: Sequence[OrientedImage], where: str = "base i
     Parameters
     ----------
     name : str
-    scenes : sequence of Scene
+    scenes : sequence of OrientedImage
     where : str
         Role of the image, for the error.
     hint : str
-        What else to say where there is no such image.
+        Added to the error's hint.
+
+    Returns
+    -------
+    int
 
     Raises
     ------

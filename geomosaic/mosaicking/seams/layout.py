@@ -105,7 +105,17 @@ def halved_regions(photos: Photos, outlines: Sequence[Any]) -> list[Any]:
 
 
 def seam_grid(photos: Photos) -> Grid:
-    """Coarse grid on which seams are laid: about `CELLS` across a footprint, at most `MAX_CELLS` in all."""
+    """Coarse grid on which seams are laid: about `CELLS` across a footprint, at most `MAX_CELLS` in all.
+
+    Parameters
+    ----------
+    photos : Photos
+
+    Returns
+    -------
+    Grid
+        The output grid coarsened by a whole factor.
+    """
     areas = [np.prod(np.ptp(outline.ring, axis=0)) for outline in photos.outlines]
     pixel = photos.grid.resolution[0]
     factor = max(1, round(float(np.sqrt(np.median(areas))) / CELLS / pixel))

@@ -122,6 +122,12 @@ def valid_outlines(photos: Photos, options: RenderOptions) -> list[Any]:
     The outline is the image's rectangle, unless the file marks missing pixels and more than a few are missing. Then it
     is that of the valid cells of a coarse grid, shrunk by three quarters of a cell: the image surely shows all of it.
 
+    Parameters
+    ----------
+    photos : Photos
+    options : RenderOptions
+        Threads.
+
     Returns
     -------
     list of Polygon or MultiPolygon

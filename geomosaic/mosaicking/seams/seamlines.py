@@ -53,7 +53,12 @@ def seam_segments(shares: Sequence[Any], pixel: float, longest: float) -> list[S
     pixel : float
         Size of a pixel in map units.
     longest : float
-        Largest length of a segment in map units.
+        Largest length of a segment in map units; infinite for whole seams.
+
+    Returns
+    -------
+    list of Segment
+        By number of the first image, of the second, and of the segment.
     """
     import shapely
 
@@ -151,7 +156,18 @@ NOT_MEASURED = SeamQuality(*(float("nan"),) * 6)
 
 
 def sample_size(pixels: int) -> int:
-    """Number of segments to measure in a mosaic of so many pixels: both images of a twentieth of it, 20 to 400."""
+    """Number of seam segments to measure in a mosaic: both images of a twentieth of its area are rendered again.
+
+    Parameters
+    ----------
+    pixels : int
+        Of the mosaic.
+
+    Returns
+    -------
+    int
+        From `MIN_SEGMENTS` to `MAX_SEGMENTS`.
+    """
     return min(max(pixels // (40 * (TILE + 2 * (SEARCH + 2)) ** 2), MIN_SEGMENTS), MAX_SEGMENTS)
 
 
@@ -164,6 +180,11 @@ def measure_seams(blender: Blender, segments: Sequence[Segment], options: Render
     segments : sequence of Segment
     options : RenderOptions
         Threads and progress.
+
+    Returns
+    -------
+    list of SeamQuality
+        One per segment.
     """
 
     def one(segment: Segment) -> SeamQuality:
@@ -185,7 +206,7 @@ def measure_seams(blender: Blender, segments: Sequence[Segment], options: Render
 def compare_images(
     a: AnyArray, b: AnyArray, a0: AnyArray, b0: AnyArray, both: BoolArray, near: BoolArray
 ) -> SeamQuality:
-    """Agreement of two images of a place.
+    """Agreement of two images of a place: colour step and difference beside the seam, and shift.
 
     Parameters
     ----------
@@ -197,6 +218,11 @@ def compare_images(
         Pixels that both show.
     near : bool array (rows, cols)
         Pixels beside the seam.
+
+    Returns
+    -------
+    SeamQuality
+        `NOT_MEASURED` where fewer than `BAND`² pixels beside the seam are shown by both.
     """
     here = both & near
     if here.sum() < BAND**2:

@@ -67,7 +67,18 @@ def _nearer(
 
 
 def polygonal(geometry: Geometry) -> Geometry:
-    """Polygons of a geometry, without the points and lines that an overlay may leave."""
+    """Polygons of a geometry, without the points and lines that an overlay may leave.
+
+    Parameters
+    ----------
+    geometry : geometry
+        Of any type.
+
+    Returns
+    -------
+    Polygon or MultiPolygon
+        Empty where the geometry has no area.
+    """
     import shapely
 
     if geometry.geom_type in ("Polygon", "MultiPolygon"):

@@ -120,7 +120,17 @@ SMOOTHING = 2.0
 
 @dataclass(frozen=True)
 class Pool:
-    """Water body in the output map, and its tone (rows, cols, bands) on a coarse grid around it."""
+    """Water body with the tone that fills it.
+
+    Attributes
+    ----------
+    shape : Polygon
+        In the output map.
+    grid : Grid
+        Coarse grid around it.
+    tone : array (rows, cols, bands)
+        Corrected values at the cells of the grid.
+    """
 
     shape: Any
     grid: Grid
@@ -227,5 +237,15 @@ def harmonic_tone(values: FloatArray, inside: BoolArray) -> FloatArray:
 
 
 def fingerprint(found: Sequence[Pool]) -> str:
-    """Digest of the water that pixels depend on."""
+    """Digest of the water that pixels depend on.
+
+    Parameters
+    ----------
+    found : sequence of Pool
+
+    Returns
+    -------
+    str
+        Empty without water.
+    """
     return digest_of(*(part for pool in found for part in (pool.shape.wkb, pool.tone))) if found else ""
