@@ -26,7 +26,8 @@ def image_noise(blender: Blender) -> float:
     """Noise of a block: standard deviation of the difference of two corrected images of the same ground.
 
     At half the resolution. Where neighbours meet, up to three places of 128 × 128 pixels are compared for each pair,
-    48 for all. In each, the median difference is colour; the median distance from it, times 1.4826 (Huber, 1981), is noise.
+    48 for all. In each, the median difference is colour; the median distance from it, times 1.4826 (Huber, 1981),
+    is noise.
 
     Parameters
     ----------
