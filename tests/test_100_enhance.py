@@ -155,7 +155,7 @@ def test_limits_and_percentiles_of_ones_own(scene: Path, tmp_path: Path, capsys:
         want = np.clip(np.floor(255 * (raw - low) / (high - low) + 0.5), 0, 255)
         assert np.abs(made - want)[mask].max() <= 1
     for words, part in (
-        (["--stretch", "linear"], "--limits LOW HIGH"),
+        (["--stretch", "linear"], "give --limits"),
         (["--stretch", "equalise", "--limits", "1", "2"], "belongs to --stretch linear"),
         (["--limits", "2", "1"], "wrong way round"),
         (["--limits", "2", "3", "--percentiles", "2", "98"], "leave one of them out"),

@@ -236,7 +236,7 @@ def test_an_error_leaves_nothing(raster: Path, tmp_path: Path, monkeypatch: pyte
     def full(path: Path) -> None:
         raise OSError(28, "No space left on device")
 
-    for module in ("geomosaic.raster.web_tiles", "geomosaic.raster.sink", "geomosaic.raster.output_files"):
+    for module in ("geomosaic.whole_files", "geomosaic.raster.sink"):
         monkeypatch.setattr(f"{module}.sync", full)
     assert run(["sheet", str(raster), "--dpi", "72", "-o", str(tmp_path / f"map.{suffix}")]) == 1
     assert list(tmp_path.iterdir()) == []

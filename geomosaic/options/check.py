@@ -152,7 +152,12 @@ def check_idle(value: Any, effective: Mapping[str, Any] | None = None) -> None:
                 other = _shown(condition, state)
                 hint = f"leave out {own} or `{condition.partition('=')[0]}`"
                 raise InputError(f"{own} would do nothing with {other}", hint=hint)
-        if one.option.needs and not any(_holds(condition, state) for condition in one.option.needs):
+        # Switched off, an option asks for nothing that another would have to give.
+        if (
+            found is not False
+            and one.option.needs
+            and not any(_holds(condition, state) for condition in one.option.needs)
+        ):
             wanted = " or ".join(f"`{condition}`" for condition in one.option.needs)
             raise InputError(f"{own} would do nothing without {wanted}", hint=f"give {wanted}, or leave out {own}")
 
