@@ -123,9 +123,14 @@ def match_edges(
     **options
         Of `MosaicOptions`, flat.
 
+    Returns
+    -------
+    EdgeMosaic
+
     Raises
     ------
     GeomosaicError
+        InputError, OutputError or SolveError; nothing is left under the output's name.
     """
     paths, policy = tuple(map(Path, images)), wrong_policy(robust, insist)
     inputs = EdgeInputs(paths, Path(gcps), Path(common), crs, model, reach, bands, policy)
@@ -161,9 +166,14 @@ def develop(
     **options
         Of `MosaicOptions`, flat; of one image those of `RenderOptions` count.
 
+    Returns
+    -------
+    DevelopedResult
+
     Raises
     ------
     GeomosaicError
+        InputError, OutputError, SensorError or SolveError; nothing is left under the output's name.
     """
     if not 0.0 < oblique < 90.0:
         raise InputError(f"{oblique} degrees cannot be drawn", where="`oblique`", hint="more than 0 and less than 90")

@@ -1,4 +1,4 @@
-"""Options of commands from their declarations, and help in groups."""
+"""Options of commands made from their declarations, and help in groups."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FILE = FilePath(path_type=Path)
 
 
 class GroupedCommand(click.Command):
-    """A command whose help shows options under the headings of their groups."""
+    """Command whose help shows options under the headings of their groups."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, group by group."""
@@ -40,10 +40,23 @@ command = partial(click.command, cls=GroupedCommand)
 
 
 def stack(*decorators: Callable[[Any], Any], group: str = "") -> Callable[[Function], Function]:
-    """Apply decorators so that options appear in `--help` in the order given here, under the heading of a group."""
+    """Decorator that applies several, so that `--help` shows their options in the order given here.
+
+    Parameters
+    ----------
+    *decorators : callable
+        As of `click.option`.
+    group : str
+        Heading in the help, one of `GROUPS`, of options that have none yet.
+
+    Returns
+    -------
+    callable
+    """
 
     def apply(function: Function) -> Function:
         before = len(getattr(function, "__click_params__", ()))
+        # Decorators apply from the last to the first, as they would when written above a function.
         for decorator in reversed(decorators):
             function = decorator(function)
         for param in getattr(function, "__click_params__", ())[before:]:
@@ -84,7 +97,17 @@ def options_of(
 
 
 def click_option(one: Declared) -> Callable[[Any], Any]:
-    """Click's option of a declared one; None stands for what is not given, so that the class has the default."""
+    """Decorator that adds the click option of a declared one.
+
+    Parameters
+    ----------
+    one : Declared
+
+    Returns
+    -------
+    callable
+        None stands for what is not given: the options class has the default, in one place.
+    """
     option, more = one.option, _type_of(one)
     names = (option.flag or one.flag).split()
     if one.kind is bool:
@@ -145,7 +168,16 @@ def _composed(kind: type[Any], ctx: click.Context, param: click.Parameter, value
 
 
 def json_value(text: str) -> Any:
-    """Value of a text: a JSON number, list or table where it is one, else the text."""
+    """Value of a text: a JSON number, list or table where it is one, else the text.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    object
+    """
     try:
         return json.loads(text)
     except ValueError:

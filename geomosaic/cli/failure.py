@@ -1,4 +1,4 @@
-"""How a failure is told: what, where and how to correct it, for people or as JSON."""
+"""Messages of failures: what, where and a hint, in words or as JSON, with the exit code."""
 
 from __future__ import annotations
 
@@ -28,7 +28,21 @@ OF_THE_SYSTEM = {
 
 
 def stopped(by: BaseException, as_json: bool, *, resumes: bool = False) -> int:
-    """Tell what stopped the command; the exit code is that of the signal, as shells have it: 130 for Ctrl-C."""
+    """Message of a command that was stopped, and its exit code.
+
+    Parameters
+    ----------
+    by : BaseException
+        `Stopped` knows its signal; any other stands for Ctrl-C.
+    as_json : bool
+    resumes : bool
+        Whether the same command goes on where this one ended.
+
+    Returns
+    -------
+    int
+        128 and the number of the signal, as shells have it: 130 for Ctrl-C.
+    """
     number = by.number if isinstance(by, Stopped) else signal.SIGINT
     name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
     hint = {"hint": "the same command resumes: what is done stays done"} if resumes else {}
@@ -37,7 +51,7 @@ def stopped(by: BaseException, as_json: bool, *, resumes: bool = False) -> int:
 
 
 def failed(error: Exception, *, as_json: bool, debug: bool, command: str = "") -> int:
-    """Tell an error and return the exit code.
+    """Message of an error, and the exit code.
 
     Parameters
     ----------
@@ -48,6 +62,10 @@ def failed(error: Exception, *, as_json: bool, debug: bool, command: str = "") -
         Show the traceback.
     command : str
         Name of the command that ran; its parameters are named by their flags.
+
+    Returns
+    -------
+    int
     """
     if isinstance(error, click.ClickException):
         if as_json:

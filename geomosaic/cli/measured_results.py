@@ -1,4 +1,4 @@
-"""Accuracy and places in words, and as plain values."""
+"""Accuracy, places and drawings in words, and as plain values for JSON."""
 
 from __future__ import annotations
 
@@ -20,7 +20,17 @@ MOST = 40
 
 
 def check_facts(found: MapCheck) -> dict[str, Any]:
-    """Plain values of a check."""
+    """Accuracy at check points as plain values, with all points.
+
+    Parameters
+    ----------
+    found : MapCheck
+
+    Returns
+    -------
+    dict
+        JSON values.
+    """
     from geomosaic.georeferencing.facts import advice_facts, statistics_facts
 
     points = zip(found.ids, found.measured, found.true, found.pixel_errors, found.statistics.errors, strict=True)
@@ -49,7 +59,16 @@ def check_facts(found: MapCheck) -> dict[str, Any]:
 
 
 def check_words(found: MapCheck) -> str:
-    """Say how accurate the map is, and where it is worst."""
+    """Accuracy at check points in words: the points of the largest errors, RMS, and statements by NSSDA and ASPRS.
+
+    Parameters
+    ----------
+    found : MapCheck
+
+    Returns
+    -------
+    str
+    """
     import numpy as np
 
     s, unit = found.statistics, found.statistics.unit
@@ -75,7 +94,16 @@ def check_words(found: MapCheck) -> str:
 
 
 def georeference_words(made: Georeferenced) -> str:
-    """Say what was fitted, how well, and what was drawn."""
+    """Georeferencing in words: the fit, its errors, and what was drawn.
+
+    Parameters
+    ----------
+    made : Georeferenced
+
+    Returns
+    -------
+    str
+    """
     from geomosaic.cli.results import ortho_words
 
     solution, accuracy = made.solution, made.facts["accuracy"]
@@ -129,7 +157,19 @@ def _pixels_metres(part: dict[str, Any], key: str) -> str:
 
 
 def located_facts(found: Located, output: Path | None) -> dict[str, Any]:
-    """Plain values of places."""
+    """Places on the ground as plain values.
+
+    Parameters
+    ----------
+    found : Located
+    output : Path or None
+        File that was written, if any.
+
+    Returns
+    -------
+    dict
+        JSON values.
+    """
     from geomosaic.geo.crs import height_name, horizontal
     from geomosaic.monoplotting.run import POINT
 
@@ -149,7 +189,18 @@ def located_facts(found: Located, output: Path | None) -> dict[str, Any]:
 
 
 def located_words(found: Located, output: Path | None) -> str:
-    """Say where the pixels lie."""
+    """Places on the ground in words; listed only where no file holds them.
+
+    Parameters
+    ----------
+    found : Located
+    output : Path or None
+        File that was written, if any.
+
+    Returns
+    -------
+    str
+    """
     from geomosaic.inputs.frames import frame_description
 
     places = found.places
@@ -180,7 +231,18 @@ def located_words(found: Located, output: Path | None) -> str:
 
 
 def drawn_facts(drawn: DrawnVectors, output: Path) -> dict[str, Any]:
-    """Plain values of a drawing."""
+    """Map vectors drawn into a photo, as plain values.
+
+    Parameters
+    ----------
+    drawn : Drawn
+    output : Path
+
+    Returns
+    -------
+    dict
+        JSON values.
+    """
     return {
         "output": str(output),
         "features": drawn.features,
@@ -191,6 +253,16 @@ def drawn_facts(drawn: DrawnVectors, output: Path) -> dict[str, Any]:
 
 
 def drawn_words(drawn: DrawnVectors, output: Path) -> str:
-    """Say what was drawn."""
+    """Map vectors drawn into a photo, in words.
+
+    Parameters
+    ----------
+    drawn : Drawn
+    output : Path
+
+    Returns
+    -------
+    str
+    """
     hidden = f", {drawn.hidden} of them hidden" if drawn.hidden else ""
     return f"{output}: {drawn.drawn} of {drawn.features} features in the photo, {drawn.pieces} pieces{hidden}"

@@ -40,13 +40,18 @@ _KEYS = {name: f"[{section}] {name}" for section, names in _SECTIONS.items() for
 
 
 def translated(text: str, command: str | None = None) -> str:
-    """A text with its parameters as the command calls them.
+    """Text with its parameters named as the command names them.
 
     Parameters
     ----------
     text : str
+        Parameters stand in backticks.
     command : str, optional
         Name of a command; the one that is running unless given.
+
+    Returns
+    -------
+    str
     """
     if "`" not in text:
         return text

@@ -81,7 +81,7 @@ _received: list[int] = []  # signals that have asked this process to end
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal asks the process to end: what is unfinished is cleaned up on the way out."""
+    """Request of a signal that the process end; what is unfinished is cleaned up on the way out."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -113,6 +113,10 @@ def check_stopped() -> None:
 
     Python raises what a signal handler raises wherever the main thread is; in a callback from C or a finaliser it gets
     lost. So the work looks again whenever it reports progress.
+
+    Raises
+    ------
+    Stopped
     """
     if _received:
         raise Stopped(_received[0])
@@ -120,7 +124,14 @@ def check_stopped() -> None:
 
 @contextmanager
 def on_sigterm(request: Callable[[], None]) -> Iterator[None]:
-    """SIGTERM as a request to stop where the work can go on later, instead of an error in the middle of it."""
+    """SIGTERM as a request to stop where the work can go on later, instead of an error in the middle of it.
+
+    Parameters
+    ----------
+    request : callable
+        Called without arguments when the signal comes. Outside the main thread, which alone may set handlers, nothing
+        changes.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -155,6 +166,10 @@ def leave(code: int) -> NoReturn:
     Python would search all objects for cycles, several times over, before it frees them: a ninth of the processor time
     of a small ortho or mosaic and a sixth of that of `--help` (medians of 7 to 15 pairs of whole processes). Frozen,
     they are left to the system, which takes all of a process's memory at once.
+
+    Parameters
+    ----------
+    code : int
     """
     for stream in filter(None, (sys.stdout, sys.stderr)):
         try:

@@ -1,4 +1,4 @@
-"""From flags to what the layers below take."""
+"""Inputs of the library from the flags of a command."""
 
 from __future__ import annotations
 
@@ -20,7 +20,26 @@ def block_inputs(
     control: Path | None = None,
     planar: PlanarInputs | None = None,
 ) -> Block:
-    """Make the description of a block."""
+    """Block from the flags of a command.
+
+    Parameters
+    ----------
+    images : tuple of Path
+    flags : mapping
+        Values by parameter name, as click gives them.
+    control : Path, optional
+        Table of control points.
+    planar : PlanarInputs, optional
+
+    Returns
+    -------
+    Block
+
+    Raises
+    ------
+    InputError
+        An orientation or a camera is given without a sensor.
+    """
     from geomosaic.errors import InputError
     from geomosaic.inputs.declarations import Block
     from geomosaic.sensor.registry import photo_sensor, plane_sensor
@@ -57,7 +76,23 @@ def block_inputs(
 
 
 def planar_inputs(flags: Mapping[str, Any]) -> PlanarInputs | None:
-    """How photos are placed together by plane transformations; None where nothing asks for it."""
+    """Planar placement of photos from the flags of a command.
+
+    Parameters
+    ----------
+    flags : mapping
+        Values by parameter name, as click gives them.
+
+    Returns
+    -------
+    PlanarInputs or None
+        None where nothing asks for it.
+
+    Raises
+    ------
+    InputError
+        A flag of it is given without --kind, or with a sensor that has a rigorous model.
+    """
     from geomosaic.errors import InputError
     from geomosaic.inputs.declarations import PlanarInputs, wrong_policy
     from geomosaic.sensor.registry import plane_sensor
@@ -96,7 +131,17 @@ def planar_inputs(flags: Mapping[str, Any]) -> PlanarInputs | None:
 
 
 def area(flags: Mapping[str, Any]) -> Area:
-    """Make the description of the output's place."""
+    """Area of the output from the flags of a command.
+
+    Parameters
+    ----------
+    flags : mapping
+        `dst_crs`, `res`, `bounds` and, where the command has it, `like`.
+
+    Returns
+    -------
+    Area
+    """
     from geomosaic.render.extent import Area
 
     return Area(flags["dst_crs"], flags["res"], flags["bounds"], like=flags.get("like"))

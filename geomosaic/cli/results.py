@@ -16,7 +16,17 @@ if TYPE_CHECKING:
 
 
 def grid_facts(grid: Grid) -> dict[str, Any]:
-    """Say a grid in plain values."""
+    """Grid as plain values.
+
+    Parameters
+    ----------
+    grid : Grid
+
+    Returns
+    -------
+    dict
+        JSON values.
+    """
     code = grid.crs.to_authority(min_confidence=100)
     return {
         "crs": f"{code[0]}:{code[1]}" if code else grid.crs.to_wkt(),
@@ -28,7 +38,17 @@ def grid_facts(grid: Grid) -> dict[str, Any]:
 
 
 def ortho_facts(result: OrthoResult) -> dict[str, Any]:
-    """Plain values of an ortho."""
+    """Ortho as plain values.
+
+    Parameters
+    ----------
+    result : OrthoResult
+
+    Returns
+    -------
+    dict
+        JSON values.
+    """
     return {
         "output": str(result.path),
         "grid": grid_facts(result.grid),
@@ -43,7 +63,16 @@ def ortho_facts(result: OrthoResult) -> dict[str, Any]:
 
 
 def ortho_words(result: OrthoResult) -> str:
-    """Say how the image was oriented, and what was made."""
+    """Ortho in words: notes on the orientation, size, and accuracy of the geometry.
+
+    Parameters
+    ----------
+    result : OrthoResult
+
+    Returns
+    -------
+    str
+    """
     return "\n".join(
         [
             *result.notes,
@@ -56,12 +85,33 @@ def ortho_words(result: OrthoResult) -> str:
 
 
 def hidden_words(pixels: int | None, grid: Grid) -> str:
-    """Say how much the surface hides, where that was asked."""
+    """Share of pixels that the surface hides, in words.
+
+    Parameters
+    ----------
+    pixels : int or None
+        None where visibility was not asked for.
+    grid : Grid
+
+    Returns
+    -------
+    str
+    """
     return "" if pixels is None else f", {share(pixels, grid)} hidden by the surface"
 
 
 def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
-    """Plain values of a mosaic."""
+    """Mosaic as plain values.
+
+    Parameters
+    ----------
+    result : MosaicResult
+
+    Returns
+    -------
+    dict
+        JSON values.
+    """
     from geomosaic.mosaicking.colour.facts import colour_facts
 
     companions = {"labels": result.labels, "vectors": result.vectors, "stac": result.item}
@@ -89,7 +139,16 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
 
 
 def mosaic_words(result: MosaicResult) -> str:
-    """Say what was made, in a few lines."""
+    """Mosaic in words, in a few lines.
+
+    Parameters
+    ----------
+    result : MosaicResult
+
+    Returns
+    -------
+    str
+    """
     from geomosaic.mosaicking.colour.facts import term_notes
 
     lines = [
@@ -113,7 +172,18 @@ def mosaic_words(result: MosaicResult) -> str:
 
 
 def colour_words(overlaps: int, before: float, after: float) -> str:
-    """Say what balancing did, with the decimals that the values ask for."""
+    """Effect of the colour balance in words, with the decimals that the values ask for.
+
+    Parameters
+    ----------
+    overlaps : int
+    before, after : float
+        RMS colour difference in the overlaps, grey values.
+
+    Returns
+    -------
+    str
+    """
     from geomosaic.report.page import decimals
 
     digits = decimals(before, 2)
@@ -121,7 +191,16 @@ def colour_words(overlaps: int, before: float, after: float) -> str:
 
 
 def size_words(grid: Grid) -> str:
-    """Say a grid in a few words."""
+    """Size, resolution and CRS of a grid in words.
+
+    Parameters
+    ----------
+    grid : Grid
+
+    Returns
+    -------
+    str
+    """
     from geomosaic.inputs.frames import crs_name
 
     x, y = grid.resolution
@@ -131,23 +210,62 @@ def size_words(grid: Grid) -> str:
 
 
 def share(pixels: int, grid: Grid) -> str:
-    """Part of a grid in per cent."""
+    """Share of a grid in per cent, as text.
+
+    Parameters
+    ----------
+    pixels : int
+    grid : Grid
+
+    Returns
+    -------
+    str
+    """
     return f"{100 * pixels / (grid.width * grid.height):.1f} %"
 
 
 def rms(values: list[float]) -> float:
-    """Root mean square."""
+    """Root mean square.
+
+    Parameters
+    ----------
+    values : list of float
+
+    Returns
+    -------
+    float
+        0 of none.
+    """
     return math.sqrt(sum(v * v for v in values) / max(1, len(values)))
 
 
 def finite(value: float) -> float | None:
-    """JSON knows no NaN."""
+    """Number for JSON, which knows no NaN.
+
+    Parameters
+    ----------
+    value : float
+
+    Returns
+    -------
+    float or None
+        None for NaN and infinity.
+    """
     number = float(value)
     return number if math.isfinite(number) else None
 
 
 def status_words(states: Sequence[State]) -> str:
-    """Table of steps: what `status` shows."""
+    """States of steps as a table, one line each.
+
+    Parameters
+    ----------
+    states : sequence of State
+
+    Returns
+    -------
+    str
+    """
     width = max(len(state.name) for state in states)
     lines = []
     for state in states:
@@ -158,7 +276,16 @@ def status_words(states: Sequence[State]) -> str:
 
 
 def outcome_words(done: Outcome) -> str:
-    """Say what ran and what came out."""
+    """Outcome of a project run in words: steps, reuse, accuracy and outputs.
+
+    Parameters
+    ----------
+    done : Outcome
+
+    Returns
+    -------
+    str
+    """
     width = max(len(state.name) for state in done.states)
     lines = [f"{s.name:<{width}}  {'fresh' if s.fresh else f'{s.seconds:.1f} s ({s.reason})'}" for s in done.states]
     facts = done.facts
@@ -174,7 +301,17 @@ def outcome_words(done: Outcome) -> str:
 
 
 def reuse_words(made: Mapping[str, Any]) -> list[str]:
-    """Say what a run of the mosaic took from the run before."""
+    """Lines on what a mosaic took from the run before.
+
+    Parameters
+    ----------
+    made : mapping
+        Facts of the step "mosaic".
+
+    Returns
+    -------
+    list of str
+    """
     lines = []
     if made.get("reused"):
         lines.append(f"mosaic: {made['units'] - made['reused']} of {made['units']} units computed, the rest kept")
@@ -184,7 +321,17 @@ def reuse_words(made: Mapping[str, Any]) -> list[str]:
 
 
 def accuracy_words(facts: Mapping[str, Any]) -> list[str]:
-    """Say how good it is, as far as that was measured."""
+    """Lines on the accuracy of a project, as far as it was measured.
+
+    Parameters
+    ----------
+    facts : mapping
+        Of the steps by name, see `Outcome.facts`.
+
+    Returns
+    -------
+    list of str
+    """
     lines = []
     orient, made, check = (facts.get(name) for name in ("orient", "mosaic", "check"))
     if orient:
@@ -211,7 +358,24 @@ def accuracy_words(facts: Mapping[str, Any]) -> list[str]:
 
 
 def verdict(failure: QualityError | None, as_json: bool) -> int:
-    """Exit code; the failed thresholds are told unless JSON has said them already."""
+    """Exit code of a project run.
+
+    Parameters
+    ----------
+    failure : QualityError or None
+    as_json : bool
+        The answer holds the failed limits already.
+
+    Returns
+    -------
+    int
+        0 where no limit failed.
+
+    Raises
+    ------
+    QualityError
+        `failure`, where it is not told yet.
+    """
     if failure is None:
         return 0
     if not as_json:

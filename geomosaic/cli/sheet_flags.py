@@ -39,14 +39,44 @@ look_options = stack(
 
 
 def scale_value(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
-    """Check that a scale is one; it stays text."""
+    """Callback of click that checks a scale, such as 1:5000; it stays text.
+
+    Parameters
+    ----------
+    ctx, param
+        Of click.
+    value : str or None
+
+    Returns
+    -------
+    str or None
+
+    Raises
+    ------
+    click.BadParameter
+    """
     from geomosaic.sheets.layout import parse_scale
 
     return _checked(parse_scale, value)
 
 
 def paper_value(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
-    """Check that a paper is one; it stays text."""
+    """Callback of click that checks a paper size, such as A3; it stays text.
+
+    Parameters
+    ----------
+    ctx, param
+        Of click.
+    value : str or None
+
+    Returns
+    -------
+    str or None
+
+    Raises
+    ------
+    click.BadParameter
+    """
     from geomosaic.sheets.layout import paper_size
 
     return _checked(paper_size, value)
@@ -99,9 +129,26 @@ file_options = stack(
 def longitude_latitude(
     ctx: click.Context, param: click.Parameter, value: tuple[float, float] | None
 ) -> tuple[float, float] | None:
-    """Check a place in degrees."""
+    """Callback of click that checks a place.
+
+    Parameters
+    ----------
+    ctx, param
+        Of click.
+    value : tuple of float or None
+        Longitude and latitude, degrees.
+
+    Returns
+    -------
+    tuple of float or None
+
+    Raises
+    ------
+    click.BadParameter
+    """
     if value is None:
         return None
+    # Longitudes beyond 180 degrees are in use across the date line.
     if not (all(map(math.isfinite, value)) and abs(value[0]) <= 360.0 and abs(value[1]) <= 90.0):
         raise click.BadParameter("write longitude and latitude in degrees, such as 16.5 48.8")
     return value

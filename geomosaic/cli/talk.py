@@ -1,4 +1,4 @@
-"""What commands print: results, notes and progress."""
+"""Output of commands: results, notes and progress."""
 
 from __future__ import annotations
 
@@ -21,12 +21,33 @@ if TYPE_CHECKING:
 
 
 def say(text: str = "") -> None:
-    """Tell a person something, on standard error; parameters are called as the command calls them."""
+    """Message for people, on standard error.
+
+    Parameters
+    ----------
+    text : str
+        Parameters in backticks are named as the running command names them.
+    """
     click.echo(translated(text), err=True)
 
 
 def answer(result: Mapping[str, Any], words: str, as_json: bool) -> None:
-    """Put the result on standard output: one JSON object, or words."""
+    """Result of a command, on standard output.
+
+    Parameters
+    ----------
+    result : mapping
+        JSON values.
+    words : str
+        The same for people.
+    as_json : bool
+        Print `result` as one JSON object instead of `words`.
+
+    Raises
+    ------
+    OutputError
+        Standard output takes no more, such as a full disk.
+    """
     text = json.dumps(result, ensure_ascii=False, default=str) if as_json else words
     try:
         print(text, flush=True)
@@ -40,7 +61,7 @@ def answer(result: Mapping[str, Any], words: str, as_json: bool) -> None:
 
 @contextmanager
 def notes() -> Iterator[None]:
-    """Print geomosaic's warnings as notes, each once, and keep everyone else's quiet."""
+    """Geomosaic's warnings printed as notes, each once, and those of all others kept quiet."""
     told: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **how: Any) -> None:
@@ -55,13 +76,33 @@ def notes() -> Iterator[None]:
 
 
 def wants_bars(as_json: bool) -> bool:
-    """Whether there is someone to look at progress bars."""
+    """Whether there is someone to look at progress bars.
+
+    Parameters
+    ----------
+    as_json : bool
+
+    Returns
+    -------
+    bool
+    """
     return not as_json and sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
 @contextmanager
 def progress(as_json: bool) -> Iterator[Progress]:
-    """Progress bars on a terminal, one per stage; elsewhere only a look whether to stop."""
+    """Progress bars on a terminal, one per stage; elsewhere only a look whether to stop.
+
+    Parameters
+    ----------
+    as_json : bool
+        A program reads the output: no bars.
+
+    Yields
+    ------
+    callable
+        Takes (done, total, stage).
+    """
     if not wants_bars(as_json):
         yield lambda done, total, stage: check_stopped()
         return

@@ -1,4 +1,4 @@
-"""Values of options: read, checked, with an example where they are wrong."""
+"""Values of flags: read, checked, with an example where they are wrong."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import click
 
 
 class FilePath(click.Path):
-    """A path whose name can be written down: GDAL, PROJ and every file that names it take UTF-8."""
+    """Path whose name can be written down: GDAL, PROJ and every file that names it take UTF-8."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Refuse names with bytes that are no text, which Python carries as lone surrogates."""
@@ -22,7 +22,22 @@ class FilePath(click.Path):
 
 
 def pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    """NAME=VALUE, given any number of times."""
+    """Callback of click for NAME=VALUE, given any number of times.
+
+    Parameters
+    ----------
+    ctx, param
+        Of click.
+    values : tuple of str
+
+    Returns
+    -------
+    dict of str to str
+
+    Raises
+    ------
+    click.BadParameter
+    """
     out = {}
     for value in values:
         name, mark, text = value.partition("=")
@@ -33,7 +48,23 @@ def pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -
 
 
 def band_numbers(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> tuple[int, ...] | None:
-    """Band numbers from 1: separated by commas, given any number of times; None where none is."""
+    """Callback of click for band numbers, separated by commas or given any number of times.
+
+    Parameters
+    ----------
+    ctx, param
+        Of click.
+    values : tuple of str
+
+    Returns
+    -------
+    tuple of int or None
+        Counted from 1; None where none is given.
+
+    Raises
+    ------
+    click.BadParameter
+    """
     words = [word.strip() for text in values for word in text.split(",")]
     if not all(word.isascii() and word.isdigit() and int(word) > 0 for word in words):
         raise click.BadParameter(f"'{','.join(values)}' are not band numbers; write 1,2,3, counted from 1")
@@ -41,7 +72,22 @@ def band_numbers(ctx: click.Context, param: click.Parameter, values: tuple[str, 
 
 
 def band_names(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...] | None:
-    """Names separated by commas."""
+    """Callback of click for names of bands, separated by commas.
+
+    Parameters
+    ----------
+    ctx, param
+        Of click.
+    value : str or None
+
+    Returns
+    -------
+    tuple of str or None
+
+    Raises
+    ------
+    click.BadParameter
+    """
     if value is None:
         return None
     names = tuple(word.strip() for word in value.split(","))
@@ -53,7 +99,22 @@ def band_names(ctx: click.Context, param: click.Parameter, value: str | None) ->
 
 
 def map_crs(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
-    """Check that a CRS is one in which a map can be drawn; it stays text."""
+    """Callback of click that checks that a map can be drawn in a CRS; it stays text.
+
+    Parameters
+    ----------
+    ctx, param
+        Of click.
+    value : str or None
+
+    Returns
+    -------
+    str or None
+
+    Raises
+    ------
+    click.BadParameter
+    """
     if value is None:
         return None
     from geomosaic.errors import InputError
@@ -70,7 +131,23 @@ def map_crs(ctx: click.Context, param: click.Parameter, value: str | None) -> st
 
 
 def pixel(ctx: click.Context, param: click.Parameter, value: str | None) -> float | None:
-    """Size of a pixel in map units."""
+    """Callback of click for the size of a pixel.
+
+    Parameters
+    ----------
+    ctx, param
+        Of click.
+    value : str or None
+
+    Returns
+    -------
+    float or None
+        Map units.
+
+    Raises
+    ------
+    click.BadParameter
+    """
     if value is None:
         return None
     size = number(value)
@@ -80,7 +157,23 @@ def pixel(ctx: click.Context, param: click.Parameter, value: str | None) -> floa
 
 
 def box(ctx: click.Context, param: click.Parameter, values: tuple[str, ...] | None) -> tuple[float, ...] | None:
-    """Left, bottom, right, top in map units."""
+    """Callback of click for an area.
+
+    Parameters
+    ----------
+    ctx, param
+        Of click.
+    values : tuple of str or None
+
+    Returns
+    -------
+    tuple of float or None
+        Left, bottom, right, top in map units.
+
+    Raises
+    ------
+    click.BadParameter
+    """
     if not values:
         return None
     left, bottom, right, top = (number(value) for value in values)
@@ -92,7 +185,17 @@ def box(ctx: click.Context, param: click.Parameter, values: tuple[str, ...] | No
 
 
 def number(text: str) -> float:
-    """Value of a finite number, NaN of anything else: it fails every comparison."""
+    """Finite number of a text.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    float
+        NaN of anything else: it fails every comparison, so that callers need one check only.
+    """
     try:
         value = float(text)
     except ValueError:
@@ -101,16 +204,17 @@ def number(text: str) -> float:
 
 
 class Scale(click.types.FloatParamType):
-    """Denominator of '1:5000', or the plain number."""
+    """Type of click for scales: the denominator of '1:5000', or the plain number."""
 
     name = "1:N"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Read it."""
+        """Denominator of a text."""
         if isinstance(value, float):
             return value
         head, mark, tail = str(value).rpartition(":")
         try:
+            # Thousands are written with spaces or narrow no-break spaces: 1:10 000.
             found = float(tail.replace(" ", "").replace("\u202f", ""))
         except ValueError:
             found = 0.0
@@ -120,7 +224,7 @@ class Scale(click.types.FloatParamType):
 
 
 class Measure(click.types.FloatParamType):
-    """A number in `unit`, or with a unit of its own: 6000, 6km, 20000ft.
+    """Type of click for a number in `unit`, or with a unit of its own: 6000, 6km, 20000ft.
 
     Parameters
     ----------
@@ -132,7 +236,7 @@ class Measure(click.types.FloatParamType):
         self.unit = unit
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Read it."""
+        """Number of a text, in `unit`."""
         if isinstance(value, int | float):
             return float(value)
         from geomosaic.errors import InputError

@@ -52,7 +52,15 @@ def parse_terms(text: Any) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Retouch:
-    """Change of one image's colour after the balance: value · gain + offset, the same for all bands."""
+    """Change of one image's colour after the balance: value · gain + offset, the same for all bands.
+
+    Attributes
+    ----------
+    gain : float
+        Above 0.
+    offset : float
+        Grey values.
+    """
 
     gain: float = option(1.0, "Factor of all values.", above=0.0)
     offset: float = option(0.0, "Added to all values, grey values.")

@@ -1,4 +1,4 @@
-"""What may stand in a project file; pydantic checks it at this edge and nowhere further in."""
+"""Schema of project files: sections and keys with their types; pydantic checks it here and nowhere further in."""
 
 from __future__ import annotations
 
@@ -44,13 +44,29 @@ Pixels = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Section(BaseModel):
-    """A table of the project file; unknown keys are errors."""
+    """Table of a project file; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
 
 
 class ProjectSection(Section):
-    """[project]."""
+    """[project]: the images, and what counts for all of them.
+
+    Attributes
+    ----------
+    name : str
+        Of the outputs.
+    images : list of str
+        Paths or patterns.
+    nodata : float, optional
+        Value of missing pixels, in place of what the files say.
+    bands : tuple of int, optional
+        Counted from 1; all unless given.
+    margin : float or tuple of float, optional
+        Pixels left out at all sides, or at left, top, right, bottom.
+    usable : str, optional
+        Table of polygons in image coordinates, beyond which images are not used.
+    """
 
     name: str = Field("mosaic", min_length=1, max_length=100, pattern=r"^[^/\\\x00-\x1f]+$")
     images: list[FilePath] = Field(min_length=1)
@@ -61,7 +77,18 @@ class ProjectSection(Section):
 
 
 class SensorSection(BaseModel):
-    """[sensor]: name, camera, corrections and fiducials; every other key is an input of the plugin, which checks it."""
+    """[sensor]: the sensor and its calibration; every other key is an input of the plugin, which checks it.
+
+    Attributes
+    ----------
+    name : str
+    camera : str, optional
+        Camera file (TOML).
+    corrections : str, optional
+        File of a correction grid; '{image}' in it takes the name of each image.
+    fiducials : str, optional
+        Table of measured fiducial marks.
+    """
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
@@ -77,7 +104,20 @@ class SensorSection(BaseModel):
 
 
 class PrintedSection(Section):
-    """[exterior.printed]: how a printed list is to be read."""
+    """[exterior.printed]: layout of a printed list of orientations, see `geomosaic.inputs.printed_orientation`.
+
+    Attributes
+    ----------
+    columns : list of str
+        In the order of the list.
+    axes : str
+    sequence : list of str
+        Rotations in their order.
+    lines : int
+        Lines of one image.
+    skip : int
+        Lines at the top that are left out.
+    """
 
     columns: list[str] = Field(min_length=4)
     axes: str
@@ -87,7 +127,28 @@ class PrintedSection(Section):
 
 
 class ExteriorSection(Section):
-    """[exterior]."""
+    """[exterior]: exterior orientation of the images, and the frame of positions and control.
+
+    Attributes
+    ----------
+    file : str, optional
+        Table or reconstruction.
+    crs : str, optional
+        Of the positions and the control points.
+    heights : str, optional
+        Their vertical datum.
+    angles : str
+        Angle system.
+    angle_unit : str, optional
+    angle_frame : str, optional
+        Whether angles count in the map's grid or in a local level frame.
+    matrix : str, optional
+        Direction of rotation matrices.
+    trusted : bool
+        Do not look whether the orientation is plausible.
+    printed : PrintedSection, optional
+        With angles = 'printed'.
+    """
 
     file: FilePath | None = None
     crs: str | None = None
@@ -107,7 +168,16 @@ class ExteriorSection(Section):
 
 
 class DemSection(Section):
-    """[dem]: a file or a constant height."""
+    """[dem]: a file or a constant height.
+
+    Attributes
+    ----------
+    file : str, optional
+    height : float, optional
+        Metres.
+    heights : str, optional
+        Vertical datum; overrides what the file says.
+    """
 
     file: FilePath | None = None
     height: Finite | None = None
@@ -121,13 +191,36 @@ class DemSection(Section):
 
 
 class ControlSection(Section):
-    """[control]."""
+    """[control]: table of control and check points.
+
+    Attributes
+    ----------
+    file : str
+    """
 
     file: FilePath
 
 
 class PlanarSection(Section):
-    """[planar]: photos of flat ground placed together by plane transformations."""
+    """[planar]: photos of flat ground placed together by plane transformations.
+
+    Attributes
+    ----------
+    kind : str
+        'uncontrolled', 'semicontrolled', 'controlled' or 'grown'.
+    model : str, optional
+        'conformal', 'affine' or 'projective'; as is usual for the kind unless given.
+    ties : str, optional
+        Table of tie points.
+    scale : float
+        Map units per pixel of the photo that an uncontrolled mosaic starts with.
+    azimuth : float
+        Direction of its top, degrees clockwise from the map's north.
+    rectify : str, optional
+        'singly' or 'together', for controlled mosaics.
+    robust, insist : bool
+        Leave out points that contradict the others, or go on with them.
+    """
 
     kind: Literal["uncontrolled", "semicontrolled", "controlled", "grown"]
     model: Literal["conformal", "affine", "projective"] | None = None
@@ -140,7 +233,19 @@ class PlanarSection(Section):
 
 
 class OutputFields(Section):
-    """[output] without the options of rendering."""
+    """[output] without the options of rendering: place of the outputs on disk and on the map.
+
+    Attributes
+    ----------
+    folder : str
+    crs : str, optional
+    resolution : float, optional
+        Map units.
+    bounds : tuple of float, optional
+        Left, bottom, right, top in map units.
+    orthos : bool
+        Write an ortho of each image too.
+    """
 
     folder: FilePath = "output"
     crs: str | None = None
@@ -159,6 +264,11 @@ def section_of(title: str, options: Iterable[Declared], base: type[Section] = Se
     options : iterable of Declared
     base : type
         Section with further keys.
+
+    Returns
+    -------
+    type
+        Pydantic model derived from `base`.
     """
     keys: dict[str, Any] = {}
     for one in options:
@@ -223,7 +333,21 @@ else:
 
 
 class QualitySection(Section):
-    """[quality]: thresholds, and a reference image to compare with."""
+    """[quality]: limits of accuracy, and a reference image to compare with.
+
+    Attributes
+    ----------
+    max_control_rms_px, max_check_rms_px : float, optional
+        RMS length of residuals, image pixels.
+    max_lattice_error_px : float, optional
+        Interpolation of the geometry, image pixels.
+    max_seam_mismatch_px : float, optional
+        Pixels of the mosaic.
+    max_registration_px : float, optional
+        RMS of shifts against the reference, pixels of the reference.
+    reference : str, optional
+        Georeferenced raster.
+    """
 
     max_control_rms_px: Positive | None = None
     max_check_rms_px: Positive | None = None
@@ -240,7 +364,17 @@ class QualitySection(Section):
 
 
 class ProjectFile(Section):
-    """The whole file."""
+    """Whole project file.
+
+    Attributes
+    ----------
+    format : int
+        1.
+    project, sensor, exterior, output, mosaic, quality
+        Sections that are always there, with defaults but for the first two.
+    dem, control, planar
+        Sections that may be missing.
+    """
 
     format: Literal[1]
     project: ProjectSection

@@ -67,7 +67,19 @@ check_options = stack(
 
 
 def accuracy_of_scale(found: MapCheck, scale: float | None) -> list[tuple[str, float, float]]:
-    """Unit, total RMS and limit of a map at a scale: 0.3 mm on paper."""
+    """Accuracy that a scale of a map asks for: 0.3 mm on paper.
+
+    Parameters
+    ----------
+    found : MapCheck
+    scale : float or None
+        Denominator.
+
+    Returns
+    -------
+    list of tuple
+        Unit, total RMS of the map, and limit; empty without a scale.
+    """
     if scale is None:
         return []
     from geomosaic.errors import InputError

@@ -111,6 +111,11 @@ def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **
 
 
 def tell(advice: tuple[Advice, ...]) -> None:
-    """Print findings where people look."""
+    """Findings on control points, printed for people.
+
+    Parameters
+    ----------
+    advice : tuple of Advice
+    """
     for found in advice:
         say(str(found))

@@ -17,7 +17,25 @@ from geomosaic.cli.talk import answer, notes
 
 
 def project_file(ctx: click.Context, param: click.Parameter, value: Path) -> Path:
-    """Refuse a name that is no project file's: a forgotten first word must not cost the first photo."""
+    """Callback of click that refuses a name that is no project file's.
+
+    A forgotten first word must not cost the first photo.
+
+    Parameters
+    ----------
+    ctx, param
+        Of click.
+    value : Path
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    click.BadParameter
+        The name does not end in .toml.
+    """
     if value.suffix.lower() != ".toml":
         raise click.BadParameter(
             f"'{value}' does not end in .toml; the project file comes first: geomosaic new project.toml IMAGE..."

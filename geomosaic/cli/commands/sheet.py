@@ -62,7 +62,17 @@ def command(raster: Path, output: Path, as_json: bool, **flags: Any) -> None:
 
 
 def facts(made: SheetResult) -> dict[str, Any]:
-    """Plain values of a sheet."""
+    """Map sheet as plain values.
+
+    Parameters
+    ----------
+    made : SheetResult
+
+    Returns
+    -------
+    dict
+        JSON values.
+    """
     page = made.page
     code = page.crs.to_authority(min_confidence=100)
     return {
@@ -85,7 +95,16 @@ def facts(made: SheetResult) -> dict[str, Any]:
 
 
 def words(made: SheetResult) -> str:
-    """Say what was made."""
+    """Map sheet in words.
+
+    Parameters
+    ----------
+    made : SheetResult
+
+    Returns
+    -------
+    str
+    """
     page = made.page
     left, bottom, right, top = page.neatline
     lines = [
