@@ -34,7 +34,7 @@ _STEEPEST = 0.5
 
 
 class Doubt(NamedTuple):
-    """What two images show differently.
+    """Places where two images show different things, and the difference that light alone makes.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Doubt(NamedTuple):
 
 
 def doubt_of(moments: Float32Array, known: Float32Array, level: FloatArray, least: float, by: Steps) -> Doubt | None:
-    """Judge samples; None where all that is known shows the same.
+    """Samples where two images show different things; None where all that is known shows the same.
 
     Parameters
     ----------
@@ -62,9 +62,14 @@ def doubt_of(moments: Float32Array, known: Float32Array, level: FloatArray, leas
     known : float32 array (rows, cols)
         1 where there are moments, else 0.
     level : array (bands,)
+        Grey value that brightness is counted from, as in `compare`.
     least : float
         Difference that always counts as usual: rounding.
     by : Steps
+
+    Returns
+    -------
+    Doubt or None
     """
     some = known > 0
     if not some.any():
@@ -81,11 +86,13 @@ def doubt_of(moments: Float32Array, known: Float32Array, level: FloatArray, leas
             x = s - mean_s
             spread = (trusted * x * x).sum(axis=(1, 2), dtype=np.float64) + known.sum(dtype=np.float64) * least**2
             slope = (trusted * x * (d - mean_d)).sum(axis=(1, 2), dtype=np.float64) / spread
+            # Over even ground brightness hardly varies, and the slope would follow noise.
             slope = np.clip(slope, -_STEEPEST, _STEEPEST)
         g = slope.astype(np.float32)[:, None, None]
         centre = mean_d - g * mean_s
         off = dd - 2 * g * ds + g * g * ss - 2 * centre * (d - g * s) + centre * centre
         square = np.maximum(off.mean(axis=0, keepdims=True), 0) * weight
+        # The median, so that what stands out does not raise the measure by which it is judged.
         usual = max(float(np.median(square[0][some])), least**2)
         ratio = by.expand(by.reduce(square)) / around / np.float32(TOLERATED**2 * usual)
         t = np.clip((ratio - np.float32(_BLENDED)) / np.float32(_NOT - _BLENDED), 0, 1)
@@ -104,7 +111,20 @@ def _means(values: Float32Array, weight: Float32Array, by: Steps) -> Float32Arra
 
 
 def box_of(cells: ByteArray) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First sample, and number of samples down and across, of the part of a block that some cells lie in."""
+    """Box of samples around the part of a block that some cells lie in.
+
+    Parameters
+    ----------
+    cells : uint8 array (rows / 64, cols / 64)
+        Some cell is not 0.
+
+    Returns
+    -------
+    first : (row, column)
+        Of the first sample, multiples of `ALIGNED`.
+    size : (rows, columns)
+        In samples, multiples of `ALIGNED`.
+    """
     first, size = [], []
     for axis in (1, 0):
         at = np.flatnonzero(cells.any(axis=axis))
@@ -180,11 +200,33 @@ def deghost(
     label: AnyArray,
     total: AnyArray,
 ) -> None:
-    """Take the other image's weight back from a sum where both show different things.
+    """Removal of the other image's weight from a sum where both show different things.
 
     With w the weight of the other image, V its value, O that of the pixel's own and E what V − O would be by light,
-    w·share·(V − O − E) is taken off `total` (rows, cols, bands). `indices` are what `label` calls the images; the
-    weights are those of `accumulate`.
+    w·share·(V − O − E) is taken off `total`.
+
+    Parameters
+    ----------
+    a, b : array (rows, cols, bands)
+        Values of a block.
+    seen_a, seen_b : uint8 array (rows, cols)
+    weight_a, weight_b : float32 array
+        As `accumulate` takes them, with `factor` and `margin`.
+    factor : int
+        Output pixels along a cell of the weights.
+    margin : int
+        Cells of the weights around the block.
+    indices : (int, int)
+        What `label` calls the two images.
+    cells : uint8 array (rows / 64, cols / 64)
+        Cells of 64 × 64 pixels that are looked at.
+    corner : (int, int)
+        Row and column, in samples, of the first of `doubt`.
+    doubt : Doubt
+    label : int array (rows, cols)
+        Image that each pixel belongs to.
+    total : array (rows, cols, bands)
+        Weighted sum, changed in place.
     """
     height, width, _ = a.shape
     first = label == indices[0]

@@ -16,7 +16,7 @@ from typing import Any
 
 @dataclass(frozen=True, eq=False)
 class Engine:
-    """Where the kernels come from; both engines give the same bytes.
+    """Engine of resampling: the kernels, compiled or in NumPy; both give the same bytes.
 
     Attributes
     ----------
@@ -56,7 +56,17 @@ class Engine:
 
 
 def numpy_engine(block_threads: int = 1) -> Engine:
-    """Kernels in NumPy: nothing to start, slow on large jobs."""
+    """Engine of NumPy kernels: nothing to start, slow on large jobs.
+
+    Parameters
+    ----------
+    block_threads : int
+        Threads that share one block.
+
+    Returns
+    -------
+    Engine
+    """
     from geomosaic.resample import reference
 
     return Engine(
@@ -66,7 +76,7 @@ def numpy_engine(block_threads: int = 1) -> Engine:
 
 
 def numba_engine() -> Engine:
-    """Compiled kernels."""
+    """Engine of compiled kernels."""
     from geomosaic.resample.kernels import blend, image_coordinates, interior, local_gains, sample
 
     return Engine(
@@ -110,5 +120,19 @@ def started() -> bool:
 
 
 def engine_for(samples: int, resampling: str, block_threads: int = 1) -> Engine:
-    """Choose by the work to do; where it is little, so many threads share each block."""
+    """Engine for an amount of work; NumPy's where it is done before compiled kernels have started.
+
+    Parameters
+    ----------
+    samples : int
+        Samples that the whole job takes.
+    resampling : str
+        One of `RESAMPLING`.
+    block_threads : int
+        Threads that share one block, where the work is little.
+
+    Returns
+    -------
+    Engine
+    """
     return numba_engine() if samples > _WHILE_STARTING[resampling] else numpy_engine(block_threads)

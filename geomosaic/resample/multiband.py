@@ -34,7 +34,7 @@ TOLERATED = 3.0
 
 @dataclass(frozen=True)
 class View:
-    """What an image shows of a window.
+    """What one image shows of a window.
 
     Attributes
     ----------
@@ -48,7 +48,14 @@ class View:
 
 @dataclass(frozen=True)
 class Apart:
-    """Differences (bands, rows, cols) of an image from the base, in the part of a window where they are needed."""
+    """Differences of an image from the base, in the part of a window where they are needed.
+
+    Attributes
+    ----------
+    values : array (bands, rows, cols)
+        Of `part`.
+    part : Part
+    """
 
     values: AnyArray
     part: Part
@@ -111,10 +118,25 @@ def differences(
 
 
 def believed(apart: AnyArray, certain: AnyArray, noise: float, by: Steps) -> AnyArray:
-    """Certainty (1, rows, cols) of differences: little where they stand out from their surroundings.
+    """Certainty of differences: little where they stand out from their surroundings.
 
     Measured at half the resolution: a difference stands out by its distance from the mean difference within about 32
     pixels, root mean square over bands and some pixels around. The mean is taken again with the new certainties.
+
+    Parameters
+    ----------
+    apart : array (bands, rows, cols)
+        Differences, 0 where not known.
+    certain : float32 array (1, rows, cols)
+        1 where they are known, else 0.
+    noise : float
+        Usual difference of two images of the same ground, in values.
+    by : Steps
+
+    Returns
+    -------
+    float32 array (1, rows, cols)
+        0 to 1.
     """
     small, weight = by.reduce(apart * certain), by.reduce(certain)
     small = small / np.maximum(weight, np.float32(1e-6))
@@ -174,7 +196,19 @@ def in_bands(apart: Sequence[Apart | None], label: IntArray, levels: int, by: St
 
 
 def by_weights(apart: Sequence[Apart | None], weights: Sequence[AnyArray]) -> AnyArray | None:
-    """Blend of the differences, each of the whole window, by weights (rows, cols) that sum to one."""
+    """Blend of the differences by weights.
+
+    Parameters
+    ----------
+    apart : sequence of Apart or None
+        Each of the whole window.
+    weights : sequence of array (rows, cols)
+        One an image; they sum to one.
+
+    Returns
+    -------
+    array (bands, rows, cols), or None where no image differs
+    """
     out: AnyArray | None = None
     for own, weight in zip(apart, weights, strict=True):
         if own is not None:
@@ -184,7 +218,17 @@ def by_weights(apart: Sequence[Apart | None], weights: Sequence[AnyArray]) -> An
 
 
 def spread(levels: int) -> int:
-    """Pixels over which `in_bands` spreads what an image shows: the taps down and up, all levels together."""
+    """Reach of `in_bands`: the taps down and up, all levels together.
+
+    Parameters
+    ----------
+    levels : int
+
+    Returns
+    -------
+    int
+        Pixels over which an image's differences are spread.
+    """
     return 4 << levels
 
 
@@ -197,7 +241,24 @@ def corrected(
     inside: tuple[slice, slice],
     out: AnyArray,
 ) -> None:
-    """Put own value and correction of each pixel `inside` a window, rounded, into `out`; zero where no image is."""
+    """Mosaic of a window: own value and correction of each pixel, rounded.
+
+    Parameters
+    ----------
+    views : sequence of View
+        Of the window.
+    apart : sequence of Apart or None
+        Differences of the images from the base.
+    blend : array (bands, rows, cols) or None
+        Blend of the differences; None where there are none.
+    label : int array (rows, cols)
+        Position in `views` of the image that each pixel belongs to; −1 where none.
+    by : Steps
+    inside : (slice, slice)
+        Rows and columns of the window that are wanted.
+    out : array (rows, cols, bands)
+        Of `inside`, filled; zero where no image is.
+    """
     kind = np.zeros(1, dtype=_exact(views[0].values.dtype))
     out[label[inside] < 0] = 0
     for i, (view, own) in enumerate(zip(views, apart, strict=True)):

@@ -142,7 +142,19 @@ def _highest(cells: Float32Array) -> Float32Array:
 
 
 def hidden(field: Field, relief: Relief, wanted: ByteArray, out: ByteArray) -> None:
-    """Set `out` to 1 where the surface hides what is `wanted`, both uint8 (rows, cols) of the block."""
+    """Places of a block that the surface hides.
+
+    Parameters
+    ----------
+    field : Field
+        Lines of sight over the block.
+    relief : Relief
+        Heights that they may run into.
+    wanted : uint8 array (rows, cols)
+        Pixels of the block that are looked at.
+    out : uint8 array (rows, cols)
+        Set to 1 where the place is hidden.
+    """
     rows, cols = np.nonzero(wanted)
     if not len(rows):
         return

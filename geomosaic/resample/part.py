@@ -33,9 +33,23 @@ class Part:
 
 
 def parts_of(label: IntArray, images: int, margin: int, levels: int) -> list[Part | None]:
-    """Where a label array (rows, cols) shows each of so many images, and what lies within a margin; None if nowhere.
+    """Parts of a window that the images of a label array need: where each is shown, and a margin around.
 
-    Its rows and columns are multiples of 2 ** `levels`.
+    Parameters
+    ----------
+    label : int array (rows, cols)
+        Image of each pixel, −1 where none; rows and columns are multiples of 2 ** `levels`.
+    images : int
+        Number of images.
+    margin : int
+        Pixels.
+    levels : int
+        Of the pyramid that the parts are cut from.
+
+    Returns
+    -------
+    list of Part or None
+        None for an image that is shown nowhere.
     """
     found: list[Part | None] = []
     for box in find_objects(label + 1, images):
@@ -51,11 +65,31 @@ def parts_of(label: IntArray, images: int, margin: int, levels: int) -> list[Par
 
 
 def both_of(one: slice, other: slice) -> slice:
-    """What two slices share; empty if nothing."""
+    """Common part of two slices; empty if there is none.
+
+    Parameters
+    ----------
+    one, other : slice
+        With start and stop.
+
+    Returns
+    -------
+    slice
+    """
     start = max(one.start, other.start)
     return slice(start, max(start, min(one.stop, other.stop)))
 
 
 def within(outer: slice, inner: slice) -> slice:
-    """Count a slice from the start of one that holds it."""
+    """Slice counted from the start of one that holds it.
+
+    Parameters
+    ----------
+    outer, inner : slice
+        With start and stop.
+
+    Returns
+    -------
+    slice
+    """
     return slice(inner.start - outer.start, inner.stop - outer.start)

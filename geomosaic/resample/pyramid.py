@@ -26,7 +26,17 @@ class Steps:
 
 
 def steps(*, compiled: bool) -> Steps:
-    """Compiled steps, or NumPy's where there is too little to do to wait for a compiler; both give the same bytes."""
+    """Steps of an image pyramid, compiled or in NumPy; both give the same bytes.
+
+    Parameters
+    ----------
+    compiled : bool
+        False where there is too little to do to wait for compiled kernels to start.
+
+    Returns
+    -------
+    Steps
+    """
     if not compiled:
         return Steps(reduce, expand, minus, join)
     from geomosaic.resample.kernels import differences, pyramid
@@ -35,17 +45,49 @@ def steps(*, compiled: bool) -> Steps:
 
 
 def reduce(fine: AnyArray) -> AnyArray:
-    """Half the size, see `kernels.pyramid.reduce`."""
+    """Half the size, see `kernels.pyramid.reduce`.
+
+    Parameters
+    ----------
+    fine : float32 array (bands, rows, cols)
+        Rows and columns even.
+
+    Returns
+    -------
+    float32 array (bands, rows / 2, cols / 2)
+    """
     return _halved(_halved(fine, 1), 2)
 
 
 def expand(coarse: AnyArray) -> AnyArray:
-    """Twice the size, see `kernels.pyramid.expand`."""
+    """Twice the size, see `kernels.pyramid.expand`.
+
+    Parameters
+    ----------
+    coarse : float32 array (bands, rows, cols)
+
+    Returns
+    -------
+    float32 array (bands, 2 rows, 2 cols)
+    """
     return _doubled(_doubled(coarse, 1), 2)
 
 
 def minus(values: AnyArray, ground: AnyArray, both: BoolArray) -> AnyArray:
-    """Differences, see `kernels.differences.minus`."""
+    """Differences from a base, see `kernels.differences.minus`.
+
+    Parameters
+    ----------
+    values, ground : array (rows, cols, bands)
+        `ground` in the exact type, float32 or float64.
+    both : bool array (rows, cols)
+        Where both are known.
+
+    Returns
+    -------
+    float32 array (bands, rows, cols)
+        0 where they are not.
+    """
     out = np.zeros((values.shape[2], *both.shape), dtype=np.float32)
     for band in range(len(out)):
         np.subtract(
@@ -68,7 +110,13 @@ def join(
     kind: AnyArray,
     out: AnyArray,
 ) -> None:
-    """Values and their corrections, see `kernels.differences.join`."""
+    """Values and their corrections put together.
+
+    Parameters
+    ----------
+    values, own, differs, blend, blends, label, index, low, high, whole, kind, out
+        As `kernels.differences.join` has them.
+    """
     mask = label == index
     for band in range(values.shape[2]):
         exact: AnyArray = values[..., band][mask].astype(kind.dtype)
@@ -104,7 +152,21 @@ def _doubled(values: AnyArray, axis: int) -> AnyArray:
 
 
 def descend(by: Steps, values: AnyArray, levels: int) -> list[AnyArray]:
-    """The values and so many smaller versions of them."""
+    """Pyramid of an image: its values and smaller versions of them.
+
+    Parameters
+    ----------
+    by : Steps
+    values : float32 array (bands, rows, cols)
+        Rows and columns multiples of 2 ** `levels`.
+    levels : int
+        Number of smaller versions.
+
+    Returns
+    -------
+    list of array
+        `levels` + 1 of them, finest first.
+    """
     pyramid = [values]
     for _ in range(levels):
         pyramid.append(by.reduce(pyramid[-1]))
@@ -112,7 +174,19 @@ def descend(by: Steps, values: AnyArray, levels: int) -> list[AnyArray]:
 
 
 def ascend(by: Steps, values: AnyArray, levels: int) -> AnyArray:
-    """The values, expanded so many times."""
+    """Values expanded several times.
+
+    Parameters
+    ----------
+    by : Steps
+    values : float32 array (bands, rows, cols)
+    levels : int
+        Times that the size is doubled.
+
+    Returns
+    -------
+    float32 array (bands, rows · 2 ** levels, cols · 2 ** levels)
+    """
     for _ in range(levels):
         values = by.expand(values)
     return values

@@ -24,7 +24,18 @@ def coordinates(
     cols: FloatArray,
     rows: FloatArray,
 ) -> tuple[int, int, int, int]:
-    """Fill `cols`, `rows` and return what they span in the image; see `kernels.image_coordinates.coordinates`."""
+    """Image coordinates of the sub-pixels of output rows.
+
+    Parameters
+    ----------
+    geometry, first_row, n, size, need, cols, rows
+        As `kernels.image_coordinates.coordinates` has them.
+
+    Returns
+    -------
+    first col, first row, last col, last row : int
+        Of those that fall in the image; last col is −1 where none does.
+    """
     nodes, places, heights, z_middle, z_inverse, flat, step = geometry
     height, width = cols.shape
     v = (first_row + (np.arange(height) + 0.5) / n) / step
@@ -116,7 +127,13 @@ def sample(
     out: AnyArray,
     out_valid: AnyArray,
 ) -> None:
-    """Fill `out` and `out_valid` where the image is seen; see `kernels.sample`."""
+    """Values at image coordinates.
+
+    Parameters
+    ----------
+    name, source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid
+        As `kernels.sample.sample` has them.
+    """
     col0, row0, shrink, width, height = place
     with np.errstate(invalid="ignore"):
         inside = (cols >= 0.0) & (rows >= 0.0) & (cols < width) & (rows < height)
@@ -124,6 +141,7 @@ def sample(
         seen = ... if inside.all() else inside
         units = bilinear_bytes(source, (cols[seen] - col0) / shrink, (rows[seen] - row0) / shrink)
         if whole and out.dtype == np.uint8 and (gain == 1.0).all() and (offset == 0.0).all():
+            # Units of 2⁻²²: half a grey value is added, so that the shift rounds.
             out[seen] = (units + 2097152) >> 22
         else:
             exact = units / 4194304.0 * gain + offset
@@ -168,7 +186,13 @@ def accumulate(
     best: AnyArray,
     label: AnyArray,
 ) -> None:
-    """Add one image's weighted values; see `kernels.blend`."""
+    """Addition of one image's weighted values to a block.
+
+    Parameters
+    ----------
+    values, valid, weight, factor, margin, index, cells, total, sums, best, label
+        As `kernels.blend.accumulate` has them.
+    """
     height, width, _ = values.shape
     v = (np.arange(height) + 0.5) / factor - 0.5 + margin
     u = (np.arange(width) + 0.5) / factor - 0.5 + margin
@@ -194,7 +218,13 @@ def finish(
     out: AnyArray,
     out_valid: AnyArray,
 ) -> None:
-    """Divide by the sum of weights, round, and store; see `kernels.blend`."""
+    """Weighted means of a block.
+
+    Parameters
+    ----------
+    total, sums, cells, low, high, whole, out, out_valid
+        As `kernels.blend.finish` has them.
+    """
     seen = (sums > 0.0) & _pixels(cells, sums.shape)
     values = (total[seen] * (np.float32(1.0) / sums[seen])[:, None]).astype(np.float64)
     if whole:
@@ -225,7 +255,13 @@ def shade(
     out: AnyArray,
     out_valid: AnyArray,
 ) -> None:
-    """Correct the pixels that are seen by gains on a coarse net; see `kernels.local_gains`."""
+    """Correction of values by gains on a coarse net.
+
+    Parameters
+    ----------
+    values, seen, net, path, haze, place, dark, curve, reach, offset, low, high, whole, out, out_valid
+        As `kernels.local_gains.shade` has them.
+    """
     height, width, bands = values.shape
     j, v = interval(place[1] + np.arange(height) * place[3], net.shape[0])
     i, u = interval(place[0] + np.arange(width) * place[2], net.shape[1])

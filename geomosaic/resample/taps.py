@@ -42,8 +42,21 @@ def _bilinear(source: AnyArray, valid: AnyArray, masked: bool, x: FloatArray, y:
 
 
 def bilinear_bytes(source: AnyArray, x: FloatArray, y: FloatArray) -> AnyArray:
-    """Bilinear values (..., bands) of eight bits in whole units of 2⁻²², in a fraction of the time."""
+    """Bilinear values of eight-bit samples in whole numbers, in a fraction of the time of floating point.
+
+    Parameters
+    ----------
+    source : uint8 array (rows, cols, bands)
+    x, y : array (...)
+        Columns and rows in `source`; (0.5, 0.5) is the centre of its first pixel.
+
+    Returns
+    -------
+    int32 array (..., bands)
+        In units of 2⁻²²: two weights of 11 bits.
+    """
     height, width, bands = source.shape
+    # Floor of x − 0.5 for x ≥ 0, since the cast cuts towards zero.
     i, j = (x + 0.5).astype(np.int32) - 1, (y + 0.5).astype(np.int32) - 1
     a, b = ((x - 0.5 - i) * 2048.0 + 0.5).astype(np.int32), ((y - 0.5 - j) * 2048.0 + 0.5).astype(np.int32)
     a, b = a[..., None], b[..., None]

@@ -43,19 +43,36 @@ class Reader(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Colour:
-    """Linear correction of values, per band: value · gain + offset."""
+    """Linear correction of values, per band: value · gain + offset.
+
+    Attributes
+    ----------
+    gain, offset : array (bands,)
+    """
 
     gain: FloatArray
     offset: FloatArray
 
     @classmethod
     def identity(cls, bands: int) -> Colour:
-        """Leave values as they are."""
+        """Correction that leaves values as they are."""
         return cls(np.ones(bands), np.zeros(bands))
 
 
 def value_range(dtype: str) -> tuple[float, float, bool]:
-    """Lowest and highest value of an output type, and whether it holds whole numbers."""
+    """Range of a sample type.
+
+    Parameters
+    ----------
+    dtype : str
+
+    Returns
+    -------
+    low, high : float
+        Lowest and highest value; infinite for floating point.
+    whole : bool
+        Whether it holds whole numbers only.
+    """
     if np.issubdtype(np.dtype(dtype), np.integer):
         info = np.iinfo(dtype)
         return float(info.min), float(info.max), True
@@ -63,10 +80,26 @@ def value_range(dtype: str) -> tuple[float, float, bool]:
 
 
 def supersampling(resampling: str, scale: float, most: int = MOST_SAMPLES) -> tuple[int, int]:
-    """Samples per output pixel along each axis, and reduction on reading, at `scale` image pixels per output pixel.
+    """Samples per output pixel along each axis, and reduction on reading.
 
     One sample serves up to 1.5 image pixels; beyond, bilinear samples about one image pixel apart are averaged, which
     is the mean over the pixel's footprint. 'nearest' is for classes and never averages.
+
+    Parameters
+    ----------
+    resampling : str
+        One of `RESAMPLING`.
+    scale : float
+        Image pixels per output pixel.
+    most : int
+        Image pixels per output pixel beyond which the image is reduced on reading.
+
+    Returns
+    -------
+    n : int
+        Samples along each axis.
+    shrink : int
+        Power of two by which the image is reduced.
     """
     if resampling == "nearest" or not math.isfinite(scale):
         return 1, 1
@@ -74,6 +107,7 @@ def supersampling(resampling: str, scale: float, most: int = MOST_SAMPLES) -> tu
     while scale / shrink > most:
         shrink *= 2
     scale = scale / shrink
+    # 1e-6 keeps a scale of 2 from taking three samples for a rounding.
     return (1 if scale <= 1.5 else math.ceil(scale - 1e-6)), shrink
 
 
@@ -91,7 +125,7 @@ def warp(
     most_samples: int | None = None,
     only: BoolArray | None = None,
 ) -> None:
-    """Fill one block.
+    """Warp of one image into one block of output pixels.
 
     Parameters
     ----------
@@ -118,6 +152,11 @@ def warp(
         Image pixels per output pixel beyond which the image is reduced on reading.
     only : bool array (rows, cols), optional
         Pixels that are wanted; others of the cells may be filled too.
+
+    Raises
+    ------
+    InputError
+        No resampling of that name.
     """
     if resampling not in RESAMPLING:
         raise InputError(f"no resampling named '{resampling}'", hint=f"use one of {', '.join(RESAMPLING)}")

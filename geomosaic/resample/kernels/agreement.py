@@ -15,7 +15,13 @@ PER = CELL // SAMPLE
 
 @kernel
 def compare(a, b, seen_a, seen_b, level, cells, corner, out, known):
-    """Moments of samples of 4 x 4 pixels that both images show whole, see `agreement.compare`."""
+    """Moments of samples of 4 x 4 pixels that both images show whole.
+
+    Parameters
+    ----------
+    a, b, seen_a, seen_b, level, cells, corner, out, known
+        As `resample.agreement.compare` has them.
+    """
     height, width, bands = a.shape
     for p, q in np.ndindex(cells.shape):
         if not cells[p, q]:
@@ -53,7 +59,13 @@ def compare(a, b, seen_a, seen_b, level, cells, corner, out, known):
 
 @kernel
 def deghost(a, b, seen_a, seen_b, weight_a, weight_b, factor, margin, indices, cells, corner, doubt, label, total):
-    """Take the other image's weight back from a sum where both show different things, see `agreement.deghost`."""
+    """Removal of the other image's weight from a sum where both show different things.
+
+    Parameters
+    ----------
+    a, b, seen_a, seen_b, weight_a, weight_b, factor, margin, indices, cells, corner, doubt, label, total
+        As `resample.agreement.deghost` has them.
+    """
     height, width, bands = a.shape
     share, mean, slope, level = doubt
     rows, cols = share.shape

@@ -13,7 +13,28 @@ CELL = 64
 
 @kernel
 def accumulate(values, valid, weight, factor, margin, index, cells, total, sums, best, label):
-    """Add one image's weighted values to a block; `weight` is a reduced lattice with `margin` cells around it."""
+    """Addition of one image's weighted values to a block.
+
+    Parameters
+    ----------
+    values : array (rows, cols, bands)
+    valid : uint8 array (rows, cols)
+    weight : float32 array
+        Weights of the image on a lattice of cells of `factor` x `factor` pixels, with `margin` cells around the block.
+    factor, margin : int
+    index : int
+        What `label` calls the image.
+    cells : uint8 array (rows / 64, cols / 64)
+        Cells of 64 x 64 pixels that are wanted.
+    total : float32 array (rows, cols, bands)
+        Sum of weighted values.
+    sums : float32 array (rows, cols)
+        Sum of weights.
+    best : float32 array (rows, cols)
+        Largest weight so far.
+    label : int array (rows, cols)
+        Image of the largest weight.
+    """
     height, width, bands = values.shape
     for p, q in np.ndindex(cells.shape):
         if not cells[p, q]:
@@ -43,7 +64,25 @@ def accumulate(values, valid, weight, factor, margin, index, cells, total, sums,
 
 @kernel
 def finish(total, sums, cells, low, high, whole, out, out_valid):
-    """Divide by the sum of weights, round, and store."""
+    """Weighted means of a block, rounded and stored.
+
+    Parameters
+    ----------
+    total : float32 array (rows, cols, bands)
+        Sum of weighted values.
+    sums : float32 array (rows, cols)
+        Sum of weights.
+    cells : uint8 array (rows / 64, cols / 64)
+        Cells of 64 x 64 pixels that are wanted.
+    low, high : float
+        Range of the output's type.
+    whole : bool
+        Whether values are rounded, halves up.
+    out : array (rows, cols, bands)
+        Filled where there is weight.
+    out_valid : uint8 array (rows, cols)
+        Set to 1 there.
+    """
     height, width, bands = out.shape
     for p, q in np.ndindex(cells.shape):
         if not cells[p, q]:

@@ -65,7 +65,17 @@ inlined = njit(**OPTIONS, inline="always")
 
 
 def kernel(function):
-    """Decorator of kernels: compiled on the first call for each set of types, and kept on disk beside the module."""
+    """Decorator of kernels: compiled on the first call for each set of types, and kept on disk beside the module.
+
+    Parameters
+    ----------
+    function : callable
+        Of the module's top level, without closures.
+
+    Returns
+    -------
+    callable
+    """
     if not all(hasattr(FunctionCache, name) for name in _METHODS):
         return njit(**OPTIONS, cache=True)(function)
     dispatcher: Any = part(function)

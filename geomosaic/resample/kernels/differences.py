@@ -9,7 +9,20 @@ from geomosaic.resample.kernels.compiled import kernel
 
 @kernel
 def minus(values, ground, both):
-    """Values (rows, cols, bands) less the ground's, where `both` are known, else 0: float32 (bands, rows, cols)."""
+    """Differences of an image from a base, bands one after the other.
+
+    Parameters
+    ----------
+    values, ground : array (rows, cols, bands)
+        Of the image and of the base.
+    both : bool array (rows, cols)
+        Where both are known.
+
+    Returns
+    -------
+    float32 array (bands, rows, cols)
+        0 where they are not.
+    """
     rows, cols, bands = values.shape
     out = np.empty((bands, rows, cols), dtype=np.float32)
     for k in range(rows):
@@ -23,9 +36,31 @@ def minus(values, ground, both):
 
 @kernel
 def join(values, own, differs, blend, blends, label, index, low, high, whole, kind, out):
-    """Put blend + value − own difference, rounded, where `label` is `index`; `kind` holds a number of the exact type.
+    """Mosaic values of one image's own pixels: blend + value − own difference, rounded.
 
-    Every step is rounded to that type, as NumPy does.
+    Every step is rounded to the exact type, as NumPy does.
+
+    Parameters
+    ----------
+    values : array (rows, cols, bands)
+    own : float32 array (bands, rows, cols)
+        Differences of the image from the base; looked at only if `differs`.
+    differs : bool
+    blend : float32 array (bands, rows, cols)
+        Blend of the differences; looked at only if `blends`.
+    blends : bool
+    label : int array (rows, cols)
+        Image that each pixel belongs to.
+    index : int
+        What `label` calls this image.
+    low, high : float
+        Range of the output's type.
+    whole : bool
+        Whether values are rounded, halves up.
+    kind : array (1,)
+        Holds a number of the exact type: float32 or float64.
+    out : array (rows, cols, bands)
+        Filled where `label` is `index`.
     """
     rows, cols, bands = values.shape
     exact = kind.dtype.type

@@ -23,16 +23,29 @@ LIFTED = np.int64(2048 << 19)
 
 @kernel
 def coordinates(geometry, first_row, n, size, need, cols, rows):
-    """Fill `cols`, `rows` (R·n, C·n) with image coordinates of the sub-pixels of R output rows from `first_row`.
+    """Image coordinates of the sub-pixels of output rows.
 
-    Cells of 64 x 64 output pixels that `need` (uint8) does not want are left NaN.
+    Parameters
+    ----------
+    geometry : tuple
+        (nodes, places, heights, z_middle, z_inverse, flat, step), as `sensor.lattice.Lattice` has them: `nodes`
+        (ny, nx, 8) are cubic coefficients, `places` (ny, nx, 2) node positions in the height patch (0 = centre of the
+        first height), `heights` the patch.
+    first_row : int
+        First output row.
+    n : int
+        Sub-pixels per output pixel along each axis.
+    size : (int, int)
+        Width and height of the image.
+    need : uint8 array
+        Cells of 64 x 64 output pixels that are wanted; the others are left NaN.
+    cols, rows : array (R·n, C·n)
+        Filled; (0.5, 0.5) is the centre of the first pixel of the image.
 
-    Returns the first col, first row, last col, last row of those that fall in an image of `size`; last col is −1 where
-    none does.
-
-    `geometry` is (nodes, places, heights, z_middle, z_inverse, flat, step): `nodes` (ny, nx, 8) are cubic coefficients,
-    `places` (ny, nx, 2) node positions in the height patch (0 = centre of the first height), `heights` the patch. All
-    as `sensor.lattice.Lattice` has them.
+    Returns
+    -------
+    first col, first row, last col, last row : int
+        Of those that fall in the image; last col is −1 where none does.
     """
     height, width = cols.shape
     room = _room(geometry, width, n)
@@ -46,10 +59,27 @@ def coordinates(geometry, first_row, n, size, need, cols, rows):
 
 @kernel
 def bilinear_rgb(geometry, size, need, source, corner, ending, out, out_valid):
-    """Place and sample a block; returns its first row that reaches beyond the window `source`, its height if none does.
+    """Bilinear values of a whole block, placed and sampled row by row.
 
-    `corner` is the window's first column and row, `ending` is (gain, offset, low, high, whole). Weights of 11 bits make
-    products of 30: exact, and the same as the general kernel has them.
+    Weights of 11 bits make products of 30: exact, and the same as the general kernel has them.
+
+    Parameters
+    ----------
+    geometry, size, need
+        As `coordinates` has them.
+    source : uint8 array (rows, cols, 3)
+        Window of the image.
+    corner : (int, int)
+        First column and row of the window.
+    ending : tuple
+        (gain, offset, low, high, whole).
+    out : array (rows, cols, 3)
+    out_valid : uint8 array (rows, cols)
+
+    Returns
+    -------
+    int
+        First row of the block that reaches beyond the window; the block's height if none does.
     """
     height, width = out_valid.shape
     room, taps = _room(geometry, width, 1), np.empty((3, width), dtype=np.int32)
@@ -71,7 +101,18 @@ def bilinear_rgb(geometry, size, need, source, corner, ending, out, out_valid):
 
 @kernel
 def cubic_rgb(geometry, size, need, source, corner, ending, out, out_valid):
-    """Cubic convolution in whole numbers, bilinear where its 16 pixels are not all there; see `bilinear_rgb`."""
+    """Cubic convolution of a whole block in whole numbers, bilinear where its 16 pixels are not all there.
+
+    Parameters
+    ----------
+    geometry, size, need, source, corner, ending, out, out_valid
+        As `bilinear_rgb` has them.
+
+    Returns
+    -------
+    int
+        First row of the block that reaches beyond the window; the block's height if none does.
+    """
     height, width = out_valid.shape
     room, taps = _room(geometry, width, 1), np.empty((3, width), dtype=np.int32)
     x, y = np.empty(width), np.empty(width)

@@ -19,10 +19,24 @@ LONG = 12
 
 @kernel
 def bilinear_rgb_inner(nodes, step, source, corner, out):
-    """Place and sample a block all of whose taps lie in the window `source`.
+    """Bilinear values of a block all of whose taps lie in a window.
 
-    `nodes` (ny, nx, 8) as `sensor.lattice.Lattice` has them, heights playing no part; `corner` the window's first
-    column and row in the image; `out` (rows, 3 · cols) uint8.
+    Parameters
+    ----------
+    nodes : array (ny, nx, 8)
+        As `sensor.lattice.Lattice` has them, heights playing no part.
+    step : int
+        Output pixels between nodes.
+    source : uint8 array (rows, cols, 3)
+        The window.
+    corner : (int, int)
+        First column and row of the window in the image.
+    out : uint8 array (rows, 3 · cols)
+
+    Returns
+    -------
+    int
+        Height of the block, as `bilinear_rgb` has it.
     """
     height, width = out.shape[0], out.shape[1] // 3
     values, stride = source.reshape(-1), np.int32(source.shape[1] * 3)
@@ -73,6 +87,7 @@ def bilinear_rgb_inner(nodes, step, source, corner, out):
 def _place(across, first, delta, corner, out):
     """Distance from the centre of the window's first pixel in 2048ths, rounded: pixel and weight in one number."""
     for c in range(out.shape[0]):
+        # Less half a pixel, 1024, and half a unit more, so that the cast rounds.
         out[c] = np.int32((first + delta * across[c] - corner) * 2048.0 - 1023.5)
 
 

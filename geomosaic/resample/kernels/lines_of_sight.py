@@ -22,10 +22,18 @@ PARTS = 6
 
 @kernel
 def hidden(field, relief, wanted, out):
-    """Set `out` to 1 where the surface hides what is `wanted`.
+    """Places of a block that the surface hides.
 
-    `field` is (nodes, z_middle, z_inverse, width), `relief` (heights, tiles, walls, top): see
-    `resample.sight.Field` and `Relief`.
+    Parameters
+    ----------
+    field : tuple
+        (nodes, z_middle, z_inverse, width), see `resample.occlusion.Field`.
+    relief : tuple
+        (heights, tiles, walls, top), see `resample.occlusion.Relief`.
+    wanted : uint8 array (rows, cols)
+        Pixels that are looked at.
+    out : uint8 array (rows, cols)
+        Set to 1 where hidden.
     """
     left, right, at = np.empty(8), np.empty(8), np.empty(8)
     for first_row in range(0, wanted.shape[0], GROUP):
@@ -42,7 +50,19 @@ def hidden(field, relief, wanted, out):
 
 @kernel
 def follow(field, relief, end, row, first_col, last_col, wanted, room, out):
-    """Follow the lines of sight of a row of pixels of one group, up to a level beyond which nothing is in the way."""
+    """Lines of sight of a row of pixels of one group.
+
+    Parameters
+    ----------
+    field, relief, wanted, out
+        As `hidden` has them.
+    end : float
+        Level in metres beyond which nothing is in the way.
+    row, first_col, last_col : int
+        Pixels of the block; the last is not looked at.
+    room : tuple of array (8,)
+        Three, to work in.
+    """
     nodes, z_middle, z_inverse, width = field
     heights, tiles, _, top = relief
     left, right, at = room
@@ -73,7 +93,18 @@ def follow(field, relief, end, row, first_col, last_col, wanted, room, out):
 
 @kernel
 def any_of(wanted, first_row, last_row, first_col, last_col):
-    """Whether any pixel of a group is wanted."""
+    """Whether any pixel of a group is wanted.
+
+    Parameters
+    ----------
+    wanted : uint8 array (rows, cols)
+    first_row, last_row, first_col, last_col : int
+        Of the group; the last are not in it.
+
+    Returns
+    -------
+    bool
+    """
     for row in range(first_row, last_row):
         for col in range(first_col, last_col):
             if wanted[row, col]:
@@ -83,9 +114,21 @@ def any_of(wanted, first_row, last_row, first_col, last_col):
 
 @kernel
 def last_level(field, relief, first_row, first_col):
-    """Level beyond which nothing is in the way of lines of sight from a group of places; −inf where nothing is at all.
+    """Level beyond which nothing is in the way of the lines of sight from a group of places.
 
     What all lines pass between two heights lies in a box. Up to `NEAR` nodes away only walls count.
+
+    Parameters
+    ----------
+    field, relief
+        As `hidden` has them.
+    first_row, first_col : int
+        First pixel of the group.
+
+    Returns
+    -------
+    float
+        Metres; −inf where nothing is in the way at all.
     """
     nodes, z_middle, z_inverse, _ = field
     tiles, walls, top = relief[1], relief[2], relief[3]
@@ -141,7 +184,19 @@ def last_level(field, relief, first_row, first_col):
 
 @kernel
 def between(heights, x_low, x_high, y_low, y_high):
-    """Lowest and highest node that heights within a box are interpolated from; inf and −inf where none is known."""
+    """Range of the nodes that heights within a box are interpolated from.
+
+    Parameters
+    ----------
+    heights : float32 array (rows, cols)
+    x_low, x_high, y_low, y_high : float
+        The box, in nodes.
+
+    Returns
+    -------
+    lowest, highest : float
+        Metres; inf and −inf where none is known.
+    """
     rows, cols = heights.shape
     lowest, highest = np.inf, -np.inf
     for i in range(max(0, math.floor(y_low - 1e-6)), min(rows, math.floor(y_high + 1e-6) + 2)):
@@ -153,7 +208,21 @@ def between(heights, x_low, x_high, y_low, y_high):
 
 @kernel
 def over(tiles, x_low, x_high, y_low, y_high, level):
-    """Whether a tile that meets a box, and a cell around it for the sake of rounding, is above a level."""
+    """Whether a tile that meets a box is above a level.
+
+    Parameters
+    ----------
+    tiles : float32 array
+        Of `Relief`.
+    x_low, x_high, y_low, y_high : float
+        The box, in nodes; a cell around it counts too, for the sake of rounding.
+    level : float
+        Metres.
+
+    Returns
+    -------
+    bool
+    """
     rows, cols = tiles.shape
     r0, r1 = max(0, math.floor((y_low - 1.0) / TILE)), min(rows - 1, math.floor((y_high + 1.0) / TILE))
     c0, c1 = max(0, math.floor((x_low - 1.0) / TILE)), min(cols - 1, math.floor((x_high + 1.0) / TILE))
@@ -166,7 +235,22 @@ def over(tiles, x_low, x_high, y_low, y_high, level):
 
 @kernel
 def corner(nodes, ni, nj, v, u, k):
-    """One number of a field between nodes."""
+    """Value of a field between its nodes, bilinear.
+
+    Parameters
+    ----------
+    nodes : array (rows, cols, 8)
+    ni, nj : int
+        Row and column of the node before.
+    v, u : float
+        Way to the next node, down and across, 0 to 1.
+    k : int
+        Which of the eight numbers.
+
+    Returns
+    -------
+    float
+    """
     left = nodes[ni, nj, k] + (nodes[ni + 1, nj, k] - nodes[ni, nj, k]) * v
     right = nodes[ni, nj + 1, k] + (nodes[ni + 1, nj + 1, k] - nodes[ni, nj + 1, k]) * v
     return left + (right - left) * u
@@ -174,7 +258,32 @@ def corner(nodes, ni, nj, v, u, k):
 
 @kernel
 def blocked(x, y, z, low, ux, uy, rise, wall, end, heights, tiles):
-    """1 where the surface is in the way of one line of sight, else 0; `low` is its place's foot of a wall, or NaN."""
+    """Whether the surface is in the way of one line of sight.
+
+    Parameters
+    ----------
+    x, y : float
+        Place, in nodes.
+    z : float
+        Its height, metres.
+    low : float
+        Height of the foot of a wall that it may stand on, NaN where there is none.
+    ux, uy : float
+        Direction of the line over the ground, of unit length.
+    rise : float
+        Metres per node along it.
+    wall : float
+        Metres by which a cell must rise to be a wall.
+    end : float
+        Level in metres beyond which nothing is in the way.
+    heights, tiles
+        Of `Relief`.
+
+    Returns
+    -------
+    int
+        1 where it is, else 0.
+    """
     high, wide = heights.shape[0] - 1, heights.shape[1] - 1
     beside = low == low
     z = low if beside else z
@@ -213,7 +322,21 @@ def blocked(x, y, z, low, ux, uy, rise, wall, end, heights, tiles):
 
 @kernel
 def foot(heights, x, y, wall):
-    """Lowest of the nodes around a place where a wall stands between them; NaN where none does."""
+    """Foot of the wall that a place may stand on: the lowest of the nodes around it.
+
+    Parameters
+    ----------
+    heights : float32 array (rows, cols)
+    x, y : float
+        Place, in nodes.
+    wall : float
+        Metres between nodes beyond which a wall stands there.
+
+    Returns
+    -------
+    float
+        Metres; NaN where no wall stands there.
+    """
     i, j = int(y), int(x)
     low, high = np.inf, -np.inf
     for a in range(2):
@@ -226,7 +349,24 @@ def foot(heights, x, y, wall):
 
 @kernel
 def shut(heights, row, col, by_x, ux, uy, least):
-    """Whether what rises above `least` may keep a line of sight from leaving the cell that it starts in."""
+    """Whether what rises above a level may keep a line of sight from leaving the cell that it starts in.
+
+    Parameters
+    ----------
+    heights : float32 array (rows, cols)
+    row, col : int
+        First node of the cell.
+    by_x : bool
+        Whether the line leaves by an edge across x.
+    ux, uy : float
+        Direction of the line over the ground.
+    least : float
+        The level, metres.
+
+    Returns
+    -------
+    bool
+    """
     a, b = heights[row, col] > least, heights[row, col + 1] > least
     c, d = heights[row + 1, col] > least, heights[row + 1, col + 1] > least
     if by_x:
@@ -242,7 +382,19 @@ def shut(heights, row, col, by_x, ux, uy, least):
 
 @kernel
 def bilinear(heights, x, y):
-    """Height between nodes; NaN beyond them."""
+    """Height between nodes.
+
+    Parameters
+    ----------
+    heights : float32 array (rows, cols)
+    x, y : float
+        Place, in nodes.
+
+    Returns
+    -------
+    float
+        Metres; NaN beyond the nodes and where one is unknown.
+    """
     if not (x >= 0.0 and y >= 0.0 and x < heights.shape[1] - 1 and y < heights.shape[0] - 1):
         return np.nan
     i, j = int(y), int(x)

@@ -13,7 +13,36 @@ from geomosaic.resample.kernels.compiled import kernel
 def shade(
     values, seen, net, path, haze, place, dark, curve, reach, offset, low, high, whole, out, out_valid
 ):  # fmt: skip
-    """Correct the pixels that are seen; `place` is the node of pixel (0, 0) and nodes per pixel, across and down."""
+    """Correction of values by gains on a coarse net, rounded and stored.
+
+    Parameters
+    ----------
+    values : array (rows, cols, bands)
+    seen : uint8 array (rows, cols)
+        Pixels that are corrected.
+    net : array (node rows, node cols, bands)
+        Gains.
+    path : array (node rows, node cols)
+        Excess air path; (0, 0) where there is no haze.
+    haze : array (bands,)
+    place : (float, float, float, float)
+        Node of pixel (0, 0) and nodes per pixel, across and down: u0, v0, du, dv.
+    dark, offset : array (bands,)
+    curve : array (bands, steps + 1)
+        Table from 0 to `reach`; (bands, 0) where values stay as they are.
+    reach : float
+    low, high : float
+        Range of the output's type.
+    whole : bool
+        Whether values are rounded, halves up.
+    out : array (rows, cols, bands)
+    out_valid : uint8 array (rows, cols)
+        Set to 1 where seen.
+
+    Notes
+    -----
+    The formula is that of `radiometry.local_gains.CorrectionField`.
+    """
     height, width, bands = values.shape
     node_rows, node_cols, _ = net.shape
     u0, v0, du, dv = place

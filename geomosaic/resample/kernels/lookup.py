@@ -7,10 +7,21 @@ from geomosaic.resample.kernels.compiled import kernel
 
 @kernel
 def lookup(values, table, wanted, choose, out, out_valid):
-    """Put table[band, value] of each value (rows, cols, bands) in `out`, and 1 in `out_valid`.
+    """Values by table: table[band, value] of each value.
 
-    Where `choose` says so, only pixels with `wanted` (rows, cols) other than 0. Band by band within a row: a third of
-    the time of pixel by pixel, since the inner loops are long.
+    Band by band within a row: a third of the time of pixel by pixel, since the inner loops are long.
+
+    Parameters
+    ----------
+    values : array (rows, cols, bands)
+        Whole numbers without sign.
+    table : array (bands, values)
+    wanted : uint8 array (rows, cols)
+        Pixels that are wanted, looked at only if `choose`.
+    choose : bool
+    out : array (rows, cols, bands)
+    out_valid : uint8 array (rows, cols)
+        Set to 1 where a value is put.
     """
     rows, cols, bands = values.shape
     for k in range(rows):

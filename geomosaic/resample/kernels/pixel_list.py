@@ -10,10 +10,21 @@ from geomosaic.resample.kernels.image_coordinates import FAR, NONE, _span
 
 @kernel
 def coordinates_of(geometry, down, along, size, cols, rows):
-    """Fill `cols`, `rows` (N) with image coordinates of the pixels in rows `down` and columns `along` of a block.
+    """Image coordinates of single output pixels of a block.
 
-    Returns the first col, first row, last col, last row of those that fall in an image of `size`; last col is −1 where
-    none does. See `image_coordinates.coordinates` for `geometry`.
+    Parameters
+    ----------
+    geometry, size
+        As `image_coordinates.coordinates` has them.
+    down, along : int array (N,)
+        Rows and columns of the pixels.
+    cols, rows : array (N,)
+        Filled.
+
+    Returns
+    -------
+    first col, first row, last col, last row : int
+        Of those that fall in the image; last col is −1 where none does.
     """
     nodes, places, heights, z_middle, z_inverse, flat, step = geometry
     left, delta = np.empty(8), np.empty(8)
@@ -45,7 +56,21 @@ def coordinates_of(geometry, down, along, size, cols, rows):
 
 @kernel
 def listed(only, need, down, along):
-    """Note rows and columns of the wanted pixels of wanted cells of 64 x 64 pixels; returns their number."""
+    """Number of the wanted pixels of wanted cells, whose rows and columns are noted.
+
+    Parameters
+    ----------
+    only : bool array (rows, cols)
+        Pixels that are wanted.
+    need : uint8 array (rows / 64, cols / 64)
+        Cells that are wanted.
+    down, along : int array (N,)
+        Filled from the start with rows and columns.
+
+    Returns
+    -------
+    int
+    """
     number = 0
     for row in range(only.shape[0]):
         cells = need[row // 64]
@@ -60,7 +85,19 @@ def listed(only, need, down, along):
 
 @part
 def between(heights, x, y):
-    """Bilinear height; a tap of no weight may be unknown."""
+    """Bilinear height; a tap of no weight may be unknown.
+
+    Parameters
+    ----------
+    heights : float32 array (rows, cols)
+    x, y : float
+        Place, in nodes.
+
+    Returns
+    -------
+    float
+        Metres; NaN farther than half a node beyond the edge.
+    """
     last_col, last_row = heights.shape[1] - 1, heights.shape[0] - 1
     if not (x >= -0.5 and y >= -0.5 and x <= last_col + 0.5 and y <= last_row + 0.5):
         return np.nan

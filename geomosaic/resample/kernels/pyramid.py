@@ -34,7 +34,17 @@ def _two(b, c, line):
 
 @kernel
 def reduce(fine):
-    """Half the size (bands, rows / 2, cols / 2): the sample (k, l) lies on the fine sample (2k, 2l)."""
+    """Half the size: the sample (k, l) lies on the fine sample (2k, 2l).
+
+    Parameters
+    ----------
+    fine : float32 array (bands, rows, cols)
+        Rows and columns even.
+
+    Returns
+    -------
+    float32 array (bands, rows / 2, cols / 2)
+    """
     bands, height, width = fine.shape
     rows, cols = height // 2, width // 2
     out = np.empty((bands, rows, cols), dtype=np.float32)
@@ -62,7 +72,16 @@ def reduce(fine):
 
 @kernel
 def expand(coarse):
-    """Twice the size (bands, 2 rows, 2 cols), the samples of `reduce` in their places."""
+    """Twice the size, the samples of `reduce` in their places.
+
+    Parameters
+    ----------
+    coarse : float32 array (bands, rows, cols)
+
+    Returns
+    -------
+    float32 array (bands, 2 rows, 2 cols)
+    """
     bands, rows, cols = coarse.shape
     out = np.empty((bands, 2 * rows, 2 * cols), dtype=np.float32)
     padded = np.empty(cols + 2, dtype=np.float32)

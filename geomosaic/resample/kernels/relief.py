@@ -1,4 +1,4 @@
-"""A patch of heights prepared for lines of sight, compiled; `resample.sight.Relief` says what is computed."""
+"""Patch of heights prepared for lines of sight, compiled; `resample.occlusion.Relief` says what is computed."""
 
 from __future__ import annotations
 
@@ -10,9 +10,24 @@ from geomosaic.resample.occlusion import TILE
 
 @kernel
 def prepare(heights, least, gentle, tiles, walls):
-    """Fill tiles and walls; returns the largest rises along columns and rows, or 0 where they are below `gentle`.
+    """Tiles and walls of a patch of heights, and its largest rises.
 
-    Cells that rise by more than `least` may be walls. Most tiles are even: only of the others each cell is looked at.
+    Most tiles are even: only of the others each cell is looked at.
+
+    Parameters
+    ----------
+    heights : float32 array (rows, cols)
+    least : float
+        Metres by which a cell must rise that may be a wall.
+    gentle : float
+        Metres between neighbours; smaller rises need not be known.
+    tiles, walls : float32 array
+        Filled, see `resample.occlusion.Relief`.
+
+    Returns
+    -------
+    float32 array (2,)
+        Largest rises along columns and rows, metres per node, or 0 where they are below `gentle`.
     """
     rows, cols = heights.shape
     rises = np.zeros(2, dtype=np.float32)
@@ -43,7 +58,23 @@ def prepare(heights, least, gentle, tiles, walls):
 
 @part
 def look_at(heights, first_row, last_row, first_col, last_col, least, rises):
-    """Highest of a tile's cells that may be walls, −inf where there are none; notes rises of its nodes."""
+    """Highest of a tile's cells that may be walls.
+
+    Parameters
+    ----------
+    heights : float32 array (rows, cols)
+    first_row, last_row, first_col, last_col : int
+        Nodes of the tile; the last are not in it.
+    least : float
+        Metres by which a cell must rise that may be a wall.
+    rises : float32 array (2,)
+        Largest rises so far, brought up to date.
+
+    Returns
+    -------
+    float32
+        Metres; −inf where there are none.
+    """
     wall = np.float32(-np.inf)
     for row in range(first_row, last_row - 1):
         for col in range(first_col, last_col - 1):
@@ -62,7 +93,19 @@ def look_at(heights, first_row, last_row, first_col, last_col, least, rises):
 
 @inlined
 def cell(heights, row, col):
-    """Highest of a cell's four nodes, −inf where none is known, and how far it is above the lowest."""
+    """Highest of a cell's four nodes, and its height above the lowest.
+
+    Parameters
+    ----------
+    heights : float32 array (rows, cols)
+    row, col : int
+        First node of the cell.
+
+    Returns
+    -------
+    high, rise : float32
+        Metres; `high` is −inf where no node is known.
+    """
     high, low = np.float32(-np.inf), np.float32(np.inf)
     for k in range(2):
         for m in range(2):

@@ -77,7 +77,13 @@ def _store(out, out_valid, k, c, values, gain, offset, low, high, whole):
 
 @kernel
 def sample_nearest(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):
-    """Value of the pixel that the point falls in; never averaged (n is 1)."""
+    """Value of the pixel that the point falls in; never averaged (n is 1).
+
+    Parameters
+    ----------
+    source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid
+        As `sample` has them.
+    """
     col0, row0, shrink, width, height = place
     values = np.empty(source.shape[2])
     for k in range(out.shape[0]):
@@ -106,7 +112,13 @@ def _cubic_whole(t):
 
 @kernel
 def sample_bilinear(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):
-    """Bilinear values; with n > 1 the mean of n × n bilinear samples, which is an average over the footprint."""
+    """Bilinear values; with n > 1 the mean of n × n bilinear samples, which is an average over the footprint.
+
+    Parameters
+    ----------
+    source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid
+        As `sample` has them.
+    """
     col0, row0, shrink, width, height = place
     values = np.empty(source.shape[2])
     if n == 1:
@@ -164,7 +176,13 @@ def _cubic(t, coarse):
 
 @kernel
 def sample_cubic(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):
-    """Cubic convolution with a = −0.5 (Keys 1981), bilinear where its 16 pixels are not all there."""
+    """Cubic convolution with a = −0.5 (Keys 1981), bilinear where its 16 pixels are not all there.
+
+    Parameters
+    ----------
+    source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid
+        As `sample` has them.
+    """
     col0, row0, shrink, width, height = place
     bands = source.shape[2]
     values = np.empty(bands)
@@ -198,7 +216,13 @@ def sample_cubic(source, valid, masked, cols, rows, n, place, gain, offset, low,
 
 @kernel
 def sample_lanczos(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):
-    """Lanczos with three lobes, weights normalised to one, bilinear where its 36 pixels are not all there."""
+    """Lanczos with three lobes, weights normalised to one, bilinear where its 36 pixels are not all there.
+
+    Parameters
+    ----------
+    source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid
+        As `sample` has them.
+    """
     col0, row0, shrink, width, height = place
     bands = source.shape[2]
     values = np.empty(bands)
@@ -258,11 +282,12 @@ def sample(
     place: tuple[float, float, float, int, int], gain: FloatArray, offset: FloatArray,
     low: float, high: float, whole: bool, out: AnyArray, out_valid: ByteArray,
 ) -> None:  # fmt: skip
-    """Fill `out` and `out_valid` where the image is seen.
+    """Values at image coordinates, where the image is seen.
 
     Parameters
     ----------
     name : str
+        Interpolation: 'nearest', 'bilinear', 'cubic' or 'lanczos'.
     source : array (rows, cols, bands)
         Window of the image.
     valid : uint8 array (rows, cols)

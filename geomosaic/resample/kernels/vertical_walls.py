@@ -10,7 +10,13 @@ from geomosaic.resample.occlusion import TOUCH
 
 @kernel
 def upright(heights, way, wall, out):
-    """Fill `out` (rows, cols) with heights at whole cols and rows."""
+    """Heights at the centres of output pixels over vertical walls.
+
+    Parameters
+    ----------
+    heights, way, wall, out
+        As `resample.vertical_walls.upright` has them.
+    """
     a, b, c, d = way
     rows, cols = heights.shape
     first, last, u = _along(out.shape[1], a, b, cols)
@@ -44,7 +50,22 @@ def _along(number, step, start, nodes):
 
 @inlined
 def height(p, q, r, s, u, v, wall):
-    """Height between four nodes that are not all the same."""
+    """Height between four nodes that are not all the same; on either side of a wall that of its own side.
+
+    Parameters
+    ----------
+    p, q, r, s : float
+        Heights of the upper left, upper right, lower left and lower right node, metres.
+    u, v : float
+        Way to the right and down, 0 to 1.
+    wall : float
+        Metres between nodes beyond which a wall stands there.
+
+    Returns
+    -------
+    float
+        Metres; NaN where a node that counts is unknown.
+    """
     taps = (p, (1.0 - u) * (1.0 - v)), (q, u * (1.0 - v)), (r, (1.0 - u) * v), (s, u * v)
     z, low, high = 0.0, np.inf, -np.inf
     for node, weight in taps:
