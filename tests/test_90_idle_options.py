@@ -145,3 +145,12 @@ def toml(value: Any) -> str:
     if isinstance(value, list):
         return f"[{', '.join(map(toml, value))}]"
     return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def test_options_of_options_may_be_tables() -> None:
+    made = MosaicOptions.of(seams="alike", seam_weights={"heights": 5}, retouch={"a": {"gain": 2}})
+    assert made.seamlines.seam_weights.heights == 5.0
+    assert made.colours.retouch["a"].gain == 2.0
+    with pytest.raises(InputError, match="no option is named `hights`") as refused:
+        MosaicOptions.of(seams="alike", seam_weights={"hights": 5})
+    assert (refused.value.where, refused.value.hint) == ("`seam_weights`", "did you mean 'heights'?")

@@ -164,7 +164,11 @@ def _parsed(parse: Callable[[Any], Any], ctx: click.Context, param: click.Parame
 def _composed(kind: type[Any], ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> Any:
     """Options value of NAME=VALUE, given any number of times; None where none is."""
     named: Mapping[str, str] = pairs(ctx, param, values)
-    return compose(kind, {name: json_value(text) for name, text in named.items()}) if named else None
+    try:
+        return compose(kind, {name: json_value(text) for name, text in named.items()}) if named else None
+    except InputError as error:
+        where = f"{error.where}: " if (error.where or "").startswith("`") else ""
+        raise click.BadParameter(f"{where}{error.what}; {error.hint}") from None
 
 
 def json_value(text: str) -> Any:

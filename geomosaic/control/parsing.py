@@ -89,7 +89,7 @@ def ground_crs(declared: str | CRS | None, given: str | CRS | None, where: str) 
         raise InputError(
             "the file does not say which CRS its ground coordinates are in",
             where=where,
-            hint="give it, for example EPSG:32633",
+            hint="give it with `crs`, such as EPSG:32633",
         )
     if of_file is not None and supplied is not None and not of_file.equals(supplied, ignore_axis_order=True):
         raise InputError(

@@ -193,6 +193,10 @@ def _model(
         request = SensorRequest(photo.name, photo.info.size, options, crs, str(inputs.base), str(photo.path))
         return _on_ground(inputs.sensor, request, surface, row.position if row else None)
     except InputError as error:
+        placed = options.keys() & {*power.exterior, "points"}
+        if isinstance(error, SensorInputError) and error.name in power.exterior and not placed:
+            error.what = "nothing says where the camera was"
+            error.hint = "give `exterior`, a table of positions and angles"
         # What is wrong in a row of the table is said with its line, what is the same for all images without one.
         if error.where == photo.name and inputs.exterior is not None:
             if row is not None and not _concerns_all_images(error, inputs):

@@ -59,7 +59,7 @@ def positions_crs(crs: str, heights: str | None, where: str | None = None) -> CR
     HeightDatumError
         As `with_declared_heights`.
     """
-    given = parse_crs(crs, where)
+    given = parse_crs(crs, where or "`crs`")
     if given.is_vertical and not given.is_compound:
         raise InputError(
             f"'{crs[:80]}' ({given.name}) says what heights mean, and nothing of x and y",
@@ -72,7 +72,7 @@ def positions_crs(crs: str, heights: str | None, where: str | None = None) -> CR
             where=where,
             hint="leave out the vertical datum, or name the CRS that the heights belong to",
         )
-    return with_declared_heights(given, heights, where)
+    return with_declared_heights(given, heights, where or "`heights`")
 
 
 def crs_name(crs: CRS) -> str:

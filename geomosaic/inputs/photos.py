@@ -74,7 +74,7 @@ def photos_of(inputs: Block) -> tuple[list[Photo], CRS | None]:
     if not inputs.images:
         raise InputError("no images are given", hint="name one or more image files")
     infos = [inspect(path, inputs.bands) for path in inputs.images]
-    crs = positions_crs(inputs.crs, inputs.heights, "exterior CRS") if inputs.crs else None
+    crs = positions_crs(inputs.crs, inputs.heights) if inputs.crs else None
     table = None
     if inputs.exterior is not None and inputs.angles not in RECONSTRUCTIONS:
         table = _table(inputs, inputs.exterior)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, get_args, get_origin
 
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.options.declaration import INFINITE, Declared, Option, declared, flat_values
+from geomosaic.options.declaration import INFINITE, Declared, Option, compose, declared, flat_values, is_part
 
 NAMES: dict[Any, str] = {str: "text", float: "a number", int: "a whole number", bool: "true or false", Path: "a path"}
 
@@ -43,7 +43,7 @@ def checked(value: Any, kind: Any, option: Option, where: str, *, optional: bool
     ----------
     value : object
     kind : type
-        What it is to become: a text a path, a whole number a float, a list a tuple.
+        What it is to become: a table an options value, a text a path, a whole number a float, a list a tuple.
     option : Option
     where : str
         Named by errors.
@@ -73,7 +73,15 @@ def checked(value: Any, kind: Any, option: Option, where: str, *, optional: bool
     if isinstance(origin or kind, type) and issubclass(origin or kind, Mapping):
         if not isinstance(value, Mapping):
             raise InputError(f"'{value}' is no table of names and values", where=where, hint="give names with values")
+        inner = get_args(kind)[-1:]
+        if inner and is_part(inner[0]):
+            return {name: checked(part, inner[0], option, f"{where} {name}") for name, part in value.items()}
         return value
+    if is_part(kind) and isinstance(value, Mapping):
+        try:
+            return compose(kind, value)
+        except InputError as error:
+            raise InputError(error.what, where=where, hint=error.hint) from None
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if kind is Path and isinstance(value, str):

@@ -328,7 +328,8 @@ def _all_errors(error: ValidationError, path: str, text: str) -> InputError:
 def _words(item: Mapping[str, Any], place: list[str]) -> str:
     kind = item["type"]
     if kind == "extra_forbidden":
-        return f"unknown key. {did_you_mean(place[-1], _keys(place[:-1]))}".rstrip()
+        hint = did_you_mean(place[-1], _keys(place[:-1]))
+        return f"unknown key; {hint}" if hint else "unknown key"
     if kind == "missing":
         return "is missing"
     message = str(item["msg"]).removeprefix("Value error, ")
