@@ -68,11 +68,16 @@ def render_mosaic(
     water : sequence of Pool
         Water to be filled with a tone.
 
+    Returns
+    -------
+    RenderedPixels
+
     Raises
     ------
     InputError
         No image shows anything of the output.
     OutputError
+        Writing failed.
     """
     render, grid, info = options.render, blender.grid, blender.info
     number = len(blender.photos)
@@ -109,6 +114,7 @@ def render_mosaic(
         copied = sink.copies(files.mosaic) if reuse is not None else False
         if files.labels is not None and label_sink is not None:
             copied = copied and label_sink.copies(files.labels)
+        # Tiles are kept as compressed bytes: an earlier file of another form has none that fit.
         if reuse is not None and not copied:
             reuse.forget()
         for done, (window, made) in enumerate(in_order(unit, units, blender.engine.threads(render.threads))):

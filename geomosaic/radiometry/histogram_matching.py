@@ -69,6 +69,11 @@ def matching_curve(source: AnyArray, target: AnyArray) -> ToneCurve:
     ----------
     source : array (N, bands)
     target : array (M, bands)
+
+    Returns
+    -------
+    ToneCurve
+        With at most `RANKS` knots per band.
     """
     ranks = (np.arange(RANKS) + 0.5) / RANKS
     knots = []
@@ -88,6 +93,11 @@ def match_whole(pieces: Sequence[Thumbnail], master: Thumbnail) -> list[ToneCurv
     pieces : sequence of Thumbnail
     master : Thumbnail
         One of the pieces, or another image.
+
+    Returns
+    -------
+    list of ToneCurve
+        One per piece; the identity for the master, and where an image shows fewer than `MIN_CELLS` cells.
     """
     target = master.values[master.valid > 0]
     curves = []

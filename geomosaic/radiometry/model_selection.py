@@ -81,6 +81,13 @@ def select_terms(
     ----------
     views, setting, gain, offset, linear
         As in `fields.solve_fields`.
+
+    Returns
+    -------
+    kept : frozenset of str
+        Of `bases.TERMS`; empty where gain and offset are enough, or there are fewer than `MIN_SAMPLES` samples.
+    trials : list of Trial
+        In the order of `ORDER`, the model without further terms first.
     """
     kept: frozenset[str] = frozenset()
     if np.count_nonzero(views.known) < MIN_SAMPLES:

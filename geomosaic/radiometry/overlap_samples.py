@@ -110,15 +110,21 @@ class Overlaps:
 def overlap_of(
     first: int, second: int, one: Thumbnail, other: Thumbnail, clipped: tuple[float, float] | None = None
 ) -> Overlap | None:
-    """Samples of the cells that are valid in both thumbnails, at most `MAX_CELLS`; None where there are too few.
+    """Samples of the cells that are valid in both thumbnails, at most `MAX_CELLS`.
 
     Parameters
     ----------
     first, second : int
         Numbers of the images.
     one, other : Thumbnail
+        Of the first and of the second image.
     clipped : (float, float), optional
         Ends of the range of values; cells at them are left out.
+
+    Returns
+    -------
+    Overlap or None
+        None where fewer than `MIN_CELLS` cells are left.
     """
     common = one.window.intersection(other.window)
     if common.empty:
@@ -207,7 +213,7 @@ class PairedSamples:
 def paired_samples(
     overlaps: Sequence[Overlap], places: SamplePositions, most: int = MAX_SAMPLES
 ) -> PairedSamples | None:
-    """Samples of all overlaps with their positions; None where no overlap has positions.
+    """Samples of all overlaps with their positions.
 
     Positions are computed once per image. Of an overlap that has more than its part of `most` samples, every second,
     third ... is used.
@@ -218,6 +224,11 @@ def paired_samples(
     places : SamplePositions
     most : int
         Largest number of samples of all overlaps together.
+
+    Returns
+    -------
+    PairedSamples or None
+        None where no overlap has positions.
     """
     used = [pair for pair in overlaps if len(pair.a) and pair.cells is not None]
     if not used:

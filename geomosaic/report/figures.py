@@ -124,6 +124,10 @@ def mosaic_map(mosaic: Path, vectors: Path, bounds: Sequence[float], unit: str) 
         Left, bottom, right, top of the raster in its CRS.
     unit : str
         Of that CRS, for the scale bar.
+
+    Returns
+    -------
+    MosaicMap
     """
     rgb, valid = preview(mosaic, LONGEST)
     height, width = valid.shape

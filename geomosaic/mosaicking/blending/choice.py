@@ -23,6 +23,11 @@ def with_blending(blender: Blender, memory: int) -> Blender:
         Plain; `seams.feather` is the width of the transition in output pixels.
     memory : int
         Bytes that a multiband blender may hold for what images show of a block.
+
+    Returns
+    -------
+    Blender
+        The same one for feathers and hard seams, else a `MultibandBlender`.
     """
     if blender.blending.plain:
         return blender

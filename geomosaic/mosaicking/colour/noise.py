@@ -95,6 +95,7 @@ def _difference_noise(blender: Blender, i: int, j: int, xy: FloatArray) -> float
         return None
     apart = reduce(np.moveaxis(views[0][0] - views[1][0], 2, 0) * both)[:, known].T
     apart = apart - np.median(apart, axis=0)
+    # Rounding is noise as well: two flat images differ by nothing, and any difference would count as moved.
     whole = np.issubdtype(np.dtype(blender.photos.info.dtype), np.integer)
     least = 0.5 if whole else 1e-4 * float(np.abs(views[0][0][views[0][1]]).mean())
     return max(least, float(1.4826 * np.median(np.abs(apart))))

@@ -69,6 +69,7 @@ def reference_samples(
         raise InputError(
             "the reference shows nothing of what the images show", where=reference.path, hint="give one that overlaps"
         )
+    # Grey values of another sample type have another unit; the medians of the same ground give its size.
     scale, units = 1.0, ""
     with_type = Photo.open(reference, None, coarse, outline, options.memory_limit // 8)
     kind = with_type.source.info.dtype

@@ -94,6 +94,7 @@ def _positions(photos: Photos, index: int, xy: FloatArray, radius: float) -> tup
         mapper = photo.mapper
     own = mapper.surface_xy(xy)
     z = np.zeros(len(xy)) if surface is None or not mapper.uses_heights else surface.height(own)
+    # Held at the edges: nodes of a net reach beyond the image, where powers of the radius would run away.
     colrow = np.clip(mapper.image(own, z), 0.0, size)
     image = (colrow - size / 2) / (np.hypot(*size) / 2)
     view = (xy - np.array(photos.outlines[index].centre)) / radius
@@ -113,7 +114,7 @@ def correction_field(photos: Photos, index: int, fields: ColourModel) -> Correct
     Returns
     -------
     CorrectionField
-        Nodes that the photo does not show have the mean gain of those that it shows.
+        Nodes beyond the image have the gain of its edge, those that the model cannot see the mean gain of the others.
     """
     window = photos.grid.window_of(photos.outlines[index].bounds)
     longer = max(window.width, window.height, 1)
@@ -127,6 +128,7 @@ def correction_field(photos: Photos, index: int, fields: ColourModel) -> Correct
     seen = np.isfinite(image).all(axis=1)
     if seen.any():
         log[seen] = fields.log_field(index, image[seen], view[seen])
+        # Without a height, or where the model cannot see: pixels beside such a node are interpolated with it.
         log[~seen] = log[seen].mean(axis=0)
     else:
         log[:] = 0.0

@@ -187,6 +187,7 @@ def _anchored(solved: Balance, anchor: int | None, pairs: list[Overlap]) -> Bala
 
     first, second = np.array([(pair.first, pair.second) for pair in pairs if len(pair.a)], dtype=np.int64).T
     group = connected_groups(len(solved.gain), first, second)
+    # The anchor says nothing about images that no chain of overlaps joins to it.
     own = (group == group[anchor])[:, None]
     gain = np.where(own, solved.gain / solved.gain[anchor], solved.gain)
     offset = np.where(own, (solved.offset - solved.offset[anchor]) / solved.gain[anchor], solved.offset)

@@ -100,6 +100,7 @@ def displacement(
     shape = window.height, window.width
     if not photo.mapper.uses_heights or not known.size:
         return np.zeros((*shape, 3)) if not photo.mapper.uses_heights else np.full((*shape, 3), np.nan)
+    # The cubic must hold at both heights that are subtracted, so its range takes in the level as well.
     low, high = min(float(known.min()), level), max(float(known.max()), level)
     middle, half = (low + high) / 2, max((high - low) / 2, 1.0)
     cols, rows = (np.linspace(0, size, nodes) for size in (window.width, window.height))

@@ -78,6 +78,10 @@ def seam_cost(
     layers : SeamLayers
     options : RenderOptions
         Threads and progress.
+
+    Returns
+    -------
+    SeamCost
     """
     windows = [grid.window_of(outline.bounds) for outline in photos.outlines]
     pairwise, unary = np.zeros(grid.shape, dtype=np.float32), np.zeros(candidates.shape, dtype=np.float32)

@@ -55,6 +55,11 @@ def features(values: AnyArray, valid: BoolArray) -> Features:
     values : array (rows, cols, bands)
         Colour-corrected values.
     valid : bool array (rows, cols)
+
+    Returns
+    -------
+    Features
+        With a contrast of 0 where nothing is valid.
     """
     from scipy.ndimage import uniform_filter
 

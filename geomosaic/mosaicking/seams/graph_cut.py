@@ -86,6 +86,7 @@ def catchment_basins(cost: AnyArray, known: BoolArray) -> IntArray:
     """
     from scipy.ndimage import gaussian_filter, label, maximum_filter, watershed_ift
 
+    # Smoothed first: noise would make a basin of nearly every cell, and the graph no smaller than the raster.
     smooth = gaussian_filter(cost.astype(np.float32), 1.0)
     top = maximum_filter(smooth, 3) == smooth
     seeds, _ = label(top & known, structure=np.ones((3, 3)))
@@ -107,6 +108,10 @@ def region_graph(candidates: IntArray, unary: AnyArray, cost: AnyArray) -> Regio
         Cost of each of them showing it.
     cost : array (rows, cols)
         Cost of a seam through the cell.
+
+    Returns
+    -------
+    RegionGraph
     """
     ranks, known = len(candidates), candidates[0] >= 0
     basin = catchment_basins(cost, known)
@@ -165,6 +170,7 @@ def minimise(graph: RegionGraph, labels: IntArray) -> IntArray:
         Image that shows each region.
     """
     best, adjacency = labels.copy(), _Adjacency.of(graph)
+    # A swap changes the borders of its two images with others, so pairs that had nothing to gain may have now.
     for _ in range(MAX_SWEEPS):
         differ = best[graph.first] != best[graph.second]
         a, b = best[graph.first[differ]], best[graph.second[differ]]

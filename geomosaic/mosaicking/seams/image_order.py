@@ -40,6 +40,7 @@ def image_order(
     InputError
         An unknown order or image, or an image without acquisition date.
     """
+    # Sorts are stable, so equals stay as given.
     numbers = list(range(len(scenes)))
     if order == "name":
         numbers.sort(key=lambda i: scenes[i].name)
@@ -141,6 +142,11 @@ def with_base_image(shares: Sequence[Any], outlines: Sequence[Any], base: int) -
         Of all images.
     base : int
         Number of the base image among all.
+
+    Returns
+    -------
+    list of Polygon or MultiPolygon
+        Of all images.
     """
     import shapely
 

@@ -59,6 +59,11 @@ def without_slivers(shares: Sequence[Any], outlines: Sequence[Any], cell: float,
         Size of a cell in map units.
     smallest : float
         Area in square map units below which a part is small.
+
+    Returns
+    -------
+    list of Polygon or MultiPolygon
+        With the same union. A small part that no neighbour shows stays where it is.
     """
     import shapely
 
@@ -94,6 +99,11 @@ def undivided(shares: Sequence[Any], outlines: Sequence[Any], areas: Sequence[An
         Shares and footprints of the images, in the output map.
     areas : sequence of Polygon or MultiPolygon
         Areas to keep whole, such as buildings.
+
+    Returns
+    -------
+    list of Polygon or MultiPolygon
+        With the same union.
     """
     import shapely
 
@@ -130,6 +140,11 @@ def canonical(share: Any, step: float) -> Any:
     share : Polygon or MultiPolygon
     step : float
         Map units.
+
+    Returns
+    -------
+    Polygon or MultiPolygon
+        With vertices as they were where moving them would make it invalid.
     """
     import shapely
 
@@ -142,13 +157,19 @@ MIN_ISLAND = 30
 
 
 def extrapolated(label: IntArray, cells: int) -> IntArray:
-    """Labels (rows, cols) extended into unlabelled cells (-1), so that cells leave no sliver along exact outlines.
+    """Labels extended into unlabelled cells, so that cells leave no sliver along exact outlines.
 
     Parameters
     ----------
     label : int array (rows, cols)
+        Number of the image; -1 where there is none.
     cells : int
         Largest distance to a labelled cell.
+
+    Returns
+    -------
+    int array (rows, cols)
+        With the label of the nearest labelled cell.
     """
     from scipy.ndimage import distance_transform_edt
 
@@ -159,7 +180,7 @@ def extrapolated(label: IntArray, cells: int) -> IntArray:
 
 
 def without_islands(label: IntArray, smallest: int = MIN_ISLAND) -> IntArray:
-    """Labels (rows, cols) without small islands: each goes to the image that surrounds most of it.
+    """Labels without small islands: each goes to the image that surrounds most of it.
 
     Parameters
     ----------
@@ -167,6 +188,11 @@ def without_islands(label: IntArray, smallest: int = MIN_ISLAND) -> IntArray:
         Number of the image; -1 where there is none.
     smallest : int
         Cells of the smallest island that is kept.
+
+    Returns
+    -------
+    int array (rows, cols)
+        A copy.
     """
     from scipy.ndimage import find_objects
 
@@ -203,7 +229,7 @@ def _reassign_islands(label: IntArray, value: int, smallest: int) -> None:
 
 
 def without_spurs(label: IntArray, rounds: int = 3) -> IntArray:
-    """Labels (rows, cols) without spurs a cell wide: cells with at most two equal neighbours join the majority.
+    """Labels without spurs a cell wide: cells with at most two equal neighbours join the majority.
 
     Parameters
     ----------
@@ -211,6 +237,11 @@ def without_spurs(label: IntArray, rounds: int = 3) -> IntArray:
         Number of the image; -1 where there is none.
     rounds : int
         Largest length in cells of a spur that goes.
+
+    Returns
+    -------
+    int array (rows, cols)
+        A copy.
     """
     label = label.copy()
     for _ in range(rounds):

@@ -40,7 +40,7 @@ def seam_polygons(
         Valid outlines of the images; empty for images that are left out.
     colours : sequence of Correction
     options : MosaicOptions
-    earlier : Earlier
+    earlier : EarlierResults
         Results of an earlier run.
 
     Returns

@@ -72,6 +72,7 @@ def seam_segments(shares: Sequence[Any], pixel: float, longest: float) -> list[S
             if j <= i or shares[j].is_empty:
                 continue
             common = share.boundary.intersection(shares[j].buffer(snap))
+            # Shares that touch in a corner only have a common line too, as long as the tolerance.
             if common.length <= 100 * snap:
                 continue
             parts = [part for part in shapely.get_parts(common) if part.geom_type == "LineString"]
@@ -251,6 +252,11 @@ def worst_places(
     mosaic : Path
     side : int
         Of a place, in output pixels.
+
+    Returns
+    -------
+    list of SeamPlace
+        At most `WORST_PLACES`.
     """
     known = [k for k, one in enumerate(quality) if np.isfinite(one.difference)]
     found = []

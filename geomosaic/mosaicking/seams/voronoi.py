@@ -61,6 +61,7 @@ def _nearer(
     along = np.array(a) - np.array(b)
     along = along / np.hypot(*along)
     across = np.array([-along[1], along[0]])
+    # Long enough that the far ends of the half-plane lie beyond the box, wherever the bisector crosses it.
     reach = 4.0 * (np.hypot(right - left, top - bottom) + np.hypot(*(np.array(a) - middle)))
     corners = [middle - across * reach, middle + across * reach]
     return shapely.Polygon([*corners, corners[1] + along * reach, corners[0] + along * reach])

@@ -43,6 +43,10 @@ def read_water(path: Path, grid: Grid) -> list[Any]:
     grid : Grid
         Of the output.
 
+    Returns
+    -------
+    list of Polygon
+
     Raises
     ------
     InputError
@@ -92,6 +96,7 @@ def least_glint(
             shown = shapely.intersection(piece, outlines[i]).area
             glint = float(np.percentile(bright[here], GLINT_PERCENTILE)) if here.any() else np.inf
             ranked.append((shown, glint, i))
+        # An image that shows a corner of the body may be dark there by chance.
         most = max((shown for shown, _, _ in ranked), default=0.0)
         ranked.sort(key=lambda entry: (entry[0] < most / 2, entry[1], entry[2]))
         left = piece
@@ -217,6 +222,7 @@ def harmonic_tone(values: FloatArray, inside: BoolArray) -> FloatArray:
     weight = gaussian_filter(shore.astype(float), SMOOTHING)
     tone = np.zeros(values.shape)
     for band in range(values.shape[2]):
+        # Normalised convolution: only cells of the shore count, whatever lies beside them.
         even = gaussian_filter(np.where(shore, values[..., band], 0.0), SMOOTHING)
         tone[shore, band] = (even / np.maximum(weight, 1e-12))[shore]
     number = np.full(inside.shape, -1)

@@ -63,28 +63,35 @@ def propose_water(
     dem_heights: str | None = None,
     overwrite: bool = False,
 ) -> WaterResult:
-    """GeoPackage with areas that may be water, in a layer `water`.
+    """Areas that may be water, from a mosaic and a DEM, in the layer `water` of a GeoPackage.
 
     Columns: `area` (m²), `level`, `rise`, `roughness` (metres), `tilt` (slope), `unevenness`, as in `Lake`.
 
     Parameters
     ----------
     image : path
-        A mosaic or an ortho, north up.
+        A mosaic or an ortho, north up, with square pixels in a projected CRS.
     dem : path
     output : path
         Ends in .gpkg.
     min_area : float, optional
-        Square metres; 40 cells by default.
+        Square metres; `MIN_CELLS` cells by default, and never less.
     tilt : float
         Largest slope of an area as a whole.
     dem_heights : str, optional
         Vertical datum of the DEM, where the file does not say it.
     overwrite : bool
 
+    Returns
+    -------
+    WaterResult
+
     Raises
     ------
-    InputError, OutputExistsError, OutputError
+    InputError
+        An image of another form, a DEM without heights below it, an output that is no GeoPackage.
+    OutputExistsError, OutputError
+        The name is taken; writing failed.
     """
     import shapely
 
