@@ -109,6 +109,7 @@ class SingularValues:
     @classmethod
     def of(cls, design: FloatArray) -> SingularValues:
         """Decomposition of a weighted design (R, U)."""
+        # A column of zeros keeps its length of 1: it stays singular, and is named, in place of NaN everywhere.
         length = np.linalg.norm(design, axis=0)
         length = np.where(length > 0.0, length, 1.0)
         left, singular, turned = np.linalg.svd(design / length, full_matrices=False)
@@ -227,6 +228,7 @@ def _factorised(matrix: Any) -> Any:
 
 def _largest(apply: Any, start: FloatArray) -> tuple[float, FloatArray]:
     """Largest eigenvalue of a positive definite operator, and its vector."""
+    # The vector need not converge as far as the value: it only names the parameters concerned.
     vector, value = start / np.linalg.norm(start), 0.0
     for _ in range(ITERATIONS):
         turned = apply(vector)

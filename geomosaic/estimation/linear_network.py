@@ -1,4 +1,4 @@
-"""A block of photos, linearised: every measurement is one image position of one point on the ground.
+"""Linearised network of image positions: photos with parameters, points with coordinates, both unknown.
 
     v = e − A·dp − G·dX        image positions: e measured minus computed, p the photo's parameters, X the point
     v = g − dX                 given coordinates that are uncertain themselves; certain ones have no dX

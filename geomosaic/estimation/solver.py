@@ -129,6 +129,7 @@ def solve(problem: Problem[State], start: State, rules: Stopping | None = None) 
         while True:
             step = equations.step(damping)
             trial = problem.moved(state, step)
+            # NaN and inf compare false: a step that makes an observation impossible is damped, too.
             movement, after = problem.movement(state, trial, equations, step), problem.squares(trial)
             falls = after <= squares * (1.0 + rules.rise) + NOTHING or movement < rules.step
             if falls and movement <= rules.longest:
@@ -141,12 +142,14 @@ def solve(problem: Problem[State], start: State, rules: Stopping | None = None) 
                 return Solution(state, squares, done, outcome, equations)
         gain = squares - after
         if damping > 0.0:
+            # The ratio of gained to predicted decrease tells whether the linear model holds (Levenberg, Marquardt).
             predicted = squares - float(np.sum(equations.residuals(step) ** 2))
             # Below the least damping the step is Gauss-Newton's to all digits that matter.
             if gain >= FAITHFUL * predicted:
                 damping = 0.1 * damping if damping > LEAST_DAMPING else 0.0
         state = problem.refreshed(trial)
         squares = after if state is trial else problem.squares(state)
+        # Near the solution movements are rounding noise and never reach `rules.step`: a gain of nothing ends it too.
         settled = gain <= rules.gain * squares if rules.gain is not None else movement >= before
         before = movement
         if movement < rules.step or (movement < rules.near and settled):

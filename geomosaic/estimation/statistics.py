@@ -78,6 +78,7 @@ class Cofactors:
     def inverse_blocks(self) -> FloatArray:
         """Inverse blocks (I − H_ii)⁻¹ (N, 2, 2); NaN where other points do not check a point in both axes."""
         own = np.eye(2) - self.hat
+        # By eigenvalues, as a point may be checked along one direction only, which neither axis shows.
         values, turns = np.linalg.eigh(own)
         held = values[:, 0] <= UNCHECKED
         inverse: FloatArray = np.einsum("nij,nj,nkj->nik", turns, 1.0 / np.where(held[:, None], 1.0, values), turns)
@@ -107,6 +108,7 @@ class Cofactors:
         design : array (M, 2, P)
             Their derivatives by the parameters, weighted alike.
         """
+        # Error of the measurement plus error of the prediction: the point took no part, so the two are independent.
         spread = np.eye(2) + np.einsum("nip,pq,njq->nij", design, self.parameters, design)
         seen = np.isfinite(weighted).all(axis=1) & np.isfinite(spread).all(axis=(1, 2))
         statistic = np.full(len(weighted), np.inf)
@@ -242,6 +244,7 @@ def mean_probability(errors: FloatArray) -> float:
     mean = errors.mean(axis=0)
     covariance = np.cov(errors.T)
     size = float(np.trace(covariance))
+    # Errors on a line have a singular covariance: T² would divide by rounding.
     if not np.linalg.det(covariance) > 1e-12 * size**2:
         return float("nan")
     squared = count * float(mean @ np.linalg.solve(covariance, mean))
@@ -267,10 +270,12 @@ def signed_rank_probability(differences: FloatArray) -> float:
     if not count:
         return 1.0
     _, group, sizes = np.unique(np.abs(unequal), return_inverse=True, return_counts=True)
+    # Equal lengths share the mean of their ranks.
     ranks = (np.cumsum(sizes) - (sizes - 1) / 2.0)[group]
     above = float(ranks[unequal > 0.0].sum())
     if count <= EXACT and (sizes == 1).all():
         return _signed_rank_tail(count, round(above))
+    # The second term is the correction for ties.
     variance = count * (count + 1) * (2 * count + 1) / 24.0 - float((sizes**3 - sizes).sum()) / 48.0
     return 0.5 * erfc((above - count * (count + 1) / 4.0) / sqrt(2.0 * variance)) if variance > 0.0 else 0.5
 
@@ -279,6 +284,7 @@ def _signed_rank_tail(count: int, above: int) -> float:
     """Share of all choices of signs whose positive ranks sum to `above` or more."""
     ways = np.zeros(count * (count + 1) // 2 + 1)
     ways[0] = 1.0
+    # Number of subsets of the ranks by their sum: each rank may be in or out (dynamic programming).
     for rank in range(1, count + 1):
         ways[rank:] += ways[:-rank].copy()
     return float(ways[above:].sum() / 2.0**count)

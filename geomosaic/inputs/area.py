@@ -1,4 +1,4 @@
-"""Output area and grid, as a user states them."""
+"""Output area and grid: CRS, bounds and pixel size as given, else from the images."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def plan(
 
 
 def _check_fineness(grid: Grid, outlines: list[Footprint]) -> None:
-    """Refuse what would take days and show nothing more than the images do: a pixel size in a wrong unit."""
+    """Check for a pixel size in a wrong unit: it would take days and show no more than the images do."""
     finest = min(outline.sampling for outline in outlines)
     pixel = grid.resolution[0]
     if grid.width * grid.height > MANY_PIXELS and finest > FINER * pixel:
@@ -90,7 +90,7 @@ def _check_fineness(grid: Grid, outlines: list[Footprint]) -> None:
 
 
 def _judge(crs: CRS, outlines: list[Footprint], resolution: float | None) -> None:
-    """Refuse a pixel size in a wrong unit; say so where the output CRS is made for another part of the earth."""
+    """Check of the pixel size's unit, and a warning where the output CRS is made for another part of the earth."""
     ring = np.vstack([outline.ring for outline in outlines])
     wide, tall = np.ptp(ring, axis=0)
     if resolution is not None and resolution > max(wide, tall):
@@ -169,7 +169,7 @@ def _same_size(grid: Grid, resolution: float) -> bool:
 
 
 def _extended(grid: Grid, outlines: Sequence[Footprint]) -> Grid:
-    """The same pixels, as many as cover all outlines."""
+    """Grid of the same pixels, extended over all outlines."""
     ends = []
     for outline in outlines:
         left, bottom, right, top = outline.bounds

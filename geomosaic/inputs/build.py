@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:
-    """OrientedBlock of the images, with its control points.
+    """Block of the images, oriented, with surface and control points.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def unadjusted(inputs: Block) -> Sequence[OrientedImage] | None:
 
 
 def _explain(inputs: Block, control: Sequence[ControlPoint], crs: CRS | None, error: SolveError) -> None:
-    """Put the likeliest cause into the error of a sensor that its control points did not determine."""
+    """Error of a sensor that its control points did not determine, with the likeliest cause."""
     points = [point for point in control if point.role == "control"]
     scenes = unadjusted(inputs) if points else None
     if crs is None or scenes is None:

@@ -65,7 +65,7 @@ Sizes = dict[str, tuple[int, int]]
 
 @dataclass(frozen=True)
 class PointReading:
-    """One way to read the points.
+    """Hypothesis on control points: one way to read them.
 
     Attributes
     ----------

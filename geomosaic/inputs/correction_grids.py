@@ -124,7 +124,7 @@ def _spacing(places: FloatArray, what: str, path: Path) -> float:
 
 
 def _words(text: str) -> tuple[str, str]:
-    """Method and what is beyond, as said; `CorrectionGrid` refuses others."""
+    """Method of interpolation and behaviour beyond the grid, as the file says; `CorrectionGrid` checks them."""
     found = (re.search(rf"\b{name}\s*=\s*(\w+)", text) for name in ("method", "beyond"))
     method, beyond = (
         match[1] if match else default for match, default in zip(found, (METHODS[0], BEYOND[1]), strict=True)

@@ -52,7 +52,7 @@ class PlanarInputs:
 
 @dataclass(frozen=True)
 class Block:
-    """Images of one sensor with what is known of them; nothing is read before the block is used.
+    """Declaration of a block: images of one sensor with what is known of them; nothing is read before it is used.
 
     What a file can say can be given as a value, too: `Camera`, `Exterior`, `Dem`, `ControlPoints`.
 
@@ -190,7 +190,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Scene(Block):
-    """One image with what is known of it: a block of one, with the attributes of `Block`.
+    """Declaration of one image: a block of one, with the attributes of `Block`.
 
     Examples
     --------

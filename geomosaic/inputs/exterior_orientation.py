@@ -64,7 +64,7 @@ RECONSTRUCTION_SYSTEM = (
 
 @dataclass(frozen=True, init=False)
 class Exterior:
-    """Exterior orientation of one image: where it was taken, and how the camera was turned.
+    """Exterior orientation of one image: projection centre and attitude.
 
     The names of the angles say their system: omega, phi, kappa; roll, pitch, yaw; gimbal_yaw, gimbal_pitch,
     gimbal_roll; or r11 to r33 of a rotation matrix.
@@ -165,7 +165,17 @@ class ExteriorRow:
 
 @dataclass(frozen=True, eq=False)
 class ExteriorTable:
-    """Rows of an orientation table, by image name."""
+    """Rows of an orientation table, by image name.
+
+    Attributes
+    ----------
+    path : str
+        File, or the name of the parameter for values.
+    system : str
+        One of `SYSTEM_NAMES`.
+    rows : mapping of str to ExteriorRow
+        By image name as the table writes it.
+    """
 
     path: str
     system: str
@@ -331,7 +341,7 @@ HEADINGS: Mapping[str, tuple[tuple[str, float], ...]] = {
 
 
 def check_units(table: ExteriorTable, unit: str | None, rows: Sequence[ExteriorRow], crs: CRS | None = None) -> None:
-    """Stop where angles without a declared unit look as if they were not in degrees; note it where one is declared.
+    """Check of angles without a declared unit: an error where they look like another unit than degrees.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""CRS and vertical datum of positions and DEMs: declared by someone, or an error that says what is at stake."""
+"""CRS and vertical datum of positions and DEMs: declared, or an error with the cost of a wrong guess."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def undeclared_heights_error(
     place: tuple[float, float],
     reach: float | None = None,
 ) -> HeightDatumError:
-    """Error that says what heights of unknown meaning could do, and which option settles it.
+    """Error about heights without a vertical datum: what a wrong guess costs, and which option settles it.
 
     Parameters
     ----------

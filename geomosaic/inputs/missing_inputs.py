@@ -110,7 +110,7 @@ def undeclared_heights(dem: Path | None) -> bool:
 
 
 def _takes_positions(inputs: Block, power: Capabilities) -> bool:
-    """Whether the CRS of positions or of control points is of any use."""
+    """Whether positions or control points are used, so that their CRS matters."""
     return inputs.exterior is not None or inputs.control is not None or "position" in power.exterior
 
 

@@ -24,7 +24,16 @@ from geomosaic.raster.info import SourceInfo, inspect
 
 @dataclass(frozen=True)
 class Photo:
-    """An image file with what is known of its orientation."""
+    """Image file with what is known of its orientation.
+
+    Attributes
+    ----------
+    path : Path
+    info : SourceInfo
+        Size, bands, CRS and geotransform of the file.
+    exterior : ExteriorRow or None
+        Its row of the orientation table.
+    """
 
     path: Path
     info: SourceInfo

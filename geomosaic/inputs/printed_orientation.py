@@ -160,7 +160,7 @@ def image_axes(axes: str, where: str) -> FloatArray:
 def _complete(
     how: PrintedList, has_angles: bool, has_matrix: bool, unit: str | None, direction: str | None, where: str
 ) -> None:
-    """Refuse a list of which not all is told."""
+    """Check that a printed list is declared completely."""
     known = ("image", "x", "y", "z", *ANGLES, *MATRIX, SKIP)
     odd = [name for name in how.columns if name not in known]
     doubled = [name for name in known if name != SKIP and how.columns.count(name) > 1]
@@ -212,7 +212,7 @@ def _words(line: str) -> list[str]:
 
 
 def _hold(rotation: FloatArray, printed: FloatArray, angles: Mapping[str, float], where: str) -> None:
-    """Hold the angles against the printed matrix; say which other sequence or sense would agree."""
+    """Check of the angles against the printed matrix; the error names a sequence or sense that would agree."""
     off = float(np.abs(rotation - printed).max())
     if off <= AGREE:
         return

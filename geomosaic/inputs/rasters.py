@@ -101,7 +101,7 @@ def _descriptions(info: SourceInfo) -> list[str]:
 
 
 def _names(info: SourceInfo) -> list[str]:
-    """Descriptions where all bands have one; else colours, where they are some."""
+    """Names of bands: descriptions where all have one, else colours where they are some."""
     described = [text.casefold() for text in _descriptions(info)]
     if all(described) and len(set(described)) == len(described):
         return described

@@ -1,4 +1,4 @@
-"""Tables people write: a header, one delimiter, errors with file and line; measured fiducial marks."""
+"""Text tables: a header, one delimiter, errors with file and line; measured fiducial marks."""
 
 from __future__ import annotations
 
@@ -75,7 +75,16 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A header and its rows."""
+    """Table of a text file: a header and its rows.
+
+    Attributes
+    ----------
+    path : str
+        For messages.
+    columns : tuple of str
+        Header.
+    rows : tuple of Row
+    """
 
     path: str
     columns: tuple[str, ...]
@@ -85,7 +94,7 @@ class Table:
         return iter(self.rows)
 
     def require(self, *columns: str, what: str) -> None:
-        """Stop when a column is missing, naming those that are there."""
+        """Check that columns are there; the error names those that are."""
         missing = [column for column in columns if column not in self.columns]
         if missing:
             raise InputError(

@@ -1,4 +1,4 @@
-"""Small corrections of image coordinates on a regular grid over the image."""
+"""Correction grid: small corrections of image coordinates on a regular grid over the image."""
 
 from __future__ import annotations
 

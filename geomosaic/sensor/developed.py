@@ -1,4 +1,4 @@
-"""A sensor over a developed surface: (u, v, h) of the surface to the image, whatever the sensor.
+"""Sensor over a developed surface: (u, v, h) of the surface to the image, whatever the sensor.
 
 The wrapped model is asked where it sees the surface's points; what it sees from behind, or too obliquely, is NaN. On a
 convex body that is all the hiding there is: from outside a point is hidden by its own body where the line of sight

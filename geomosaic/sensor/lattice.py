@@ -1,4 +1,4 @@
-"""The sensor on a lattice in (x, y, z), with the error of interpolating between its nodes measured.
+"""Interpolation lattice: the sensor at nodes in (x, y, z), with the error between them measured.
 
 A block of output pixels gets nodes every `step` pixels. At each node the exact model is evaluated at the four Chebyshev
 heights of the block's height range, which makes image (col, row) a cubic in height; between nodes the four coefficients
@@ -20,7 +20,9 @@ from geomosaic.sensor.map_to_image import BlockGround, MapToImage
 from geomosaic.types import BoolArray, FloatArray
 
 FIRST_STEP, CLOSE_STEP = 64, 4
+"""Output pixels between nodes: of the first lattice tried, and of one so close that its cells are judged singly."""
 SMALLEST = 16
+"""Output pixels of a part's longer side that is not divided any more."""
 ROUNDING = 1e-3
 """Pixels that nodes at every pixel may err without anything being wrong."""
 JUMP = 2.0
@@ -29,6 +31,7 @@ squeeze it endlessly, what errs less is left."""
 MOST_TORN = 8192
 """Pixels of a block that are put one by one."""
 
+# Interpolation at Chebyshev points has nearly the least largest error of all cubics over the height range.
 _CHEBYSHEV = np.cos((2 * np.arange(4) + 1) * np.pi / 8)
 _TO_CUBIC = np.linalg.inv(np.vander(_CHEBYSHEV, 4, increasing=True))
 
@@ -126,10 +129,12 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
     if np.isnan(low):
         return []
     middle, half = (low + high) / 2, (high - low) / 2
+    # Tolerance 0 asks for exact maths at every pixel: no coarser lattice is tried.
     step, before = _first_step(window) if tolerance > 0 else 1, np.inf
     divisible = half > 0 and max(window.width, window.height) > SMALLEST
     while True:
         places, nodes, exact = _sampled(mapper, grid, window, step, middle, half)
+        # An infinite `before` marks the first round: seams and rims are looked for once, on the coarsest lattice.
         small = max(window.width, window.height) <= FIRST_STEP
         if np.isinf(before) and mapper.branch == 0.0 and mapper.torn(places):
             sides = mapper.beside()
@@ -148,13 +153,16 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
         if bounds is None or _misses(bounds, mapper.model.size):
             return []
         at_rim = mapper.rim is not None and not shown.all()
+        # At the rim of the globe the mapping is as steep as can be: only single pixels are close enough there.
         scale, close = _scale(nodes, step), step <= (1 if at_rim else CLOSE_STEP)
         cells = Cells(mapper, grid, window, step, middle, half, places, nodes, levels[::2], exact, scale)
+        # Half of the tolerance: the error is sampled at edges and centres, and may be somewhat larger between them.
         miss = cells.measure(tolerance / 2, thorough=close)
         good = not miss.error > tolerance / 2
         if (good and (close or not miss.ragged)) or step == 1:
             break
         if divisible and not good:
+            # An error of the cubic in height stands at the nodes themselves: closer nodes cannot lessen it.
             cubic = np.isinf(before) and miss.cubic > tolerance / 2
             if cubic or close or miss.error > before / 2:
                 return _parts(mapper, grid, ground, window, tolerance)
@@ -167,7 +175,7 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
 def _mended(
     made: Lattice, places: FloatArray, exact: FloatArray, worst: FloatArray, torn: BoolArray, size: tuple[int, int]
 ) -> list[Lattice]:
-    """Take pixels out where closer nodes do not help, and put each by itself where the model says that it lies.
+    """Lattices without torn pixels, and one lattice for each of those that the model places by itself.
 
     So it is at the seam of longitude and latitude: from one pixel to the next it jumps by all the width of the image.
 
@@ -218,7 +226,7 @@ def _pixel(made: Lattice, places: FloatArray, image: FloatArray, row: int, col: 
 
 
 def _parts(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, tolerance: float) -> list[Lattice]:
-    """Where closer nodes do not help, the relief is too high for one cubic; smaller parts have less of it."""
+    """Lattices of smaller parts, whose relief is lower: where it is too high for one cubic, closer nodes do not help."""
     parts = window.split(_half(window.width), _half(window.height))
     return [lattice for part in parts for lattice in _build(mapper, grid, ground, part, tolerance)]
 
@@ -268,6 +276,7 @@ def _sampled(
     nodes = np.zeros((rows + 1, cols + 1, 8))
     if half:
         values = image[len(ends) * len(xy) :].reshape(4, rows + 1, cols + 1, 2)
+        # Sums written out, not a matrix product: the same digits on every machine.
         for axis in (0, 1):
             for power in range(4):
                 total = _TO_CUBIC[power, 0] * values[0, ..., axis]
@@ -296,9 +305,10 @@ def _misses(bounds: tuple[float, float, float, float], size: tuple[int, int]) ->
 
 
 def _scale(nodes: FloatArray, step: int) -> float:
-    """Largest singular value of d(image)/d(output pixel) over the block's nodes, at the middle height."""
+    """Scale in image pixels per output pixel: median over the nodes of the largest singular value, at middle height."""
     image = nodes[..., [0, 4]]
     along, down = np.diff(image, axis=1)[:-1] / step, np.diff(image, axis=0)[:, :-1] / step
+    # Singular values of 2 x 2 matrices in closed form: hypot(e, h) + hypot(f, g).
     e, f = (along[..., 0] + down[..., 1]) / 2, (along[..., 0] - down[..., 1]) / 2
     g, h = (along[..., 1] + down[..., 0]) / 2, (along[..., 1] - down[..., 0]) / 2
     return finite_median(np.hypot(e, h) + np.hypot(f, g))

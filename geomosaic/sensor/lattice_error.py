@@ -106,9 +106,11 @@ class Cells:
             inside = (self.exact > 0.0) & (self.exact < np.array(self.mapper.model.size))
         shown = np.logical_and.reduce(inside, axis=-1).any(axis=0)
         corners = np.stack([_corners(end) for end in ends])
+        # Only cells that may show the image: beside it a model may be as rough as it likes.
         counts = _touch(corners.reshape(-1, *corners.shape[2:]), self.mapper.model.size, 0.5)
         worst = np.fmax(_around(miss).ravel(), 0.0)
         if thorough:
+            # The exact model at every pixel is dear: it judges only the cells that the samples cannot clear.
             doubtful = np.flatnonzero(counts & (worst > admissible))
             if len(doubtful):
                 worst[doubtful] = self._in_the_image(doubtful) / self._unit

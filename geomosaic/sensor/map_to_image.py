@@ -1,4 +1,4 @@
-"""Map to image: from the output map and the heights of a block through every CRS in between."""
+"""Map to image: output map and heights of a block through every CRS in between."""
 
 from __future__ import annotations
 
@@ -130,7 +130,17 @@ def _axis(output: CRS, there: Transform, shown: Domain) -> tuple[float, float, f
 
 @dataclass(frozen=True, eq=False)
 class BlockGround:
-    """Heights over one block of output pixels."""
+    """Heights over one block of output pixels.
+
+    Attributes
+    ----------
+    window : Window
+        The block, in pixels of the output grid.
+    patch : HeightPatch or None
+        Heights on the surface's own nodes; None for a surface of one height.
+    heights : (float, float)
+        Lowest and highest, in metres of the surface's datum; NaN where none is known.
+    """
 
     window: Window
     patch: HeightPatch | None

@@ -140,7 +140,7 @@ class SensorExample:
 
 @dataclass(frozen=True, eq=False)
 class SensorRequest:
-    """Everything that is known about one image when its model is asked for.
+    """Request for the model of one image: everything that is known about it.
 
     Attributes
     ----------

@@ -25,7 +25,17 @@ MEMBERS = ("name", "summary", "inputs", "capabilities", "model", "build")
 
 @dataclass(frozen=True, eq=False)
 class SensorEntry:
-    """An installed plugin, not loaded: its name, and the distribution and version it comes from."""
+    """Installed sensor plugin, not loaded.
+
+    Attributes
+    ----------
+    name : str
+        Sensor.
+    distribution, version : str
+        Package that it comes from.
+    target : str
+        Object of the entry point, as 'module:attribute'.
+    """
 
     name: str
     distribution: str
@@ -57,7 +67,7 @@ def installed() -> list[SensorEntry]:
 
 
 def refresh() -> None:
-    """Forget what is installed and loaded, for a program that installs plugins while it runs."""
+    """Fresh look at what is installed, for a program that installs plugins while it runs."""
     for known in (_points, plugin, plane_sensor, rational_sensor, photo_sensor, relative_sensor):
         known.cache_clear()
 

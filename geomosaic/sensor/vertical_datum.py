@@ -20,7 +20,7 @@ DATUMS = "'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid"
 
 
 def require_vertical_datum(crs: CRS, what: str, where: str, build: Callable[[CRS], SensorModel]) -> None:
-    """Refuse heights whose vertical datum nobody declared.
+    """Check that the heights of positions have a declared vertical datum.
 
     Parameters
     ----------

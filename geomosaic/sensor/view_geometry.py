@@ -12,7 +12,7 @@ from geomosaic.types import FloatArray
 
 @dataclass(frozen=True)
 class Views:
-    """Of places on the ground.
+    """View geometry at places on the ground.
 
     Attributes
     ----------

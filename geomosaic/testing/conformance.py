@@ -1,4 +1,4 @@
-"""The contract of a sensor model as tests that any plugin author can run.
+"""Conformance tests of a sensor model, which any plugin author can run.
 
     class TestMyModel(SensorModelTests):
         @pytest.fixture

@@ -88,7 +88,7 @@ EXTERIOR = ("position", "orientation", "angle_unit")
 
 
 def check_plugin(plugin: SensorPlugin | Any, request: SensorRequest) -> None:
-    """Check a plugin: name, summary, inputs, capabilities, model, and its errors about missing and unknown inputs.
+    """Conformance check of a plugin: members, inputs, capabilities, model, and errors about inputs.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Blunders of a block by name: size, place, what may be wrong in their stead, and what is done about them."""
+"""Named blunders of a block: size, place, what may be wrong in their stead, and what is done about them."""
 
 from __future__ import annotations
 

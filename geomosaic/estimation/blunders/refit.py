@@ -1,4 +1,4 @@
-"""Problem that can be fitted again without some of its points, as searches for blunders need it."""
+"""Repeatable fit to any choice of points, as searches for blunders need it."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What an orientation that cannot be meant may have meant: each reading with the key or column that makes it so.
+"""Hypotheses on implausible orientations: other readings, each with the key or column that makes it so.
 
-None of these is ever applied; they are held against the evidence (`doubts.py`), and the one that fits is proposed.
+None of these is ever applied; they are held against the evidence (`plausibility.py`), and the one that fits is proposed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ NORTH: Mapping[str, str] = {"rpy": "local", "dji": "local"}
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to read the same table.
+    """Hypothesis on an orientation table: one way to read it.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Whether neighbouring photos show the same ground where their orientations say so: a glance at small copies."""
+"""Overlap similarity: correlation of small copies of photos where their orientations say that they overlap."""
 
 from __future__ import annotations
 

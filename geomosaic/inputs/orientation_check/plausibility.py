@@ -53,7 +53,7 @@ def check_orientation(
     block: tuple[Sequence[OrientedImage], Surface | None, Sequence[ControlPoint]],
     build: Build,
 ) -> None:
-    """Stop where an orientation cannot be meant, and another reading of the same table can.
+    """Check of orientations: an error where one cannot be meant, and another reading of the same table can.
 
     Parameters
     ----------

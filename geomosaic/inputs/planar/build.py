@@ -49,14 +49,22 @@ LOCAL = (
 
 @dataclass(frozen=True)
 class Placed:
-    """Photos with their transformations, and what is to be said of them."""
+    """Placed photos of a planar block.
+
+    Attributes
+    ----------
+    transforms : dict of str to PlanarTransform
+        By photo.
+    facts : dict
+        Quality of the placement as JSON values; see `geomosaic.inputs.planar.facts`.
+    """
 
     transforms: dict[str, PlanarTransform]
     facts: dict[str, Any]
 
 
 def build_planar(inputs: Block, wanted: PlanarInputs) -> tuple[OrientedBlock, dict[str, Any]]:
-    """Place the photos and make the block.
+    """Block of photos of flat ground, placed by plane transformations.
 
     Parameters
     ----------
@@ -182,7 +190,7 @@ def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs, found: B
 
 
 def _refuse_idle(wanted: PlanarInputs) -> None:
-    """Refuse what this kind of mosaic has no use for."""
+    """Check for inputs that this kind of mosaic would not use."""
     given = [("scale", "uncontrolled", wanted.scale != 1.0), ("azimuth", "uncontrolled", wanted.azimuth != 0.0)]
     given.append(("rectify", "controlled", wanted.rectify is not None))
     for name, kind, is_given in given:

@@ -131,7 +131,7 @@ def _rows(table: Table, names: dict[str, str]) -> list[tuple[Row, str]]:
 
 
 def _inside(name: str, image: str, col: float, row: float, where: str, sizes: Mapping[str, tuple[int, int]]) -> None:
-    """Refuse a measurement far outside its image: what is cropped may lack a margin, no more."""
+    """Check that a measurement does not lie far outside its image: cropping takes a margin, no more."""
     width, height = sizes[image]
     margin = OUTSIDE * max(width, height)
     if not (-margin <= col <= width + margin and -margin <= row <= height + margin):
@@ -151,7 +151,7 @@ def _sigma(row: Row) -> float:
 
 
 def check_control(points: Sequence[ControlPoint], crs: CRS, path: Path | None, policy: str = "stop") -> None:
-    """Refuse control whose coordinates do not fit their CRS, or contradict each other.
+    """Check of control: coordinates that do not fit their CRS, or contradict each other.
 
     Parameters
     ----------

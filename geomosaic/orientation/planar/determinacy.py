@@ -164,7 +164,7 @@ def ill_conditioned(block: PlanarBlock, kind: str, condition: float, photo: str,
 
 
 def check_plausible(solution: PlanarSolution, start: PlanarSolution | None, where: str | None) -> None:
-    """Check of a projective solution for the effect of relief, and warning of residuals far beyond their sigmas.
+    """Check of a projective solution for the effect of relief, and of residuals against their sigmas.
 
     Points above and below a plane make residuals, and the perspective terms follow them. In a block they are held by
     little, so errors grow from the points to the corners of the photos. Where they come to more than those of the

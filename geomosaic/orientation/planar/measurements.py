@@ -13,7 +13,15 @@ from geomosaic.errors import InputError, did_you_mean
 
 @dataclass(frozen=True)
 class PlanarPhoto:
-    """Photo of a block: its name, unique there, and its width and height in pixels."""
+    """Photo of a planar block.
+
+    Attributes
+    ----------
+    name : str
+        Unique in the block.
+    size : (int, int)
+        Width and height in pixels.
+    """
 
     name: str
     size: tuple[int, int]
@@ -77,7 +85,13 @@ class Control:
 
 @dataclass(frozen=True)
 class PlanarBlock:
-    """Photos with tie and control points.
+    """Planar block: photos with tie and control points.
+
+    Attributes
+    ----------
+    photos : tuple of PlanarPhoto
+    ties : tuple of Tie
+    control : tuple of Control
 
     Raises
     ------

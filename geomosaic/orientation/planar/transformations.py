@@ -194,7 +194,15 @@ def _denominator(p: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Frame:
-    """Normalised ground coordinates U = (X − x0)/scale, V = (Y − y0)/scale: numbers near 1 for the adjustment."""
+    """Normalised ground coordinates U = (X − x0)/scale, V = (Y − y0)/scale: numbers near 1 for the adjustment.
+
+    Attributes
+    ----------
+    x0, y0 : float
+        Origin in the map, map units.
+    scale : float
+        Map units that count as 1.
+    """
 
     x0: float = 0.0
     y0: float = 0.0

@@ -175,6 +175,7 @@ class _Problem(Problem[_State[Model]]):
 
     def at(self, model: Model, seen: BoolArray | None = None) -> _State[Model]:
         residuals = self.colrow - model.ground_to_image(self.xyz)
+        # Points keep their part within a round: sums of squares over different points could not be compared.
         return _State(model, residuals, np.isfinite(residuals.sum(axis=1)) if seen is None else seen)
 
     def moved(self, state: _State[Model], step: FloatArray) -> _State[Model]:
@@ -193,6 +194,7 @@ class _Problem(Problem[_State[Model]]):
         """Sum over the points seen and the a-priori values; infinite when one of the points is lost."""
         image = (state.residuals * self.weights)[state.seen].ravel()
         vector = np.concatenate([image, self.unknowns.a_priori_misclosure(state.model.parameters.values)])
+        # An infinite sum makes the solver shorten the step that lost the point.
         total = float(vector @ vector)
         return total if np.isfinite(total) else float("inf")
 
@@ -210,6 +212,7 @@ class _Problem(Problem[_State[Model]]):
         names = np.array(self.unknowns.names)[self.unknowns.free]
         # Steps move the image by about a pixel, so the effect of a step says whether a parameter acts at all.
         effect = np.linalg.norm(equations.design, axis=0) * self.unknowns.steps[self.unknowns.free]
+        # A billionth of the strongest effect is what differences leave of a parameter that does nothing.
         dead = ~(effect > 1e-9 * np.max(effect))
         if dead.any():
             raise SolveError(
@@ -226,6 +229,7 @@ class _Problem(Problem[_State[Model]]):
         return equations
 
     def need_enough(self, seen: BoolArray) -> None:
+        # Soft constraints are observations: each pays for one unknown.
         given = int(self.unknowns.observed.sum())
         unknowns, observations = int(np.count_nonzero(self.unknowns.free)), 2 * int(seen.sum()) + given
         if unknowns == 0:
@@ -250,6 +254,7 @@ class _Problem(Problem[_State[Model]]):
         redundancy = equations.redundancy
         sigma0 = sigma0_of(solution.squares, redundancy)
         covariance = np.zeros((len(free), len(free)))
+        # Sigmas that were given are believed; without them the residuals tell the precision.
         covariance[np.ix_(free, free)] = equations.singular_values.cofactors() * (
             1.0 if self.known_sigmas else sigma0**2
         )

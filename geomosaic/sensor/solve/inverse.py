@@ -69,6 +69,7 @@ def image_to_ground(model: SensorModel, colrow: FloatArray, surface: Surface | N
     if has_heights(model.crs):
         if surface is None:
             raise InputError("the lines of sight of this sensor need a surface", hint="give a DEM or a height")
+        # Rays in closed form need no iteration for the line itself.
         if isinstance(model, HasRays):
             return Transform(model.crs, surface.crs)(intersect(surface, model.crs, *model.rays(image)))
         lines = SightLines.of(model, image, surface.crs)
@@ -77,6 +78,7 @@ def image_to_ground(model: SensorModel, colrow: FloatArray, surface: Surface | N
         return ground
     if surface is None:
         return image_to_height(model, image, 0.0, model.crs)
+    # Heights play no part in this model: the place is found first, and the surface gives its height.
     ground = image_to_height(model, image, 0.0, horizontal(surface.crs))
     seen = np.isfinite(ground[:, :2]).all(axis=1)
     ground[seen, 2] = surface.height(ground[seen, :2])

@@ -80,6 +80,7 @@ class SightLines:
         def near_seed(xy: FloatArray) -> FloatArray:
             return model.ground_to_image(to_model(np.column_stack([xy, np.full(len(xy), height)])))
 
+        # A degree is about 1e5 metres: both starts are about a metre.
         step = pixel_step(near_seed, seed[:2], 1e-5 if in_degrees(crs) else 1.0)
         unknown = np.full_like(image, np.nan)
         lines = cls(model, image, to_model, step, height, unknown, np.zeros_like(image), seed[:2])
@@ -118,10 +119,15 @@ class SightLines:
 
 
 NODES = 5
+"""Heights at which a line is solved exactly and interpolated between, for the search only."""
 FEWEST_STEPS, MOST_STEPS = 8, 100_000
+"""Steps of the search along a line: at least, and at most for a grazing one."""
 SAMPLES = 400_000
+"""Heights of the surface that are looked up at a time: bounds the memory."""
 HEIGHT_GOAL = 1e-9
+"""Metres between line and surface at which the search for the crossing stops."""
 HEIGHT_ACCEPTED = 1e-6
+"""Metres between line and surface of a crossing that counts."""
 
 
 def first_meeting(lines: SightLines, surface: Surface) -> FloatArray:
@@ -148,12 +154,14 @@ def first_meeting(lines: SightLines, surface: Surface) -> FloatArray:
         raise InputError("the surface has no known height", hint="give a DEM with data under the image, or a height")
     count = len(lines.colrow)
     result = np.full((count, 3), np.nan)
+    # A level surface: one solution at its height, nothing to search.
     if high - low < HEIGHT_GOAL:
         result[:, :2] = lines.at(np.full(count, low))
         seen = np.flatnonzero(np.isfinite(result[:, 0]))
         result[seen, 2] = surface.height(result[seen, :2])
         result[~np.isfinite(result).all(axis=1)] = np.nan
         return result
+    # Beyond the range, so that a crossing on the highest or lowest point lies between two samples.
     margin = max(0.1, 0.01 * (high - low))
     top, bottom = _reach(lines, np.full(count, high + margin)), _reach(lines, np.full(count, low - margin))
     rows = np.flatnonzero(np.isfinite(top) & np.isfinite(bottom) & (top > bottom))
@@ -177,7 +185,7 @@ def first_meeting(lines: SightLines, surface: Surface) -> FloatArray:
 
 
 def _reach(lines: SightLines, heights: FloatArray) -> FloatArray:
-    """Heights, moved towards that of the seed as far as lines do not reach them; NaN where none is reached.
+    """Heights that lines reach: moved towards that of the seed as far as they do not; NaN where none is reached.
 
     A DEM may hold mountains above a low-flying camera: its lines of sight start below the DEM's highest height.
     """
@@ -187,6 +195,7 @@ def _reach(lines: SightLines, heights: FloatArray) -> FloatArray:
     reached[lost[~known]] = np.nan
     lost = lost[known]
     inside, outside = np.full(len(lost), lines.height), heights[lost]
+    # Bisection: 16 halvings find the end of the line to 1/65 000 of the way.
     for _ in range(16 if len(lost) else 0):
         middle = 0.5 * (inside + outside)
         good = np.isfinite(lines.at(middle, lost)).all(axis=1)
@@ -233,7 +242,7 @@ def _meet(
     nodes: FloatArray,
     result: FloatArray,
 ) -> None:
-    """March down the interpolated lines, then refine; writes the rows of `result` that meet the surface."""
+    """Crossings of interpolated lines with the surface, refined; written into the rows of `result` that have one."""
     count = int(_step_counts(positions, surface).max())
     at = np.linspace(0.0, 1.0, count + 1)
     xy = np.einsum("kj,mjd->mkd", _lagrange(nodes, at), positions)
@@ -284,6 +293,7 @@ class _Bracket:
                 break
             a, b, fa, fb = upper[active], lower[active], f_upper[active], f_lower[active]
             share = (
+                # Every third turn bisects, so that the bracket shrinks whatever the surface does, at cliffs too.
                 np.where(fb > fa, fa / np.where(fb > fa, fa - fb, 1.0), 0.5) if turn % 3 < 2 else np.full(len(a), 0.5)
             )
             middle = a + (b - a) * share

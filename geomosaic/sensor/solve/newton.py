@@ -9,18 +9,15 @@ import numpy as np
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 ROUNDS = 60
-
-
+"""Newton steps at most: a few suffice as a rule; lines of sight near the horizon need more."""
 HALVINGS = 12
-
-
+"""Halvings of a step at most: the last one tries a 2000th of it."""
 GOAL = 1e-10
-
-
+"""Residual in pixels at which a row stops: rounding of coordinates of some 10 000 pixels leaves about 1e-12."""
 ACCEPTED = 1e-6
-
-
+"""Residual in pixels of a solution: what the contract of sensor models promises of the inverse."""
 ROUGHLY = 1e-2
+"""Residual in pixels that is good enough on the way to a solution."""
 
 
 def solve_pairs(
@@ -62,6 +59,7 @@ def solve_pairs(
     if len(rows):
         residual[rows] = target[rows] - evaluate(xy[rows], rows)
         error[rows] = _length(residual[rows])
+    # Rows whose start is undefined drop out at once: no direction can be had from NaN.
     rows = rows[np.isfinite(error[rows])]
     for _ in range(ROUNDS):
         rows = rows[error[rows] > GOAL]
@@ -98,6 +96,7 @@ def _newton_step(
         columns.append((ahead - value) / width[:, None])
     (a, c), (b, d) = columns[0].T, columns[1].T
     with np.errstate(divide="ignore", invalid="ignore"):
+        # Cramer's rule: for so many 2 x 2 systems a call of a solver for each costs far more than these products.
         determinant = a * d - b * c
         x = (d * residual[:, 0] - b * residual[:, 1]) / determinant
         y = (a * residual[:, 1] - c * residual[:, 0]) / determinant
@@ -123,6 +122,7 @@ def _damped(
         which = rows[waiting]
         trial = xy[which] + factor * change[waiting]
         left = target[which] - evaluate(trial, which)
+        # NaN compares false, so a trial that leaves the domain counts as worse and is halved.
         length = _length(left)
         good = length < error[which]
         taken = which[good]

@@ -22,7 +22,16 @@ CAMERA: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class SyntheticPhoto:
-    """One photo of a block: its name, projection centre in the ground's CRS, and omega, phi, kappa in degrees."""
+    """Photo of a synthetic block.
+
+    Attributes
+    ----------
+    name : str
+    position : (float, float, float)
+        Projection centre in the CRS of the ground, metres.
+    angles : (float, float, float)
+        Omega, phi, kappa in degrees.
+    """
 
     name: str
     position: tuple[float, float, float]
@@ -47,7 +56,7 @@ def synthetic_block(
     drift: float = 4.0,
     shake: float = 12.0,
 ) -> list[SyntheticPhoto]:
-    """Plan a block about the ground's origin: strips run east and west in turn, the image's columns along the flight.
+    """Flight plan of a synthetic block about the ground's origin: strips run east and west in turn.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A frame camera written down a second time, on purpose.
+"""Independent frame camera: written a second time, on purpose, as a check of the sensor.
 
 The truth of a rendered photo must not come from the code that is tested with it. This is plain collinearity in NumPy
 and pyproj; it shares no line with the sensor plugins, nor with `geomosaic.geo`:

@@ -29,7 +29,7 @@ CHUNK = 1 << 15  # points at a time: what a core's cache holds
 
 @dataclass(frozen=True)
 class AnalyticGround:
-    """Relief and colour in closed form; a `Surface`.
+    """Synthetic ground: relief and colour in closed form; a `Surface`.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class AnalyticGround:
 
 
 def _mark(colour: Float32Array, u: Float32Array, v: Float32Array, wavelength: float) -> Float32Array:
-    """Lay a target over the colours (N, bands): white out to about 1.3 m from (0, 0), dark out to 3 m."""
+    """Colours (N, bands) with a target laid over them: white out to about 1.3 m from (0, 0), dark out to 3 m."""
     near = np.flatnonzero(u * u + v * v < (5.0 * max(3.0, 2 * wavelength)) ** 2)
     if not len(near):
         return colour

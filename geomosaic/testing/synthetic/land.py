@@ -125,7 +125,7 @@ VILLAGE = (205.0, 260.0)
 
 @dataclass(frozen=True)
 class Land:
-    """The look of the land.
+    """Land cover as a function of place.
 
     Attributes
     ----------
@@ -274,6 +274,6 @@ class Land:
 
 
 def _lay(under: Float32Array, mask: Float32Array, over: AnyArray | Sequence[float]) -> Float32Array:
-    """Lay a colour (4,) or colours (N, 4) over others (N, 4) where the mask (N,) is 1."""
+    """Colours with others (4,) or (N, 4) laid over them (N, 4) where the mask (N,) is 1."""
     laid: Float32Array = under + mask[:, None] * (np.asarray(over, dtype=np.float32) - under)
     return laid

@@ -39,7 +39,13 @@ class Camera(Protocol):
 
 @dataclass(frozen=True)
 class Exposure:
-    """Exposure of a photo: value = gain·radiance + offset, per band (one number serves all bands)."""
+    """Exposure of a photo: value = gain · radiance + offset.
+
+    Attributes
+    ----------
+    gain, offset : tuple of float
+        Per band; one number serves all bands.
+    """
 
     gain: tuple[float, ...] = (1.0,)
     offset: tuple[float, ...] = (0.0,)
@@ -47,7 +53,13 @@ class Exposure:
 
 @dataclass(frozen=True)
 class Vignetting:
-    """Fall of light towards the corners: 1 − a·ρ² − b·ρ⁴, ρ the distance from the image centre, 1 in the corners."""
+    """Fall of light towards the corners: 1 − a·ρ² − b·ρ⁴.
+
+    Attributes
+    ----------
+    a, b : float
+        Coefficients; ρ is the distance from the image centre, 1 in the corners.
+    """
 
     a: float = 0.0
     b: float = 0.0
@@ -97,7 +109,7 @@ def coordinates(ground: AnalyticGround, xyz: FloatArray) -> FloatArray:
 
 
 def intersect(model: Camera, ground: AnalyticGround, colrow: FloatArray) -> FloatArray:
-    """Where lines of sight first meet the relief.
+    """First intersection of lines of sight with the relief.
 
     Exact to `TOLERANCE` in height. A model with `rays` is asked for them; any other is inverted by
     `geomosaic.sensor.solve.inverse`.
@@ -208,7 +220,7 @@ def render(
     dtype: DTypeLike = np.uint8,
     supersample: int = 1,
 ) -> AnyArray:
-    """Photograph the ground.
+    """Synthetic photo of the ground.
 
     value = vignetting · gain · texture + offset + noise, for integer types times the largest value of the type,
     rounded and clipped.
@@ -270,7 +282,7 @@ def _pixels(first: int, count: int, width: int, per_side: int) -> FloatArray:
 
 
 def _as(values: FloatArray, kind: np.dtype[Any]) -> AnyArray:
-    """Values to a pixel type; integers are scaled to its largest value."""
+    """Values in a pixel type; those of integers are scaled to its largest value."""
     if kind.kind == "f":
         return values.astype(kind)
     top = np.iinfo(kind).max
