@@ -180,6 +180,7 @@ class CorrectionGrid:
         Solves p + d(p) = given by Newton's method; the corrections are too flat (`STEEPEST`) for a second solution.
         """
         image = np.asarray(colrow, dtype=np.float64)
+        # First guess: the correction at the corrected place, off by slope times correction only.
         place = image - self.at(image)
         for _ in range(30):
             left = image - place - self.at(place)

@@ -226,7 +226,7 @@ def _pixel(made: Lattice, places: FloatArray, image: FloatArray, row: int, col: 
 
 
 def _parts(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, tolerance: float) -> list[Lattice]:
-    """Lattices of smaller parts, whose relief is lower: where it is too high for one cubic, closer nodes do not help."""
+    """Lattices of smaller parts, whose relief is lower: closer nodes do not help where it is too high for one cubic."""
     parts = window.split(_half(window.width), _half(window.height))
     return [lattice for part in parts for lattice in _build(mapper, grid, ground, part, tolerance)]
 

@@ -90,6 +90,7 @@ class MapToImage:
     ) -> FloatArray:
         """Longitudes that go on beyond the sides of a map, turned as those just within are."""
         side = np.where(xy[:, 0] < x, -way, way)
+        # Longitude from the map's middle, −½ to ½ turn; beyond a side it has wrapped to the other sign and is put back.
         off = (found[:, 0] - middle + turn / 2) % turn - turn / 2
         off += side * turn * (side * off < -turn / 4)
         within = found.copy()
@@ -137,7 +138,7 @@ class BlockGround:
     window : Window
         The block, in pixels of the output grid.
     patch : HeightPatch or None
-        Heights on the surface's own nodes; None for a surface of one height.
+        Heights of the surface; None where they play no part or none is known.
     heights : (float, float)
         Lowest and highest, in metres of the surface's datum; NaN where none is known.
     """
@@ -158,6 +159,7 @@ class BlockGround:
         t = self.patch.transform
         x, y = surface_xy[:, 0], surface_xy[:, 1]
         col, row = t.a * x + t.b * y + t.c - 0.5, t.d * x + t.e * y + t.f - 0.5
+        # One node more on each side, as heights are interpolated between nodes; 1e-6 of a cell is rounding.
         first_col, first_row = (max(0, int(np.floor(np.nanmin(v) - 1e-6)) - 1) for v in (col, row))
         last_col, last_row = (max(0, int(np.ceil(np.nanmax(v) + 1e-6)) + 2) for v in (col, row))
         return HeightPatch(self.patch.heights[first_row:last_row, first_col:last_col], t).range
@@ -199,6 +201,7 @@ class Ground:
         """Heights of one block."""
         if self.surface is None or self.to_surface is None:
             return BlockGround(window, None, (0.0, 0.0))
+        # Five places along each side: in another CRS the edges of the block are curved.
         cols = np.linspace(window.col, window.stop_col, 5)
         rows = np.linspace(window.row, window.stop_row, 5)
         c, r = np.meshgrid(cols, rows)
@@ -207,6 +210,7 @@ class Ground:
         if not len(xy):
             return BlockGround(window, None, (float("nan"), float("nan")))
         (left, bottom), (right, top) = xy.min(axis=0), xy.max(axis=0)
+        # What the edges may bulge between those places.
         margin = 0.01 * max(right - left, top - bottom)
         bounds = left - margin, bottom - margin, right + margin, top + margin
         patch = self.surface.patch(bounds, self.spacing)

@@ -70,6 +70,7 @@ def unit_suspicion(angles_deg: FloatArray, positions: FloatArray, crs: CRS | Non
     angles, places = np.asarray(angles_deg, dtype=np.float64), np.asarray(positions, dtype=np.float64)
     good = np.isfinite(angles).all(axis=1) & np.isfinite(places).all(axis=1)
     angles, places = angles[good], places[good, :2]
+    # A degree of longitude is shorter than one of latitude by the cosine of the latitude.
     shrink = np.ones(len(places))
     if crs is not None and crs.is_geographic:
         shrink = np.cos(places[:, 1] * axis_unit(crs))
@@ -106,6 +107,7 @@ def _flight_directions(xy: FloatArray, shrink: FloatArray) -> FloatArray:
     for i, place in enumerate(xy):
         step = (xy - place) * (shrink[i], 1.0)
         distance = np.hypot(step[:, 0], step[:, 1])
+        # The point itself, and stations that are there twice, give no direction.
         distance[distance == 0.0] = np.inf
         if len(xy) > 1 and np.isfinite(distance.min()):
             dx, dy = step[np.argmin(distance)]

@@ -17,9 +17,13 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 CLEAN = 0.7
 """Share of good points that the number of samples allows for."""
 ENOUGH = 4
+"""Samples free of blunders that may be expected."""
 FEWEST, MOST = 80, 500
+"""Samples: at least, and at most, since each costs a fit."""
 BEST = 6
+"""Samples that are concentrated to the end."""
 STEPS = 20
+"""Concentration steps at most; the sum of squares falls with each, and a few suffice."""
 REJECTED = 0.001
 """Probability of an error by chance below which a point is not let in."""
 
@@ -70,12 +74,14 @@ def points_needed(problem: Refit[Fit], seed: int = 0) -> int:
         if model is None:
             continue
         free = problem.free_parameters(model)
+        # A model with more parameters for more points (a spline) fits them all, and no residual tells of a blunder.
         larger = _any_model(problem, min(size + 2, count), random)
         if larger is not None and problem.free_parameters(larger) > free:
             raise SolveError(
                 "the fit passes through all of its control points, blunders too",
                 hint="look for blunders with a kind of fewer parameters (not tps)",
             )
+        # Two equations a point; more where the smallest sample that works has more parameters than equations.
         return max(-(-free // 2), size if free > 2 * size else 0)
     raise SolveError("no sample of the control points determines the model", hint="add points, or spread them")
 
@@ -133,6 +139,7 @@ def trimmed_start(problem: Refit[Fit], seed: int = 0) -> RobustStart:
         Too few points to tell blunders from good ones, or a model that passes through all of them.
     """
     needed, count = check_count(problem, seed), len(problem)
+    # The size of the better half with the highest breakdown point (Rousseeuw & van Driessen 2006).
     half = (count + needed + 1) // 2
     # One point more than needed: a conformal fit of two cannot tell a mirrored image.
     size = min(needed + 1, half)
@@ -151,6 +158,7 @@ def trimmed_start(problem: Refit[Fit], seed: int = 0) -> RobustStart:
 
 def _samples(count: int, size: int, seed: int) -> list[IntArray]:
     wanted = int(np.clip(np.ceil(ENOUGH / CLEAN**size), FEWEST, MOST))
+    # So few choices are all tried: nothing is left to chance.
     if comb(count, size) <= wanted:
         return [np.array(chosen, dtype=np.int64) for chosen in combinations(range(count), size)]
     random = np.random.default_rng(seed)
@@ -192,6 +200,7 @@ def _forward_search(problem: Refit[Fit], half: IntArray) -> tuple[BoolArray, flo
     in, and not at the end, where those outside are taken for blunders.
     """
     count = len(problem)
+    # Error-free points have residuals of rounding only, and each would be an outlier to that scale.
     floor = 1e-9 * max(1.0, problem.magnitude) / float(np.median(problem.sigma))
     inliers = np.zeros(count, dtype=np.bool_)
     inliers[half] = True
@@ -204,6 +213,7 @@ def _forward_search(problem: Refit[Fit], half: IntArray) -> tuple[BoolArray, flo
         share = float(inliers.mean())
         short = np.sqrt(1.0 + (1.0 - share) * np.log(1.0 - share) / share)
         chance = tail_probability(statistic[outside], scale / short, float(fit.redundancy))
+        # A tenth at a time: each round improves the scale by which the next are judged.
         order = outside[np.argsort(-chance, kind="stable")][: max(1, len(outside) // 10)]
         chosen = order[np.sort(-chance, kind="stable")[: len(order)] <= -REJECTED]
         if not len(chosen):

@@ -63,6 +63,7 @@ def search_shifts(shifts: MeanShifts, start: Sequence[int] = ()) -> ShiftSearch:
         Let in to begin with.
     """
     floor = FLOOR / float(np.median(shifts.network.sigma))
+    # Bonferroni: the probability of a false alarm is for the whole block, not for each measurement.
     limit = float(np.log(ALPHA / max(1, len(shifts))))
     included = list(start) if shifts.state(start) is not None else []
     included = _backward(shifts, _forward(shifts, included, floor, limit), floor, limit)
@@ -79,6 +80,7 @@ def search_shifts(shifts: MeanShifts, start: Sequence[int] = ()) -> ShiftSearch:
 def _forward(shifts: MeanShifts, included: list[int], floor: float, limit: float) -> list[int]:
     """Forward selection: shifts are let in, the one that is needed most first."""
     at: ShiftState | None = _known(shifts, included)
+    # Each shift takes two of the redundancy: half of it is kept to judge by.
     most = max(1, shifts.network.equations.redundancy // 4)
     while at is not None and len(included) < most:
         worst = _worst(at, included, floor, limit)
@@ -141,6 +143,7 @@ def _worst(at: ShiftState, included: Sequence[int], floor: float, limit: float) 
     if at.redundancy < LEAST or not np.isfinite(statistic).any():
         return None
     worst = int(np.nanargmax(statistic))
+    # The scale by the median asks for enough statistics; with few of them the residual scale decides alone.
     middle = max(float(np.sqrt(np.nanmedian(statistic) / MEDIAN)), floor)
     left = max(float(np.sqrt(max(at.squares - statistic[worst], 0.0) / (at.redundancy - 2))), floor)
     by_middle = _log_chance(statistic[worst], middle, at.redundancy) if at.redundancy >= 4 * LEAST else 0.0
@@ -166,6 +169,7 @@ def minimal_detectable(shifts: MeanShifts, found: ShiftSearch) -> float:
         return float("inf")
     wanted = found.scale**2 * freedom * np.expm1(-2.0 * limit / freedom)
     held: FloatArray = shifts.held[: len(shifts.views)]
+    # A measurement that no other checks holds nothing: any error of it stays unseen, however large.
     return float(np.median(np.sqrt(wanted / np.where(held > 0.0, held, 1e-300)))) if len(held) else float("inf")
 
 

@@ -1,6 +1,6 @@
 """Hypotheses on implausible orientations: other readings, each with the key or column that makes it so.
 
-None of these is ever applied; they are held against the evidence (`plausibility.py`), and the one that fits is proposed.
+None of these is ever applied: `plausibility.py` tests them against the evidence and proposes the one that fits.
 """
 
 from __future__ import annotations

@@ -60,6 +60,7 @@ def difference_jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray
         high[index] += 0.5 * step
         low[index] -= 0.5 * step
         change = model.with_values(high).ground_to_image(points) - model.with_values(low).ground_to_image(points)
+        # Over the difference of the numbers as they are stored, not over the step, which rounding may have changed.
         by_parameters[:, :, index] = change / (high[index] - low[index])
     by_ground = np.empty((len(points), 2, 3))
     across = ground_step(model)
@@ -112,6 +113,7 @@ def pixel_step(evaluate: Callable[[FloatArray], FloatArray], centre: FloatArray,
         moved = moved[np.isfinite(moved)]
         if not len(moved) or moved.max() == 0.0:
             step *= 1e-2  # the step may leave what the model can see
+        # Within a factor of two is near enough: differences are flat about their best step.
         elif 0.5 < moved.max() < 2.0:
             break
         else:

@@ -20,6 +20,7 @@ import numpy as np
 from geomosaic.types import FloatArray
 
 POLISH = 50
+"""Newton steps at most; a double root, on the dangerous cylinder, takes many."""
 SAME = 1e-7
 """Relative difference of distances below which two solutions are one."""
 
@@ -68,7 +69,9 @@ def three_point_poses(bearings: FloatArray, points: FloatArray) -> tuple[Pose, .
     scale = float(np.abs(known - origin).max())
     if not np.isfinite(rays).all() or not scale > 0.0:
         return ()
+    # Reduced to numbers near 1: squares of geocentric metres would lose half of the digits.
     local = (known - origin) / scale
+    # Points in line leave the turn about that line open.
     if np.linalg.norm(np.cross(local[1] - local[0], local[2] - local[0])) < 1e-9:
         return ()
     poses = []
@@ -98,6 +101,7 @@ def _starts(sides: FloatArray, cosines: FloatArray) -> list[FloatArray]:
     """Candidates from the roots of Grunert's polynomial, near double roots with both branches."""
     starts = []
     for root in np.roots(_grunert(sides, cosines)):
+        # Rounding splits a double root into a complex pair: a small imaginary part is let pass, and polishing judges.
         if abs(root.imag) > 1e-2 * (1.0 + abs(root)) or not root.real > 0.0:
             continue
         v = float(root.real)
@@ -226,6 +230,7 @@ def poses(bearings: FloatArray, points: FloatArray) -> tuple[Pose, ...]:
 def _triples(rays: FloatArray) -> list[list[int]]:
     """Triples of directions that span the largest triangles; of many points only some are looked at."""
     count = len(rays)
+    # 24 points have 2024 triples; the number grows with the cube.
     chosen = range(count) if count <= 24 else np.linspace(0, count - 1, 24).astype(int).tolist()
     all_of_them = [list(triple) for triple in combinations(chosen, 3)]
     first, second, third = (rays[[triple[i] for triple in all_of_them]] for i in range(3))
@@ -256,6 +261,7 @@ def dangerous_cylinder(centre: FloatArray, points: FloatArray) -> float:
     first, second = known[1] - known[0], known[2] - known[0]
     normal = np.cross(first, second)
     twice = float(normal @ normal)
+    # Sides that are parallel within 1e-12: no circle goes through points in line.
     if not twice > 1e-24 * float(first @ first) * float(second @ second):
         return float("inf")
     # Middle of the circle from the corner (first, second): the classical formula of the circumcentre.
