@@ -160,7 +160,26 @@ def creation_options(
     photometric: str | None,
     where: str,
 ) -> Creation:
-    """Join the defaults and the options of the user, who wins and may use the words of the GTiff or the COG driver.
+    """Creation options of a raster: the defaults, and those of the user, which come first.
+
+    Parameters
+    ----------
+    driver : str
+        'GTiff' or 'COG'; the user's options may use the words of either.
+    bands : int
+    dtype : dtype
+    given : mapping of str to str
+        Options of the user.
+    overviews : str
+        Resampling of overviews unless the user names one: 'average' or 'nearest'.
+    photometric : str or None
+        Meaning of the bands that the caller asks for.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    Creation
 
     Raises
     ------
@@ -218,6 +237,16 @@ def _gtiff(user: dict[str, str], bands: int, dtype: np.dtype[Any], photometric: 
 def check_type(dtype: str, where: str) -> np.dtype[Any]:
     """NumPy type of samples that can be written.
 
+    Parameters
+    ----------
+    dtype : str
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    dtype
+
     Raises
     ------
     InputError
@@ -231,11 +260,19 @@ def check_type(dtype: str, where: str) -> np.dtype[Any]:
 
 
 def check_nodata(dtype: str, nodata: float | None, where: str) -> None:
-    """Refuse a nodata value that no sample can have.
+    """Check that samples can have a nodata value.
+
+    Parameters
+    ----------
+    dtype : str
+    nodata : float or None
+    where : str
+        Named in errors.
 
     Raises
     ------
     InputError
+        It is not a value of the type.
     """
     if nodata is None:
         return

@@ -18,12 +18,10 @@ from geomosaic.raster.environment import environment
 from geomosaic.raster.info import SourceInfo, describe, open_raster
 from geomosaic.raster.local_files import named_files
 
-# GDAL knows these formats by such words in the first bytes of a file, whatever the file is called.
-
 
 @dataclass(frozen=True)
 class Companions:
-    """What a raster depends on besides its own bytes.
+    """Files and metadata that a raster depends on besides its own bytes.
 
     Attributes
     ----------
@@ -40,7 +38,17 @@ class Companions:
 
 
 def companions(path: Path, bands: Sequence[int] | None = None) -> Companions:
-    """What a raster depends on; no pixel is read.
+    """Files and metadata that a raster depends on; no pixel is read.
+
+    Parameters
+    ----------
+    path : Path
+    bands : sequence of int, optional
+        From 1; all unless given.
+
+    Returns
+    -------
+    Companions
 
     Raises
     ------
@@ -65,15 +73,33 @@ KINDS = (".gpkg", ".sqlite", ".db", ".mbtiles")
 
 
 def journal_of(path: Path) -> Path | None:
-    """Where SQLite's journal of a file would be; None for files of other kinds.
+    """Path of the write-ahead journal of an SQLite database.
 
     Journals of the older kind (`-journal`) need not be looked at: with them the file itself holds what was saved.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Path or None
+        None for files of other kinds.
     """
     return path.with_name(f"{path.name}-wal") if path.suffix.lower() in KINDS else None
 
 
 def holds(journal: Path) -> bool:
-    """Whether a journal is there and not empty."""
+    """Whether a journal is there and not empty.
+
+    Parameters
+    ----------
+    journal : Path
+
+    Returns
+    -------
+    bool
+    """
     try:
         return journal.stat().st_size > 0
     except OSError:  # it goes when the other program closes the file, perhaps at this moment

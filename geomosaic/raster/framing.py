@@ -20,7 +20,17 @@ _REACH = 4
 
 
 def raster_grid(source: Source, where: str) -> Grid:
-    """Place of a raster that can be framed: with a CRS, and north up.
+    """Grid of a raster that can be framed: with a CRS, and north up.
+
+    Parameters
+    ----------
+    source : Source
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    Grid
 
     Raises
     ------
@@ -112,7 +122,27 @@ def _aligned(left: float, top: float, right: float, bottom: float, shrink: int) 
 def read_bands(
     source: Source, grid: Grid, window: Window, shrink: int, bands: Sequence[int]
 ) -> tuple[AnyArray, AnyArray]:
-    """Values (rows, cols, bands) as float32 and validity as float32, of a window that may reach beyond the raster."""
+    """Values and validity of a window that may reach beyond the raster.
+
+    Parameters
+    ----------
+    source : Source
+    grid : Grid
+        Of the source.
+    window : Window
+        Its corner and size are multiples of `shrink`.
+    shrink : int
+        Pixels along a side of which one mean is read.
+    bands : sequence of int
+        From 1.
+
+    Returns
+    -------
+    values : float32 array (rows, cols, bands)
+        0 where not valid.
+    valid : float32 array (rows, cols)
+        1 or 0.
+    """
     shape = (window.height // shrink, window.width // shrink)
     values, valid = np.zeros((*shape, len(bands)), dtype=np.float32), np.zeros(shape, dtype=np.float32)
     inside = window.intersection(grid.window)

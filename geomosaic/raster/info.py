@@ -141,7 +141,17 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
 
 
 def inspect(path: PathLike, bands: Sequence[int] | None = None) -> SourceInfo:
-    """Describe a raster file, or some bands of it (counted from 1), without reading pixels.
+    """Metadata of a raster file, or of some of its bands, found without reading pixels.
+
+    Parameters
+    ----------
+    path : path
+    bands : sequence of int, optional
+        From 1; all but alpha unless given.
+
+    Returns
+    -------
+    SourceInfo
 
     Raises
     ------
@@ -155,7 +165,27 @@ def inspect(path: PathLike, bands: Sequence[int] | None = None) -> SourceInfo:
 
 
 def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> SourceInfo:
-    """Describe an open rasterio dataset, or some of its bands; `path` is the name used in errors."""
+    """Metadata of an open dataset, or of some of its bands.
+
+    Parameters
+    ----------
+    dataset : rasterio dataset
+    path : str
+        Name used in errors.
+    bands : sequence of int, optional
+        From 1; all but alpha unless given.
+
+    Returns
+    -------
+    SourceInfo
+
+    Raises
+    ------
+    RasterReadError
+        It has no band, or a sample type that is not supported.
+    InputError
+        A band that it does not have.
+    """
     if dataset.count == 0:
         found = ", ".join(dataset.subdatasets[:4])
         raise RasterReadError(
@@ -206,7 +236,26 @@ def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> Sou
 
 
 def check_bands(bands: Sequence[int], count: int, path: str) -> tuple[int, ...]:
-    """Band numbers that a file of `count` bands has, checked."""
+    """Band numbers, checked against the bands that a file has.
+
+    Parameters
+    ----------
+    bands : sequence of int
+        From 1.
+    count : int
+        Bands of the file.
+    path : str
+        Named in errors.
+
+    Returns
+    -------
+    tuple of int
+
+    Raises
+    ------
+    InputError
+        None is chosen, or one that the file does not have.
+    """
     absent = [band for band in bands if not 1 <= band <= count]
     if absent or not bands:
         shown = ", ".join(map(str, absent))
@@ -269,6 +318,20 @@ def _short(error: BaseException) -> str:
 
 
 def control_point_count(path: PathLike) -> int:
-    """Number of control points (GCPs) in a raster."""
+    """Number of ground control points (GCPs) in a raster.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    RasterReadError
+        The file is missing or no raster.
+    """
     with environment(), open_raster(path) as dataset:
         return len(dataset.gcps[0])

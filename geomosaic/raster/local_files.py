@@ -38,6 +38,14 @@ def named_files(path: Path) -> tuple[Path, ...]:
 
     They are looked for in the text of the file: opening it, GDAL would open them too, in any format it knows.
 
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    tuple of Path
+
     Raises
     ------
     RasterReadError
@@ -48,7 +56,19 @@ def named_files(path: Path) -> tuple[Path, ...]:
 
 
 def check_files(dataset: Any, path: str) -> None:
-    """Refuse an open dataset that has come to read from elsewhere, by a sidecar or by what its format names inside."""
+    """Check that an open dataset reads from this machine only, whatever a sidecar or its own format names.
+
+    Parameters
+    ----------
+    dataset : rasterio dataset
+    path : str
+        Of the dataset, named in errors.
+
+    Raises
+    ------
+    RasterReadError
+        It reads from elsewhere, by a sidecar or by what its format names inside.
+    """
     # Asked first: to list its files, GDAL opens the overviews.
     overviews = dataset.tags(ns="OVERVIEWS").get("OVERVIEW_FILE", "")
     if overviews:

@@ -17,7 +17,15 @@ OTHER_FORMATS = (
 
 
 def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
-    """Refuse a final name that is taken, or whose folder does not exist, or that is one of the inputs.
+    """Check of an output's final name: free, in a folder that exists, and none of the inputs.
+
+    Parameters
+    ----------
+    path : Path
+    overwrite : bool
+        Whether an existing file may be replaced.
+    inputs : iterable of Path
+        Files that are read.
 
     Raises
     ------
@@ -48,11 +56,20 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) ->
 
 
 def check_geotiff(path: Path, *, overwrite: bool) -> None:
-    """As `check_output`; names that promise another format are refused too.
+    """Check of a GeoTIFF's final name, which must not promise another format.
+
+    Parameters
+    ----------
+    path : Path
+    overwrite : bool
+        Whether an existing file may be replaced.
 
     Raises
     ------
-    OutputExistsError, InputError
+    OutputExistsError
+        As `check_output`.
+    InputError
+        As `check_output`, or the suffix is that of another format.
     """
     check_output(path, overwrite=overwrite)
     if path.suffix.lower() in OTHER_FORMATS:
@@ -64,7 +81,15 @@ def check_geotiff(path: Path, *, overwrite: bool) -> None:
 
 
 def write_text(path: Path, text: str, *, overwrite: bool, encoding: str = "utf-8") -> None:
-    """Write a text file, whole under its name or not at all.
+    """Text file, written whole under its name or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    text : str
+    overwrite : bool
+        Whether an existing file may be replaced.
+    encoding : str
 
     Raises
     ------

@@ -31,7 +31,15 @@ class PhotoTags:
 
 
 def read_photo_tags(path: PathLike) -> PhotoTags:
-    """Read the tags of a photo; no pixel is read.
+    """EXIF and XMP tags of a photo; no pixel is read.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    PhotoTags
 
     Raises
     ------
@@ -59,9 +67,18 @@ _DATES = (
 
 
 def acquired(path: PathLike) -> str | None:
-    """Time of acquisition in ISO 8601, with its zone where the file names one; None where the file says nothing.
+    """Time of acquisition of an image.
 
     Without a zone it is the camera's clock: nothing is added that the file does not say.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    str or None
+        ISO 8601, with its zone where the file names one; None where the file says nothing or cannot be read.
     """
     try:
         with environment(), open_raster(path) as dataset:
@@ -78,10 +95,24 @@ def acquired(path: PathLike) -> str | None:
 
 
 def dated(path: PathLike) -> str | None:
-    """Acquisition time as digits, year first, that sort by time; None where the file does not say it.
+    """Acquisition time as digits that sort by time.
 
     Read are, in this order, the acquisition time of satellite images (GDAL's domain IMAGERY), EXIF, `ACQUISITION_DATE`
     and the like, and the date of the TIFF file.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    str or None
+        14 digits, year first; None where the file does not say it.
+
+    Raises
+    ------
+    RasterReadError
+        The file is missing or no raster.
     """
     with environment(), open_raster(path) as dataset:
         found = [dataset.tags(ns="IMAGERY").get("ACQUISITIONDATETIME")]

@@ -64,7 +64,18 @@ def preview(path: PathLike, max_size: int = 1024) -> tuple[ByteArray, ByteArray]
 
 
 def stretch(values: AnyArray, valid: ByteArray) -> ByteArray:
-    """Bring any samples to uint8, from the 2nd to the 98th percentile of the valid pixels of all bands."""
+    """Contrast stretch of any samples to uint8, from the 2nd to the 98th percentile of all valid pixels and bands.
+
+    Parameters
+    ----------
+    values : array (rows, cols, bands)
+    valid : uint8 array (rows, cols)
+
+    Returns
+    -------
+    uint8 array (rows, cols, bands)
+        0 where not valid.
+    """
     known = values[valid != 0].astype(np.float64)
     if not known.size:
         return np.zeros(values.shape, dtype=np.uint8)
@@ -75,7 +86,17 @@ def stretch(values: AnyArray, valid: ByteArray) -> ByteArray:
 
 
 def jpeg_bytes(rgb: ByteArray, valid: ByteArray) -> bytes:
-    """Encode a picture (rows, cols, 3) to be looked at, a fifth of PNG's size and time; pale where not valid."""
+    """JPEG of a picture to be looked at, a fifth of PNG's size and time; pale where not valid.
+
+    Parameters
+    ----------
+    rgb : uint8 array (rows, cols, 3)
+    valid : uint8 array (rows, cols)
+
+    Returns
+    -------
+    bytes
+    """
     from PIL import Image
 
     shown = rgb if valid.all() else np.where(valid[:, :, None] != 0, rgb, np.array(_NOTHING, dtype=np.uint8))
@@ -85,7 +106,18 @@ def jpeg_bytes(rgb: ByteArray, valid: ByteArray) -> bytes:
 
 
 def png_bytes(rgb: ByteArray, valid: ByteArray | None = None) -> bytes:
-    """Encode a picture (rows, cols, 3) as PNG, transparent where not valid."""
+    """PNG of a picture, transparent where not valid.
+
+    Parameters
+    ----------
+    rgb : uint8 array (rows, cols, 3)
+    valid : uint8 array (rows, cols), optional
+        All valid unless given.
+
+    Returns
+    -------
+    bytes
+    """
     from PIL import Image
 
     pixels = rgb if valid is None or valid.all() else np.dstack([rgb, np.where(valid != 0, 255, 0).astype(np.uint8)])
@@ -99,10 +131,23 @@ _BYTES = 257
 
 
 def block_sum(values: AnyArray, size: int, dtype: type[np.generic]) -> AnyArray:
-    """Sum blocks of size × size pixels of an array (rows, cols, ...); blocks at the end hold what is left.
+    """Sums over blocks of size × size pixels; blocks at the end hold what is left.
 
     Rows first, then columns: every addition runs over long stretches of memory, and the order of the additions of a
     block never depends on where the array was cut.
+
+    Parameters
+    ----------
+    values : array (rows, cols, ...)
+    size : int
+        Pixels along a block.
+    dtype : type
+        Of the sums.
+
+    Returns
+    -------
+    array (rows / size, cols / size, ...)
+        Sizes rounded up.
     """
     rows, cols = values.shape[:2]
     tall = np.empty((-(-rows // size), *values.shape[1:]), dtype=dtype)

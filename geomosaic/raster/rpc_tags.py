@@ -17,11 +17,20 @@ from geomosaic.types import PathLike
 
 
 def read_rpc_tags(path: PathLike) -> dict[str, str]:
-    """Read GDAL's RPC domain of a raster: LINE_OFF, SAMP_NUM_COEFF ... as text; empty where there is none.
+    """GDAL's RPC domain of a raster: LINE_OFF, SAMP_NUM_COEFF ... as text.
 
     It is what the raster itself carries: the TIFF tag 50844, the NITF extension RPC00B, a PAM file (.aux.xml), a VRT.
     Where that is nothing, it is what GDAL finds in files of known names beside the raster; GDAL alone would let these
     hide a tag that says otherwise. Whatever the source, image coordinates count from the centre of the first pixel.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    dict of str to str
+        Empty where there is none.
 
     Raises
     ------
@@ -43,7 +52,17 @@ def read_rpc_tags(path: PathLike) -> dict[str, str]:
 
 
 def pam_has_rpc(path: PathLike) -> bool:
-    """Whether GDAL's notes beside a raster (.aux.xml) hold an RPC, which then counts for more than a tag."""
+    """Whether GDAL's notes beside a raster (.aux.xml) hold an RPC, which then counts for more than a tag.
+
+    Parameters
+    ----------
+    path : path
+        Of the raster.
+
+    Returns
+    -------
+    bool
+    """
     notes = Path(path).with_name(f"{Path(path).name}.aux.xml")
     with suppress(OSError):
         return b'"RPC"' in notes.read_bytes()
@@ -55,7 +74,13 @@ def _tags(dataset: Any) -> dict[str, str]:
 
 
 def write_rpc_tags(path: PathLike, tags: Mapping[str, str]) -> None:
-    """Write GDAL's RPC domain into an existing TIFF (tag 50844), in place; the pixels are not touched.
+    """Write of GDAL's RPC domain into an existing TIFF (tag 50844), in place; the pixels are not touched.
+
+    Parameters
+    ----------
+    path : path
+    tags : mapping of str to str
+        As `read_rpc_tags` gives them.
 
     Raises
     ------

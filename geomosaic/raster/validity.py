@@ -14,7 +14,19 @@ from geomosaic.types import AnyArray, BoolArray, ByteArray
 
 
 def usable_nodata(dtype: np.dtype[Any], nodata: float | None) -> float | None:
-    """Nodata value as the sample type holds it; None where no sample can have that value."""
+    """Nodata value as the sample type holds it.
+
+    Parameters
+    ----------
+    dtype : dtype
+    nodata : float or None
+        As the file or the user has it.
+
+    Returns
+    -------
+    float or None
+        None where no sample can have that value.
+    """
     if nodata is None or (np.isnan(nodata) and dtype.kind != "f"):
         return None
     if dtype.kind == "f":
@@ -95,7 +107,19 @@ def _all_bands(values: AnyArray, one: Any) -> BoolArray | None:
 
 
 def combine(missing: BoolArray | None, mask: AnyArray | None) -> ByteArray | None:
-    """Join values that say 'missing' and a mask or alpha band (0 = missing) to 1/0 bytes; None where all are valid."""
+    """Validity of pixels from values that say 'missing' and from a mask or alpha band.
+
+    Parameters
+    ----------
+    missing : bool array (rows, cols) or None
+    mask : array (rows, cols) or None
+        0 where missing.
+
+    Returns
+    -------
+    uint8 array (rows, cols) or None
+        1 where valid, else 0; None where all are valid.
+    """
     if mask is None:
         return None if missing is None else (~missing).view(np.uint8)
     valid = mask != 0
@@ -153,12 +177,25 @@ def burn(shapes: Sequence[tuple[Any, int]], grid: Grid, fill: int = -1) -> AnyAr
 
 
 def traced(label: AnyArray, grid: Grid) -> list[tuple[Any, int]]:
-    """Polygons around cells of equal number (rows, cols), and their numbers; cells below 0 are left out.
+    """Polygons around cells of equal number.
 
     Their borders follow the edges of cells, and neighbours have common vertices.
+
+    Parameters
+    ----------
+    label : int array (rows, cols)
+        Cells below 0 are left out.
+    grid : Grid
+        Of the cells.
+
+    Returns
+    -------
+    list of (polygon, int)
+        Polygons in the CRS of `grid`, and their numbers.
     """
     from shapely.geometry import shape
 
     wanted = np.ascontiguousarray(label, dtype=np.int32)
+    # Cells that meet at a corner only would make a polygon that touches itself.
     found = shapes(wanted, mask=wanted >= 0, connectivity=4, transform=grid.transform)
     return [(shape(geometry), int(number)) for geometry, number in found]

@@ -122,7 +122,16 @@ def _dated() -> Iterator[str]:
 
 
 def append_layer(path: Path, frame: Any, name: str, driver: str) -> list[str]:
-    """Write a layer, or a table without places, to a file, behind the layers it has.
+    """Write of a layer, or of a table without places, behind the layers that a file has.
+
+    Parameters
+    ----------
+    path : Path
+    frame : GeoDataFrame or DataFrame
+    name : str
+        Of the layer.
+    driver : str
+        GDAL's name of the format.
 
     Returns
     -------
@@ -160,6 +169,14 @@ def append_layer(path: Path, frame: Any, name: str, driver: str) -> list[str]:
 def layer_names(path: PathLike) -> list[str]:
     """Names of the layers of a vector file, in its order.
 
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    list of str
+
     Raises
     ------
     InputError
@@ -179,21 +196,50 @@ def layer_names(path: PathLike) -> list[str]:
 
 
 def plain_tables(path: PathLike) -> list[str]:
-    """Names of the tables of a vector file that have no places, such as the styles that QGIS keeps in a GeoPackage."""
+    """Names of the tables of a vector file that have no places, such as the styles that QGIS keeps in a GeoPackage.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    list of str
+    """
     import pyogrio
 
     return [str(name) for name, kind in pyogrio.list_layers(path) if kind is None]
 
 
 def read_table(path: PathLike, name: str) -> Any:
-    """Read a table that has no places, as a data frame."""
+    """Table of a vector file that has no places.
+
+    Parameters
+    ----------
+    path : path
+    name : str
+        Of the table.
+
+    Returns
+    -------
+    DataFrame
+    """
     import pyogrio
 
     return pyogrio.read_dataframe(path, layer=name)
 
 
 def layer_counts(path: PathLike) -> dict[str, int]:
-    """Numbers of objects by layer, in the order of the file; those of GPX, say, are often empty.
+    """Numbers of objects by layer; layers of GPX, say, are often empty.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    dict of str to int
+        In the order of the file.
 
     Raises
     ------
@@ -207,7 +253,17 @@ def layer_counts(path: PathLike) -> dict[str, int]:
 
 
 def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
-    """Read a layer of a vector file (GeoPackage, GeoJSON, Shapefile, FlatGeobuf ...), the first by default.
+    """Layer of a vector file (GeoPackage, GeoJSON, Shapefile, FlatGeobuf ...).
+
+    Parameters
+    ----------
+    path : path
+    layer : str, optional
+        Name; the first layer by default.
+
+    Returns
+    -------
+    GeoDataFrame
 
     Raises
     ------

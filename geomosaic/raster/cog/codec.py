@@ -37,7 +37,20 @@ PIXEL_TAGS = {
 
 
 def tile_profile(bands: int, dtype: str, options: Mapping[str, str]) -> dict[str, Any]:
-    """Rasterio's arguments for a GeoTIFF of one tile."""
+    """Rasterio profile of a GeoTIFF of one tile.
+
+    Parameters
+    ----------
+    bands : int
+    dtype : str
+    options : mapping of str to str
+        Creation options of GDAL's GTiff driver.
+
+    Returns
+    -------
+    dict
+        Arguments of `rasterio.open`.
+    """
     return {
         "driver": "GTiff",
         "width": BLOCK,
@@ -53,10 +66,22 @@ def tile_profile(bands: int, dtype: str, options: Mapping[str, str]) -> dict[str
 
 
 def encode_tile(values: AnyArray, profile: Mapping[str, Any], *, classes: bool = False) -> bytes:
-    """Compress one tile of shape (BLOCK, BLOCK, bands) as the profile says; the bytes that stand in a TIFF.
+    """Compressed bytes of one tile, as they stand in a TIFF.
 
-    A pure function of its arguments, safe in any thread. Tiles of `classes` hold long runs of the same values: there
-    making a file in memory takes GDAL longer than all the rest.
+    A pure function of its arguments, safe in any thread.
+
+    Parameters
+    ----------
+    values : array (BLOCK, BLOCK, bands)
+    profile : mapping
+        See `tile_profile`.
+    classes : bool
+        Whether the values are labels, in long runs of the same number: there making a file in memory takes GDAL longer
+        than all the rest.
+
+    Returns
+    -------
+    bytes
     """
     first = values[0, 0]
     if (values == first).all():  # labels are so nearly everywhere
@@ -87,7 +112,18 @@ def _one_tile_file(values: AnyArray, profile: Mapping[str, Any]) -> bytes:
 
 
 def decode_tile(directory: Directory, data: bytes) -> AnyArray:
-    """Values (BLOCK, BLOCK, bands) of a tile as it stands in a TIFF of that directory.
+    """Values of a tile as it stands in a TIFF.
+
+    Parameters
+    ----------
+    directory : Directory
+        Of the level that the tile belongs to.
+    data : bytes
+        Compressed.
+
+    Returns
+    -------
+    array (BLOCK, BLOCK, bands)
 
     Raises
     ------
@@ -98,6 +134,7 @@ def decode_tile(directory: Directory, data: bytes) -> AnyArray:
     one |= {tiff.WIDTH: Field.of(4, BLOCK), tiff.LENGTH: Field.of(4, BLOCK)}
     one |= _PLACED
     one |= {tiff.TILE_OFFSETS: Field.of(4, 8), tiff.TILE_COUNTS: Field.of(4, len(data))}
+    # A directory begins at an even offset, behind the header of 8 bytes and the tile.
     at = 8 + len(data) + len(data) % 2
     whole = tiff.header(at, big=False) + data + bytes(len(data) % 2) + tiff.lay_out([one], at, big=False)
     try:
@@ -119,7 +156,26 @@ def describe_raster(
     tags: Mapping[str, str],
     where: str,
 ) -> Directory:
-    """Tags that GDAL writes for a raster of this grid and profile, without the tiles' places.
+    """Tags that GDAL writes for a raster, without the tiles' places.
+
+    Parameters
+    ----------
+    grid : Grid
+    profile : mapping
+        See `tile_profile`.
+    nodata : float or None
+    descriptions : sequence of str or None
+        Names of the bands.
+    meanings : sequence of Meaning
+        Scale, offset and unit of each band.
+    tags : mapping of str to str
+        Metadata of the file.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    Directory
 
     Raises
     ------
@@ -166,7 +222,17 @@ MASK_TAGS: Directory = {
 
 
 def encode_mask(valid: ByteArray | None) -> bytes:
-    """Compress a mask tile of 1 and 0, shape (BLOCK, BLOCK), to one bit per pixel; None is all ones."""
+    """Compressed bytes of a mask tile, one bit per pixel.
+
+    Parameters
+    ----------
+    valid : uint8 array (BLOCK, BLOCK) or None
+        1 and 0; None is all ones.
+
+    Returns
+    -------
+    bytes
+    """
     return _ones() if valid is None else zlib.compress(np.packbits(valid, axis=1).tobytes(), 6)
 
 

@@ -53,7 +53,18 @@ class Level:
 
 
 def levels(width: int, height: int) -> list[Level]:
-    """Sizes from the full one down to one that fits a tile."""
+    """Sizes of an image and its overviews, down to the one that fits a tile.
+
+    Parameters
+    ----------
+    width, height : int
+        Pixels of the full size.
+
+    Returns
+    -------
+    list of Level
+        The full size first, each next one half as large, rounded up.
+    """
     sizes = [Level(width, height)]
     while max(sizes[-1].width, sizes[-1].height) > BLOCK:
         sizes.append(Level(-(-sizes[-1].width // 2), -(-sizes[-1].height // 2)))

@@ -107,7 +107,20 @@ class EarlierTiles:
 
 
 def inside_of(size: Level, index: int) -> ByteArray | None:
-    """1 where pixels of a tile lie within the image; None where all do."""
+    """Pixels of a tile that lie within the image.
+
+    Parameters
+    ----------
+    size : Level
+        Of the image.
+    index : int
+        Of the tile, row by row.
+
+    Returns
+    -------
+    uint8 array (BLOCK, BLOCK) or None
+        1 inside, 0 beyond the edge; None where all lie inside.
+    """
     row, col = divmod(index, size.across)
     part = Window(col * BLOCK, row * BLOCK, BLOCK, BLOCK).intersection(Window(0, 0, size.width, size.height))
     if (part.width, part.height) == (BLOCK, BLOCK):

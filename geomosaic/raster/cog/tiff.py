@@ -52,7 +52,16 @@ Directory = dict[int, Field]
 
 
 def read_directories(file: BinaryIO) -> list[Directory]:
-    """Read all main directories of a little-endian TIFF or BigTIFF, in file order.
+    """Main directories of a little-endian TIFF or BigTIFF, in file order.
+
+    Parameters
+    ----------
+    file : binary file
+        That can be read and sought.
+
+    Returns
+    -------
+    list of Directory
 
     Raises
     ------
@@ -100,14 +109,39 @@ def _read_directory(file: BinaryIO, offset: int, big: bool) -> tuple[Directory, 
 
 
 def header(first: int, *, big: bool) -> bytes:
-    """First 8 bytes (16 for BigTIFF) of a file whose first directory is at `first`."""
+    """Header of a little-endian TIFF.
+
+    Parameters
+    ----------
+    first : int
+        Offset of the first directory.
+    big : bool
+        Whether the file is a BigTIFF.
+
+    Returns
+    -------
+    bytes
+        8 of them, 16 for BigTIFF.
+    """
     return struct.pack("<2sHHHQ", b"II", 43, 8, 0, first) if big else struct.pack("<2sHI", b"II", 42, first)
 
 
 def lay_out(directories: list[Directory], start: int, *, big: bool) -> bytes:
-    """Linked directories as they stand in a file from the even offset `start` on; the last links to none.
+    """Linked directories as they stand in a file; the last links to none.
 
     The length depends on the types and counts of the fields only.
+
+    Parameters
+    ----------
+    directories : list of Directory
+    start : int
+        Offset of the first one in the file, even.
+    big : bool
+        Whether the file is a BigTIFF.
+
+    Returns
+    -------
+    bytes
 
     Raises
     ------
@@ -145,7 +179,19 @@ def _directory(directory: Directory, start: int, big: bool) -> tuple[bytearray, 
 
 
 def needs_big(option: str, raw_bytes: float) -> bool:
-    """Decide as GDAL does: IF_SAFER takes BigTIFF from 2 GB uncompressed, IF_NEEDED from 4 GB."""
+    """Whether a file becomes a BigTIFF, decided as GDAL does.
+
+    Parameters
+    ----------
+    option : str
+        YES, NO, IF_NEEDED (from 4 GB) or IF_SAFER (from 2 GB).
+    raw_bytes : float
+        Size of the uncompressed samples.
+
+    Returns
+    -------
+    bool
+    """
     choice = str(option).upper()
     if choice in ("YES", "NO"):
         return choice == "YES"

@@ -18,7 +18,20 @@ from geomosaic.types import AnyArray, ByteArray
 
 
 def filled(values: AnyArray, valid: ByteArray | None, nodata: float | None) -> AnyArray:
-    """Set invalid pixels to nodata, or zero, and move valid ones off nodata."""
+    """Values with nodata, or zero, where they are not valid; valid ones are moved off nodata.
+
+    Parameters
+    ----------
+    values : array (rows, cols, bands)
+    valid : uint8 array (rows, cols) or None
+        None where all are valid.
+    nodata : float or None
+
+    Returns
+    -------
+    array (rows, cols, bands)
+        `values` itself where nothing is to be changed.
+    """
     if nodata is not None:
         values = _off_nodata(values, nodata)
     if valid is None:
@@ -218,7 +231,18 @@ class TileStore:
 
 
 def write_all(file: BinaryIO, data: bytes | memoryview) -> None:
-    """Write all bytes or raise: an unbuffered file may take only a part."""
+    """Write of all bytes to an unbuffered file, which may take only a part at a time.
+
+    Parameters
+    ----------
+    file : binary file
+    data : bytes or memoryview
+
+    Raises
+    ------
+    OSError
+        Writing failed.
+    """
     left = memoryview(data)
     while len(left):
         left = left[file.write(left) :]
