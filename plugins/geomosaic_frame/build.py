@@ -35,7 +35,16 @@ TREATMENTS = ("rigorous", "planar")
 
 
 def build_frame(request: SensorRequest) -> FrameModel:
-    """Model of one photo.
+    """Frame model of one photo.
+
+    Parameters
+    ----------
+    request : SensorRequest
+        Image size in pixels, CRS of the position or of the control points, and the options of the sensor.
+
+    Returns
+    -------
+    FrameModel
 
     Raises
     ------

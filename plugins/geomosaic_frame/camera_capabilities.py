@@ -1,4 +1,4 @@
-"""Camera models: interior orientation and lens, whether in pixels or in millimetres of a film."""
+"""Interface of camera models: interior orientation and lens, whether in pixels or in millimetres of a film."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from geomosaic_frame.camera import Camera
 
 
 class CameraModel(Protocol):
-    """Camera axes (x right, y down, z forward) to pixels and back."""
+    """Camera model: camera axes (x right, y down, z forward) to pixels and back."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -34,7 +34,18 @@ class CameraModel(Protocol):
 
 
 def camera_model_from_dict(state: Mapping[str, Any]) -> CameraModel:
-    """Camera of a state, as its `to_dict` gives it."""
+    """Camera model of a saved state.
+
+    Parameters
+    ----------
+    state : mapping
+        As `to_dict` of the camera gives it.
+
+    Returns
+    -------
+    CameraModel
+        `FilmCamera` or `Camera`.
+    """
     if "film" in state:
         from geomosaic_frame.film import FilmCamera
 

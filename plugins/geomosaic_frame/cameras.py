@@ -19,7 +19,24 @@ FILM_OPTIONS = ("fiducials", "interior", "mirrored")
 
 
 def camera_and_orientation(request: SensorRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """Camera table and orientation row, wherever they come from."""
+    """Camera table and orientation row of a photo, from its options or from a reconstruction.
+
+    Parameters
+    ----------
+    request : SensorRequest
+
+    Returns
+    -------
+    camera : mapping
+        As in `camera.toml`.
+    row : mapping
+        Orientation as in a table of orientations; empty where control points are to place the photo.
+
+    Raises
+    ------
+    InputError
+        The camera or the orientation is missing, or a file cannot be read.
+    """
     where, options = request.image, request.options
     if options.get("points") is not None:
         row: dict[str, Any] = {}
@@ -48,7 +65,7 @@ def camera_and_orientation(request: SensorRequest) -> tuple[Mapping[str, Any], M
 
 
 def _place_world(row: dict[str, Any], options: Mapping[str, Any], where: str) -> None:
-    """Complete a pose with what the user says of its world, where its file does not say it or says it wrongly."""
+    """Completion of a pose with options on its world, where its file does not name it or names it wrongly."""
     system = str(row["system"])
     if system in ("opensfm", "odm"):
         return
@@ -80,7 +97,26 @@ def _toml(path: Path, where: str) -> Mapping[str, Any]:
 
 
 def camera_of(table: Mapping[str, Any], request: SensorRequest) -> tuple[CameraModel, list[str]]:
-    """Camera for the image at hand, and what was done to it."""
+    """Camera of the image at hand, scaled to a reduced copy.
+
+    Parameters
+    ----------
+    table : mapping
+        As in `camera.toml`.
+    request : SensorRequest
+        Size in pixels, options on film.
+
+    Returns
+    -------
+    camera : CameraModel
+    notes : list of str
+        What was done to it.
+
+    Raises
+    ------
+    InputError
+        The table is not complete or does not fit the image, or options on film are given for a digital camera.
+    """
     where = f"{request.image}, camera"
     if "fiducials" in table:
         from geomosaic_frame.fiducials import film_camera

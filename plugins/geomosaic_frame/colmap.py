@@ -34,7 +34,15 @@ MODELS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 
 @dataclass(frozen=True)
 class Pose:
-    """Camera number and orientation row of an image."""
+    """Orientation of one image.
+
+    Attributes
+    ----------
+    camera : str
+        Number of its camera.
+    row : dict
+        Orientation row.
+    """
 
     camera: str
     row: dict[str, Any]
@@ -42,7 +50,15 @@ class Pose:
 
 @dataclass(frozen=True)
 class SparseModel:
-    """Camera tables by number, poses by image name."""
+    """Cameras and orientations of a COLMAP reconstruction.
+
+    Attributes
+    ----------
+    cameras : mapping
+        Camera tables by number.
+    images : mapping
+        Poses by image name.
+    """
 
     cameras: Mapping[str, dict[str, Any]]
     images: Mapping[str, Pose]
@@ -50,12 +66,23 @@ class SparseModel:
 
 @lru_cache(maxsize=4)
 def read_colmap(cameras: str, images: str, where: tuple[str, str]) -> SparseModel:
-    """Sparse model of both files.
+    """Sparse model of both text files; kept, since all images of a block ask for it.
+
+    Parameters
+    ----------
+    cameras, images : str
+        Texts of `cameras.txt` and `images.txt`.
+    where : tuple of str
+        Names of the two files, for errors.
+
+    Returns
+    -------
+    SparseModel
 
     Raises
     ------
     InputError
-        Names file and line.
+        A line is damaged; names file and line.
     """
     return SparseModel(_cameras(cameras, where[0]), _images(images, where[1]))
 

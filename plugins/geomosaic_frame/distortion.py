@@ -1,4 +1,4 @@
-"""Lens contract: directions to the image plane of focal length one, and where a distortion polynomial folds back.
+"""Interface of lenses: directions to the image plane of focal length one; fold radius of a distortion polynomial.
 
 Axes are those of OpenCV and OpenSfM: x right, y DOWN, z forward. An ideal point is (x / z, y / z). Distortion takes it
 to the place where the lens puts it, in the same units; focal length and principal point come after (`camera.py`).
@@ -24,7 +24,7 @@ Columns = tuple[FloatArray, FloatArray]
 
 
 class Lens(Protocol):
-    """Directions to the image plane and back; arrays of one column each, (N,)."""
+    """Lens: directions to the image plane and back; arrays of one column each, (N,)."""
 
     def project(self, x: FloatArray, y: FloatArray, z: FloatArray) -> Columns:
         """Camera axes in any unit to distorted (u, v); NaN where the lens cannot see."""
@@ -107,7 +107,7 @@ class Perspective:
 
 
 class NoDistortion(Perspective):
-    """An ideal lens."""
+    """Ideal lens, without distortion."""
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, NoDistortion)
@@ -137,7 +137,7 @@ def fold_radius(
     tangential: float = 0.0,
     prism: tuple[float, float] = (0.0, 0.0),
 ) -> float:
-    """Ideal radius R from which a distortion is continued linearly.
+    """Fold radius: ideal radius R from which a distortion is continued linearly.
 
     The distorted point, projected on the ray of the ideal one, is ρ(r) = r·N(r²)/D(r²) plus at worst −3·t·r² from
     tangential terms (t = √(p1² + p2²), since their part along the ray is 3·(p2·x + p1·y)·r²) and −(a·r² + b·r⁴) from
@@ -163,6 +163,7 @@ def fold_radius(
     loss = np.array([4.0 * prism[1], 0.0, 6.0 * tangential + 2.0 * prism[0], 0.0])
     turn = _first_root(np.polysub(slope, np.polymul(loss, square)))
     pole = _first_root(d)
+    # At a pole the distortion is infinite: the continuation starts a hundredth before it.
     if pole < turn:
         return 0.99 * pole
     if not np.isfinite(turn):

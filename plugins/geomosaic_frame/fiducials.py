@@ -28,7 +28,28 @@ Pairs = tuple[FloatArray, FloatArray]
 
 
 def read_marks(given: Any, known: Mapping[str, tuple[float, float]], size: tuple[int, int], where: str) -> list[str]:
-    """Marks of a table {mark: [col, row]} that the certificate has too, in the certificate's order."""
+    """Names of the fiducials measured, in the certificate's order.
+
+    Parameters
+    ----------
+    given : object
+        Table {mark: [col, row]} in pixels of the scan.
+    known : mapping
+        Marks of the certificate, (x, y) in mm.
+    size : tuple of int
+        Width and height of the scan in pixels.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    list of str
+
+    Raises
+    ------
+    InputError
+        A mark is not in the certificate, or lies outside the image.
+    """
     table = table_of(given, "fiducials", where)
     for name, place in table.items():
         if str(name) not in known:
@@ -114,6 +135,7 @@ def orient(
 
 
 def _in_line(points: FloatArray, kind: str) -> bool:
+    """Whether points are too few or too close to a line (1 : 1000) for a kind of orientation."""
     if len(points) < 2:
         return True
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
@@ -225,7 +247,28 @@ def _warn_of_rotated_numbers(
 
 
 def film_camera(table: Mapping[str, Any], request: SensorRequest, where: str) -> tuple[FilmCamera, list[str]]:
-    """Certificate and measured marks to a camera of this scan, and what was done to it."""
+    """Film camera of a scan, from a calibration certificate and the fiducials measured in it.
+
+    Parameters
+    ----------
+    table : mapping
+        Calibration certificate, as in `camera.toml`.
+    request : SensorRequest
+        Size of the scan in pixels; the options `fiducials`, `interior`, `mirrored`.
+    where : str
+        Named in errors about the certificate.
+
+    Returns
+    -------
+    camera : FilmCamera
+    notes : list of str
+        Interior orientation and what was assumed.
+
+    Raises
+    ------
+    InputError
+        The certificate is not complete, or the fiducials do not fit it.
+    """
     certificate = read_certificate(table, where)
     options = request.options
     text = "the fiducials measured in this scan, mark = [col, row] in pixels, for the interior orientation"

@@ -3,8 +3,8 @@
     θ = angle from the axis,  θ_d = θ·(1 + k1·θ² + k2·θ⁴ + k3·θ⁶ + k4·θ⁸),  (u, v) = θ_d · (x, y) / √(x² + y²)
 
 (Kannala and Brandt 2006.) Angles of 90 degrees and more are seen. Beyond the angle where the polynomial would turn it
-goes on linearly (`fold.py`); beyond what the image can show, with a margin, directions are not seen at all, so that
-nothing right behind the camera is taken for a neighbour of everything around it.
+goes on linearly (`distortion.fold_radius`); beyond what the image can show, with a margin, directions are not seen at
+all, so that nothing right behind the camera is taken for a neighbour of everything around it.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from geomosaic.types import BoolArray, FloatArray
 from geomosaic_frame.distortion import Columns, fold_radius
 
+# Right behind the camera a direction has no azimuth, and all around it would fall on one ring of the image.
 WIDEST = float(np.radians(179.0))
 ROUNDS = 50
 TABLE = 257

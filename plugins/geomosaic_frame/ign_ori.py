@@ -36,6 +36,18 @@ Photo = tuple[str, dict[str, Any], dict[str, Any]]
 def read_ori(data: bytes, where: str) -> Photo:
     """Camera and orientation of one photo.
 
+    Parameters
+    ----------
+    data : bytes
+        Whole file.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    tuple
+        Name of the image, camera table, orientation row.
+
     Raises
     ------
     InputError

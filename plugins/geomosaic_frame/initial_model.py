@@ -51,7 +51,19 @@ def _sigmas(options: Mapping[str, Any], where: str) -> FloatArray:
 
 
 def allows_any_view(crs: CRS, options: Mapping[str, Any], where: str) -> bool:
-    """Whether a photo may look above the horizon: it is told so, or its frame has none."""
+    """Whether a photo may look above the horizon: the option `upwards` says so, or its frame has no horizon.
+
+    Parameters
+    ----------
+    crs : CRS
+    options : mapping
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    bool
+    """
     return is_free(crs) or flag(options, "upwards", where)
 
 
@@ -65,7 +77,38 @@ def frame_model(
     bending: RayCorrection,
     where: str,
 ) -> FrameModel:
-    """Frame model at a place; a photo that looks at the sky is an error."""
+    """Frame model of a photo at a place, with seed and parameter steps.
+
+    Parameters
+    ----------
+    camera : CameraModel
+    place : Place
+        Frame and rotation of the photo.
+    crs : CRS
+        3-D, of the position.
+    ground : float, optional
+        Height of the ground in the unit and vertical datum of `crs`.
+    options : mapping
+        With the a-priori `sigmas`, `upwards` and `points`.
+    notes : tuple of str
+        What was assumed so far.
+    bending : RayCorrection
+        Refraction and curvature.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    FrameModel
+        Position in the frame's unit, angles in degrees; steps of about a pixel.
+
+    Raises
+    ------
+    SkyError
+        The photo looks at the sky and may not.
+    InputError
+        The sigmas are wrong.
+    """
     anywhere = allows_any_view(crs, options, where)
     if anywhere:
         # Omega, phi and kappa have no value where a camera looks along x: they count from the attitude given.
@@ -133,6 +176,7 @@ def _ground_ahead(
     if ground is None:
         ground = 0.0 if height * unit > 1.0 else height - GUESSED_HEIGHT / unit
     above = (height - ground) * unit
+    # A ray that hardly goes down would meet the ground behind the horizon, where no search should start.
     distance = min(above / dip, FARTHEST * above)
     for _ in range(8):
         here = to_level((origin + distance * direction)[None])[0, 2]

@@ -139,7 +139,17 @@ def _design(kind: str, p: FloatArray, matrix: FloatArray, mirrored: bool) -> Flo
 
 
 def apply(matrix: FloatArray, xy: FloatArray) -> FloatArray:
-    """Homography (3, 3) of points (N, 2)."""
+    """Points mapped by a homography.
+
+    Parameters
+    ----------
+    matrix : array (3, 3)
+    xy : array (N, 2)
+
+    Returns
+    -------
+    array (N, 2)
+    """
     x, y = np.asarray(xy, dtype=np.float64).T
     # Written out instead of a matrix product: BLAS may round a point differently from one array length to the next.
     a, b, c = (row[0] * x + row[1] * y + row[2] for row in matrix)

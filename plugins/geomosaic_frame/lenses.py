@@ -190,7 +190,17 @@ def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -
 
 
 def lens_from_dict(state: Mapping[str, Any]) -> Lens:
-    """Lens of a saved state."""
+    """Lens of a saved state.
+
+    Parameters
+    ----------
+    state : mapping
+        As `to_dict` of the lens gives it.
+
+    Returns
+    -------
+    Lens
+    """
     if state["model"] == "corrections":
         formula = {key: value for key, value in state["formula"].items() if key != "model"}
         from geomosaic_frame.radial_tables import Corrections

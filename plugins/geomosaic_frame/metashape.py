@@ -38,7 +38,14 @@ CALIBRATION = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", 
 
 @lru_cache(maxsize=4)
 def read_metashape(data: bytes, where: str) -> Cameras:
-    """Oriented cameras of an XML export.
+    """Oriented cameras of Metashape's XML export.
+
+    Parameters
+    ----------
+    data : bytes
+        Whole file.
+    where : str
+        Named in errors.
 
     Returns
     -------
@@ -153,7 +160,19 @@ AGREE = 1e-4
 
 @lru_cache(maxsize=4)
 def read_metashape_text(text: str, where: str) -> dict[str, dict[str, Any]]:
-    """Orientation rows of a text export, by the camera's label.
+    """Orientation rows of Metashape's text export.
+
+    Parameters
+    ----------
+    text : str
+        Whole file.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    dict
+        Camera label → orientation row.
 
     Raises
     ------

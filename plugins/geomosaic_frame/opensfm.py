@@ -21,10 +21,26 @@ _COEFFICIENTS = {
 
 
 def camera_table(camera: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Table as of `camera.toml` from an OpenSfM camera.
+    """Camera table, as in `camera.toml`, of an OpenSfM camera.
 
     Focal length and principal point are given there in units of the longer side; the principal point counts from the
     image's centre, y down.
+
+    Parameters
+    ----------
+    camera : mapping
+        Entry of `cameras` in a reconstruction.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    InputError
+        The camera is of another type, or lacks a value.
     """
     kind = str(need(camera, "projection_type", where, "the camera's kind"))
     if kind not in _COEFFICIENTS:

@@ -85,6 +85,22 @@ class AngleSystem:
 def angles(row: Mapping[str, Any], names: tuple[str, ...], unit: str, where: str) -> list[float]:
     """Angles of a row in radians.
 
+    Parameters
+    ----------
+    row : mapping
+        Orientation row.
+    names : tuple of str
+        Of the angles.
+    unit : str
+        A key of `FULL_CIRCLE`.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    list of float
+        In the order of `names`.
+
     Raises
     ------
     InputError

@@ -189,7 +189,29 @@ READERS: Mapping[str, Callable[[Path, str, str], Tables]] = {
 
 
 def entry_of_image(table: Mapping[str, Any], image: str, path: Path, where: str) -> Any:
-    """Entry of an image, by its name without folder, with or without extension."""
+    """Entry of an image, by its name without folder, with or without extension.
+
+    Parameters
+    ----------
+    table : mapping
+        By name of the image, possibly with folders.
+    image : str
+        Image to look for.
+    path : Path
+        File of the table, for errors.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    object
+        Value of the table.
+
+    Raises
+    ------
+    InputError
+        The table has no such image.
+    """
     bare = Path(image).stem
     name = next(
         (key for key in table if Path(key).name == image),

@@ -37,7 +37,20 @@ Cameras = dict[str, tuple[dict[str, Any], dict[str, Any]]]
 
 
 def offset_file(path: Path, ending: str) -> Path | None:
-    """Another file of the same project, named alike but for its ending."""
+    """Another file of the same project, of the same name but for its ending.
+
+    Parameters
+    ----------
+    path : Path
+        File whose name ends with `PARAMETERS` or `PMATRIX`.
+    ending : str
+        Such as `OFFSET`.
+
+    Returns
+    -------
+    Path or None
+        None where it is not there.
+    """
     own = next((name for name in (PARAMETERS, PMATRIX) if path.name.endswith(name)), None)
     if own is None:
         return None
@@ -46,7 +59,25 @@ def offset_file(path: Path, ending: str) -> Path | None:
 
 
 def read_offset(text: str, where: str) -> tuple[float, ...]:
-    """Three numbers of `..._offset.xyz`."""
+    """Offset of the project's positions, from `..._offset.xyz`.
+
+    Parameters
+    ----------
+    text : str
+        Whole file.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    tuple of float
+        x, y, z in the map of the project.
+
+    Raises
+    ------
+    InputError
+        The text is not three numbers.
+    """
     return tuple(_numbers(text, 3, "the offset", where))
 
 
@@ -117,7 +148,27 @@ def read_pix4d(text: str, offset: tuple[float, ...] | None, where: str) -> Camer
 
 @lru_cache(maxsize=4)
 def read_pmatrix(text: str, offset: tuple[float, ...] | None, where: str) -> Cameras:
-    """Projection matrices of all undistorted images; see `read_pix4d`."""
+    """Cameras and orientations of all undistorted images, from their projection matrices.
+
+    Parameters
+    ----------
+    text : str
+        Whole file.
+    offset : tuple of float or None
+        To be added to the positions.
+    where : str
+        File.
+
+    Returns
+    -------
+    dict
+        Name → camera table and orientation row.
+
+    Raises
+    ------
+    InputError
+        A line is not a name and 12 numbers; names the line.
+    """
     found: Cameras = {}
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip():
@@ -125,6 +176,7 @@ def read_pmatrix(text: str, offset: tuple[float, ...] | None, where: str) -> Cam
         words = line.rsplit(maxsplit=12)
         at = f"{where}, line {number}"
         p = np.array(_numbers(" ".join(words[1:]), 12, f"the matrix of '{words[0][:60]}'", at)).reshape(3, 4)
+        # P is known up to a factor: with det(K·R) > 0, R is a rotation and not a reflection.
         p = p * np.sign(np.linalg.det(p[:, :3]))
         # A = K·R with K upper triangular: QR of the rows and columns in reverse.
         q, r = np.linalg.qr(p[::-1, :3].T)

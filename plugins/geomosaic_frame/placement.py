@@ -42,7 +42,19 @@ class Place:
 
 
 def convergence(crs: CRS, position: FloatArray) -> float:
-    """Azimuth of grid north from true north in radians, clockwise; 0 for coordinates that are no map."""
+    """Meridian convergence: azimuth of grid north from true north.
+
+    Parameters
+    ----------
+    crs : CRS
+    position : array (2,) or (3,)
+        In `crs`.
+
+    Returns
+    -------
+    float
+        Radians, clockwise; 0 for coordinates that are no map.
+    """
     if not horizontal(crs).is_projected:
         return 0.0
     return float(np.radians(map_place(crs, position[0], position[1]).convergence))
@@ -74,6 +86,21 @@ def rigorous(crs: CRS, position: FloatArray, attitude: Attitude, where: str) -> 
 def planar(crs: CRS, position: FloatArray, attitude: Attitude, where: str) -> Place:
     """Place on a map taken for a flat Earth: the textbook treatment, wrong by the map's and the Earth's curvature.
 
+    Parameters
+    ----------
+    crs : CRS
+        Map, with one unit for all axes.
+    position : array (3,)
+        In `crs`.
+    attitude : Attitude
+        In 'grid' or 'local'.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    Place
+
     Raises
     ------
     InputError
@@ -97,7 +124,26 @@ def planar(crs: CRS, position: FloatArray, attitude: Attitude, where: str) -> Pl
 
 
 def local_frame(crs: CRS, position: FloatArray, where: str) -> LocalFrame:
-    """East, north, up at a position; errors name the image."""
+    """Local frame east, north, up at a position.
+
+    Parameters
+    ----------
+    crs : CRS
+        3-D.
+    position : array (3,)
+        In `crs`.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    LocalFrame
+
+    Raises
+    ------
+    InputError
+        The position lies outside the CRS or its geoid; names the image.
+    """
     try:
         frame = LocalFrame.at(crs, position)
     except InputError as error:
@@ -137,7 +183,29 @@ def from_topocentric(crs: CRS, reference: FloatArray, attitude: Attitude, where:
 
 
 def from_geocentric(crs: CRS, attitude: Attitude, where: str) -> tuple[FloatArray, Attitude]:
-    """Position in `crs` (3,) and attitude in 'local' of a photo oriented in geocentric axes."""
+    """Position and attitude of a photo oriented in geocentric axes.
+
+    Parameters
+    ----------
+    crs : CRS
+        3-D, of the result.
+    attitude : Attitude
+        With its position in geocentric metres.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    position : array (3,)
+        In `crs`.
+    attitude : Attitude
+        In 'local'.
+
+    Raises
+    ------
+    InputError
+        There is no position, or it is far from the Earth's surface.
+    """
     if attitude.position is None:
         raise InputError("the orientation has no position", where=where)
     earth = attitude.crs or geocentric(crs)
@@ -154,7 +222,31 @@ def from_geocentric(crs: CRS, attitude: Attitude, where: str) -> tuple[FloatArra
 
 
 def from_offset(crs: CRS, reference: FloatArray, attitude: Attitude, where: str) -> tuple[FloatArray, Attitude]:
-    """Position in `crs` and attitude in 'grid' of a photo oriented in map axes about a reference (3,) in `crs`."""
+    """Position and attitude of a photo oriented in map axes about a reference point.
+
+    Parameters
+    ----------
+    crs : CRS
+        Map.
+    reference : array (3,)
+        In `crs`.
+    attitude : Attitude
+        With its position relative to the reference.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    position : array (3,)
+        In `crs`.
+    attitude : Attitude
+        In 'grid'.
+
+    Raises
+    ------
+    InputError
+        There is no position, or the CRS is no map.
+    """
     if attitude.position is None:
         raise InputError("the orientation has no position", where=where)
     if not horizontal(crs).is_projected:
@@ -167,7 +259,19 @@ def from_offset(crs: CRS, reference: FloatArray, attitude: Attitude, where: str)
 
 
 def of_longitude_latitude(crs: CRS, lla: FloatArray) -> FloatArray:
-    """Longitude, latitude in degrees on the datum of `crs`, and altitude in its vertical datum, as a point of `crs`."""
+    """Point of a CRS from longitude, latitude and altitude.
+
+    Parameters
+    ----------
+    crs : CRS
+    lla : array (3,)
+        Longitude, latitude in degrees on the datum of `crs`, altitude in its vertical datum.
+
+    Returns
+    -------
+    array (3,)
+        In `crs`.
+    """
     if crs.is_geocentric:
         point: FloatArray = Transform(geographic(crs), crs)(lla[None])[0]
         return point
@@ -181,8 +285,29 @@ def of_longitude_latitude(crs: CRS, lla: FloatArray) -> FloatArray:
 def undo_linear_alteration(crs: CRS, position: FloatArray, ground_height: float, where: str) -> FloatArray:
     """True height of a projection centre whose height above ground was multiplied by the grid scale k.
 
-    Z = (Z' − h)/k + h, with h the mean height of the ground under the photo, in the vertical datum of `crs`. Producers
-    that adjust in map coordinates stretch flying heights like this, so that planimetric and vertical scale agree.
+    Z = (Z' − h)/k + h, with h the mean height of the ground under the photo. Producers that adjust in map coordinates
+    stretch flying heights like this, so that planimetric and vertical scale agree.
+
+    Parameters
+    ----------
+    crs : CRS
+        Map.
+    position : array (3,)
+        Projection centre, in `crs`.
+    ground_height : float
+        h, in the vertical datum of `crs`.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    array (3,)
+        Position with its true height.
+
+    Raises
+    ------
+    InputError
+        The CRS is no map.
     """
     if not horizontal(crs).is_projected:
         raise InputError("scale_correction is about maps, but the positions are in no map CRS", where=where)
@@ -194,17 +319,23 @@ def undo_linear_alteration(crs: CRS, position: FloatArray, ground_height: float,
 
 
 def need_heights(crs: CRS, position: FloatArray, reach: float, where: str) -> None:
-    """Refuse heights whose vertical datum nobody declared.
+    """Check that the heights of a CRS have a vertical datum.
 
     Parameters
     ----------
     crs : CRS
         Of the position.
     position : array (3,)
+        In `crs`.
     reach : float
         Pixels from the image's centre to its corner.
     where : str
         Named in the error, with what a wrong guess would cost in metres and pixels.
+
+    Raises
+    ------
+    HeightDatumError
+        They have none.
     """
     if has_heights(crs):
         return

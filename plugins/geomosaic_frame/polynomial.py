@@ -5,9 +5,9 @@
     N = 1 + k1·r² + k2·r⁴ + k3·r⁶,   D = 1 + k4·r² + k5·r⁴ + k6·r⁶
 
 x right, y down, ideal; u, v distorted (Brown 1966; OpenCV `calib3d`, whose p1 goes with 2xy in u; OpenSfM `brown` is
-the same with D = 1 and s = 0). Beyond the fold radius R (`fold.py`) all terms go on linearly along the ray: with r =
-|(x, y)|, ρ(r) = r·N/D becomes ρ(R) + ρ'(R)·(r − R), terms of degree two are multiplied by R·(2r − R)/r², and those of
-degree four by R³·(4r − 3R)/r⁴.
+the same with D = 1 and s = 0). Beyond the fold radius R (`distortion.fold_radius`) all terms go on linearly along the
+ray: with r = |(x, y)|, ρ(r) = r·N/D becomes ρ(R) + ρ'(R)·(r − R), terms of degree two are multiplied by
+R·(2r − R)/r², and those of degree four by R³·(4r − 3R)/r⁴.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def _series_slope(u: FloatArray | float, c: tuple[float, ...]) -> Any:
 
 
 class PolynomialLens(Perspective):
-    """The formulas above for any of its coefficient sets."""
+    """Polynomial lens distortion: the formulas of this module for any of its coefficient sets."""
 
     model: str
     fold: float
@@ -72,6 +72,7 @@ class PolynomialLens(Perspective):
         }
         for name, value in derived.items():
             object.__setattr__(self, name, value)
+        # Tangential terms shorten the radius by 3·t·r² at worst: within the edge the polynomial holds in all directions.
         loss = 3.0 * t * fold**2 if np.isfinite(fold) else 0.0
         object.__setattr__(self, "edge", float(fold * self._factor(fold**2)) - loss if np.isfinite(fold) else np.inf)
 
@@ -159,6 +160,7 @@ class PolynomialLens(Perspective):
             last *= 2.0
         last = min(last, self.fold)
         r = np.linspace(0.0, last, TABLE)
+        # From the radial inverse Newton's method stays on the branch inside the fold; from (u, v) it may leave it.
         ideal = np.interp(rho, r * self._factor(r * r), r)
         if np.isfinite(self.fold):
             end, slope = self._end

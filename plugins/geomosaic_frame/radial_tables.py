@@ -36,7 +36,7 @@ class Radial(Protocol):
 
 @dataclass(frozen=True)
 class RadialTable:
-    """Corrections at radii, with a cubic spline between them.
+    """Radial distortion at tabulated radii, with a cubic spline between them.
 
     The spline is odd, g(−r) = −g(r), as the correction of a lens is, and natural at the last radius.
 
@@ -89,7 +89,7 @@ class RadialTable:
 
 @dataclass(frozen=True)
 class RadialPolynomial:
-    """g(r) = k0·r + k1·r³ + k2·r⁵ + ...
+    """Radial distortion g(r) = k0·r + k1·r³ + k2·r⁵ + ..., in mm.
 
     Attributes
     ----------
@@ -130,7 +130,17 @@ class RadialPolynomial:
 
 
 def radial_from_dict(state: Mapping[str, Any]) -> Radial:
-    """Value of a state, as `to_dict` gives it."""
+    """Radial distortion of a saved state.
+
+    Parameters
+    ----------
+    state : mapping
+        As `to_dict` of a table or polynomial gives it.
+
+    Returns
+    -------
+    Radial
+    """
     if state["kind"] == "table":
         return RadialTable(tuple(state["radii"]), tuple(state["values"]))
     return RadialPolynomial(tuple(state["k"]))

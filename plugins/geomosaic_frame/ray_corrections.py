@@ -47,13 +47,18 @@ STEEPEST = float(np.tan(np.radians(80.0)) ** 2)
 
 
 def refraction_constant(height: float, ground: float) -> float:
-    """K of the standard atmosphere in radians: the angle by which a ray 45° from the nadir is seen too far out.
+    """Refraction constant K of the standard atmosphere: angle by which a ray 45° from the nadir is seen too far out.
 
     Parameters
     ----------
     height, ground : float
         Of camera and ground above sea level in metres, up to 20 km. Heights above the ellipsoid do as well: 50 m are
         0.5 µrad at most.
+
+    Returns
+    -------
+    float
+        Radians.
     """
     (above, density), (below, _) = _atmosphere(height), _atmosphere(ground)
     return GLADSTONE_DALE * ((below - above) / (GRAVITY * (height - ground)) - density)
@@ -67,7 +72,7 @@ def _atmosphere(height: float) -> tuple[float, float]:
 
 
 def refraction_shift(radius: FloatArray, constant: float, height: float, ground: float) -> FloatArray:
-    """By how much refraction moves a point of a vertical photo outwards, in micrometres.
+    """Radial displacement by refraction in a vertical photo, Δr = K·(r + r³/c²), outwards.
 
     Parameters
     ----------
@@ -77,6 +82,11 @@ def refraction_shift(radius: FloatArray, constant: float, height: float, ground:
         Camera constant in mm.
     height, ground : float
         Of camera and ground above sea level in metres.
+
+    Returns
+    -------
+    array
+        Micrometres, of the shape of `radius`.
     """
     r = np.asarray(radius, dtype=np.float64)
     shift: FloatArray = 1000.0 * refraction_constant(height, ground) * (r + r**3 / constant**2)
@@ -84,7 +94,7 @@ def refraction_shift(radius: FloatArray, constant: float, height: float, ground:
 
 
 def curvature_shift(radius: FloatArray, constant: float, above: float, earth: float) -> FloatArray:
-    """By how much the Earth's curvature moves a point of a vertical photo inwards, in micrometres.
+    """Radial displacement by the Earth's curvature in a vertical photo, Δr = (H − h)·r³ / (2·R·c²), inwards.
 
     Parameters
     ----------
@@ -96,6 +106,11 @@ def curvature_shift(radius: FloatArray, constant: float, above: float, earth: fl
         Flying height above ground in metres.
     earth : float
         Radius of the Earth in metres.
+
+    Returns
+    -------
+    array
+        Micrometres, of the shape of `radius`.
     """
     r = np.asarray(radius, dtype=np.float64)
     shift: FloatArray = 1000.0 * above * r**3 / (2.0 * earth * constant**2)
@@ -251,7 +266,25 @@ def requested_correction(
 def omitted_corrections(
     camera: CameraModel, crs: CRS, position: FloatArray, ground: float | None, treatment: str
 ) -> list[str]:
-    """Notes on corrections that were not asked for and would be half a pixel or more."""
+    """Notes on corrections that are not applied and would move the corners by half a pixel or more.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        Only film cameras are judged.
+    crs : CRS
+        Of the position.
+    position : array (3,)
+        Projection centre, in `crs`.
+    ground : float, optional
+        Height of the ground in the unit and vertical datum of `crs`; no notes without it.
+    treatment : str
+        'rigorous' or 'planar'; curvature matters for the latter only.
+
+    Returns
+    -------
+    list of str
+    """
     if ground is None or is_free(crs) or isinstance(camera, Camera):
         return []
     from geomosaic_frame.film import FilmCamera
@@ -275,7 +308,20 @@ def omitted_corrections(
 
 
 def earth_radius(crs: CRS, position: FloatArray) -> float:
-    """Gauss's mean radius of curvature of the ellipsoid at a place, in metres."""
+    """Gaussian mean radius of curvature of the ellipsoid, b / (1 − e²·sin²φ).
+
+    Parameters
+    ----------
+    crs : CRS
+        With the ellipsoid; WGS 84's where it has none.
+    position : array (2,) or (3,)
+        In `crs`.
+
+    Returns
+    -------
+    float
+        Metres.
+    """
     ellipsoid = crs.ellipsoid
     a, b = (ellipsoid.semi_major_metre, ellipsoid.semi_minor_metre) if ellipsoid else (6378137.0, 6356752.3)
     latitude = np.radians(map_place(horizontal(crs), position[0], position[1]).latitude)

@@ -35,7 +35,29 @@ NEAR = 0.1
 
 
 def read_points(given: Any, where: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Ground (N, 3), image (N, 2) and sigmas (N,) of a list of tables."""
+    """Control points of a list of tables.
+
+    Parameters
+    ----------
+    given : object
+        Tables with x, y, z, col, row and, optionally, id and sigma (pixels, 1 unless given).
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    ground : array (N, 3)
+        In the CRS of the request.
+    image : array (N, 2)
+        col, row in pixels.
+    sigmas : array (N,)
+        Pixels.
+
+    Raises
+    ------
+    InputError
+        It is no list of tables, a value is missing or no number, or there are fewer than three points.
+    """
     if isinstance(given, str) or not isinstance(given, Sequence):
         raise SensorInputError(f"points = {given!r} is not a list of tables", name="points", where=where)
     rows = []

@@ -47,7 +47,17 @@ OF_KIND = {
 
 
 def build_model(request: SensorRequest) -> PanoramicModel | RelativeStrip:
-    """Model of one image or strip.
+    """Model of a panoramic image or scanned strip.
+
+    Parameters
+    ----------
+    request : SensorRequest
+        Size in pixels, 3-D CRS of position or track, and the options of the sensor.
+
+    Returns
+    -------
+    PanoramicModel or RelativeStrip
+        The latter where the option `relative` is true: a strip without a place.
 
     Raises
     ------
@@ -153,6 +163,7 @@ def _placed(request: SensorRequest) -> PanoramicModel:
 
 
 def _scan(kind: str, request: SensorRequest) -> Scan:
+    """Scan of the options: kind, size, side of the columns, sweeps."""
     where, options = request.image, request.options
     side = 1 if word(options, "columns", ("right", "left"), where, "right") == "right" else -1
     lines = number(options, "lines_per_sweep", where, 16.0)
@@ -202,6 +213,7 @@ def _table(request: SensorRequest, periods: float) -> tuple[np.ndarray | None, n
 
 
 def _field(options: Mapping[str, Any], kind: str, where: str) -> float:
+    """Field of view of the option, degrees."""
     field = number(options, "field_of_view", where)
     # A scanner's ground cells grow with sec² of the angle and have no end at 90 degrees to the side.
     limit = 180.0 if kind == "panoramic" else 170.0
@@ -239,7 +251,7 @@ def _inner(options: Mapping[str, Any], kind: str, beta: float, where: str) -> li
 
 
 def _seen(model: PanoramicModel, above: float) -> PanoramicModel:
-    """The model with a seed in the middle of the image: where its line of sight comes down by the height."""
+    """Model with its seed on the centre ray of the image, where that comes down by the height above ground."""
     row = model.size[1] / 2
     if model.scan.kind == "sweeps":  # in the middle of a sweep: at its border there are no derivatives
         row = (np.floor(row / model.scan.sweeps.lines) + 0.5) * model.scan.sweeps.lines
@@ -254,7 +266,10 @@ def _seen(model: PanoramicModel, above: float) -> PanoramicModel:
 
 
 def _parameters(kind: str, scan: Scan, values: np.ndarray, above: float) -> Parameters:
-    """Steps move the image by about a pixel; the inside and the rates are held unless an adjustment frees them."""
+    """Parameters with steps of about a pixel in the image.
+
+    Field of view, focal length, image motion and the rates are held fixed unless an adjustment frees them.
+    """
     beta, size = math.radians(values[12]), scan.size
     pixel, reach = above * beta, max(1.0, scan.periods / 2) if kind != "panoramic" else 0.5
     angle = math.degrees(beta)

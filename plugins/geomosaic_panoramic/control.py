@@ -37,7 +37,7 @@ MEASURED = {"position": 1.0, "speed": 0.0, "angles": 0.5, "rates": 0.0}
 
 
 def adjusted(model: PanoramicModel, request: SensorRequest, crs: CRS, above: float) -> PanoramicModel:
-    """The model corrected by the control points of a request, where it has any.
+    """Model corrected by the control points of a request, where it has any.
 
     Parameters
     ----------
@@ -47,6 +47,10 @@ def adjusted(model: PanoramicModel, request: SensorRequest, crs: CRS, above: flo
         3-D, of the points.
     above : float
         Height of the position above the ground, metres.
+
+    Returns
+    -------
+    PanoramicModel
 
     Raises
     ------

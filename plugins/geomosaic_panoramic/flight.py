@@ -1,4 +1,4 @@
-"""Flights as they are declared: straight, by a table over time, or an orbit."""
+"""Flight paths as they are declared: straight, by a table over time, or an orbit."""
 
 from __future__ import annotations
 
@@ -24,19 +24,82 @@ TEXT = "see `geomosaic sensors panoramic`"
 
 
 def word(options: Mapping[str, Any], name: str, words: Sequence[str], where: str, default: str | None = None) -> str:
-    """Word out of a list of words."""
+    """Option that is one of a list of words.
+
+    Parameters
+    ----------
+    options : mapping
+    name : str
+        Of the option.
+    words : sequence of str
+    where : str
+        Named in errors.
+    default : str, optional
+        Where the option is not given; without it the option is needed.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        The option is missing, or another word.
+    """
     return read.choice(read.need({name: default, **options}, name, where, " or ".join(words)), words, name, where)
 
 
 def number(options: Mapping[str, Any], name: str, where: str, default: float | None = None) -> float:
-    """Finite number."""
+    """Option that is a finite number.
+
+    Parameters
+    ----------
+    options : mapping
+    name : str
+        Of the option.
+    where : str
+        Named in errors.
+    default : float, optional
+        Where the option is not given; without it the option is needed.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    InputError
+        The option is missing, or no number.
+    """
     return read.number(read.need({name: default, **options}, name, where, TEXT), name, where)
 
 
 def numbers(
     options: Mapping[str, Any], name: str, count: int, where: str, default: Sequence[float] | None = None
 ) -> tuple[float, ...]:
-    """List of `count` finite numbers."""
+    """Option that is a list of finite numbers.
+
+    Parameters
+    ----------
+    options : mapping
+    name : str
+        Of the option.
+    count : int
+        How many numbers.
+    where : str
+        Named in errors.
+    default : sequence of float, optional
+        Where the option is not given; without it the option is needed.
+
+    Returns
+    -------
+    tuple of float
+
+    Raises
+    ------
+    InputError
+        The option is missing, or not `count` numbers.
+    """
     return read.numbers(read.need({name: default, **options}, name, where, TEXT), count, name, where)
 
 
@@ -47,7 +110,19 @@ _UNIT = _FORWARD, _RIGHT, _DOWN
 
 
 def read_table(file: Path, where: str) -> np.ndarray:
-    """Rows of time (s), x, y, z, heading, pitch, roll (degrees) of a CSV file, (K, 7) in the order of time.
+    """Track of a CSV file, in the order of time.
+
+    Parameters
+    ----------
+    file : Path
+        With a header of the names `COLUMNS`, in any order; further columns are ignored.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    array (K, 7)
+        Time (s), x, y, z in the CRS of the track, heading, pitch, roll (degrees).
 
     Raises
     ------
@@ -79,7 +154,23 @@ def read_table(file: Path, where: str) -> np.ndarray:
 
 
 def require_cover(tau: np.ndarray, half: float, where: str) -> None:
-    """Refuse a track that is shorter than the image."""
+    """Check that a track is no shorter than the image.
+
+    Parameters
+    ----------
+    tau : array (K,)
+        Times in lines or sweeps from the middle of the image.
+    half : float
+        τ at the end of the image.
+    where : str
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        The track begins after the image, or ends before it.
+    """
+    # Times are divided by the period, so a track that ends with the image may miss it by rounding.
     if tau[0] > -half + 1e-9 or tau[-1] < half - 1e-9:
         raise InputError(
             f"the track covers {tau[0]:.1f} to {tau[-1]:.1f} lines or sweeps about the middle of the image, which "
@@ -90,22 +181,29 @@ def require_cover(tau: np.ndarray, half: float, where: str) -> None:
 
 
 def table_poses(table: np.ndarray, tau: np.ndarray, crs: CRS, frame: LocalFrame, *, grid: bool) -> Poses:
-    """Poses of a table in a frame.
+    """Poses of a track in a local frame.
 
     Parameters
     ----------
     table : array (K, 7)
         See `read_table`; positions in `crs`.
     tau : array (K,)
+        Times in lines or sweeps from the middle of the image.
     crs : CRS
         3-D.
     frame : LocalFrame
+        East, north, up at the middle of the image.
     grid : bool
         Whether headings count from grid north.
+
+    Returns
+    -------
+    Poses
     """
     heading, pitch, roll = np.radians(table[:, 4:]).T
     if grid and horizontal(crs).is_projected:
         chosen = np.unique(np.linspace(0, len(table) - 1, 50).astype(int))
+        # Convergence changes slowly along a flight: 50 places and a line between them are enough.
         turns = [map_place(crs, float(x), float(y)).convergence for x, y in table[chosen, 1:3]]
         heading = heading + np.radians(np.interp(np.arange(len(table)), chosen, turns))
     lonlat = Transform(crs, geographic(crs))(table[:, 1:4])
@@ -120,7 +218,27 @@ def table_poses(table: np.ndarray, tau: np.ndarray, crs: CRS, frame: LocalFrame,
 
 
 def declared_orbit(options: Mapping[str, Any], frame: LocalFrame, half: float, where: str) -> Poses:
-    """Poses of the orbit that the inputs `orbit` and `period` declare."""
+    """Poses of the circular orbit that the options `orbit` and `period` declare.
+
+    Parameters
+    ----------
+    options : mapping
+    frame : LocalFrame
+        At the satellite's position at the middle of the image.
+    half : float
+        τ at the end of the image, lines or sweeps.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    Poses
+
+    Raises
+    ------
+    InputError
+        An input is missing or wrong, or the orbit does not reach the latitude of the position.
+    """
     orbit = options["orbit"]
     if not isinstance(orbit, Mapping):
         raise SensorInputError(
@@ -151,7 +269,31 @@ ODD = 20.0
 
 
 def straight_motion(options: Mapping[str, Any], kind: str, above: float, turn: float, where: str) -> np.ndarray:
-    """East, north, up, speeds, attitude and rates of a straight flight (12,); metres and degrees."""
+    """Parameters of a straight flight.
+
+    Parameters
+    ----------
+    options : mapping
+        Heading and course in degrees, advance in metres or v_over_h, climb, pitch, roll, rates.
+    kind : str
+        Of the scan, a key of `PER_STEP`.
+    above : float
+        Height above ground, metres.
+    turn : float
+        Meridian convergence in degrees, added to heading and course where these count from grid north.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    array (12,)
+        East, north, up (metres), their speeds (metres per line or sweep), heading, pitch, roll (degrees), their rates.
+
+    Raises
+    ------
+    InputError
+        An input is missing or wrong.
+    """
     heading = number(options, "heading", where) + turn
     course = math.radians(number(options, "course", where, heading - turn) + turn)
     advance = _advance(options, kind, above, where)
@@ -166,6 +308,7 @@ def straight_motion(options: Mapping[str, Any], kind: str, above: float, turn: f
 
 
 def _advance(options: Mapping[str, Any], kind: str, above: float, where: str) -> float:
+    """Advance in metres per line or sweep, given as such or as v/h times the height above ground."""
     if "advance" in options and "v_over_h" in options:
         raise SensorInputError(
             "advance and v_over_h are given together", name="advance", where=where, hint="give one of them"
@@ -196,7 +339,15 @@ def _advance(options: Mapping[str, Any], kind: str, above: float, where: str) ->
 
 
 def warn_of_cell_shape(along: float, across: float, where: str) -> None:
-    """Warn of ground cells, metres below the scanner, so far from square that an angle must be in another unit."""
+    """Warning about ground cells so far from square that an angle must be in another unit.
+
+    Parameters
+    ----------
+    along, across : float
+        Size of a pixel below the scanner in metres.
+    where : str
+        Named in the warning.
+    """
     if not 1.0 / ODD <= along / across <= ODD:
         warnings.warn(
             f"{where}: below the scanner a pixel is {across:.3g} m across and {along:.3g} m along the flight; is "

@@ -1,4 +1,4 @@
-"""A satellite's circular orbit over the turning Earth, as poses.
+"""Circular orbit of a satellite over the turning Earth, as poses.
 
 In inertial axes the satellite runs on a circle of radius r with the angular speed n = √(GM / r³). At latitude φ of a
 sphere the azimuth of that motion is asin(cos i / cos φ) for inclination i, measured at the ascending pass (Vallado,
@@ -28,7 +28,23 @@ STEP = 0.25
 
 
 def inertial_azimuth(inclination: float, latitude: float, *, ascending: bool) -> float:
-    """Direction of the inertial motion, clockwise from north; all angles in radians, the latitude geocentric.
+    """Azimuth of the inertial motion on a circular orbit.
+
+    asin(cos i / cos φ), see the head of this module.
+
+    Parameters
+    ----------
+    inclination : float
+        Radians.
+    latitude : float
+        Geocentric, radians.
+    ascending : bool
+        Whether the satellite flies north.
+
+    Returns
+    -------
+    float
+        Radians, clockwise from north.
 
     Raises
     ------
@@ -46,12 +62,23 @@ def inertial_azimuth(inclination: float, latitude: float, *, ascending: bool) ->
 
 
 def angular_speed(radius: float) -> float:
-    """Angular speed on a circular orbit, rad/s; the radius in metres."""
+    """Angular speed on a circular orbit, √(GM / r³).
+
+    Parameters
+    ----------
+    radius : float
+        Metres from the Earth's centre.
+
+    Returns
+    -------
+    float
+        Radians per second.
+    """
     return math.sqrt(GM / radius**3)
 
 
 def orbit_poses(frame: LocalFrame, inclination: float, ascending: bool, seconds: float, half: float) -> Poses:
-    """Poses of a satellite that is at the origin of a frame at τ = 0.
+    """Poses of a satellite on a circular orbit through the origin of a frame at τ = 0.
 
     Parameters
     ----------
@@ -64,6 +91,15 @@ def orbit_poses(frame: LocalFrame, inclination: float, ascending: bool, seconds:
         Of one unit of τ.
     half : float
         τ at the end of the image; the poses reach a tenth beyond.
+
+    Returns
+    -------
+    Poses
+
+    Raises
+    ------
+    InputError
+        The orbit does not reach the latitude of the frame.
     """
     start = frame.origin
     radius = float(np.linalg.norm(start))
@@ -89,6 +125,6 @@ def orbit_poses(frame: LocalFrame, inclination: float, ascending: bool, seconds:
 
 
 def _turned(xyz: FloatArray, angle: FloatArray) -> FloatArray:
-    """Vectors (N, 3) about the Earth's axis by angles (N,): inertial to Earth-fixed where the angle is −ω·t."""
+    """Vectors (N, 3) rotated about the Earth's axis by angles (N,): inertial to Earth-fixed where the angle is −ω·t."""
     c, s = np.cos(angle), np.sin(angle)
     return np.column_stack([c * xyz[:, 0] - s * xyz[:, 1], s * xyz[:, 0] + c * xyz[:, 1], xyz[:, 2]])
