@@ -72,7 +72,7 @@ class PolynomialLens(Perspective):
         }
         for name, value in derived.items():
             object.__setattr__(self, name, value)
-        # Tangential terms shorten the radius by 3·t·r² at worst: within the edge the polynomial holds in all directions.
+        # Tangential terms shorten the radius by 3·t·r² at worst: within `edge` the polynomial holds all around.
         loss = 3.0 * t * fold**2 if np.isfinite(fold) else 0.0
         object.__setattr__(self, "edge", float(fold * self._factor(fold**2)) - loss if np.isfinite(fold) else np.inf)
 
