@@ -128,6 +128,7 @@ def against_reference(
             both = there & seen
             moved = match(sampled[..., :bands], values[..., :bands], both, tile, reach)
             found.append(replace(moved, places=moved.places + np.array([0.0, start * tile])))
+            # Strips overlap by the margins of matching; each row counts once for the colours.
             new = slice(None) if last else slice(None, many * tile)
             total.add(sampled[new][both[new]][:, :bands] - values[new][both[new]][:, :bands])
     if not total.pixels:

@@ -261,6 +261,7 @@ def on_ground(block: Block, dem: PathLike | Dem | float | None, dem_heights: str
         return block if dem_heights is None else replace(block, dem_heights=dem_heights)
     if isinstance(dem, int | float):
         return replace(block, dem=None, height=float(dem), dem_heights=dem_heights)
+    # A block has one ground: the new one replaces a DEM and a constant height alike.
     surface = dem if isinstance(dem, Dem) else Path(dem)
     return replace(block, dem=surface, height=None, dem_heights=dem_heights)
 

@@ -1,1 +1,1 @@
-"""The command line: flags in, one call, words out."""
+"""Command line: flags in, one call of the library, words out."""

@@ -1,4 +1,4 @@
-"""What the commands need at least, so that a limit that cannot be kept is not accepted in silence."""
+"""Least memory of the commands, so that a limit that cannot be kept is not accepted in silence."""
 
 from __future__ import annotations
 
@@ -42,10 +42,15 @@ TOLERATED = 1.2
 
 
 def check_memory() -> None:
-    """Refuse a limit below what the running command takes for the smallest work; note one that may be exceeded.
+    """Check of --mem-limit against the least that the running command takes, and a note where it may be exceeded.
 
     A command that may exceed its limit works all the same, with as little as it can. Where none is asked for, time is
     what counts, and memory is kept from one block to the next.
+
+    Raises
+    ------
+    click.BadParameter
+        The limit is below what the command takes however small its work.
     """
     context = click.get_current_context()
     limit, threads = context.params["memory_limit"], context.params["threads"]

@@ -70,6 +70,7 @@ def notes() -> Iterator[None]:
             say(f"note: {message}")
 
     with warnings.catch_warnings():
+        # Python would show a warning once per line of code; here it is shown once per text.
         warnings.simplefilter("always", GeomosaicWarning)
         warnings.showwarning = show
         yield

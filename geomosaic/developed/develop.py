@@ -100,6 +100,8 @@ def make_developed(
     grid, outlines = _plan(scenes, area)
     notes = (*found.notes, *turned, *(note for scene in block.scenes for note in _said(scene, len(scenes) > 1)))
     facts = {**found.facts, **thing.to_dict()}
+    # In the coordinates of the development, (u, v, height above the surface), the surface is a plane: rendering needs
+    # no other.
     flat = Plane(thing.crs, 0.0)
     if len(scenes) == 1:
         from geomosaic.render.ortho import ortho
@@ -129,6 +131,7 @@ def _in_frame(inputs: Block, found: SurfaceFile) -> Block:
     """The inputs with their positions in the surface's CRS, where they name none."""
     if inputs.dem is not None or inputs.height is not None:
         raise InputError("a DEM or a height has no part in a developed surface", hint="leave out `dem` and `height`")
+    # Photos of facades and domes look level or up, which sensors refuse as a mistake unless told.
     if "upwards" not in inputs.options and capabilities(inputs.sensor).upwards:
         inputs = replace(inputs, options={**inputs.options, "upwards": True})
     if inputs.crs is not None or (inputs.angles in RECONSTRUCTIONS and is_free(found.crs)):

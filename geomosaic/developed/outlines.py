@@ -129,6 +129,7 @@ def check_side(scene: OrientedImage, model: DevelopedModel) -> None:
 def _padded(model: DevelopedModel, places: FloatArray) -> tuple[float, float, float, float]:
     """Bounds of places (N, 2), wider by what the net of pixels may have missed, within the domain."""
     low, high = places.min(axis=0), places.max(axis=0)
+    # The small terms give an area to places that all lie on one line.
     pad = 0.05 * np.maximum(high - low, 1e-3 * max(1e-9, float((high - low).max()))) + 1e-9
     domain = np.array(model.surface.domain)
     low, high = np.maximum(low - pad, domain[:2]), np.minimum(high + pad, domain[2:])

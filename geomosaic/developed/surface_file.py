@@ -223,6 +223,7 @@ def _fitted(given: Mapping[str, Any], kind: str, crs: CRS, path: Path, where: st
 
     points, frame = _points(path.parent / str(given["points"])), None
     if crs != local_frame_crs():
+        # Fitted in a level frame of true lengths: a map has a scale distortion and large coordinates.
         frame = LocalFrame.at(crs, points.mean(axis=0))
         points = frame.to_enu(Transform(crs, frame.crs)(points))
     axis = None if kind == "plane" else _optional(given, "axis", where)
@@ -233,6 +234,8 @@ def _fitted(given: Mapping[str, Any], kind: str, crs: CRS, path: Path, where: st
         along = -along if wanted is not None and along @ wanted < 0.0 else along
         axes = Axes.facing(origin, along, _optional(given, "up", where), where)
     else:
+        # The axis of a cone has a direction of its own, from its apex; that of any other body is turned to the one
+        # given, or upwards.
         if kind != "cone" and (along @ axis if axis is not None else along[2]) < 0.0:
             along = -along
         if kind == "cylinder":  # v counts from the frame's origin: heights, where the axis is plumb

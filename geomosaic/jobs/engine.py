@@ -68,7 +68,7 @@ def run(
     executor: Executor | None = None,
     stop: Stop | None = None,
 ) -> list[State]:
-    """Run the stale steps.
+    """Run of the stale steps of a job.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def _ingredients(job: Job, step: Step, hashes: Hashes) -> dict[str, str]:
 
 
 def _refuse_foreign(job: Job, steps: Sequence[Step], manifest: Manifest) -> None:
-    """Refuse to write over files that are not ours, before any work."""
+    """Check, before any work, that no output is a file that this job has not made."""
     for step in steps:
         for path in step.outputs:
             if path.exists() and job.name(path) not in manifest.owned:
@@ -146,8 +146,9 @@ def _refuse_foreign(job: Job, steps: Sequence[Step], manifest: Manifest) -> None
 
 
 def _claim(job: Job, step: Step, manifest: Manifest) -> None:
-    """Note down the files that will be ours."""
+    """Outputs of a step entered in the manifest as the job's own."""
     _refuse_foreign(job, [step], manifest)  # a file may have come while other steps ran
+    # Saved before the step writes: what a run that was killed has left half made is still ours to replace.
     manifest.owned.update(map(job.name, step.outputs))
     manifest.save()
 
@@ -185,6 +186,7 @@ def _wanted(steps: Sequence[Step], only: Sequence[str]) -> list[Step]:
         step = queue.pop()
         if step.name not in needed:
             needed.add(step.name)
+            # Files that no step makes are inputs from outside.
             queue += [maker[path] for path in step.inputs if path in maker]
     return [step for step in steps if step.name in needed]
 

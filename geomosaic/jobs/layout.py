@@ -34,7 +34,7 @@ class Layout:
 
     @property
     def mosaic(self) -> Path:
-        """The mosaic."""
+        """Raster of the mosaic."""
         return self.project.output / f"{self.project.name}.tif"
 
     @property
@@ -64,12 +64,12 @@ class Layout:
 
     @property
     def report(self) -> Path:
-        """The report for people."""
+        """Report for people."""
         return self.project.output / "report.html"
 
     @property
     def report_json(self) -> Path:
-        """The report for programs."""
+        """Report for programs."""
         return self.project.output / "report.json"
 
     @property
@@ -78,5 +78,5 @@ class Layout:
         return self.project.state / "facts" / "seam-places.json"
 
     def facts(self, step: str) -> Path:
-        """What a step found, for the steps after it."""
+        """Facts that a step found, as JSON for the steps after it."""
         return self.project.state / "facts" / f"{step}.json"

@@ -19,16 +19,16 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class Record:
-    """The last run of a step.
+    """Record of the last run of a step.
 
     Attributes
     ----------
     ingredients : mapping
-        What the result depends on, with digests.
+        Everything the result depends on, with digests.
     outputs : mapping
         Name of each file and its SHA-256.
     facts : mapping
-        What the step returned.
+        Returned by the step.
     seconds : float
     finished : str
         ISO 8601, UTC.

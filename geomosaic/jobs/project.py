@@ -53,6 +53,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         "sensor": settings.sensor.model_dump(mode="json"),
         "exterior": settings.exterior.model_dump(mode="json"),
         "dem": settings.dem.model_dump(mode="json") if settings.dem else None,
+        # Images count by content among the inputs; their names and order count too, since tables name images.
         "images": [path.name for path in project.images],
         "planar": settings.planar.model_dump(mode="json") if settings.planar else None,
         "nodata": settings.project.nodata,

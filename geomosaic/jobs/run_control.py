@@ -33,6 +33,7 @@ def project_lock(path: Path) -> Iterator[None]:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        # Not "w": it would empty the number of another holder before the lock is known to be ours.
         file = path.open("a+", encoding="utf-8")
     except OSError as error:
         raise OutputError(

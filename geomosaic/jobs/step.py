@@ -1,4 +1,4 @@
-"""A step of a job: what it reads, what it writes, and the function that does it."""
+"""Steps of a job: inputs, outputs, and the function that makes the one from the other."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from geomosaic.types import Progress
 
 @dataclass(frozen=True)
 class Machine:
-    """What a run may use; results do not depend on it.
+    """Processors and memory that a run may use; results do not depend on them.
 
     Attributes
     ----------
@@ -28,14 +28,14 @@ class Machine:
 
     @property
     def options(self) -> dict[str, int]:
-        """What was given, as keywords of `RenderOptions`."""
+        """Values that were given, as keywords of `RenderOptions`."""
         given = {"threads": self.threads, "memory_limit": self.memory_limit}
         return {name: value for name, value in given.items() if value is not None}
 
 
 @dataclass(frozen=True)
 class Context:
-    """What a running step is given.
+    """Input of a running step, beside its files.
 
     Attributes
     ----------

@@ -1,1 +1,1 @@
-"""Finding the same ground in two images."""
+"""Image matching: shifts between two images, and the location of marks."""

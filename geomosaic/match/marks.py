@@ -170,6 +170,7 @@ class _Matcher:
             weights = np.maximum(1.0 - (misfit / (BIWEIGHT_LIMIT * width)) ** 2, 0.0) ** 2
             right, below, larger, turned = solution[:4] / gain
             length = float(np.hypot(right, below))
+            # No step is longer than a pixel: the gradients describe the mark no farther than that.
             shrink = min(1.0, 1.0 / length) if length > 0.0 else 1.0
             x, y = x - shrink * right, y - shrink * below
             scale, turn = scale / (1.0 + np.clip(larger, -0.05, 0.05)), turn - np.clip(turned, -0.05, 0.05)

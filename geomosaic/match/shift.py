@@ -80,6 +80,7 @@ def shifts(
     Shifts
     """
     places, found, quality = [], [], []
+    # Two pixels more than the search, for gradients and the interpolation of fractions.
     margin = reach + 2
     rows, cols = first.shape
     for top in range(margin, rows - tile - margin + 1, tile):
@@ -116,6 +117,7 @@ def _tile(a: FloatArray, b: FloatArray, margin: int, reach: int) -> tuple[tuple[
         gain = solution[2] if abs(solution[2]) > 1e-6 else 1.0
         step = (-float(solution[0] / gain), -float(solution[1] / gain))
         x, y = x + step[0], y + step[1]
+        # The peak is right to a pixel: what moves farther has slid to other content.
         if max(abs(x - dx), abs(y - dy)) > 2.0:
             return (np.nan, np.nan), 0.0
         if np.hypot(*step) < CONVERGED:

@@ -136,7 +136,7 @@ def check_limits(value: Any, option: Option, where: str) -> None:
 
 
 def check_idle(value: Any, effective: Mapping[str, Any] | None = None) -> None:
-    """Refuse an option that would do nothing beside the others.
+    """Check that no option is given that would do nothing beside the others.
 
     Parameters
     ----------

@@ -185,15 +185,17 @@ def make_edge_mosaic(
 def _started(
     inputs: EdgeInputs, crs: CRS, control: Sequence[ControlPoint], common: Sequence[CommonPoint]
 ) -> list[OrientedImage]:
-    """Start models: by the photo's own control, else by what photos that have one show of the common points."""
+    """Initial models of the photos: from a photo's own control, else from common points with photos placed before."""
     sensor = plane_sensor()
     scenes: dict[str, OrientedImage] = {}
     waiting = {path.name: path for path in inputs.images}
     reason: SolveError | None = None
+    # Photos without control of their own follow in rounds, outwards from those that have it.
     while waiting:
         known: dict[str, list[np.ndarray]] = {}
         for point in common:
             if point.image in scenes:
+                # Plane models know no heights: any will do.
                 place = image_to_height(scenes[point.image].model, np.array([point.colrow]), 0.0, crs)[0, :2]
                 known.setdefault(point.id, []).append(place)
         made = {}

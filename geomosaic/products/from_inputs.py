@@ -121,6 +121,7 @@ def make_mosaic(inputs: Block, area: Area, output: Path, options: MosaicOptions)
     from geomosaic.mosaicking.mosaic import mosaic
     from geomosaic.mosaicking.outputs import MosaicFiles
 
+    # All files at once, before any is made: half a set of outputs would be left otherwise.
     for file in (output, *MosaicFiles.of(output, options).companions):
         refuse_existing(file, options.render.overwrite, inputs)
     block = build_block(inputs)

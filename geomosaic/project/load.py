@@ -49,7 +49,7 @@ class Project:
 
     @property
     def name(self) -> str:
-        """The name that outputs carry."""
+        """Name that outputs carry."""
         return self.settings.project.name
 
     @property
@@ -63,11 +63,11 @@ class Project:
         return self.folder / ".geomosaic" / self.path.stem
 
     def file(self, path: str | None) -> Path | None:
-        """Resolve a path of the project file."""
+        """Path of the project file, resolved from its folder."""
         return None if path is None else self.folder / path
 
     def files(self, paths: Sequence[str]) -> tuple[Path, ...]:
-        """Resolve paths of the project file."""
+        """Paths of the project file, resolved from its folder."""
         return tuple(self.folder / path for path in paths)
 
     @cached_property
@@ -85,6 +85,7 @@ class Project:
             value = sections.get(one.option.section or "", {}).get(one.key)
             if value is not None:
                 values[one.name] = self._resolved(one, value)
+        # The report shows the quality of seams; a mosaic by a rule has none.
         values.setdefault("seam_quality", None if values.get("rule") else True)
         return compose(MosaicOptions, values)
 
@@ -104,7 +105,7 @@ class Project:
 
     @property
     def inputs(self) -> Block:
-        """The block the project describes."""
+        """Block that the project describes."""
         s = self.settings
         return Block(
             images=self.images,
@@ -136,7 +137,7 @@ class Project:
 
     @property
     def _printed(self) -> PrintedList | None:
-        """How a printed list is to be read, where there is one."""
+        """Layout of a printed list, where there is one."""
         s = self.settings.exterior.printed
         if s is None:
             return None
@@ -144,7 +145,7 @@ class Project:
 
     @property
     def _planar(self) -> PlanarInputs | None:
-        """How photos are placed together by plane transformations, where they are."""
+        """Planar placement of the photos, where it is asked for."""
         s = self.settings.planar
         if s is None:
             return None
@@ -183,6 +184,7 @@ def load_project(path: PathLike) -> Project:
         outputs go.
     """
     file = Path(path).resolve()
+    # The text too: errors name keys, whose lines are found in it.
     text = read_text(path, "project file", LARGEST)
     values = read_toml(path, "project file", LARGEST)
     if "format" not in values:

@@ -105,6 +105,7 @@ def _pieces(geometry: Any, whole: Domain) -> Any:
 
     if not shapely.is_valid(geometry):
         geometry = shapely.make_valid(geometry)
+    # Without a centre the map has no seam and shows all longitudes, as about a pole; 540 degrees hold three turns.
     middle, reach = (0.0, 540.0) if whole.centre is None else (whole.centre, whole.reach - SLIVER)
     found = []
     for turn in (0.0,) if whole.centre is None else (-360.0, 0.0, 360.0):

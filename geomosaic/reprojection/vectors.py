@@ -126,6 +126,7 @@ def reproject_vectors(
     told: list[str] = []
     lost, cut = 0, 0
     unfinished = partial(output)
+    # With the suffix of the output: GDAL names the parts of a shapefile after it.
     whole = unfinished.with_name(unfinished.name + output.suffix.lower())
     try:
         for name in names:
@@ -190,7 +191,7 @@ def _own(frame: GeoDataFrame, where: str) -> CRS:
 
 
 def _moved(frame: GeoDataFrame, own: CRS, crs: CRS) -> tuple[GeoDataFrame, int, int]:
-    """Return the layer in the new CRS, how many features have no place there, and how many were cut."""
+    """Layer in the new CRS, the number of features without a place there, and of those that were cut."""
     import shapely
 
     before = np.asarray(frame.geometry.values)

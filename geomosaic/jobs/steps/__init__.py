@@ -1,1 +1,1 @@
-"""The steps of a project, one file each."""
+"""Steps of a project, one file each."""

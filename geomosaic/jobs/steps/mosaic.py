@@ -73,6 +73,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             about=_about(project, context),
             memory=memory,
         )
+        # Within `heard`, so that they stand in the report beside the warnings.
         for note in result.notes:
             tell(note)
     judged = seam_facts(result.parts, result.quality, [outline.name for outline in outlines])
@@ -213,6 +214,7 @@ def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str,
     (project.output / "orthos").mkdir(parents=True, exist_ok=True)
     errors = []
     for scene, outline, path in zip(block.scenes, outlines, layout.orthos, strict=True):
+        # Pixels of the mosaic's own grid: orthos and mosaic lie over each other without resampling.
         part = grid.crop(grid.window_of(outline.bounds))
         errors.append(ortho(scene, block.surface, part, outline, path, options).lattice_error)
     return {"orthos": len(errors), "lattice_error_px": max(errors)}

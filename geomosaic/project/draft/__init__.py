@@ -1,1 +1,1 @@
-"""A project file for what lies in a folder."""
+"""Drafts of projects from the images and tables that are there."""

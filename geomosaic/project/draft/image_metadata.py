@@ -195,6 +195,7 @@ def _own_models(inputs: Block) -> list[str]:
 def _carries(name: str, path: Path) -> bool:
     try:
         with warnings.catch_warnings():
+            # Only a trial: the model is built again when the project runs, and warns then.
             warnings.simplefilter("ignore")
             build(name, SensorRequest(path.name, inspect(path).size, {}, None, str(path.parent), str(path)))
     except GeomosaicError:
