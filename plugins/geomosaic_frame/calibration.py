@@ -34,7 +34,7 @@ LARGEST = 2000.0
 
 @dataclass(frozen=True)
 class Certificate:
-    """Calibration certificate in the axes of the fiducials: mm, x right, y up.
+    """Calibration certificate of a film camera in the axes of the fiducials: mm, x right, y up.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Certificate:
 
 
 def read_certificate(table: Mapping[str, Any], where: str) -> Certificate:
-    """Certificate of a table.
+    """Calibration certificate of a table.
 
     Parameters
     ----------
@@ -63,6 +63,10 @@ def read_certificate(table: Mapping[str, Any], where: str) -> Certificate:
         - `distortion`: see `_radial`; default none; `name`, `date`: free text.
     where : str
         Named in errors.
+
+    Returns
+    -------
+    Certificate
 
     Raises
     ------

@@ -33,7 +33,7 @@ NARROWEST, WIDEST = 0.05, 170.0
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera in pixels.
+    """Digital camera: interior orientation in pixels, with its lens.
 
     col = cx + fx·u and row = cy + fy·v, where (u, v) is what the lens makes of a direction in camera axes: x right, y
     DOWN, z forward.
@@ -91,7 +91,7 @@ class Camera:
         return direction
 
     def warn_of_fold(self, where: str) -> None:
-        """Warn where the image reaches beyond the radius up to which its distortion polynomial can be used."""
+        """Warning where the image reaches beyond the radius up to which its distortion polynomial can be used."""
         u, v = self._plane(self.corners)
         beyond = ~self.lens.trusted(u, v)
         if beyond.any():
@@ -193,6 +193,7 @@ def _pixel_size(table: Mapping[str, Any], size: tuple[int, int], where: str) -> 
     if "sensor_size" in table:
         w, h = pair(numbers(table["sensor_size"], 2, "sensor_size", where), "sensor_size", where)
         pixel = w / size[0], h / size[1]
+        # Width and height in the wrong order give pixels far from square; sizes rounded to 0.1 mm hardly do.
         if not 0.98 < pixel[0] / pixel[1] < 1.02:
             raise InputError(
                 f"sensor_size = {w} x {h} mm on {size[0]} x {size[1]} px makes pixels of {pixel[0] * 1000:.3f} x "
@@ -210,6 +211,7 @@ def _pixel_size(table: Mapping[str, Any], size: tuple[int, int], where: str) -> 
 def _focal(
     table: Mapping[str, Any], focal_mm: float | None, pixel: tuple[float, float] | None, where: str
 ) -> tuple[float, float]:
+    """Focal lengths fx, fy in pixels."""
     _one_of(table, "focal_length", "focal_length_px", where)
     if "focal_length_px" in table:
         return pair(table["focal_length_px"], "focal_length_px", where)
@@ -226,7 +228,7 @@ def _focal(
 
 
 def _check_field(focal: tuple[float, float], size: tuple[int, int], lens: Lens, where: str) -> None:
-    """Refuse fields of view that no camera has: lengths in another unit than their key says."""
+    """Check of the field of view: one that no camera has shows lengths in another unit than their key says."""
     angle = 2.0 * math.degrees(math.atan(math.hypot(size[0] / focal[0], size[1] / focal[1]) / 2.0))
     if NARROWEST <= angle <= WIDEST or (angle > WIDEST and lens.to_dict()["model"] == "fisheye"):
         return
@@ -240,6 +242,7 @@ def _check_field(focal: tuple[float, float], size: tuple[int, int], lens: Lens, 
 def _principal_point(
     table: Mapping[str, Any], size: tuple[int, int], pixel: tuple[float, float] | None, where: str
 ) -> tuple[float, float]:
+    """Principal point (col, row) in pixels; the image's centre where none is given."""
     _one_of(table, "principal_point", "principal_point_px", where)
     if "principal_point_px" in table:
         col, row = numbers(table["principal_point_px"], 2, "principal_point_px", where)

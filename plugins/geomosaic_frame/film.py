@@ -28,7 +28,7 @@ ROUNDS = 30
 
 @dataclass(frozen=True)
 class FilmLens(Perspective):
-    """Corrections of the measured image: ideal = formula(measured).
+    """Lens of a film camera, whose corrections apply to the measured image: ideal = formula(measured).
 
     Attributes
     ----------
@@ -56,6 +56,7 @@ class FilmLens(Perspective):
         safe = np.where(r > 0.0, r, 1.0)
         ratio = np.where(r > 0.0, g / safe, slope)
         # d(g/r)/dr / r, which vanishes in the centre.
+        # g/r tends to g'(0) at the centre, where the quotient would be 0/0.
         bend = np.where(r > 0.0, (slope - ratio) / safe**2, 0.0)
         p1, p2 = self.tangential
         # Beyond the end of g, terms of degree two go on linearly along the ray: times end·(2r − end)/r².
@@ -78,7 +79,7 @@ class FilmLens(Perspective):
         return self._ideal(u, v)[0]
 
     def _distort(self, x: FloatArray, y: FloatArray) -> Columns:
-        """Newton's method to rounding; NaN where it does not converge."""
+        """Measured from ideal image by Newton's method, to rounding; NaN where it does not converge."""
         u, v = x.copy(), y.copy()
         with np.errstate(over="ignore", invalid="ignore"):
             for _ in range(ROUNDS):
@@ -95,6 +96,7 @@ class FilmLens(Perspective):
         return np.where(lost, np.nan, u), np.where(lost, np.nan, v)
 
     def _slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Derivatives of the measured by the ideal image: the inverse of those of the corrections."""
         xx, xy, yx, yy = self._ideal(*self._distort(x, y))[1]
         det = xx * yy - xy * yx
         return yy / det, -xy / det, -yx / det, xx / det
@@ -127,7 +129,7 @@ class FilmLens(Perspective):
 
 @dataclass(frozen=True)
 class FilmCamera:
-    """A film camera seen through a scan.
+    """Film camera with the scan of its film.
 
     Camera axes → lens → millimetres in the axes of the fiducials → pixels.
 

@@ -1,4 +1,4 @@
-"""Interior orientation: from pixels of a scan to millimetres of the camera, by its fiducial marks.
+"""Interior orientation of a scan: pixels to millimetres of the camera, by its fiducial marks.
 
 Three kinds (lecture on image rectification; Kraus, Photogrammetry, 2.1): conformal (4 parameters: shift, turn, scale),
 affine (6: also another scale across and a shear, as film and scanners have them), projective (8).
@@ -18,7 +18,7 @@ KINDS = {"conformal": 2, "affine": 3, "projective": 4}
 
 @dataclass(frozen=True, eq=False)
 class InteriorOrientation:
-    """Pixels to millimetres, fitted to marks.
+    """Interior orientation, pixels to millimetres, fitted to fiducial marks.
 
     Attributes
     ----------
@@ -31,6 +31,7 @@ class InteriorOrientation:
     sigma0 : float
         Standard deviation of a coordinate, micrometres; NaN without redundancy.
     redundancy : int
+        Observations less unknowns.
     bring : array (3, 3)
         Pixels → the coordinates of the fit: about the middle of the marks, with radii near one.
     cofactors : array (U, U)
@@ -92,6 +93,10 @@ def fit_interior(colrow: FloatArray, calibrated: FloatArray, kind: str, mirrored
         'conformal', 'affine' or 'projective'.
     mirrored : bool
         Whether a conformal fit may only mirror, or not mirror, the film; the other two kinds do what the marks say.
+
+    Returns
+    -------
+    InteriorOrientation
     """
     image, film = np.asarray(colrow, dtype=np.float64), np.asarray(calibrated, dtype=np.float64)
     # About their middles and with radii near one, so that no accuracy is lost to large numbers.
@@ -157,7 +162,7 @@ def apply(matrix: FloatArray, xy: FloatArray) -> FloatArray:
 
 
 def _conformal(p: FloatArray, film: FloatArray, mirrored: bool) -> FloatArray:
-    """Coefficients of x = a·m·p₁ + b·p₂ + e,  y = b·m·p₁ − a·p₂ + f, with m = 1, or −1 where mirrored."""
+    """Conformal matrix (3, 3) of x = a·m·p₁ + b·p₂ + e,  y = b·m·p₁ − a·p₂ + f, with m = 1, or −1 where mirrored."""
     m = -1.0 if mirrored else 1.0
     design = _design("conformal", p, np.eye(3), mirrored)
     a, b, e, f = np.linalg.lstsq(design, film.T.ravel(), rcond=None)[0]
@@ -165,7 +170,7 @@ def _conformal(p: FloatArray, film: FloatArray, mirrored: bool) -> FloatArray:
 
 
 def _projective(p: FloatArray, film: FloatArray, start: FloatArray) -> FloatArray:
-    """Gauss-Newton steps on the residuals in the film, from the affine fit."""
+    """Projective matrix (3, 3) by Gauss-Newton steps on the residuals in the film, from the affine fit."""
     values = start.ravel()[:8].copy()
     for _ in range(30):
         matrix = np.append(values, 1.0).reshape(3, 3)

@@ -1,4 +1,4 @@
-"""Lenses of tables and saved states, with their modifiers: another centre of distortion, sheared sensor axes.
+"""Lenses from tables and saved states, with their modifiers: decentred lens, sheared sensor axes.
 
 s is the principal point of symmetry, counted from the principal point in focal lengths, x right, y down.
 """
@@ -21,7 +21,7 @@ from geomosaic_frame.polynomial import Brown, Rational
 
 @dataclass(frozen=True)
 class DecentredLens:
-    """A perspective lens about another centre.
+    """Perspective lens whose distortion is about another centre than the principal point.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class DecentredLens:
 
 @dataclass(frozen=True)
 class ShearedLens:
-    """A lens and the shear behind it.
+    """Lens in front of a sensor with sheared axes.
 
     Attributes
     ----------

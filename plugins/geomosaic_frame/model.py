@@ -38,12 +38,12 @@ _TURN = (
 
 @dataclass(frozen=True, eq=False)
 class FrameModel:
-    """One photo of a frame camera.
+    """Frame sensor model: one photo of a frame camera.
 
     Attributes
     ----------
-    camera : Inside
-        The inside, for this image's size: in pixels, or a film with its scan.
+    camera : CameraModel
+        Interior orientation for this image's size: in pixels, or a film with its scan.
     frame : LocalFrame
         East, north, up at the nominal projection centre; or the map's axes (planar treatment).
     parameters : Parameters
@@ -53,7 +53,7 @@ class FrameModel:
         Ground point in `crs` near the middle of the image.
     notes : tuple of str
         What was assumed when the model was made.
-    bending : Bending
+    bending : RayCorrection
         Refraction and, in the planar treatment, the Earth's curvature; none unless asked for.
     """
 
@@ -175,6 +175,6 @@ class FrameModel:
 
 
 def _product(matrix: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray) -> Columns:
-    """Multiply a matrix (3, 3) by columns (N,), one point the same alone and among others."""
+    """Product of a matrix (3, 3) and columns (N,), rounded alike for a point alone and among others."""
     a, b, c = (t[0] * x + t[1] * y + t[2] * z for t in matrix)
     return a, b, c

@@ -34,7 +34,7 @@ FLIP = np.diag([1.0, -1.0, -1.0])
 
 @dataclass(frozen=True, eq=False)
 class Attitude:
-    """A rotation and the frame it starts from.
+    """Attitude of a photo: rotation and the frame it refers to.
 
     Attributes
     ----------
@@ -57,21 +57,21 @@ class Attitude:
 
 @dataclass(frozen=True, eq=False)
 class AngleSystem:
-    """A named way to write an attitude.
+    """Angle system: a named convention for the attitude of a photo.
 
     Attributes
     ----------
     name : str
     text : str
-        What it is.
+        Description.
     columns : tuple of str
         Values that must be given.
-    optional : tuple of str
-        Values that may be given.
     frame : str
         Frame it refers to unless declared otherwise.
     read : callable
         (row, angle unit, where) → Attitude.
+    optional : tuple of str
+        Values that may be given.
     """
 
     name: str

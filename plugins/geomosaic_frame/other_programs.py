@@ -47,6 +47,7 @@ def read_pose(row: Mapping[str, Any], where: str) -> tuple[FloatArray, FloatArra
     worst = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if worst > 1e-5 or np.linalg.det(rotation) < 0.0:
         raise InputError(f"rotation is no rotation: rows are off orthonormal by {worst:.1e}", where=where)
+    # Printed digits leave a matrix a little off: U·Vᵀ of its singular values is the nearest rotation.
     left, _, right = np.linalg.svd(rotation)
     position = np.array(numbers(need(row, "position", where, "projection centre"), 3, "position", where))
     frame, crs = _world(str(need(row, "world", where, f"what the world is, one of {', '.join(WORLDS)}")), where)
@@ -85,7 +86,7 @@ Tables = tuple[dict[str, Any] | None, dict[str, Any]]
 
 
 def read_reconstruction(path: Path, image: str, system: str, where: str) -> Tables:
-    """Camera and orientation of one image.
+    """Camera and orientation of one image, from a file of another program.
 
     Parameters
     ----------
@@ -97,6 +98,13 @@ def read_reconstruction(path: Path, image: str, system: str, where: str) -> Tabl
         One of `READERS`.
     where : str
         Named in errors.
+
+    Returns
+    -------
+    camera : dict or None
+        Camera table, as in `camera.toml`, where the file has one.
+    row : dict
+        Orientation row.
 
     Raises
     ------

@@ -119,7 +119,9 @@ def curvature_shift(radius: FloatArray, constant: float, above: float, earth: fl
 
 @dataclass(frozen=True)
 class RayCorrection:
-    """Map of directions in east, north, up (or map axes) about the vertical through the camera.
+    """Correction of rays for refraction and curvature: a map of directions about the vertical through the camera.
+
+    Directions are in east, north, up, or map axes.
 
     Attributes
     ----------
@@ -205,7 +207,7 @@ WORTH = 0.5
 def requested_correction(
     options: Mapping[str, Any], crs: CRS, position: FloatArray, ground: float | None, treatment: str, where: str
 ) -> tuple[RayCorrection, list[str]]:
-    """Bending of the rays that the inputs `refraction` and `curvature` ask for, and what is to be said of it.
+    """Correction of the rays that the options `refraction` and `curvature` ask for, with notes.
 
     Parameters
     ----------
@@ -220,6 +222,17 @@ def requested_correction(
         'rigorous' or 'planar'.
     where : str
         Named in errors.
+
+    Returns
+    -------
+    correction : RayCorrection
+    notes : list of str
+        Size of each correction.
+
+    Raises
+    ------
+    InputError
+        A correction is asked for where it has no meaning, or the heights are unknown or out of range.
     """
     refraction, curvature = flag(options, "refraction", where), flag(options, "curvature", where)
     if not refraction and not curvature:

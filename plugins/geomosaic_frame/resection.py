@@ -86,11 +86,11 @@ def resect_photo(
     notes: tuple[str, ...],
     where: str,
 ) -> FrameModel:
-    """Model of a photo from its control points (space resection).
+    """Space resection: model of a photo from its control points.
 
     Parameters
     ----------
-    camera : Inside
+    camera : CameraModel
     crs : CRS
         3-D, of the points.
     treatment : str
@@ -100,9 +100,14 @@ def resect_photo(
     options : mapping
         With `points`.
     notes : tuple of str
-        What is to be said of the camera.
+        On the camera.
     where : str
         Named in errors.
+
+    Returns
+    -------
+    FrameModel
+        With notes on its fit.
 
     Raises
     ------
@@ -176,6 +181,7 @@ def _photo(
     pose: Pose,
     where: str,
 ) -> FrameModel:
+    """Frame model at a pose, in a frame of its own at the projection centre."""
     rotation = FLIP @ pose.rotation
     if treatment == "planar":
         position = pose.centre
@@ -191,18 +197,20 @@ def _photo(
 
 
 def _pose_of(model: FrameModel) -> Pose:
+    """Pose of a model: projection centre and rotation to camera axes."""
     return Pose(model.centre, FLIP @ model.rotation @ model.frame.axes)
 
 
 def _choose(
     solved: list[Resection[FrameModel]], xyz: FloatArray, crs: CRS, near: FloatArray | None, where: str
 ) -> Resection[FrameModel]:
-    """The best of the solutions; with three points all fit, and several are an error that lists them."""
+    """Best of the solutions; with three points all fit, and several are an error that lists them."""
     if len(xyz) > 3:
         return min(solved, key=lambda one: float(np.nansum(one.residuals**2)))
     distinct = [solved[0]]
     for one in solved[1:]:
         apart = min(float(np.linalg.norm(one.model.centre - other.model.centre)) for other in distinct)
+        # A step is a pixel on the ground: centres a hundredth of it apart are one solution, reached twice.
         if apart > 0.01 * one.model.parameters.steps[0]:
             distinct.append(one)
     to_map = Transform(distinct[0].model.crs, crs)
@@ -221,7 +229,7 @@ def _choose(
 
 
 def _warn_of_weakness(one: Resection[FrameModel], xyz: FloatArray, sigmas: FloatArray, where: str) -> None:
-    """Warn where the centre is on the dangerous cylinder, or as badly determined as if it were."""
+    """Warning where the centre is on the dangerous cylinder, or as badly determined as if it were."""
     gap = dangerous_cylinder(one.model.centre, xyz) if len(xyz) == 3 else float("inf")
     worst = float(one.sigmas[:3].max())
     pixels = worst / float(one.model.parameters.steps[0] * np.median(sigmas))

@@ -43,7 +43,7 @@ Inside = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Sweeps:
-    """Sweeps of several lines: how many, in which directions, how long each takes.
+    """Sweeps of several lines: their number of lines, directions and active share.
 
     Attributes
     ----------
@@ -76,7 +76,27 @@ class Sweeps:
     def project(
         self, flight: Flight, size: tuple[int, int], side: int, inside: Inside, enu: FloatArray, near: FloatArray
     ) -> FloatArray:
-        """Ground (N, 3) to image (N, 2); `near` (N,) is when each point lies in the plane of scan."""
+        """Image of ground points, each in the sweep in whose middle it lies most nearly.
+
+        Parameters
+        ----------
+        flight : Flight
+        size : tuple of int
+            Width and height in pixels.
+        side : int
+            1 where columns run to the right of the flight, −1 to the left.
+        inside : tuple of float
+            β in radians, f and m in lines.
+        enu : array (N, 3)
+            East, north, up in metres.
+        near : array (N,)
+            τ at which each point lies in the plane of scan.
+
+        Returns
+        -------
+        array (N, 2)
+            col, row in pixels; NaN for points not seen.
+        """
         guess = np.floor(near + size[1] / self.lines / 2)
         best, within = self._in_sweep(flight, size, side, inside, enu, guess)
         for _ in range(2):  # the guess may be a sweep off, as the scanner moves while it sweeps
@@ -124,7 +144,7 @@ FARTHEST = 1e7
 
 @dataclass(frozen=True)
 class Scan:
-    """A kind of scan.
+    """Scan geometry of an image.
 
     Attributes
     ----------
@@ -149,7 +169,23 @@ class Scan:
         return {"scanner": self.size[1], "sweeps": self.size[1] / self.sweeps.lines, "panoramic": 1.0}[self.kind]
 
     def project(self, track: Flight, beta: float, focal: float, motion: float, enu: FloatArray) -> FloatArray:
-        """Ground (N, 3) to image (N, 2); NaN for what lies above or never comes into the plane of scan."""
+        """Image of ground points.
+
+        Parameters
+        ----------
+        track : Flight
+        beta : float
+            Instantaneous field of view, radians.
+        focal, motion : float
+            Focal length and image motion compensation in pixels (lines of sweeps); no scanner has them.
+        enu : array (N, 3)
+            East, north, up in metres.
+
+        Returns
+        -------
+        array (N, 2)
+            col, row in pixels; NaN for what lies above or never comes into the plane of scan.
+        """
         width, height = self.size
         tau = self._moments(track, beta, enu)
         if self.kind == "sweeps":
@@ -166,7 +202,24 @@ class Scan:
         return out
 
     def directions(self, beta: float, focal: float, motion: float, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Image (N, 2) to times (N,) and directions (N, 3) forward, right, down."""
+        """Times and directions of view of image points.
+
+        Parameters
+        ----------
+        beta : float
+            Instantaneous field of view, radians.
+        focal, motion : float
+            Focal length and image motion compensation in pixels (lines of sweeps); no scanner has them.
+        colrow : array (N, 2)
+            Pixels.
+
+        Returns
+        -------
+        tau : array (N,)
+            Lines or sweeps from the middle of the image.
+        directions : array (N, 3)
+            Unit vectors forward, right, down.
+        """
         width, height = self.size
         angle = (colrow[:, 0] - width / 2) * beta
         if self.kind == "scanner":
@@ -180,7 +233,10 @@ class Scan:
         return tau, body / np.linalg.norm(body, axis=1)[:, None]
 
     def _moments(self, track: Flight, beta: float, enu: FloatArray) -> FloatArray:
-        """When each point is seen: a secant on `_lead`, which is nearly a line in τ; of sweeps only roughly."""
+        """Times τ (N,) at which points are seen, by the secant method on `_lead`; of sweeps only roughly.
+
+        `_lead` is nearly linear in τ. For sweeps the time only selects the sweep, whose own search is exact.
+        """
         small, enough = (1e-3, 1e-2) if self.kind == "sweeps" else (SMALL, 1e-9)
         before, after = np.full(len(enu), -0.5), np.full(len(enu), 0.5)
         miss = self._lead(track, beta, enu, before)
@@ -195,7 +251,7 @@ class Scan:
         return np.where(settled, after, np.nan)
 
     def _lead(self, track: Flight, beta: float, enu: FloatArray, tau: FloatArray) -> FloatArray:
-        """How far τ is from the moment of a point: 0 there, about in units of τ."""
+        """Misfit (N,) of a time from the moment at which a point is seen: 0 there, about in units of τ."""
         forward, right, down = track.to_body(enu, tau)
         if self.kind != "panoramic":
             return forward / max(track.pace, 1e-12)

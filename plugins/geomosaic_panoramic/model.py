@@ -34,7 +34,7 @@ NAMES = {"scanner": (*OUTSIDE, "pixel_angle"), "sweeps": (*OUTSIDE, *INSIDE), "p
 
 @dataclass(frozen=True)
 class PanoramicModel:
-    """One strip of an across-track scanner, or one photo of a panoramic camera.
+    """Sensor model of one strip of an across-track scanner, or of one photo of a panoramic camera.
 
     Attributes
     ----------
@@ -44,13 +44,13 @@ class PanoramicModel:
     parameters : Parameters
         east, north, up: offset from there in metres; speeds in metres, rates in degrees per line or sweep; heading from
         true north, pitch and roll in degrees; pixel_angle in degrees; focal length and image motion in pixels
-        (not of a scanner). With reported poses all but the last three are what comes on top of these.
+        (not of a scanner). With reported poses all but the last three are corrections of these.
     seed : tuple of float
         Ground point in `crs` near the middle of the image.
     poses : Poses, optional
         Of a curved flight; straight without.
     notes : tuple of str
-        What control points did.
+        Fit of the control points.
     """
 
     scan: Scan
@@ -152,7 +152,7 @@ SAID = "relative metres: x across, y ahead of the scanner; the strip has no plac
 
 @dataclass(frozen=True)
 class RelativeStrip:
-    """A strip over ground of one height, in a map of its own.
+    """Sensor model of a strip without a place, over ground of one height, in a map of its own.
 
     Attributes
     ----------
@@ -207,6 +207,7 @@ class RelativeStrip:
 
     @cached_property
     def _from_map(self) -> Transform:
+        """Azimuthal equidistant map about the origin to geocentric coordinates, on the ellipsoid of the frame."""
         frame = self.model.frame
         longitude, latitude, _ = Transform(frame.crs, geographic(frame.crs))(frame.origin[None])[0].tolist()
         base = geographic(frame.crs).ellipsoid

@@ -19,7 +19,7 @@ Three = tuple[FloatArray, FloatArray, FloatArray]
 
 
 class Flight(Protocol):
-    """Flight as a scan needs it."""
+    """Flight path as a scan needs it: positions and axes over τ."""
 
     @property
     def pace(self) -> float:
@@ -37,7 +37,7 @@ class Flight(Protocol):
 
 @dataclass(frozen=True)
 class Turn:
-    """Heading, pitch and roll that change evenly.
+    """Attitude that changes linearly: heading, pitch and roll with their rates.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Turn:
 
 @dataclass(frozen=True)
 class Track:
-    """A straight flight with slowly turning attitude.
+    """Straight flight at constant speed, with linearly changing attitude.
 
     Attributes
     ----------
@@ -108,11 +108,11 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Reported positions and attitudes.
+    """Reported positions and attitudes, with smooth curves through them.
 
     Components of positions and axes run on cubic Hermite curves whose slope at a node is that of the parabola through
-    it and its neighbours; the axes are then made square again. Before the first and after the last pose the flight goes
-    on as it was there, with its attitude.
+    it and its neighbours; the axes are then made orthonormal again. Before the first and after the last pose the flight
+    goes on at the velocity it had there, with its attitude.
 
     Attributes
     ----------
@@ -164,7 +164,7 @@ class Poses:
 
 
 def _square(axes: FloatArray) -> FloatArray:
-    """Rows of length one at right angles: forward is kept, right next, down what remains."""
+    """Orthonormal axes (N, 3, 3) by the Gram-Schmidt process: forward is kept, right next, down what remains."""
     forward = axes[:, 0] / np.sqrt((axes[:, 0] ** 2).sum(axis=1))[:, None]
     right = axes[:, 1] - (axes[:, 1] * forward).sum(axis=1)[:, None] * forward
     right /= np.sqrt((right**2).sum(axis=1))[:, None]
@@ -173,7 +173,7 @@ def _square(axes: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Reported poses, shifted and turned by what an adjustment finds.
+    """Reported poses with the corrections of an adjustment.
 
     Attributes
     ----------
