@@ -86,7 +86,7 @@ class Block:
         'grid' or 'local', where the angles refer to another north than their system says.
     matrix : str, optional
         Direction of rotation matrices: 'ground_to_image' or 'image_to_ground'.
-    printed : Printed, optional
+    printed : PrintedList, optional
         How a printed list of orientations is to be read, with angles 'printed'.
     trusted : bool
         Do not look whether the orientation can be meant.

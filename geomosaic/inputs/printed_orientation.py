@@ -63,7 +63,7 @@ def read_printed(path: Path, how: PrintedList, unit: str | None, direction: str 
     Parameters
     ----------
     path : Path
-    how : Printed
+    how : PrintedList
     unit : str or None
         'deg', 'gon' or 'rad'; must be told where there are angles.
     direction : str or None

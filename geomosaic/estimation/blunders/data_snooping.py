@@ -115,6 +115,7 @@ def snoop_problem(
         if not probability[worst] < alpha:
             break
         try:
+            # One at a time: the largest blunder also shows in the residuals of good points (masking, swamping).
             fewer = kept & (np.arange(len(kept)) != worst)
             probability = error_probabilities(problem, fewer, scale, freedom)
         except SolveError:

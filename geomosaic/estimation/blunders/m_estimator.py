@@ -16,8 +16,11 @@ from geomosaic.types import FloatArray
 TUKEY = 5.12
 """Standard deviations at which a point loses all weight: 95 % efficiency for normal errors in two axes."""
 LEAST_WEIGHT = 1e-6
+"""Weight below which a point takes no part: its standard deviation would be a thousand times the given one."""
 ROUNDS = 100
+"""Reweightings at most."""
 SETTLED = 1e-6
+"""Largest change of a weight at which the iteration has come to rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +154,7 @@ def estimate_problem(
         Standard deviation of unit weight, where it is known beforehand.
     """
     scale, freedom = (start.scale, float(start.freedom)) if sigma0 is None else (sigma0, float("inf"))
+    # The scale of the robust start is held: taken anew each round, it would shrink with the weights.
     weights, errors = start.inliers.astype(np.float64), problem.errors(problem.model(start.inliers))
     settled, rounds = False, 0
     while not settled and rounds < ROUNDS:
@@ -164,6 +168,7 @@ def estimate_problem(
             break
         errors = problem.errors(model)
         settled = bool(np.abs(weights - before).max() < SETTLED)
+    # From weights to a decision: the same test as data snooping, so that the two methods can be compared.
     kept = (weights > 0.0) & start.inliers
     probability = error_probabilities(problem, kept, scale, freedom)
     for _ in range(10):

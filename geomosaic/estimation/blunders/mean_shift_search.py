@@ -41,7 +41,7 @@ class ShiftSearch:
         Shifts that are needed, the largest statistic first.
     alternatives : tuple of tuple of int
         For each of them, others that would do nearly as well in its place.
-    state : State
+    state : ShiftState
         With these shifts.
     scale : float
         Standard deviation of unit weight of all that is kept; inf without redundancy.
@@ -58,7 +58,7 @@ def search_shifts(shifts: MeanShifts, start: Sequence[int] = ()) -> ShiftSearch:
 
     Parameters
     ----------
-    shifts : Shifts
+    shifts : MeanShifts
     start : sequence of int
         Let in to begin with.
     """

@@ -1,9 +1,9 @@
 """Neighbour tests: blunders that a smooth fit passes through, and image distortion mistaken for blunders.
 
-A thin plate spline has no residuals. What it says of a point left out has (`polyharmonic`). Errors are divided by
-their standard deviation, so that a corner which the others only extrapolate is no blunder. The start is a robust one:
-a plane through every three of the eight neighbours of a point, the one that most of them agree with (least quantile of
-squares, Rousseeuw 1984).
+A thin plate spline has no residuals, but its prediction of a point left out has an error (`local_prediction`). Errors
+are divided by their standard deviation, so that a corner which the others only extrapolate is no blunder. The start is
+a robust one: a plane through every three of the eight neighbours of a point, the one that most of them agree with
+(least quantile of squares, Rousseeuw 1984).
 
 A polynomial of a bent image misses the corners most, and a thin plate spline, straight outside its points, misses
 them more. Splines of higher orders follow the bend outwards, and know how little they know there.
@@ -36,7 +36,9 @@ BETTER = 0.4
 SMOOTH = 0.01
 """Smoothing, in squares of the usual distance of points: noise of two that nearly touch must not tilt the spline."""
 NEIGHBOUR_ROUNDS = 60
+"""Rounds of putting points out and letting them in again, at most."""
 BLOCK = 512
+"""Points whose distances to all others are held at a time: bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +95,7 @@ def search_neighbours(ids: Sequence[str], ground: AnyArray, colrow: AnyArray) ->
         )
     image = np.array(colrow, dtype=np.float64)
     places = np.array(ground, dtype=np.float64)[:, :2]
+    # Numbers within ±1: powers of map coordinates would make the bordered matrix singular to rounding.
     places = (places - places.mean(axis=0)) / max(float(np.abs(places - places.mean(axis=0)).max()), 1e-300)
     near = _nearest(places)
     # The image itself, and what a perspective leaves of it: the one of which points tell more about their neighbours.
@@ -107,6 +110,7 @@ def _contradicting(places: FloatArray, image: FloatArray, near: IntArray) -> tup
     """Points kept (N,) and the errors (N, 2) of all."""
     errors, weight = _by_planes(places, image, near)
     length = np.hypot(*errors.T) / np.sqrt(weight)
+    # The spline is solved densely, at a cost that grows with the cube of the points.
     if len(places) > MOST:
         return length <= OUT * np.median(length), errors
     return _by_spline(places, image, near, length <= 3.0 * np.median(length))
@@ -132,6 +136,7 @@ def _by_planes(places: FloatArray, image: FloatArray, near: IntArray) -> tuple[F
     seen = image[near]
     triples = np.array(list(combinations(range(NEIGHBOURS), 3)))
     corner = design[:, triples]
+    # Three points nearly in line hold no plane; they are passed over.
     good = np.abs(np.linalg.det(corner)) > 1e-3
     corner = np.where(good[:, :, None, None], corner, np.eye(3))
     planes = np.linalg.solve(corner, seen[:, triples])
@@ -146,6 +151,7 @@ def _by_planes(places: FloatArray, image: FloatArray, near: IntArray) -> tuple[F
     normal = np.einsum("nki,nkj->nij", design * part, design) + 1e-9 * np.eye(3)
     inverse = np.linalg.inv(normal)
     plane = inverse @ np.einsum("nki,nkj->nij", design * part, seen)
+    # Variance of the measurement (1) and of the plane at the point, which is the origin of `around`.
     return image - plane[:, 0], 1.0 + inverse[:, 0, 0]
 
 
@@ -162,6 +168,7 @@ def _by_spline(places: FloatArray, image: FloatArray, near: IntArray, kept: Bool
         worst = np.where(kept[near], length[near], 0.0).max(axis=1)
         out = kept & (length > OUT * typical) & (length >= worst)
         more = (kept | back) & ~out
+        # Where more than half would go, it is not the points that are wrong but the spline.
         if (more == kept).all() or more.sum() < 0.5 * len(kept):
             break
         kept = more
@@ -178,6 +185,7 @@ TELLING = 7.0
 COMPARABLE = 2.0
 """Times the least median error, up to which an order is a witness."""
 ROUNDS = 10
+"""Rounds from the inside outwards, at most."""
 
 
 def explained_by_distortion(ground: AnyArray, colrow: AnyArray, suspected: BoolArray) -> BoolArray:
@@ -231,5 +239,6 @@ def _agrees(places: FloatArray, image: FloatArray, kept: BoolArray, index: int) 
         expected = float(spread[-1] * np.median(lengths[others] / spread[others]))
         medians.append(float(np.median(lengths[others])))
         agree.append(expected <= TELLING and bool(lengths[-1] <= WITHIN * expected))
+    # The order that predicts the others best is the witness: a poor one expects large errors, and excuses any blunder.
     least = min(medians, default=0.0)
     return any(agrees and m <= COMPARABLE * least for agrees, m in zip(agree, medians, strict=True))

@@ -161,6 +161,7 @@ class EdgeProblem(Problem[State]):
         def image(xy: FloatArray) -> FloatArray:
             return model.ground_to_image(way(np.column_stack([xy, np.full(len(xy), ground[0, 2])])))
 
+        # The chain rule from the model's CRS to the map, by differences over about a pixel.
         step = pixel_step(image, ground[0, :2], 1.0 if self.crs.is_projected else 1e-5)
         turn = []
         for axis in range(2):

@@ -19,6 +19,7 @@ from geomosaic.sensor.correction_grid import CorrectionGrid
 from geomosaic.types import AnyArray, FloatArray
 
 RIDGE = 0.1
+"""Added to the diagonal of the wide scales: close points that differ are met in part only, and do not swing."""
 CELLS = 6
 """Nodes per radius of a bump."""
 MET = 1e-3
@@ -26,6 +27,7 @@ MET = 1e-3
 SWING = 2.0
 """Largest correction anywhere, in lengths of the largest one at a point."""
 _MARGIN = 2
+"""Nodes of zeros around: the cubic kernel reaches two nodes, so that corrections fade to exactly 0 at the border."""
 
 
 def finest_spacing(places: FloatArray, reach: float, most_nodes: int) -> float:
@@ -64,6 +66,7 @@ def correction_through(places: FloatArray, values: FloatArray, reach: float, mos
     """
     from scipy.spatial import cKDTree
 
+    # As far as a bump at the outermost point reaches.
     low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
     closest = float(cKDTree(places).query(places, k=2)[0][:, 1].min())  # inf for one point
     last = min(reach, max(2.5 * closest, CELLS * finest_spacing(places, reach, most_nodes)))
@@ -81,9 +84,11 @@ def correction_through(places: FloatArray, values: FloatArray, reach: float, mos
         made = _filled(fine, total)
         for _ in range(2):  # once is enough but for rounding
             total = total + narrow @ _through_grid(made, narrow, places, values - made.at(places))
+            # To a billionth of a pixel: digits below it are rounding, and would differ between machines.
             made = _filled(fine, np.round(total, 9))
     except InputError:  # too steep
         return None
+    # A grid that meets all points may still be useless between them.
     swings = np.linalg.norm(total, axis=1).max() > SWING * max(np.linalg.norm(values, axis=1).max(), MET)
     missed = not np.abs(values - made.at(places)).max() <= MET
     return None if swings or missed else made
@@ -186,6 +191,7 @@ def spread(points: FloatArray, corrections: FloatArray, reach: float, names: tup
     """
     each = _Wanted(points, corrections, names)
     spacing = finest_spacing(points, reach, NODES[-1])
+    # The cheapest way that meets all points comes first; means of close points are the last resort.
     for most_nodes, within in (
         (NODES[0], 1e-3),
         (NODES[1], 1e-3),

@@ -51,6 +51,7 @@ def extended_to_neighbours(problem: EdgeProblem, models: list[SensorModel], fitt
         ground = common_ground(problem, models, fitted)
         known = np.isfinite(ground[:, 0])[problem.stations.station]
         models, now = _fitted(problem, models, ground, known, fitted)
+        # No photo was reached in this round: none will be in the next.
         if (now == fitted).all():
             break
         fitted = now

@@ -241,6 +241,7 @@ def _grids(problem: EdgeProblem, solution: EdgeSolution, reach: float | None) ->
         if not mine.any():
             grids.append(None)
             continue
+        # A grid is added to the ideal position: its places are the measured ones less the residuals.
         values = solution.residuals[mine]
         far = reach or max(
             _largest_gap(problem, index, mine) * FADES or ALONE * model.size[0],

@@ -44,6 +44,7 @@ def check_determined(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTr
     """
     if kind not in LEAST:
         raise SolveError(f"no transformation named '{kind}'", where=where, hint=f"choose one of {', '.join(LEAST)}")
+    # Counting comes first: it names the photo and the number that lacks, which a singular matrix cannot.
     photos: dict[str, set[str]] = {photo.name: set() for photo in block.photos}
     points: dict[str, set[str]] = {}
     for measured in block.measurements:
@@ -62,6 +63,7 @@ def check_determined(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTr
                 hint="measure more tie or control points in it, choose a simpler model, or leave the photo out",
             )
     for piece in pieces(block):
+        # A held photo takes the part of control.
         if piece & set(fixed):
             continue
         own = {point.id for point in block.control if point.photo in piece}
@@ -94,6 +96,7 @@ def pieces(block: PlanarBlock) -> list[set[str]]:
 
     def top(name: str) -> str:
         while root[name] != name:
+            # Union-find with path halving.
             root[name] = root[root[name]]
             name = root[name]
         return name

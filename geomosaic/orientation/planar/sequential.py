@@ -44,7 +44,7 @@ class Attachment:
     points, control : int
         Tie points and control points that placed it.
     elongation : float
-        Condition number of the places of the points in the photo, see `check.elongation`.
+        Condition number of the places of the points in the photo, see `determinacy.elongation`.
     refused : str
         What stood against the kind that was asked for; empty where nothing did.
     rms : float
@@ -142,6 +142,7 @@ def known_points(
         if not seen:
             continue
         spread = [block.by_photo[name][measured.id].sigma * transforms[name].pixel() for name in seen]
+        # Weighted mean: a place measured in a finer photo counts more.
         weight = 1.0 / np.square(spread)
         x, y = np.average([places[name][measured.id] for name in seen], axis=0, weights=weight)
         found.append(

@@ -89,6 +89,7 @@ def adjust_unchecked(
     if kind != "projective":
         return _solve(block, kind, fixed, None, where), None
     check_determined(block, kind, fixed, where)
+    # Projective equations are not linear: from the affine solution, which needs no start, they converge.
     start = _solve(block, "affine", fixed, None, where)
     return _solve(block, kind, fixed, start, where), start
 
@@ -176,6 +177,7 @@ def _finish(adjustment: _Adjustment, solution: Solution[_State]) -> PlanarSoluti
     views = problem.views
     sigma = problem.sigma_ground(values, at)
     final = _State(values, at, sigma)
+    # At the final places and weights: those of the last round are one step old.
     equations, squares = adjustment.equations(final), adjustment.squares(final)
     cofactors = cofactor_blocks(problem, equations.normals)
     points = mean_positions(views, problem.positions(values, at), sigma)

@@ -40,12 +40,12 @@ class TiltTrial:
     ----------
     sizes : dict of str to float
         Photos that are taken as tilted, and by how much that shifts their points at most, pixels.
-    shifts : Shifts
-    labels : list of Label
+    shifts : MeanShifts
+    labels : list of MeasurementLabel
         Of the shifts.
     keys : list
         What each shift is of.
-    found : Search
+    found : ShiftSearch
     """
 
     sizes: dict[str, float]
@@ -99,6 +99,7 @@ def likeliest_tilts(
         raise RuntimeError("photos whose unknowns are not held")
     while MISSING[kind] and best.tilted != photos:
         blamed = Counter(image for shift in best.found.included for image in best.labels[shift].images)
+        # One photo, all that are blamed, or all of them: not every choice, whose number doubles with each photo.
         suspects = [image for image, _ in blamed.most_common() if image in photos - best.tilted]
         ways = [*(frozenset({image}) for image in suspects[:TRIED]), frozenset(suspects), photos]
         chosen = dict.fromkeys(best.tilted | way for way in ways if way)

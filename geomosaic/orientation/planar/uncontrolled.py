@@ -137,6 +137,7 @@ def middle(block: PlanarBlock) -> str:
         while ring:
             ring = list(dict.fromkeys(b for a in ring for b in near[a] if b not in away))
             away.update(dict.fromkeys(ring, max(away.values()) + 1))
+        # Fewest photos out of reach, then joins to the farthest, then joins to all; the block's order breaks ties.
         mark = (len(near) - len(away), max(away.values()), sum(away.values()), number)
         if best is None or mark < best:
             best, found = mark, photo.name
