@@ -80,6 +80,10 @@ def options_of(
         Names that the command does not have.
     only : tuple of str
         Names that it has alone; all unless given.
+
+    Returns
+    -------
+    callable
     """
     own = [one for one in declared(kind) if one.flag and one.name not in without and (not only or one.name in only)]
 
@@ -87,6 +91,7 @@ def options_of(
         @wraps(function)
         def call(**flags: Any) -> Any:
             given = {one.name: flags.pop(one.name) for one in own}
+            # Only what was given: the defaults are those of the class.
             set_ = {name: value for name, value in given.items() if value is not None and value != ()}
             return function(options=compose(kind, set_), **flags)
 

@@ -66,7 +66,7 @@ def _discard(stream: Any) -> None:
 
 
 def tolerate_closed_pipes() -> None:
-    r"""Make the standard streams tolerant; a stream that is closed stays closed.
+    r"""Tolerant standard streams; a stream that is closed stays closed.
 
     A name that the terminal's encoding does not have is written as \xe4 or \u0416, which is no reason to fail either.
     """

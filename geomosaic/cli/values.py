@@ -12,7 +12,7 @@ class FilePath(click.Path):
     """Path whose name can be written down: GDAL, PROJ and every file that names it take UTF-8."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Refuse names with bytes that are no text, which Python carries as lone surrogates."""
+        """Path of a text; names with bytes that are no text, which Python carries as lone surrogates, are refused."""
         try:
             str(value).encode()
         except UnicodeEncodeError:

@@ -128,7 +128,7 @@ def _outputs(output: Path, several: bool, options: MosaicOptions) -> list[Path]:
 
 
 def _in_frame(inputs: Block, found: SurfaceFile) -> Block:
-    """The inputs with their positions in the surface's CRS, where they name none."""
+    """Inputs with their positions in the surface's CRS, where they name none."""
     if inputs.dem is not None or inputs.height is not None:
         raise InputError("a DEM or a height has no part in a developed surface", hint="leave out `dem` and `height`")
     # Photos of facades and domes look level or up, which sensors refuse as a mistake unless told.
@@ -140,7 +140,7 @@ def _in_frame(inputs: Block, found: SurfaceFile) -> Block:
 
 
 def _towards(found: SurfaceFile, block: OrientedBlock) -> tuple[Developed, list[str]]:
-    """The surface; a plane that was fitted and not told its side is turned to the first camera."""
+    """Surface turned to the cameras: a fitted plane without a declared side faces the first one."""
     if found.facing:
         return found.surface, []
     scene = block.scenes[0]

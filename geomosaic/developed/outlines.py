@@ -31,7 +31,7 @@ class DevelopedFootprint(Footprint):
 
     @property
     def polygon(self) -> Any:
-        """The outline."""
+        """Outline of all parts."""
         return self.parts
 
 
@@ -160,7 +160,7 @@ def _polygon(cells: BoolArray, u: FloatArray, v: FloatArray) -> Any:
 
 
 def _best(parts: Any, u: FloatArray, v: FloatArray, image: FloatArray) -> tuple[tuple[float, float], float]:
-    """The place seen best: the mean of the largest part, weighted by pixels per area; and the sampling there."""
+    """Place seen best, the centre of the largest part weighted by pixels per area; and the pixel size there."""
     import shapely
 
     with np.errstate(invalid="ignore"):

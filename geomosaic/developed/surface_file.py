@@ -110,7 +110,7 @@ def read_surface(path: PathLike) -> SurfaceFile:
 
 
 def _known(given: Mapping[str, Any], kind: str, where: str) -> None:
-    """Refuse keys that mean nothing for a kind."""
+    """Check that all keys mean something for a kind."""
     direction = ("normal", "up") if kind == "plane" else ("axis", "zero", "side")
     extra = ("projection",) if kind in ("sphere", "ellipsoid") else ()
     allowed = (*_COMMON, ORIGIN[kind], *_SIZES[kind], *direction, *extra)
@@ -145,7 +145,7 @@ Parts = tuple[LocalFrame | None, Axes, Body, dict[str, Any], tuple[str, ...]]
 
 
 def _given(given: Mapping[str, Any], kind: str, crs: CRS, where: str) -> Parts:
-    """The surface of its parameters."""
+    """Surface from its parameters."""
     origin = _vector(given, ORIGIN[kind], where)
     frame = None
     if crs != local_frame_crs():
@@ -200,7 +200,7 @@ def body_of(kind: str, sizes: FloatArray, projection: str) -> Body:
 
 
 def _check_semi_axes(sizes: Sequence[float], given: Mapping[str, Any], where: str) -> None:
-    """Refuse other than two or three semi-axes, and of three different ones any development but the plan."""
+    """Check of semi-axes: two or three, and with three different ones no development but the plan."""
     if len(sizes) not in (2, 3):
         raise InputError(
             f"semi_axes has {len(sizes)} values, not 2 or 3",
@@ -217,7 +217,7 @@ def _check_semi_axes(sizes: Sequence[float], given: Mapping[str, Any], where: st
 
 
 def _fitted(given: Mapping[str, Any], kind: str, crs: CRS, path: Path, where: str) -> Parts:
-    """The surface through points measured on the thing."""
+    """Surface through points measured on it."""
     pass
     from geomosaic.surface.developed.fit import fit_body
 

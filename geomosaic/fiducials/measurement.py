@@ -89,7 +89,7 @@ def read_template(path: PathLike, at: tuple[float, float] | None = None, side: i
 
 
 def _checked(window: Window, path: PathLike) -> Window:
-    """Refuse what is too small or too large for a mark before it is read."""
+    """Check, before it is read, that a picture is neither too small nor too large for a mark."""
     if min(window.width, window.height) < SMALLEST or max(window.width, window.height) > LARGEST:
         raise InputError(
             f"a picture of {window.width} x {window.height} pixels is no template of a mark",

@@ -198,7 +198,7 @@ def _holds(condition: str, state: Mapping[str, Any]) -> bool:
 
 
 def _shown(condition: str, state: Mapping[str, Any]) -> str:
-    """A condition with the value that the option has."""
+    """Condition with the value that the option has."""
     name, equals, _ = condition.partition("=")
     found = state[name]
     return f"`{condition}`" if equals or not isinstance(found, str | int | float) else f"`{name}={found}`"

@@ -159,7 +159,7 @@ def _sides(margin: float | tuple[float, float, float, float] | None) -> tuple[fl
 
 
 def _datum(folder: Path, heights: str | None) -> str | None:
-    """Resolve a vertical datum that is given as a geoid grid's path."""
+    """Vertical datum; the path of a geoid grid starts from the project's folder."""
     if heights is not None and heights.lower().endswith((".tif", ".gtx")):
         return str(folder / heights)
     return heights
@@ -313,7 +313,7 @@ def find_images(folder: Path, patterns: list[str], where: str) -> tuple[Path, ..
 
 
 def _all_errors(error: ValidationError, path: str, text: str) -> InputError:
-    """Make one message of all that pydantic found."""
+    """Error that lists all that pydantic found, with lines."""
     lines = []
     for item in error.errors(include_url=False):
         place = [str(part) for part in item["loc"]]

@@ -14,7 +14,10 @@ from geomosaic.options.mosaic import MosaicOptions, Width
 
 
 def _plain_path(text: str) -> str:
-    """Refuse names that GDAL would open as something other than a file on this machine."""
+    """Path of a file on this machine.
+
+    GDAL would take other names for addresses, archives or XML descriptions, and read what the project does not name.
+    """
     if not text.strip():
         raise ValueError("the path is empty")
     if "\0" in text or "://" in text or text.lstrip().startswith(("/vsi", "\\vsi", "<")):
@@ -23,7 +26,7 @@ def _plain_path(text: str) -> str:
 
 
 def _width(text: str) -> str:
-    """Refuse what is no width with a unit."""
+    """Text of a width with a unit."""
     from geomosaic.errors import InputError
 
     try:

@@ -77,7 +77,7 @@ def is_vector(path: Path) -> bool:
 def reproject_vectors(
     path: Path, crs: CRS, output: Path, *, source: CRS | None = None, overwrite: bool = False
 ) -> VectorResult:
-    """Bring all layers of a vector file to another CRS; attributes stay as they are.
+    """All layers of a vector file in another CRS; attributes stay as they are.
 
     Vertices are transformed; straight lines between them stay straight. What reaches over the edge of the new map is
     cut there, see `vector_cut`.
@@ -95,6 +95,10 @@ def reproject_vectors(
         Of the input, instead of what the file says.
     overwrite : bool
         Replace an existing output.
+
+    Returns
+    -------
+    VectorResult
 
     Raises
     ------

@@ -94,7 +94,7 @@ def command(images: tuple[Path, ...], as_json: bool, **flags: Any) -> None:
 
 
 def _words(one: ImageRpc) -> list[str]:
-    """Say what became of one image."""
+    """Lines on the RPC of one image: fit, correction, check points and files."""
     facts = one.facts
     lines = [f"{one.name}: RPC {one.how if one.how in ('fitted', 'as it came') else f'refined by {one.how}'}"]
     if "fit_worst_px" in facts:

@@ -69,7 +69,7 @@ def command(
 
 
 def _again_and_again(project: Path, once: Callable[[bool], int], force: bool, as_json: bool) -> NoReturn:
-    """Run, wait for a change, run; what is wrong is told, and waits to be mended."""
+    """Runs of a project, one after each change; errors are told, and the next change may mend them."""
     from geomosaic.cli.failure import failed
     from geomosaic.jobs.watch import Look, look, make_ready, wait_for_change
 
@@ -82,8 +82,10 @@ def _again_and_again(project: Path, once: Callable[[bool], int], force: bool, as
             raise
         except Exception as error:
             failed(error, as_json=as_json, debug="--debug" in sys.argv)
+        # Only the first run is forced; the later ones answer to changes.
         force = False
         say(f"waiting for changes of {project.name} and of what it reads; Ctrl-C ends")
+        # Loading takes seconds that the next run, which someone waits for, then saves.
         make_ready()
         check_stopped()
         now = wait_for_change(before)
@@ -93,7 +95,7 @@ def _again_and_again(project: Path, once: Callable[[bool], int], force: bool, as
 
 
 def _read(project: Path) -> list[Path]:
-    """The files that count; the project file alone, where that is wrong."""
+    """Files that a project reads; the project file alone, where that is wrong."""
     from geomosaic.jobs.project import job_of
     from geomosaic.jobs.watch import read_by
     from geomosaic.project.load import is_pattern, load_project

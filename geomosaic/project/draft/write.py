@@ -119,7 +119,7 @@ def _system(table: Path) -> str | None:
 
 
 def _angles(inputs: Block, read: str | None) -> list[str]:
-    """Say what angle system was read off the table, and what it could be taken for."""
+    """Lines on the angle system that was read off the table, and on others that it could be."""
     if read is None:
         return []
     if read in RECONSTRUCTIONS:
@@ -231,7 +231,7 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
 
 
 def _planar(planar: PlanarInputs, near: Callable[[Path], str]) -> list[str]:
-    """The section of photos of flat ground that tie and control points place."""
+    """Section of photos of flat ground that tie and control points place."""
     lines = ["[planar]", f"kind = {_string(planar.kind)}    # uncontrolled, semicontrolled, controlled, grown"]
     if planar.ties is not None:
         lines.append(f"ties = {near(planar.ties)}")
