@@ -123,6 +123,7 @@ class Grid:
             raise InputError(f"bounds {bounds} enclose no area", hint="give left bottom right top in the output CRS")
         if snap:
             # A hair of tolerance keeps 12.000000001 from costing a column of empty pixels.
+            # A millionth of a pixel is rounding of the bounds, and must not add a row or a column.
             left = math.floor(left / resolution + 1e-6) * resolution
             top = math.ceil(top / resolution - 1e-6) * resolution
         width = max(1, math.ceil((right - left) / resolution - 1e-6))
@@ -238,6 +239,7 @@ class Grid:
         """Smallest window, cut to the grid, that covers map bounds; it may be empty."""
         left, bottom, right, top = bounds
         p = self.colrow(np.array([[left, bottom], [left, top], [right, bottom], [right, top]]))
+        # Bounds on the edge of a pixel do not take its neighbour.
         low, high = np.floor(p.min(axis=0) + 1e-9), np.ceil(p.max(axis=0) - 1e-9)
         window = Window(int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
         return window.intersection(self.window)

@@ -135,6 +135,7 @@ def _operation(source_wkt: str, target_wkt: str) -> _Operation | None:
             # On one datum the way is a conversion: nothing is to be looked up in the registry, which takes PROJ 20 ms.
             registry = "none" if _on_one_datum(source, target) else None
             try:
+                # A ballpark operation would leave out a shift of datum or geoid without a word.
                 transformer = Transformer.from_crs(
                     source, target, always_xy=True, allow_ballpark=False, authority=registry
                 )

@@ -137,7 +137,7 @@ _KNOWN = {
 
 @dataclass(frozen=True)
 class Creation:
-    """How a file is made.
+    """Creation options of a file, checked and complete.
 
     Attributes
     ----------

@@ -16,7 +16,14 @@ Pixels = tuple[AnyArray, ByteArray | None]
 
 
 class InMemory:
-    """A decoded image in memory."""
+    """Decoded image in memory.
+
+    Parameters
+    ----------
+    values : array (rows, cols, bands)
+    valid : uint8 array (rows, cols) or None
+        None where every pixel is valid.
+    """
 
     def __init__(self, values: AnyArray, valid: ByteArray | None) -> None:
         self._values, self._valid = values, valid

@@ -93,6 +93,7 @@ def picture(
     """
     width, height = size
     (left, top), (right, bottom) = grid.colrow(np.array([[bounds[0], bounds[3]], [bounds[2], bounds[1]]]))
+    # 1e-6 keeps a ratio of exactly n from being cut to n - 1 by rounding.
     shrink = max(1, int(min((right - left) / width, (bottom - top) / height) + 1e-6))
     bands = bands or ((1, 2, 3) if source.info.bands >= 3 else (1,))
     out = np.zeros((height, width, 4), dtype=np.uint8)

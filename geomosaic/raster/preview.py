@@ -81,6 +81,7 @@ def stretch(values: AnyArray, valid: ByteArray) -> ByteArray:
         return np.zeros(values.shape, dtype=np.uint8)
     low, high = np.percentile(known, (2.0, 98.0))
     with np.errstate(invalid="ignore"):
+        # An image of one value has no contrast to stretch.
         grey = (values.astype(np.float64) - low) * (255.0 / max(high - low, 1e-12))
     return np.where(valid[:, :, None] != 0, np.clip(np.nan_to_num(grey), 0, 255), 0).astype(np.uint8)
 

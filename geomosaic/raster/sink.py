@@ -133,7 +133,7 @@ class RasterSink:
         self._remove()
 
     def write(self, window: Window, values: AnyArray, valid: ByteArray | None = None, *, blank: bool = False) -> None:
-        """Write a window; call from one thread, windows row by row, each once.
+        """Addition of a window; to be called from one thread, windows row by row, each once.
 
         Parameters
         ----------
@@ -225,7 +225,9 @@ class RasterSink:
         try:
             self._tiles.finish()
             self._tiles.close()
+            # The bytes must be on the disk before the name is, or a power cut leaves a final name on a file in pieces.
             sync(self._partial)
+            # GDAL would take statistics, overviews and masks of the old pixels for those of the new ones.
             for suffix in _SIDECARS:  # of the file that is replaced
                 self.path.with_name(self.path.name + suffix).unlink(missing_ok=True)
             self._partial.replace(self.path)

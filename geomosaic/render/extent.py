@@ -47,6 +47,7 @@ def output_crs(scenes: tuple[OrientedImage, ...], surface: Surface | None) -> CR
         The place lies outside all UTM zones.
     """
     model = scenes[0].model
+    # A geocentric model has no map of its own.
     own = horizontal(model.crs if surface is None or not model.crs.is_geocentric else surface.crs)
     if own.is_projected or own.is_engineering:  # a map of its own, such as that of an uncontrolled mosaic
         return own

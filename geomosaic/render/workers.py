@@ -62,9 +62,14 @@ def in_order(
 
 
 class Room:
-    """So many bytes: who needs more than is left waits for others to end; who needs more than all works alone.
+    """Memory budget that threads share: who needs more than is left waits for others to end.
 
-    What comes out does not depend on it, only when.
+    Who needs more than all of it works alone. What comes out does not depend on the budget, only when.
+
+    Parameters
+    ----------
+    size : int
+        Bytes.
     """
 
     def __init__(self, size: int) -> None:
@@ -75,6 +80,7 @@ class Room:
     def of(self, size: int) -> Iterator[None]:
         """Hold so many bytes for the length of a block; never to be asked for by a thread that holds some."""
         with self._changed:
+            # `_held == 0`: a request larger than the budget would wait for ever.
             self._changed.wait_for(lambda: self._held == 0 or self._held + size <= self._size)
             self._held += size
         try:

@@ -29,6 +29,7 @@ ALIGNED = 1 << (LEVELS + MORE)
 ROUNDS = 3
 TOLERATED = 3.0
 """Times the usual difference; what differs by 0.8 times as much is blended fully, by 1.6 times not at all."""
+# Squares of these multiples, since mean squares are compared: √0.7 ≈ 0.8, √2.5 ≈ 1.6.
 _BLENDED, _NOT = 0.7, 2.5
 _STEEPEST = 0.5
 

@@ -97,6 +97,7 @@ def differences(
         shared = [np.count_nonzero(known & views[i].valid) for i in left]
         if not max(shared):
             break
+        # The image that shares most with what is known comes next: its difference is the best determined.
         i = left.pop(int(np.argmax(shared)))
         view, both, part = views[i], known & views[i].valid, parts[i]
         new = view.valid & ~known
@@ -141,6 +142,7 @@ def believed(apart: AnyArray, certain: AnyArray, noise: float, by: Steps) -> Any
     small, weight = by.reduce(apart * certain), by.reduce(certain)
     small = small / np.maximum(weight, np.float32(1e-6))
     trusted = weight
+    # Equal images have no noise, and the limit is divided by.
     limit = np.float32(max(TOLERATED * noise, 1e-6) ** 2)
     for _ in range(ROUNDS):
         mean = _mean(small, trusted, by)
@@ -182,6 +184,7 @@ def in_bands(apart: Sequence[Apart | None], label: IntArray, levels: int, by: St
         shares = descend(by, (label[own.part.rows, own.part.cols] == i)[None].astype(np.float32), levels)
         for level in range(levels + 1):
             band = gauss[level] if level == levels else gauss[level] - by.expand(gauss[level + 1])
+            # Shares as smooth as the band is coarse: that makes the transition as wide as its wavelength.
             band *= shares[level]
             if len(sums) <= level:
                 sums.append(np.zeros((len(band), *(length >> level for length in label.shape)), dtype=np.float32))

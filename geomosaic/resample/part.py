@@ -11,14 +11,20 @@ from geomosaic.types import IntArray
 
 @dataclass(frozen=True)
 class Part:
-    """Rows and columns of a window; all multiples of the size of the coarsest cells of a pyramid."""
+    """Part of a window, on multiples of the size of the coarsest cells of a pyramid.
+
+    Attributes
+    ----------
+    rows, cols : slice
+        Of the window.
+    """
 
     rows: slice
     cols: slice
 
     @classmethod
     def whole(cls, shape: tuple[int, ...]) -> Part:
-        """Of a window of this shape."""
+        """Part that is all of a window of this shape (rows, cols)."""
         return cls(slice(0, shape[0]), slice(0, shape[1]))
 
     @property

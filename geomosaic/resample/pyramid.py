@@ -14,9 +14,14 @@ Step = Callable[[AnyArray], AnyArray]
 
 @dataclass(frozen=True)
 class Steps:
-    """One step down and one up; arrays (bands, rows, cols) of float32, of even size where they go down.
+    """Steps of an image pyramid, compiled or in NumPy.
 
-    And what is done pixel by pixel at either end: `kernels.differences`.
+    Attributes
+    ----------
+    reduce, expand : callable
+        One step down and one up; float32 arrays (bands, rows, cols), of even size where they go down.
+    minus, join : callable
+        What is done pixel by pixel at either end, see `kernels.differences`.
     """
 
     reduce: Step
@@ -209,6 +214,7 @@ def filled(by: Steps, values: AnyArray, certainty: AnyArray, levels: int) -> Any
         Reach: beyond about 2 ^ levels samples from anything certain, values fade to 0.
     """
     sums, weights = descend(by, values * certainty, levels), descend(by, certainty, levels)
+    # `least` stands for no certainty at all: 0 / 1e-6 is 0, where 0 / 0 would spread NaN.
     one, least = np.float32(1.0), np.float32(1e-6)
     out = sums[-1] / np.maximum(weights[-1], least)
     for total, weight in zip(sums[-2::-1], weights[-2::-1], strict=True):

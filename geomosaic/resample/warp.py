@@ -35,7 +35,7 @@ Geometry = tuple[FloatArray, FloatArray, AnyArray, float, float, bool, int]
 
 
 class Reader(Protocol):
-    """Reads a window of an image: `raster.source.Source`, or an array in tests."""
+    """Reader of windows of an image: `raster.source.Source`, or an array in tests."""
 
     def read(self, window: Window, shrink: int = 1) -> tuple[AnyArray, ByteArray | None]:
         """Values (rows, cols, bands) and validity (rows, cols), None where all are valid."""
@@ -167,6 +167,7 @@ def warp(
     kernel = "bilinear" if resampling == "average" or n > 1 else resampling
     shape = _Shape(kernel, n, shrink, size)
     boxes = _boxes(lattice)
+    # Where heights do not move the image they count only if some are unknown, which leaves pixels empty.
     if patch is None or (lattice.flat and not np.isnan(patch.heights).any()):
         places, heights = None, np.zeros((1, 1), dtype=np.float32)
     else:
@@ -243,6 +244,7 @@ def _fill(
         fill_pixels(engine, shape.kernel, geometry, shape.size, few, pixels_for, ending, out, out_valid)
         return
     start, (height, width), n = 0, out_valid.shape, shape.n
+    # The kernel for the commonest case stops at the first row that it cannot do; the general one goes on from there.
     if valid is None and n == 1 and shape.kernel in engine.block_kernels and _is_rgb(source):
         start = fill_rgb(
             engine, shape.kernel, geometry, shape.size, need, source, window, ending, out, out_valid

@@ -264,6 +264,7 @@ def _metres(source: Source, band: int, crs: CRS, where: str) -> tuple[float, flo
     if (scale, offset) != (1.0, 0.0):
         notes.append(f"stored values × {scale:g} + {offset:g}")
     axis = crs.axis_info[2]
+    # Heights of a `Surface` are metres everywhere, and a geoid grid gives metres.
     if abs(axis.unit_conversion_factor - 1.0) > 1e-9:
         raise InputError(
             f"the vertical CRS counts in {axis.unit_name}, only metres are supported",

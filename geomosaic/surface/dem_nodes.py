@@ -34,7 +34,7 @@ class _Size(Protocol):
 
 
 class HeightSource(Protocol):
-    """Where nodes come from: a `Source` of one band, or an array."""
+    """Source of a DEM's nodes: a `Source` of one band, or an array."""
 
     @property
     def info(self) -> _Size:
@@ -56,7 +56,13 @@ class _ArraySize:
 
 @dataclass(frozen=True, eq=False)
 class ArraySource:
-    """Heights (rows, cols) held in memory, as a source of nodes."""
+    """Heights held in memory, as a source of nodes.
+
+    Attributes
+    ----------
+    heights : float32 array (rows, cols)
+        Metres; NaN where unknown.
+    """
 
     heights: Float32Array
 

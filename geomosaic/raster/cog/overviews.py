@@ -36,7 +36,13 @@ class Tile:
 
 @dataclass(frozen=True)
 class Level:
-    """Size of one level in pixels."""
+    """Size of one level of an image: itself or an overview.
+
+    Attributes
+    ----------
+    width, height : int
+        Pixels.
+    """
 
     width: int
     height: int

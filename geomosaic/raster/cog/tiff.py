@@ -29,7 +29,17 @@ _INTEGERS = {1: "B", 3: "H", 4: "I", 16: "Q"}
 
 @dataclass(frozen=True)
 class Field:
-    """One tag's value as it stands in the file: type, count and little-endian bytes."""
+    """Value of one tag as it stands in the file.
+
+    Attributes
+    ----------
+    type : int
+        TIFF's number of the data type.
+    count : int
+        Number of values.
+    data : bytes
+        The values, little-endian.
+    """
 
     type: int
     count: int

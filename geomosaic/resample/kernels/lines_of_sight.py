@@ -148,6 +148,7 @@ def last_level(field, relief, first_row, first_col):
         return -np.inf
     sx_low, sx_high, sy_low, sy_high = np.inf, -np.inf, np.inf, -np.inf
     first, last = (lowest - z_middle) * z_inverse, (highest - z_middle) * z_inverse
+    # A quadratic leaves its chord over an interval h by at most h² / 4 times its leading coefficient.
     bulge = (last - first) ** 2 / 4.0
     for a in range(2):
         for b in range(2):
@@ -176,6 +177,7 @@ def last_level(field, relief, first_row, first_col):
             y_high + max(sy_high * least, sy_high * most),
             level,
         ):
+            # A millimetre more, for rounding: who follows a line too far loses time only.
             return min(top, level + part + 1e-3)
     if over(walls, x_low - NEAR, x_high + NEAR, y_low - NEAR, y_high + NEAR, lowest):
         return min(top, start + 1e-3)

@@ -107,6 +107,7 @@ def _cubic_whole(t):
     w0 = np.int32(((-0.5 * t + 1.0) * t - 0.5) * t * 2048.0 - 0.5)
     w2 = np.int32(((-1.5 * t + 2.0) * t + 0.5) * t * 2048.0 + 0.5)
     w3 = np.int32((0.5 * t - 0.5) * t * t * 2048.0 - 0.5)
+    # The second weight is what is left of one, so that even ground keeps its value.
     return w0, np.int32(2048 - w0 - w2 - w3), w2, w3
 
 

@@ -1,4 +1,4 @@
-"""What the bodies have in common: their own axes, and the contract of a development."""
+"""Contract of a body and its development, and what bodies have in common: their own axes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Bounds = tuple[float, float, float, float]
 
 
 class Body(Protocol):
-    """A body in its own axes, and its surface developed onto (u, v).
+    """Body in its own axes, and its surface developed onto (u, v).
 
     Lengths are metres. h is the offset from the surface along its outward normal. What lies outside of the development
     is NaN.
