@@ -103,7 +103,7 @@ def _descend(
         active, over = active[~(over <= 1e-3)], over[~(over <= 1e-3)]
         if not len(active):
             break
-        # Metres of the difference that gives the slope: a thousandth of the way left, but enough to stand out of rounding.
+        # Metres of the difference that gives the slope: a thousandth of what is left, but well above rounding.
         step = np.maximum(1e-3, 1e-3 * np.abs(over))
         slope = (height(active, t[active] + step) - (over + level)) / step
         # A ray that does not fall here has passed its lowest point above the level.
