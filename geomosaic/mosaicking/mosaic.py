@@ -162,6 +162,7 @@ def mosaic(
             pixels = render_mosaic(blender, files, options, reuse, water)
         digest = sha256 if memory is None else memory.digest
         checksum = None if files.item is None else background.submit(digest, output)
+        # Records look at every image once more, from the first row on.
         photos.again()
         if files.vectors is not None or files.item is not None:
             facts = source_facts(photos, about or {})

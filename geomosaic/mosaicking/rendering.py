@@ -134,6 +134,7 @@ def render_mosaic(
             counts += made.counts
             for fact in made.facts:
                 record.add(*fact)
+            # Photos that end above these rows are closed: memory is that of a strip of photos.
             blender.photos.passed(window.row)
             render.report(done + 1, len(units), "mosaic")
         if not counts[1:-1].any():

@@ -167,6 +167,7 @@ def dpi_of(film: Film) -> float:
     float
         Dots per inch: 317.5 in grey, 254 in colour.
     """
+    # Rounded: 25.4 / 0.1 is 253.99999999999997 in binary.
     return round(25.4 / PRINT_MM[film], 6)
 
 
@@ -189,6 +190,7 @@ def interval(ortho_scale: float, terrain: Terrain) -> tuple[float, float]:
     InputError
         The guidelines have no row for this scale; there is no formula behind the table.
     """
+    # Scales may come out of a formula, with rounding in their last digits.
     row = INTERVALS.get(round(ortho_scale))
     if row is None:
         raise InputError(

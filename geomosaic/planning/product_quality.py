@@ -99,6 +99,7 @@ def requirements(
         )
     photo = k * scale
     c, share = checked("camera_constant", camera_constant), math.sqrt(left) / k28.position_error(scale)
+    # The table holds for the whole of 0.3 mm on the map; an error of height shifts pixels in proportion.
     height = k28.height_error(scale, c, radius) * share
     dpi = _given(SCAN.solve("scan_dpi", {"ratio": k}))
     pixel = _given(SCAN_PIXEL.solve("scan_pixel", {"scan_dpi": dpi}))

@@ -149,6 +149,7 @@ RESOLUTIONS = {"dpi": 1.0, "px/mm": 25.4, "px/cm": 2.54}
 """In dots per inch."""
 SHARES = {"%": 1.0}
 KINDS = (LENGTHS, ANGLES, RESOLUTIONS, SHARES)
+# Thousands may be set apart by blanks, as `shown` does: what was printed can be given again.
 _NUMBER = re.compile(r"\s*([-+]?(?:\d[\d\u202f ]*(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\W\d_][\w/]*|[%°])?\s*")
 
 
@@ -171,6 +172,7 @@ def in_unit(text: str, unit: str) -> float:
     InputError
         It is no number, or its unit measures something else.
     """
+    # The Greek letter and the micro sign look alike, and keyboards have either.
     found = _NUMBER.fullmatch(text.replace("\N{GREEK SMALL LETTER MU}", "µ"))
     if found is None:
         raise InputError(f"'{text}' is no number", hint=f"write it as 150 or with its unit, {_known(unit)}")

@@ -65,6 +65,7 @@ class Power:
             if other != name:
                 if values[other] == 0 and exponent > 0:
                     return None
+                # 0 to a negative power is infinite, where Python raises an error.
                 rest /= values[other] ** exponent if values[other] else math.inf
         return float(rest ** (1.0 / self.powers[name]))
 

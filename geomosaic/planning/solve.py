@@ -55,6 +55,7 @@ def derive(relations: Sequence[Relation], given: Mapping[str, float]) -> list[De
     # A limit taken for an equation would give a quantity its limit before an equation gives it its value.
     ordered = sorted(relations, key=lambda relation: bound(relation) is not None)
     while True:
+        # One at a time, from the first relation on: the source that is named for a quantity is the first that gives it.
         new = next((made for relation in ordered if (made := _next(relation, known)) is not None), None)
         if new is None:
             break

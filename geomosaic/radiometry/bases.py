@@ -168,6 +168,7 @@ def _cubic_splines(t: FloatArray) -> FloatArray:
     weights = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]) / 6
     out = np.zeros((len(t), NODES))
     rows = np.arange(len(t))
+    # Each position has four splines that are not 0.
     for k in range(4):
         out[rows, first + k] = weights[k]
     return out

@@ -144,6 +144,7 @@ def _solve_band(graph: _OverlapGraph, relations: Sequence[MajorAxis], band: int)
     gain = np.exp(level)
     mean_a, mean_b = gain[first] * column("mean_a"), gain[second] * column("mean_b")
     spread = gain[first] * column("spread_a") * gain[second] * column("spread_b")
+    # Variance of the mean difference of two views of equal spread s and correlation ρ: 2·s²·(1 − ρ) / n.
     noise = 2 * spread * (1 - column("correlation")) / column("count")
     unit = max(1e-12, float(np.mean((np.abs(mean_a) + np.abs(mean_b)) / 2)))
     variance = noise / unit**2 + MIN_SIGMA**2

@@ -75,6 +75,7 @@ def matching_curve(source: AnyArray, target: AnyArray) -> ToneCurve:
     ToneCurve
         With at most `RANKS` knots per band.
     """
+    # Middles of equal classes: the least and the largest value, often outliers, are no knots.
     ranks = (np.arange(RANKS) + 0.5) / RANKS
     knots = []
     for band in range(source.shape[1]):

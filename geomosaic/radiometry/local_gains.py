@@ -180,6 +180,7 @@ def solve_dodging(fields: ColourModel, views: PairedSamples) -> ColourModel:
             weight = np.minimum(weight, 4 / (MIN_SIGMA**2 * per_overlap))
             normal = (design.T @ design.multiply(weight[:, None]) + prior).tocsr()
             scale = normal.diagonal()
+            # Iterative, from the last net: weights change little from round to round.
             net, _ = cg(normal, design.T @ (weight * left), x0=net, rtol=1e-6, M=_diagonal(scale))
         nets[:, :, band] = net.reshape(images, size)
     return replace(fields, dodging=nets)

@@ -100,6 +100,7 @@ def select_terms(
         total, count = np.zeros(views.a.shape[2]), 0
         for learnt, asked in (halves, halves[::-1]):
             off = _differences(solve_terms(views.only(learnt), own, gain, offset, linear), views.only(asked))
+            # Capped, not left out: a term must not look better by turning more samples into outliers.
             total += (np.minimum(np.abs(off), limits) ** 2).sum(axis=0)
             count += len(off)
         return float(np.sqrt(np.mean(total / max(count, 1))))
@@ -133,6 +134,7 @@ def _differences(fields: ColourModel, views: PairedSamples) -> FloatArray:
     """
     known, step = views.known, 1e-3 * fields.setting.reach
     one, other = (side[known] for side in fields.corrected(views))
+    # By differences: the model has no formula for its slope once dodging is in.
     more = fields.corrected(replace(views, a=views.a + step, b=views.b + step))
     slope = np.sqrt((((more[0][known] - one) / step) ** 2 + ((more[1][known] - other) / step) ** 2) / 2)
     level = np.abs(views.a + views.b)[known].mean(axis=0) / 2

@@ -94,6 +94,7 @@ class Overlaps:
         partners[index] = False
         self._came[index] = True
         self._kept[index] = piece
+        # Counted down as partners come; at 0 the thumbnail is dropped.
         self._missing[index] = np.count_nonzero(partners & ~self._came)
         for other in np.flatnonzero(partners & self._came).tolist():
             first, second = min(index, other), max(index, other)
@@ -236,6 +237,7 @@ def paired_samples(
     each = max(MIN_CELLS, most // len(used))
     chosen = [np.arange(0, len(pair.a), -(-len(pair.a) // each)) for pair in used]
     shape, bands = (len(used), max(len(own) for own in chosen)), used[0].a.shape[1]
+    # Padding is 1: its logarithms exist, and `known` keeps it from counting.
     a, b, known = np.ones((*shape, bands)), np.ones((*shape, bands)), np.zeros(shape, dtype=bool)
     place = np.zeros((4, *shape, 2))
     of_image: dict[int, list[tuple[int, int]]] = {}

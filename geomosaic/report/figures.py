@@ -183,6 +183,7 @@ def residual_plot(
     width = 400.0
     shrink = width / size[0]
     lengths = [math.hypot(p["col"], p["row"]) for p in known] or [1.0]
+    # Residuals may all be 0, and are then drawn as points.
     longest = max(max(lengths), 1e-9)
     enlarge = 36.0 / longest
     vectors = []
@@ -225,6 +226,7 @@ def nice_length(length: float) -> float:
     -------
     float
     """
+    # A hair of tolerance: a length of exactly one step must not fall to the next smaller one by rounding.
     power = 10.0 ** math.floor(math.log10(length))
     return float(max(step * power for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))
 

@@ -51,6 +51,7 @@ def number(value: float | None, digits: int = 3) -> str:
     """
     if value is None or not math.isfinite(value):
         return "–"
+    # Adding 0.0 turns −0.0 into 0.0: no minus before a zero.
     return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")
 
 

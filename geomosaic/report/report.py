@@ -163,6 +163,7 @@ def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path, places: Se
     """
     orient, made = data["orient"], data["mosaic"]
     unit = made["grid"]["crs"].rpartition(", ")[2]
+    # The largest residuals first, and before them points without any, which want looking at most.
     points = sorted(orient["control"], key=_length, reverse=True)
     sizes = {(image["width"], image["height"]) for image in orient["images"]}
     plot = residual_plot(points, sizes.pop(), orient["measured"]) if points and len(sizes) == 1 else None

@@ -244,6 +244,7 @@ class MultibandBlender(Blender):
         near.sort(key=lambda i: (float(np.hypot(*(np.array(self.photos.outlines[i].centre) - middle))), i))
         chosen = set(np.flatnonzero(np.bincount(label.ravel() + 1)[1:]).tolist())
         images, views, gap = [], [], np.ones(shape, dtype=bool)
+        # The images that the seams choose first, each group from near to far: sorts are stable.
         for i in sorted(near, key=lambda i: i not in chosen):
             wanted = i in chosen or self.blending.blend == "overlap"
             if not wanted and not gap.any():

@@ -73,6 +73,7 @@ def overlap_samples(
     level = np.full((len(photos), photos.info.bands), np.nan)
     low, high, whole = value_range(photos.info.dtype)
     windows = [grid.window_of(outline.bounds) for outline in photos.outlines]
+    # Only integers have ends of their range, at which values are clipped.
     overlaps, cells = Overlaps(windows, (low, high) if whole else None), cell_count(windows)
 
     def piece(index: int) -> Thumbnail:
@@ -151,6 +152,7 @@ def comparison_grid(photos: Photos, cells: int = CELLS) -> Grid:
     Grid
         With the upper left corner of the output grid; cells are never finer than its pixels.
     """
+    # The median, so that one image of another scale does not choose the cells of all.
     areas = [np.prod(np.ptp(outline.ring, axis=0)) for outline in photos.outlines]
     cell = np.sqrt(float(np.median(areas))) / cells
     return photos.grid.coarser(max(1, round(cell / photos.grid.resolution[0])))
@@ -221,6 +223,7 @@ def thumbnail(
     valid = np.zeros(values.shape[:2], dtype=np.uint8)
     if window.empty:
         return Thumbnail(window, values, valid)
+    # A raster whose pixels fit into the cells needs no rectification.
     size = photo.step_of(grid)
     if size is not None and photo.offset is not None:
         if resampling == "average":

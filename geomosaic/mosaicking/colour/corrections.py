@@ -76,6 +76,7 @@ def corrected(correction: Correction, values: AnyArray, window: Window, coarse: 
     array (rows, cols, bands)
     """
     if isinstance(correction, CorrectionField):
+        # Centres of coarse cells in output pixels, over which the gains are laid out.
         factor = coarse.resolution[0] / output.resolution[0]
         cols = factor * np.arange(window.col + 0.5, window.stop_col, dtype=np.float64)
         rows = factor * np.arange(window.row + 0.5, window.stop_row, dtype=np.float64)

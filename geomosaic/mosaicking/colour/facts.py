@@ -48,6 +48,7 @@ def colour_facts(balance: Balance, names: Sequence[str] | None) -> dict[str, Any
         return facts
     images = len(balance.gain)
     if "vignetting" in terms:
+        # As a table besides: coefficients of ρ², ρ⁴ and ρ⁶ say little to a reader.
         rho = np.linspace(0, 1, 11)
         radial = rho[:, None] ** (2 * np.arange(1, bases.RADIAL + 1))
         own = np.split(fields.shared[: bases.RADIAL * fields.setting.cameras], fields.setting.cameras)

@@ -110,6 +110,7 @@ def match_histograms(photos: Photos, options: MosaicOptions, reference: Oriented
 def _piece(photos: Photos, index: int, grid: Grid) -> Thumbnail:
     window = grid.window_of(photos.outlines[index].bounds)
     with photos.using(index) as photo:
+        # Single pixels: means of cells would narrow the distribution.
         return thumbnail(photo, photos.block.surface, grid, window, "nearest", photos.info.dtype)
 
 

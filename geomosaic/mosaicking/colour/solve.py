@@ -93,6 +93,7 @@ def solve_colours(photos: Photos, options: MosaicOptions, reference: OrientedIma
     anchored = _anchored(start, anchor, pairs)
     if options.colours.colour == ("gain",) or not start.overlaps:
         return _images_only(anchored, len(photos), pairs, notes)
+    # Photos are expected to be as bright as photos, not as the reference.
     level = np.concatenate([level, np.full((count - len(photos), level.shape[1]), np.nan)])
     return _solve_fields(photos, options, grid, pairs, level, start, anchored, anchor, notes)
 
@@ -126,6 +127,7 @@ def _solve_fields(
 
     find = sample_positions(photos, grid)
     kinds = cameras(photos)
+    # A reference was taken by no camera of the block: terms of light and lens do not apply to it.
     camera = np.concatenate([kinds, np.full(len(start.gain) - len(kinds), -1)])
     setting = ColourSetting(
         len(camera),
@@ -150,6 +152,7 @@ def _solve_fields(
     if views is None:
         return _images_only(anchored, len(photos), pairs, notes)
     fields = solve_terms(views, replace(setting, terms=asked), start.gain, start.offset, linear)
+    # Into each field, so that the mosaic is still made in one pass.
     gain, offset = _to_anchor(fields, anchor)
     shades = tuple(correction_field(photos, i, fields).then(gain, offset) for i in range(len(photos)))
     lines = [shade.line() for shade in shades]

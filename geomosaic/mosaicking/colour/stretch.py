@@ -100,6 +100,7 @@ def stretch_of(photos: Photos, options: RenderOptions, applied: Sequence[Correct
     values, low, high = parse_stretch(text)
     how = "values" if values else f"percentiles {low:g} and {high:g}"
     if not values:
+        # Over all bands together: one stretch for all keeps the hues.
         low, high = (float(end) for end in np.percentile(_corrected_values(photos, options, applied), [low, high]))
     if not low < high:
         raise InputError(f"all of the mosaic is {low:g}: it cannot be stretched", hint="leave out `stretch`")

@@ -203,6 +203,7 @@ def write_item(
     first, last = (f"{time:%Y-%m-%dT%H:%M:%SZ}" for time in (start, end))
     code, t = horizontal(grid.crs).to_authority(), grid.transform
     properties: dict[str, Any] = {
+        # STAC wants null where a span is given instead.
         "datetime": last if first == last else None,
         "start_datetime": first,
         "end_datetime": last,
@@ -264,6 +265,7 @@ def _outline(grid: Grid, shapes: list[Any]) -> tuple[dict[str, Any] | None, list
         return None, None  # a STAC item may have no geometry, and a mosaic needs none
 
     hull = shapely.union_all(shapes)
+    # A block in several parts is found by the hull of all.
     outer = hull if hull.geom_type == "Polygon" else hull.convex_hull
     ring = to_degrees(np.asarray(outer.exterior.coords)[:, :2])
     geometry: dict[str, Any] = shapely.geometry.mapping(shapely.Polygon(ring).normalize())

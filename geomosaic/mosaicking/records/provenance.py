@@ -66,6 +66,7 @@ def source_facts(photos: Photos, further: Mapping[str, Mapping[str, Any]]) -> di
             "gsd_metres": float(geometry.sampling[0]),
         }
         rows.append({**row, **further.get(scene.name, {})})
+    # In threads: a digest of a large file releases the interpreter.
     unknown = [(row, path) for row, path in zip(rows, files, strict=True) if "sha256" not in row and path.is_file()]
     with ThreadPoolExecutor(CHECKSUM_THREADS) as executor:
         sums = executor.map(sha256, [path for _, path in unknown])
@@ -101,6 +102,7 @@ def view_geometry(photo: Photo, photos: Photos, grid: Grid, xy: FloatArray) -> V
     """
     surface = photos.block.surface
     z = np.zeros(len(xy)) if surface is None else surface.height(photo.mapper.surface_xy(xy))
+    # Where there is no height the median is near enough: view angles change slowly with it.
     z = np.where(np.isfinite(z), z, np.nanmedian(z)) if np.isfinite(z).any() else np.zeros(len(xy))
     metres = metres_per_unit(grid.crs, xy.mean(axis=0))
     return views(photo.mapper, xy, z, metres, float(photos.grid.resolution[0] * metres[0]))
@@ -215,6 +217,7 @@ def time_span(acquired: Sequence[str], images: Sequence[Path]) -> tuple[datetime
         "taken"; "taken, zone unknown", with the span of every zone; or "not known", from before the first photograph.
     """
     times = [datetime.fromisoformat(text) for text in acquired if text]
+    # A local time without zone was earliest in UTC if taken in the zone farthest ahead, latest in that farthest behind.
     first = [time if time.tzinfo else time.replace(tzinfo=UTC) - MAX_AHEAD_UTC for time in times]
     last = [time if time.tzinfo else time.replace(tzinfo=UTC) + MAX_BEHIND_UTC for time in times]
     if not times or len(times) < len(images):
@@ -229,5 +232,6 @@ def time_span(acquired: Sequence[str], images: Sequence[Path]) -> tuple[datetime
 
 def _newest_file(images: Sequence[Path]) -> datetime:
     """Time of the newest file, in whole seconds."""
+    # Set where equal runs must make equal bytes (reproducible-builds.org): times of copied files differ.
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     return datetime.fromtimestamp(int(epoch) if epoch else max(int(image.stat().st_mtime) for image in images), UTC)

@@ -52,6 +52,7 @@ class EarlierResults:
         settings = (options.balanced, options.colours.histogram, options.colours.master, options.colours.colour)
         key = "" if memory is None else digest_of(self._base, memory.colour, *settings)
         found = self.recall.get("balance", key, compute)
+        # Stretch, seams and their quality come after the balance, and depend on it.
         self._base = digest_of(self._base, key)
         return found
 
@@ -69,6 +70,7 @@ class EarlierResults:
         if memory is None:
             return compute()
         drawn = [shapely.to_wkb(shape) for shape in shapes]
+        # Corrections count as well: seams of least cost compare images as they will be seen.
         key = digest_of(self._base, memory.seams, *drawn, *(colour_bytes(colour) for colour in colours))
         known = self.recall.get("seams", key, lambda: [shapely.to_wkb(share, hex=True) for share in compute()])
         return [shapely.from_wkb(bytes.fromhex(text)) for text in known]
@@ -93,6 +95,7 @@ class EarlierResults:
 def _key(settings: tuple[Any, ...], blender: Blender, part: Segment) -> str:
     import shapely
 
+    # Thousandths of pixels: an overlay far away may move vertices in their last digits.
     step = 1e-3 * blender.grid.resolution[0]
     line = shapely.to_wkb(shapely.transform(part.line, lambda xy: np.round(xy / step)))
     pair = (part.first, part.second)

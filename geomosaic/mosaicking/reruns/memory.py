@@ -99,6 +99,7 @@ class ResultCache:
         try:
             text = (self._folder / f"{kind}.json").read_text(encoding="utf-8")
             return {key: decode(value) for key, value in json.loads(text).items()}
+        # A damaged file, or one of an older version, is no error: what it held is computed again.
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return {}
 
@@ -140,6 +141,7 @@ def encode(value: Any) -> Any:
     if isinstance(value, tuple):
         return {"tuple": [encode(part) for part in value]}
     if isinstance(value, frozenset):
+        # Sorted: equal sets make equal text.
         return {"set": sorted(value)}
     name = type(value).__name__
     if is_dataclass(value) and CLASSES.get(name) == type(value).__module__:
@@ -171,11 +173,13 @@ def decode(value: Any) -> Any:
         return value
     if "array" in value:
         kind, shape, data = value["array"]
+        # Copied: arrays from a buffer cannot be written to.
         return np.frombuffer(base64.b64decode(data), dtype=kind).reshape(shape).copy()
     if "tuple" in value:
         return tuple(decode(part) for part in value["tuple"])
     if "set" in value:
         return frozenset(value["set"])
+    # Only classes of the list above: a file must not choose what is imported.
     own = getattr(import_module(CLASSES[value["class"]]), value["class"])
     return own(**{name: decode(part) for name, part in value["fields"].items()})
 

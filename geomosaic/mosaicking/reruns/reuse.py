@@ -97,6 +97,7 @@ class Reuse:
         """Units of the earlier run; none where the files are not those of that run."""
         try:
             kept = json.loads(self._memory.file.read_text())
+            # Files that were edited or replaced since that run hold other pixels than its keys say.
             same = {
                 name: name in kept and path.is_file() and kept[name] == self._memory.digest(path)
                 for name, path in self._files.items()
@@ -148,6 +149,7 @@ class Reuse:
         known = self._known.get(key)
         if known is None:
             made = compute(window)
+            # Without zeros: a unit shows few of thousands of images. JSON has text as keys only.
             counts = {str(i): int(made.counts[i]) for i in np.flatnonzero(made.counts)}
             self._kept[key] = {"counts": counts, "facts": made.facts}
             return made

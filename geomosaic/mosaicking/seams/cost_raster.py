@@ -164,6 +164,7 @@ def _add_difference(
     shared: BoolArray = (ranked == i).any(axis=0) & (ranked == j).any(axis=0)
     one, other = (_cropped(held[k], windows[k], common) for k in (i, j))
     cost = seam[_slices(common)]
+    # Where three images or more may show a cell it is not known yet which two meet there: the worst pair counts.
     cost[shared] = np.maximum(cost, image_difference(one, other, weights))[shared]
 
 

@@ -121,6 +121,7 @@ def read_cutlines(path: Path, names: Sequence[str], outlines: Sequence[Any], crs
     import shapely
 
     layers = layer_names(path)
+    # The only layer of a file is taken by any name.
     layer = LAYER if LAYER in layers or len(layers) != 1 else layers[0]
     frame = read_layer(path, layer)
     where = f"{path}, layer {layer}"
@@ -151,6 +152,7 @@ def read_cutlines(path: Path, names: Sequence[str], outlines: Sequence[Any], crs
                 where=where,
                 hint="draw within its footprint; or is this the file of another block?",
             )
+        # Cut only where needed: an overlay would move the vertices of an unedited share, and a rerun would find it changed.
         beyond = significant(moved.difference(outline), outline)
         found.setdefault(number, []).append(polygonal(moved.intersection(outline)) if beyond else moved)
     drawn = {

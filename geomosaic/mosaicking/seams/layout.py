@@ -138,6 +138,7 @@ def _vectorised(photos: Photos, outlines: Sequence[Any], label: IntArray, grid: 
         of_image.setdefault(number, []).append(polygon)
     for number, own in of_image.items():
         shares[number] = polygonal(shapely.union_all(own))
+    # Ground that no cell covers: cells are coarse, and footprints are not made of them.
     rest = voronoi_regions(list(outlines), photos.centres)
     return partition(shares, outlines, rest, cell, MIN_ISLAND * cell**2)
 

@@ -39,6 +39,7 @@ def partition(
     """
     import shapely
 
+    # Borders of cells cross the exact outlines; what they leave open goes to the nearest image in `rest`.
     within = [polygonal(share.intersection(outline)) for share, outline in zip(shares, outlines, strict=True)]
     tree = shapely.STRtree(within)
     whole = []
@@ -69,6 +70,7 @@ def without_slivers(shares: Sequence[Any], outlines: Sequence[Any], cell: float,
 
     parts = [(i, part) for i, share in enumerate(shares) for part in shapely.get_parts(share)]
     shapes = [part for _, part in parts]
+    # Overlays round vertices: parts within a hair of each other touch.
     tree, owner, hair = shapely.STRtree(shapes), [i for i, _ in parts], 1e-6 * cell
     kept: dict[int, list[Any]] = {i: [] for i in range(len(shares))}
     slight = [p.area < smallest or p.buffer(-SLIVER_WIDTH * cell).is_empty for p in shapes]

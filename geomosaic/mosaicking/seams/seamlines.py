@@ -86,6 +86,7 @@ def seam_segments(shares: Sequence[Any], pixel: float, longest: float) -> list[S
 def _cut(line: Any, longest: float) -> list[Any]:
     from shapely.ops import substring
 
+    # Rounding must not cut a line of n whole lengths into n + 1.
     count = max(1, int(np.ceil(line.length / longest - 1e-9)))
     if count == 1:
         return [line]
@@ -189,6 +190,7 @@ def measure_seams(blender: Blender, segments: Sequence[Segment], options: Render
     """
 
     def one(segment: Segment) -> SeamQuality:
+        # The tile, and room on all sides for the search.
         window = _window(blender, segment, TILE + 2 * (SEARCH + 2))
         if window.empty:
             return NOT_MEASURED

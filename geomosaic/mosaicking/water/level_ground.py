@@ -97,6 +97,7 @@ def find_lakes(
     for number, box in enumerate(find_objects(groups), start=1):
         around = _padded(box[0], known.shape[0]), _padded(box[1], known.shape[1])
         own = groups[around] == number
+        # Seeds are the middle of a body; it grows to its shores only afterwards.
         if own.sum() >= smallest / 4:
             lake, shape = _grown(own, looks[around], uneven[around], heights[around], known[around], cell, tilt)
             if lake is not None and lake.cells >= smallest:
@@ -189,6 +190,7 @@ def _slope(heights: FloatArray, cell: float) -> FloatArray:
     rows, cols = (np.zeros_like(even) for _ in range(2))
     rows[4:-4] = (even[8:] - even[:-8]) / (8 * cell)
     cols[:, 4:-4] = (even[:, 8:] - even[:, :-8]) / (8 * cell)
+    # Smoothing and differences reach five cells to each side.
     unknown = uniform_filter(np.isnan(heights).astype(float), 11) > 1e-9
     return np.where(unknown, np.inf, np.hypot(rows, cols))
 

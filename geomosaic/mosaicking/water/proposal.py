@@ -114,6 +114,7 @@ def propose_water(
         raise InputError("the DEM has no height where the image shows something", where=str(dem), hint="check both CRS")
     cell = grid.resolution[0] * metre
     min_area = MIN_CELLS * cell**2 if min_area is None else min_area
+    # Fewer cells may be level and even by chance, however small an area is asked for.
     cells = max(MIN_CELLS, math.ceil(min_area / cell**2))
     number, lakes = find_lakes(values, valid, under, cell, smallest=cells, tilt=tilt)
     shapes = _shapes(number, grid, lakes)
@@ -165,6 +166,7 @@ def _read(source: Source, shrink: int) -> tuple[FloatArray, BoolArray]:
 def _heights(surface: Dem, grid: Grid) -> FloatArray:
     """Heights (rows, cols) at the centres of cells."""
     move, out = Transform(grid.crs, surface.grid.crs), np.empty(grid.shape)
+    # Row by row: positions of all cells at once would take several times the memory of the heights.
     for row in range(grid.height):
         places = np.column_stack([np.arange(grid.width) + 0.5, np.full(grid.width, row + 0.5)])
         out[row] = surface.height(move(grid.xy(places)))
@@ -178,6 +180,7 @@ def _shapes(number: np.ndarray, grid: Grid, lakes: list[Lake]) -> list[object]:
     parts = traced(number, grid)
     if not parts:
         return []
+    # As a coverage: lakes that touch keep a common border.
     smooth = shapely.coverage_simplify(np.array([part for part, _ in parts], dtype=object), grid.resolution[0])
     of_lake: dict[int, list[object]] = {lake.number: [] for lake in lakes}
     for shape, (_, own) in zip(smooth, parts, strict=True):
