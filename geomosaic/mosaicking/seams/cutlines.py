@@ -152,7 +152,7 @@ def read_cutlines(path: Path, names: Sequence[str], outlines: Sequence[Any], crs
                 where=where,
                 hint="draw within its footprint; or is this the file of another block?",
             )
-        # Cut only where needed: an overlay would move the vertices of an unedited share, and a rerun would find it changed.
+        # Cut only where needed: an overlay would move the vertices of a share that was not edited.
         beyond = significant(moved.difference(outline), outline)
         found.setdefault(number, []).append(polygonal(moved.intersection(outline)) if beyond else moved)
     drawn = {
