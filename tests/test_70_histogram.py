@@ -94,7 +94,7 @@ def test_a_stranger_is_named_and_left_as_it_is(tell, tiles, tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (("--no-balance", "--master", "t0"), 1, "--no-balance"),
+        (("--no-balance", "--master", "t0"), 1, "leave out --master"),
         (("--histogram", "overlap", "--master", "tt0.tif"), 1, "did you mean"),
         (("--histogram", "sideways"), 2, "sideways"),
         (("--histogram", "whole", "--reference", "grey.tif"), 1, "bands"),
