@@ -22,7 +22,7 @@ from geomosaic.types import PathLike
 
 
 def mosaic(
-    images: Block | Sequence[PathLike],
+    images: Block | Sequence[PathLike] | PathLike,
     output: PathLike,
     *,
     dem: PathLike | Dem | float | None = None,
@@ -37,7 +37,7 @@ def mosaic(
 
     Parameters
     ----------
-    images : Block or sequence of path
+    images : Block, sequence of path or path
         A block with its orientation; paths of images that are georeferenced.
     output : path
         GeoTIFF to write; labels, vectors and the STAC item go beside it.
@@ -57,6 +57,8 @@ def mosaic(
     GeomosaicError
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's names.
     """
+    if isinstance(images, str | Path):  # one raster: a text is a sequence too
+        images = (images,)
     block = on_ground(images if isinstance(images, Block) else Block(tuple(map(Path, images))), dem, dem_heights)
     place, wanted = area(dst_crs, resolution, bounds, like), MosaicOptions.of(**options)
     if block.planar is not None:

@@ -297,8 +297,9 @@ def compose(kind: type[T], values: Mapping[str, Any]) -> T:
     made = _compose(kind, left)
     if left:
         name = next(iter(left))
-        hint = did_you_mean(name, [one.name for one in declared(kind)])
-        raise InputError(f"no option is named `{name}`", where=kind.__name__, hint=hint or "see its documentation")
+        known = [one.name for one in declared(kind)]
+        hint = did_you_mean(name, known) or f"the options here are {', '.join(known)}"
+        raise InputError(f"no option is named `{name}`", where=kind.__name__, hint=hint)
     return made
 
 
