@@ -84,6 +84,7 @@ def _place_world(row: dict[str, Any], options: Mapping[str, Any], where: str) ->
         row["reference"] = numbers(options["reference"], 3, "reference", where)
     if options.get("offset") is not None:
         shift = numbers(options["offset"], 3, "offset", where)
+        # Programs count from an offset to save digits; the CRS needs the whole coordinates.
         row["position"] = [a + b for a, b in zip(row["position"], shift, strict=True)]
 
 

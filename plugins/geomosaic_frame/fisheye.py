@@ -84,6 +84,7 @@ class Fisheye:
         while last < 1e6 and self._radius(np.array([last]))[0] < top:
             last *= 2.0
         angles = np.linspace(0.0, last, TABLE)
+        # A start from a table, near enough for Newton's method to stay on the rising branch.
         angle = np.interp(radius, self._radius(angles), angles)
         angle[~np.isfinite(radius)] = np.nan
         for _ in range(ROUNDS):

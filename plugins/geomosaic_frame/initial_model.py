@@ -172,6 +172,7 @@ def _ground_ahead(
     to_level = Transform(model.crs, level)
     if crs.is_geocentric:
         height = float(to_level(origin[None])[0, 2])
+    # Distances along the ray are in the model's unit, heights in that of their CRS, which may be feet.
     unit = 1.0 if not model.crs.is_geocentric else height_unit(level)
     if ground is None:
         ground = 0.0 if height * unit > 1.0 else height - GUESSED_HEIGHT / unit

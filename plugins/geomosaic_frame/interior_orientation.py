@@ -116,6 +116,7 @@ def fit_interior(colrow: FloatArray, calibrated: FloatArray, kind: str, mirrored
     sigma0 = float(np.sqrt((residuals**2).sum() / redundancy)) if redundancy > 0 else float("nan")
     full = matrix @ bring
     result = full / full[2, 2]
+    # The design of the fitted matrix, not of the start: cofactors hold at the solution.
     design = _design(kind, p, matrix, bool(np.linalg.det(result[:2, :2]) > 0.0))
     cofactors = np.asarray(np.linalg.pinv(design.T @ design), dtype=np.float64)
     return InteriorOrientation(kind, result, residuals, sigma0, redundancy, bring, cofactors)

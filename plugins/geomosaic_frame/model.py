@@ -134,6 +134,7 @@ class FrameModel:
         by_local = by_camera @ (FLIP @ self.rotation) @ bent
         out[:, :, :3] = -by_local
         for i, matrix in enumerate(turned):
+            # Parameters are in degrees, the derivatives of rotations per radian: hence π/180 below.
             moved = seen @ (FLIP @ matrix).T
             out[:, :, 3 + i] = np.einsum("nij,nj->ni", by_camera, moved) * (np.pi / 180.0)
         return out, by_local @ self.frame.axes

@@ -79,6 +79,7 @@ def rigorous(crs: CRS, position: FloatArray, attitude: Attitude, where: str) -> 
     frame = local_frame(crs, position, where)
     rotation = attitude.rotation
     if attitude.frame == "grid":
+        # Angles from grid north, but the frame has true north: the two differ by the convergence.
         rotation = rotation @ r3(-convergence(crs, position))
     return Place(frame, rotation, float(position[2]))
 

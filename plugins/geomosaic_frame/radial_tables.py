@@ -102,6 +102,7 @@ class RadialPolynomial:
 
     def __post_init__(self) -> None:
         r = np.geomspace(1e-2, 1e5, 4001)
+        # Radii of all cameras and far beyond, 0.01 mm to 100 m, in equal ratios: a fold may lie at any of them.
         wild = np.abs(self._polynomial(r)[1]) > STRAIGHT
         object.__setattr__(self, "_end", float(r[np.argmax(wild)]) if wild.any() else np.inf)
 

@@ -141,6 +141,7 @@ class RayCorrection:
 
     def _factor(self, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Factor q and dq/dt at t = tan²α; beyond 80° both stay."""
+        # Held constant and not cut off, so that rays near the horizon still have a direction and its inverse.
         capped = np.minimum(t, STEEPEST)
         top, bottom = 1.0 + self.refraction * (1.0 + capped), 1.0 + self.curvature * capped
         slope = (self.refraction * bottom - self.curvature * top) / bottom**2
@@ -172,6 +173,7 @@ class RayCorrection:
         q, slope = self._factor(t)
         with np.errstate(divide="ignore", invalid="ignore"):
             by = np.column_stack([2.0 * east / up**2, 2.0 * north / up**2, -2.0 * t / up]) * slope[:, None]
+        # On the horizon up is 0 and the quotient infinite, but q is constant there.
         by[slope == 0.0] = 0.0
         out = np.zeros((len(q), 3, 3))
         out[:, 0] = east[:, None] * by

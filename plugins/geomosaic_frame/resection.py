@@ -126,6 +126,7 @@ def resect_photo(
             hint="leave it out",
         )
     known, image, sigmas = read_points(options["points"], where)
+    # Three points allow up to four places of the camera, and only a rough position tells them apart.
     near = options.get("position")
     if near is not None:
         if len(known) > 3:

@@ -146,6 +146,7 @@ def _placed(request: SensorRequest) -> PanoramicModel:
     elif "orbit" in options:
         poses = declared_orbit(options, frame, scan.periods / 2, where)
     else:
+        # Headings may count from grid north, but the axes of the local frame are true east and north.
         turn = 0.0
         if grid and horizontal(request.crs).is_projected:
             turn = map_place(request.crs, position[0], position[1]).convergence
@@ -273,6 +274,7 @@ def _parameters(kind: str, scan: Scan, values: np.ndarray, above: float) -> Para
     beta, size = math.radians(values[12]), scan.size
     pixel, reach = above * beta, max(1.0, scan.periods / 2) if kind != "panoramic" else 0.5
     angle = math.degrees(beta)
+    # Numeric derivatives of pixel-sized steps are smooth; rates act over half the image, so their steps are smaller.
     steps = [
         pixel, pixel, pixel, pixel / reach, pixel / reach, pixel / reach, angle, angle, angle, angle / reach,
         angle / reach, angle / reach, values[12] / size[0] * 2,

@@ -68,6 +68,7 @@ class Sweeps:
     ) -> tuple[FloatArray, FloatArray]:
         """Image (N, 2) to τ (N,) and tan ψ (N,); a row on the border of two sweeps belongs to the later one."""
         width, height = size
+        # The row of the border itself belongs to the later sweep, so that every row has exactly one moment.
         sweep = np.floor(colrow[:, 1] / self.lines)
         share = self._direction(sweep) * (colrow[:, 0] - width / 2) / width
         within = colrow[:, 1] - self.lines * (sweep + 0.5)
@@ -100,11 +101,13 @@ class Sweeps:
         guess = np.floor(near + size[1] / self.lines / 2)
         best, within = self._in_sweep(flight, size, side, inside, enu, guess)
         for _ in range(2):  # the guess may be a sweep off, as the scanner moves while it sweeps
+            # From half a sweep on a neighbour is nearer; 0.3 leaves room for the bow tie and the motion within a sweep.
             doubt = np.flatnonzero(np.abs(within) > 0.3 * self.lines)
             if not len(doubt):
                 break
             other = guess[doubt] + np.sign(within[doubt])
             found, away = self._in_sweep(flight, size, side, inside, enu[doubt], other)
+            # Both sweeps of the bow tie see the point; the one in whose middle it lies more nearly is kept.
             closer = np.abs(away) < np.abs(within[doubt])
             best[doubt[closer]], within[doubt[closer]] = found[closer], away[closer]
             guess[doubt[closer]] = other[closer]

@@ -102,6 +102,7 @@ def orbit_poses(frame: LocalFrame, inclination: float, ascending: bool, seconds:
         The orbit does not reach the latitude of the frame.
     """
     start = frame.origin
+    # A circular orbit through the given position: its height stays that of the middle of the image.
     radius = float(np.linalg.norm(start))
     up = start / radius
     latitude, longitude = math.asin(up[2]), math.degrees(math.atan2(up[1], up[0]))
@@ -115,6 +116,7 @@ def orbit_poses(frame: LocalFrame, inclination: float, ascending: bool, seconds:
     n = angular_speed(radius)
     c, s = np.cos(n * t)[:, None], np.sin(n * t)[:, None]
     places = _turned(radius * (c * up + s * ahead), -SPIN * t)
+    # The inertial velocity, not that over the ground: no yaw steering follows the turning Earth.
     forward = _turned(c * ahead - s * up, -SPIN * t)
     lonlat = Transform(frame.crs, geographic(frame.crs))(places)
     down = -np.stack([enu_axes(longitude, latitude)[2] for longitude, latitude in lonlat[:, :2]])

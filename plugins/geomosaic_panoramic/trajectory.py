@@ -60,6 +60,7 @@ class Turn:
     def undo(self, forward: FloatArray, right: FloatArray, down: FloatArray, tau: FloatArray) -> Three:
         """The inverse of `apply`: north, east, down."""
         ch, sh, cp, sp, cr, sr = self._turns(tau)
+        # Undone in the reverse order: roll, pitch, heading.
         aside, below = cr * right - sr * down, sr * right + cr * down
         ahead, lower = cp * forward + sp * below, -sp * forward + cp * below
         return ch * ahead - sh * aside, sh * ahead + ch * aside, lower
@@ -149,6 +150,7 @@ class Poses:
         u = (inside - t[k])[:, None] / width
         start, end, rise = slopes[k] * width, slopes[k + 1] * width, values[k + 1] - values[k]
         found = values[k] + u * (start + u * ((3.0 * rise - 2.0 * start - end) + u * (start + end - 2.0 * rise)))
+        # A cubic runs away beyond its nodes; a straight line goes on sensibly for the steps of a search.
         beyond = (tau - inside)[:, None]
         speed = np.where(beyond < 0.0, slopes[0, :3], slopes[-1, :3])
         return found[:, :3] + beyond * speed, _square(found[:, 3:].reshape(-1, 3, 3))

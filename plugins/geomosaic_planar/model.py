@@ -148,6 +148,7 @@ class PlanarModel:
         start = np.zeros((len(colrow), 2))
         if self.kind == "tps":
             known = self.values.reshape(2, -1).T
+            # From the node whose image is nearest Newton's method has the shortest way through the bends.
             start = self.nodes[[int(np.argmin(np.hypot(*(known - place).T))) for place in colrow]]
         return newton_inverse(self._image, self._slopes, colrow, start)
 

@@ -64,6 +64,7 @@ def build_pushbroom(request: SensorRequest) -> PushbroomModel:
     if metadata is not None:
         band = options.get("band")
         try:
+            # A band may be given as a number, and metadata name bands by text.
             reported = read_metadata(metadata, None if band is None else str(band))
         except InputError as error:
             error.where = f"{where} ({error.where})"

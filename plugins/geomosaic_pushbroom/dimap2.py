@@ -171,6 +171,7 @@ def _look(model: Element, width: int, band: str | None, where: str) -> tuple[Loo
         name = one.findtext("BAND_ID", f"{len(looks) + 1}").strip()
         angles = find(one, ".//Polynomial_Look_Angles", where)
         x, y = (_polynomial(angles, axis, where) for axis in "XY")
+        # A straight line needs its two ends only; a curved one is interpolated linearly between many nodes.
         nodes = np.linspace(0.0, width - 1.0, 2 if max(len(x), len(y)) <= 2 else 2001)
         with np.errstate(all="ignore"):
             across, along = (horner(c[:, None], (nodes + start - 1.0)[:, None])[:, 0] for c in (x, y))

@@ -54,6 +54,7 @@ class LookDirections:
         """
         order = np.argsort(cols)
         c, a, b = (np.asarray(v, dtype=np.float64)[order] for v in (cols, across, along))
+        # Only a monotonic line can be inverted, from a direction to the column that looks there.
         steps = np.diff(a)
         monotonic = len(a) >= 2 and bool((np.diff(c) > 0).all() and ((steps > 0).all() or (steps < 0).all()))
         if not monotonic or not np.isfinite([c, a, b]).all():

@@ -52,6 +52,7 @@ def derivatives(model: PushbroomModel, xyz: FloatArray) -> tuple[FloatArray, Flo
         Pixels per metre.
     """
     rows = model.ground_to_image(xyz)[:, 1]
+    # Half a pixel to both sides: central differences are exact to the second order.
     by_row = _difference(model, model, xyz, xyz, rows + 0.5, rows - 0.5, 1.0)
     parameters = model.parameters
     by_values = np.empty((len(xyz), 2, len(parameters)))
@@ -207,6 +208,7 @@ class PushbroomModel:
         pixels = np.asarray(colrow, dtype=np.float64)
         across, along = self.look.slopes(pixels[:, 0], *self._bend)
         position, axes = self.platform.pose(self.parameters.values, pixels[:, 1])
+        # Slopes are per unit of depth, and z points away from the ground: the third component is −1.
         directions = combined(axes, np.stack([across, along, np.full(len(pixels), -1.0)], axis=1))
         return position, unit(directions)
 

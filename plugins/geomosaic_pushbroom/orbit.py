@@ -82,6 +82,7 @@ class Orbit:
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Positions and velocities (N, 3) at times (N,) in seconds; NaN outside the ephemeris."""
+        # A polynomial of the seventh degree runs away beyond its nodes.
         u = np.where((times >= self.range[0]) & (times <= self.range[1]), times, np.nan)[:, None] / self.span
         return horner(self.position, u), horner(self.velocity, u)
 

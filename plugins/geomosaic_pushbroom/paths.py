@@ -99,6 +99,7 @@ class AnglePath:
     def pose(self, times: FloatArray) -> Pose:
         """Pose at times (N,)."""
         position, velocity = self.orbit.at(times)
+        # Not the ellipsoid's normal: SPOT's orbital axes refer to the Earth's centre.
         z = unit(position)
         x = unit(cross(velocity, z))
         axes = np.stack([x, cross(z, x), z], axis=1)
@@ -186,6 +187,7 @@ class TrackPath:
     def pose(self, times: FloatArray) -> Pose:
         """Pose at times (N,)."""
         t = self.times
+        # A cubic runs away beyond its nodes; there the flight goes on straight, at its mean speed.
         inside = np.clip(times, t[0], t[-1])
         k = np.clip(np.searchsorted(t, inside, side="right") - 1, 0, len(t) - 2)
         width = (t[k + 1] - t[k])[:, None]

@@ -163,6 +163,7 @@ class StraightFlight:
         start, end = self.ends(values)
         local = start + share * (end - start)
         s = 2.0 * share[:, 0] - 1.0
+        # The second Legendre polynomial is orthogonal to 1 and s: squared terms hardly correlate with the others.
         curve = 1.5 * s * s - 0.5
         omega, phi, kappa = (np.radians(values[6 + i] + values[9 + i] * s + values[12 + i] * curve) for i in range(3))
         matrices = omega_phi_kappa(omega, phi, kappa)

@@ -82,6 +82,7 @@ def read_track(request: SensorRequest) -> tuple[ReportedFlight, LookDirections, 
         raise
     first = number(options["start_time"], "start_time", where)
     middle = 0.5 * rows
+    # The first row's middle is scanned at `first`; t = 0 is the middle of the strip, row `middle`.
     times = table[:, 0] - (first + (middle - 0.5) * period)
     _need_cover(times, middle * period, f"{where} ({file})")
     crs = need_crs(request)

@@ -167,6 +167,7 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
             # The view is better known now, and with it the distance that belongs to the flying height.
             scale = _slant(start.flying_height, float(np.prod(np.cos(np.radians(values[6:8]))))) / values[[2, 5]].mean()
             focal, values[[2, 5]] = focal * scale, values[[2, 5]] * scale
+        # Only now: with the view still unknown, additional parameters would take up its error.
         own = np.concatenate([ANGLE_SIGMA * factor, np.full(2, LINE_SIGMA)])
         sigmas[9:] = np.where(np.isin(ADDITIONAL, additional), own, 0.0)
         solved = resect(model_at(values, focal), xyz, control.colrow, control.sigmas)
@@ -341,6 +342,7 @@ def parallel_projection(
     forms = []
     for i in range(2):
         design = np.vstack([np.hstack([off, curved]), np.zeros(3 + curved.shape[1])])
+        # A pseudo-observation: vertical part 0, weighted as one pixel at the steepest view.
         design[-1, 2] = 1.0 / steepest[i]
         forms.append(np.linalg.lstsq(design, np.append(image[:, i], 0.0), rcond=None)[0])
     a, b = (form[:3] for form in forms)

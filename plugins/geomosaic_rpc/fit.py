@@ -150,6 +150,7 @@ def _normalising(model: SensorModel, ground: FloatArray) -> Rpc:
     """Offsets and scales that bring ground and image to -1 ... 1; no coefficients yet."""
     offset = ground[0] + 0.0
     lon = np.mod(ground[:, 0] - offset[0] + 180.0, 360.0) - 180.0  # a scene at the date line
+    # Longitudes relative to the first point do not jump at ±180°.
     spread = np.column_stack([lon, ground[:, 1:]])
     low, high = spread.min(axis=0), spread.max(axis=0)
     centre = 0.5 * (low + high) + (offset[0], 0.0, 0.0)

@@ -59,6 +59,7 @@ def rewritten(model: RpcModel) -> RpcFit:
     SolveError
         As `fit_rpc`.
     """
+    # Beyond these heights the producer's polynomials are extrapolated, and a fit would copy their bends.
     middle, half = float(model.rpc.ground_offset[2]), abs(float(model.rpc.ground_scale[2]))
     return fit_rpc(model, (middle - half, middle + half))
 
