@@ -96,6 +96,7 @@ def unadjusted(inputs: Block) -> Sequence[OrientedImage] | None:
     """
     if capabilities(inputs.sensor).control is not ControlUse.ADJUSTMENT:
         return None
+    # Warnings belong to the real run, which gives them itself.
     plain = replace(inputs, control=None, options={**inputs.options, "refine": "none"})
     try:
         with warnings.catch_warnings():

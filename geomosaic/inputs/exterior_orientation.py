@@ -294,6 +294,7 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
         if other:
             error.hint = f"these columns look like the system '{other[0]}'; declare it, or rename the columns"
         raise
+    # Angles beside a matrix are redundant: they are read to check its direction and order.
     checked = CHECKED.get(system, ())
     if set(checked) <= set(table.columns):
         columns = (*columns, *checked)
@@ -301,6 +302,7 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
     lines: dict[str, int] = {}
     for row in table:
         image = row.text("image")
+        # Photos are found without folder and extension: two rows that differ in these alone would be one photo's.
         bare = stem(image)
         if bare in lines:
             raise InputError(

@@ -21,7 +21,7 @@ import numpy as np
 from geomosaic.types import AnyArray, BoolArray, FloatArray
 
 FEWEST, MOST = 4, 11
-"""Points it is made for; more are held against their neighbours (`neighbours`)."""
+"""Points it is made for; more are held against their neighbours (`neighbour_tests`)."""
 SHARE = 0.35
 """Share of the points that may be wrong."""
 RANGE = 0.05
@@ -33,8 +33,11 @@ FINEST = 0.05
 SURE, DOUBTFUL, LIKELY = 0.9, 0.1, 0.3
 """Probability from which on a point is called wrong, is suspicious, and from which on any is held to be wrong."""
 KINDS = ("conformal", "mirrored conformal", "affine", "projective", "poly2")
+"""Models that are weighed; a mirrored one stands for rows counted upwards."""
 ROUNDS = 4
+"""Gauss-Newton steps of a projective fit from the affine one."""
 WORST = 1e-9
+"""Share of the largest eigenvalue below which a choice of points does not determine a model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +110,7 @@ def weigh_hypotheses(
         left[k], logdet, free = _fit(kind, places, target, weight)
         evidence[k] = _evidence(left[k], weight, logdet, free, FINEST / extent, kept)
     best = np.unravel_index(int(np.argmax(evidence)), evidence.shape)
+    # Less the largest: exp of the evidence itself would overflow.
     share = np.exp(evidence - evidence[best])
     share /= share.sum()
     errors = left[best] * extent
@@ -143,6 +147,7 @@ def _evidence(
     found = np.full(len(kept), -np.inf)
     for i in np.flatnonzero((redundancy >= 2) & np.isfinite(squares) & np.isfinite(logdet)):
         f, d = int(redundancy[i]), int(bad[i])
+        # The floor `finest` keeps an exact fit from having infinite evidence.
         value = lgamma(f / 2) - f / 2 * log(pi * (squares[i] + f * finest**2)) - logdet[i] / 2 - free * log(RANGE)
         # Anywhere: the points span -1 to 1 in each axis.
         found[i] = value + d * (log(RARE / (1 - RARE)) - log(4.0))

@@ -129,6 +129,7 @@ class MeanShifts:
             own_rows = (2 * chosen[:, None] + [0, 1]).ravel()
             inner = across[own_rows]
             size = np.repeat(np.sqrt(np.trace(own[chosen], axis1=1, axis2=2) / 2.0), 2)
+            # Scaled to the weight of the measurements themselves, so that the limit is a redundancy number.
             if not np.linalg.eigvalsh(inner / np.outer(size, size))[0] > UNCHECKED:
                 return None
             inverse = np.linalg.inv(inner)

@@ -54,7 +54,7 @@ def mean_shifts_of(
         Of the block, or of it without some measurements.
     fixed : mapping of str to PlanarTransform
         Photos that are held.
-    left : sequence of Doubt
+    left : sequence of MeasurementKey
         What the solution is without.
     tilted : frozenset of str
         Photos with unknowns for what the kind of the solution lacks: the last ones, in the order of the block.
@@ -158,7 +158,7 @@ class SearchedBlock:
 
     Attributes
     ----------
-    findings : Findings
+    findings : BlunderReport
     block : PlanarBlock
         Without what was found.
     whole : PlanarBlock

@@ -118,6 +118,7 @@ def views_of(block: PlanarBlock) -> Views:
             rows.append((number, GROUND, ground[name][0], np.full(2, np.nan), ground[name][1]))
         fixed = name in ground and ground[name][1] == 0.0
         last = len(rows)
+        # The ground is a point's last view: with held control only the pairs with it give equations.
         pairs += [(i, j) for i in range(first, last) for j in range(i + 1, last) if not fixed or j == last - 1]
     return Views(
         tuple(found),
@@ -147,6 +148,7 @@ def weights_of_pairs(views: Views, sigma_ground: FloatArray) -> FloatArray:
     shared = total[views.point[views.pairs[:, 0]]]
     with np.errstate(invalid="ignore"):
         usual: FloatArray = a * b / shared
+    # The limit of a·b / Σw where b, held control, has infinite weight.
     return np.where(np.isinf(b), a, usual)
 
 
@@ -278,6 +280,7 @@ def frame_of(block: PlanarBlock, fixed: Mapping[str, PlanarTransform]) -> Frame:
     known = [np.array([[point.x, point.y] for point in block.control]).reshape(-1, 2)]
     known += [transform.to_ground(transform.corners()) for transform in fixed.values()]
     places = np.vstack(known)
+    # Map coordinates of millions of metres would cost six digits in the normal equations.
     middle = (places.min(axis=0) + places.max(axis=0)) / 2.0
     reach = float(np.abs(places - middle).max())
     return Frame(float(middle[0]), float(middle[1]), reach if reach > 0.0 else 1.0)

@@ -34,7 +34,7 @@ class PlanarSolution:
     frame : Frame
         Normalised ground coordinates of `values` and `cofactors`.
     values : array (K, P)
-        Parameters of each photo, normalised photo → normalised ground, see `kinds`.
+        Parameters of each photo, normalised photo → normalised ground, see `transformations`.
     cofactors : mapping of (int, int) to array (P, P)
         Of the parameters of two photos that show a common point, by their numbers; zeros where a photo is held fixed.
         Times `sigma0`², or as they are where the standard deviations of the measurements are trusted, they are
@@ -124,6 +124,7 @@ def cofactor_blocks(problem: PlanarProblem, normals: NormalEquations) -> dict[tu
         Of the adjustment.
     """
     photo, count = problem.views.photo, problem.count
+    # Only blocks that residuals need: the whole inverse of a large block is dense.
     near: dict[int, set[int]] = {i: {i} for i in range(len(problem.block.photos))}
     for a, b in photo[problem.views.pairs]:
         if a != GROUND and b != GROUND:
@@ -195,6 +196,7 @@ def standardised(
     slopes, across = np.zeros((len(views.photo), 2, problem.count)), np.zeros((len(views.photo), 2, 2))
     own = problem.of_views(values)
     slopes[problem.in_photo] = by_parameters(problem.kind, own, at[problem.in_photo])
+    # Rows count downwards, y of the photo upwards.
     turn = np.array([1.0, -1.0]) / problem.half[views.photo[problem.in_photo], None]
     across[problem.in_photo] = by_photo(problem.kind, own, at[problem.in_photo]) * turn[:, None, :]
     starts = np.searchsorted(views.point, np.arange(len(views.ids) + 1))

@@ -52,6 +52,7 @@ def is_linear(model: SensorModel, xyz: FloatArray) -> bool:
     """
     parameters = model.parameters
     free = parameters.sigmas > 0.0
+    # Steps of unlike size and sign, so that changes of the Jacobian do not cancel.
     turns = np.where(np.arange(len(parameters)) % 2, 3.0, -2.0) * free
     other = model.with_values(parameters.values + turns * parameters.steps)
     change = jacobian(other, xyz)[0] - jacobian(model, xyz)[0]
@@ -59,7 +60,9 @@ def is_linear(model: SensorModel, xyz: FloatArray) -> bool:
 
 
 MOST_REFITS = 200
+"""Points without a closed form that are all refitted."""
 SAMPLE = 100
+"""Points that are refitted where there are more."""
 FEW = 40
 """Points up to which a model that is not linear is refitted; beyond, one of them bends it too little to matter."""
 
@@ -102,6 +105,7 @@ def leave_one_out(problem: ControlProblem, model: SensorModel, residuals: FloatA
         return own
     errors = found.leave_one_out(residuals)
     closed: BoolArray = np.isfinite(errors.sum(axis=1))
+    # The closed form holds the linearisation; with few points one of them moves it.
     if not is_linear(model, problem.xyz) and len(problem) <= FEW:
         closed[:] = False
     left = np.flatnonzero(~closed)

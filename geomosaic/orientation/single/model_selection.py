@@ -25,6 +25,7 @@ PLANAR: Mapping[str, Mapping[str, Any]] = {
 }
 """Options of the sensor 'planar' for each kind, the simplest first; poly1 is affine."""
 SIGNIFICANT = 0.02
+"""Probability by chance below which a richer kind's smaller errors count."""
 FEW = 6
 """Points below which no test can tell; the gain must then be threefold."""
 OUTLYING = 6.0
@@ -190,6 +191,7 @@ def _gain(before: FloatArray, after: FloatArray, compared: BoolArray) -> float:
     if not both.any() or both.sum() < 0.5 * np.isfinite(before).sum() or not new < old or old < 1e-6:
         return 1.0
     if both.sum() < FEW:
+        # Of five pairs the smallest probability that the test can give is 1/32, above the limit.
         return 0.0 if new < old / 3.0 else 1.0
     return signed_rank_probability(first - second)
 

@@ -103,6 +103,7 @@ def delete_points(
     fit = fit_problem(problem)
     need_residuals(fit)
     kept, rows = np.arange(len(problem)), list[DeletedPoint]()
+    # One point more than needed stays: a fit through all of its points has an RMS of 0 whatever they are.
     while not fit.rms_total < threshold and len(kept) > least_points(fit) + 1:
         worst = int(np.argmax(fit.lengths))
         rest = np.delete(kept, worst)
