@@ -155,6 +155,7 @@ def judge(found: MapCheck, target: tuple[Requirement, ...]) -> tuple[Verdict, ..
     }
     out = []
     for requirement in target:
+        # A survey error of 0 stands for one that was not given: it is not judged.
         known = requirement.name in SEEN and (requirement.name != "control_error" or found.statistics.survey_rms > 0)
         if known:
             value = values[requirement.name]

@@ -162,6 +162,7 @@ def reproject_raster(
     own = parse_map(src_crs, "`src_crs`") if src_crs else None
     info = inspect(path)
     check_placed(info, own)
+    # Warnings point to the caller of `reproject`, two calls up.
     if "palette" in info.colors and render.resampling == "nearest":
         warnings.warn(
             "the numbers of the palette are kept, its colours are not carried over", GeomosaicWarning, stacklevel=3

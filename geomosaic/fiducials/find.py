@@ -134,6 +134,7 @@ def write_marks(path: Path, found: dict[str, dict[str, Mark]]) -> None:
     lines = ["image,id,col,row,sigma,correlation"]
     for image, marks in found.items():
         lines += [
+            # Thousandths of a pixel: a tenth of what marks are located to.
             f"{image},{name},{mark.col:.3f},{mark.row:.3f},{mark.sigma:.3f},{mark.correlation:.3f}"
             for name, mark in marks.items()
             if mark.found

@@ -145,6 +145,7 @@ def find_fiducials(
             left, top = int(col - reach - cols / 2), int(row - reach - rows / 2)
             width, height = int(2 * reach) + cols, int(2 * reach) + rows
             window = Window(left, top, width, height).intersection(image)
+            # The film may be scanned so that a mark lies off the picture: the others are still measured.
             if window.empty:
                 found[name] = Mark(np.nan, np.nan, np.nan, 0.0)
                 continue
