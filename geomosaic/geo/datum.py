@@ -17,7 +17,7 @@ _NONE = "no operation"
 
 @dataclass(frozen=True)
 class Operation:
-    """The operation used between two CRS.
+    """Datum operation used between two CRS, with its accuracy and what a better one needs.
 
     Attributes
     ----------

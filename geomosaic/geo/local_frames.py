@@ -37,7 +37,7 @@ def enu_axes(longitude: float, latitude: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class MapPlace:
-    """What a map projection does at one place.
+    """Place of a map: its longitude and latitude, and the projection's convergence and scale there.
 
     Attributes
     ----------

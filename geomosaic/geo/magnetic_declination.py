@@ -32,7 +32,7 @@ _DEGREE = 12
 
 @dataclass(frozen=True)
 class MagneticField:
-    """The field at a place and a time.
+    """Magnetic field at a place and a time.
 
     Attributes
     ----------

@@ -27,7 +27,7 @@ NAMES = 3
 
 
 def height_notes(ground: Ground, outlines: Sequence[Footprint]) -> tuple[str, ...]:
-    """Notes of what is left out for want of heights.
+    """Notes on the parts of the output that stay empty for want of heights.
 
     Parameters
     ----------

@@ -129,7 +129,7 @@ def output_grid(
     *,
     snap: bool = False,
 ) -> Grid:
-    """Grid over all footprints, snapped to whole pixels.
+    """Grid of the output over all footprints, snapped to whole pixels.
 
     Parameters
     ----------
@@ -142,10 +142,20 @@ def output_grid(
         Left, bottom, right, top in `crs`, kept as they are given.
     snap : bool
         Widen the bounds to whole pixels.
+
+    Returns
+    -------
+    Grid
+
+    Raises
+    ------
+    InputError
+        No image reaches the bounds.
     """
     each = np.array([outline.bounds for outline in outlines])
     everything = (each[:, 0].min(), each[:, 1].min(), each[:, 2].max(), each[:, 3].max())
     if resolution is None:
+        # The median: a single oblique image, coarse at its centre, does not decide for the block.
         resolution = nice(float(np.median([outline.sampling for outline in outlines])))
     if bounds is None:
         return Grid.from_bounds(crs, _within_the_map(crs, everything, resolution), resolution)

@@ -68,7 +68,7 @@ class Photos:
 
     @contextmanager
     def using(self, index: int) -> Iterator[Photo]:
-        """Lend a photo; it stays open at least until it is given back."""
+        """Loan of a photo, which stays open at least until it is given back."""
         with self._lock:
             entry = self._open.pop(index, None) or self._opened(index)
             self._open[index] = entry
