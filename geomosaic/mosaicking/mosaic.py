@@ -88,7 +88,10 @@ def mosaic(
 
     Raises
     ------
-    InputError, OutputError
+    InputError
+        Options that name an unknown image, areas or cutlines that do not fit, or no image shows anything of the output.
+    OutputError
+        Writing failed.
     """
     options = options or MosaicOptions()
     if options.merge.rule is not None:

@@ -151,7 +151,7 @@ class Blender:
         unit.facts.extend((lattice.error, lattice.scale) for used in lattices.values() for lattice in used)
 
     def _mark_hidden(self, shades: Shades | None, valid: ByteArray, label: AnyArray) -> bool:
-        """Label pixels that images cover and the surface hides from all; whether there are any."""
+        """Pixels that images cover and the surface hides from all, labelled in place; whether there are any."""
         if shades is None or not shades.mask.any():
             return False
         label[(shades.mask > 0) & (valid == 0)] = hidden_label(len(self.photos))

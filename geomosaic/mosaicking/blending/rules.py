@@ -121,6 +121,7 @@ class RuleBlender:
 
     def _rows(self, window: Window, images: int) -> int:
         """Rows of whole cells for which the values of so many images fit in `MEDIAN_MEMORY`."""
+        # Doubles, as in the stack that is sorted.
         row = window.width * self.photos.info.bands * images * 8
         return min(window.height, max(CELL, MEDIAN_MEMORY // row // CELL * CELL))
 

@@ -156,7 +156,7 @@ def _add_difference(
     weights: SeamWeights,
     seam: Float32Array,
 ) -> None:
-    """Enter the difference of two images into the cost of the cells that both may show."""
+    """Difference of two images, entered in place into the cost of the cells that both may show."""
     common = windows[i].intersection(windows[j])
     if common.empty:
         return

@@ -225,7 +225,7 @@ class _Adjacency:
 
 
 def _swap_move(graph: RegionGraph, adjacency: _Adjacency, labels: IntArray, i: int, j: int) -> bool:
-    """Reassign the regions of two images by a minimal cut; whether anything changed."""
+    """Swap move: regions of two images assigned anew by a minimal cut, in place; whether anything changed."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 

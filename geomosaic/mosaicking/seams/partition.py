@@ -209,7 +209,7 @@ def without_islands(label: IntArray, smallest: int = MIN_ISLAND) -> IntArray:
 
 
 def _reassign_islands(label: IntArray, value: int, smallest: int) -> None:
-    """Relabel small islands of one image in place; the only part of an image is no island."""
+    """Small islands of one image relabelled in place; the only part of an image is no island."""
     from scipy.ndimage import binary_dilation, find_objects
     from scipy.ndimage import label as parts_of
 

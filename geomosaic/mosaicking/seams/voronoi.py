@@ -176,6 +176,7 @@ def nearest_images(
     """
     found = np.full((most, len(places)), -1)
     distance = np.hypot(*(places[None] - centres[:, None]).transpose(2, 0, 1))
+    # Images that do not show a cell come last, and are no candidates.
     distance = np.where(covers, distance, np.inf)
     order, each = np.argsort(distance, axis=0, kind="stable"), np.arange(len(places))
     for rank in range(min(most, len(centres))):

@@ -142,7 +142,7 @@ class Pool:
     tone: FloatArray
 
     def paint(self, unit: MosaicUnit, grid: Grid) -> None:
-        """Give the valid pixels of a unit of the output that lie in the water their tone."""
+        """Tone put into the valid pixels of a unit of the output that lie in the water, in place."""
         from scipy.ndimage import map_coordinates
 
         window = unit.window.intersection(grid.window_of(self.shape.bounds))
