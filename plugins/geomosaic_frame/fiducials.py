@@ -76,7 +76,7 @@ def orient(
     mirrored: bool,
     where: str,
 ) -> tuple[InteriorOrientation, list[str]]:
-    """Interior orientation of a scan, and what is to be said about it.
+    """Interior orientation of a scan from its fiducials, with notes.
 
     Parameters
     ----------
@@ -92,6 +92,12 @@ def orient(
         Whether the scan shows the film from its back.
     where : str
         Named in errors.
+
+    Returns
+    -------
+    orientation : InteriorOrientation
+    notes : list of str
+        Residuals, marks not measured.
 
     Raises
     ------

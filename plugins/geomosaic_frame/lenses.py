@@ -165,6 +165,15 @@ def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -
         Focal length in mm where it is known.
     where : str
         Named in errors.
+
+    Returns
+    -------
+    Lens
+
+    Raises
+    ------
+    InputError
+        A key is unknown, or no number, or millimetres are given without a focal length.
     """
     model = choice(need(table, "model", where, f"one of {', '.join(COEFFICIENTS)}"), COEFFICIENTS, "model", where)
     more = ("convention", "centre") if model == "brown" else ("centre",) if model == "opencv" else ()

@@ -75,6 +75,15 @@ def rigorous(crs: CRS, position: FloatArray, attitude: Attitude, where: str) -> 
         In 'grid' or 'local'.
     where : str
         Named in errors.
+
+    Returns
+    -------
+    Place
+
+    Raises
+    ------
+    InputError
+        The position lies outside the CRS or its geoid.
     """
     frame = local_frame(crs, position, where)
     rotation = attitude.rotation
@@ -173,6 +182,18 @@ def from_topocentric(crs: CRS, reference: FloatArray, attitude: Attitude, where:
         With its position.
     where : str
         Named in errors.
+
+    Returns
+    -------
+    position : array (3,)
+        In `crs`.
+    attitude : Attitude
+        In 'local'.
+
+    Raises
+    ------
+    InputError
+        There is no position, or the reference lies outside the CRS or its geoid.
     """
     if attitude.position is None:
         raise InputError("the orientation has no position", where=where)

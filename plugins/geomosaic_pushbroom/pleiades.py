@@ -58,6 +58,11 @@ def quaternion_path(
     half : float
         Seconds from there to its ends.
     where : str
+        Named in errors.
+
+    Returns
+    -------
+    QuaternionPath
 
     Raises
     ------
