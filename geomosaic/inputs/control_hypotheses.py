@@ -55,10 +55,9 @@ def refuse_misplaced(points: Sequence[ControlPoint], crs: CRS, where: str) -> No
 
 
 FOOT = 0.3048
-
-
+"""Metres of the international foot."""
 _LEAST_UNDULATION = 0.5
-
+"""Metres of geoid height below which a wrong vertical datum explains nothing."""
 
 Sizes = dict[str, tuple[int, int]]
 
@@ -144,6 +143,7 @@ def _by_pixels(points: Sequence[ControlPoint], sizes: Sizes) -> Iterator[PointRe
 
 
 def _by_zone(points: Sequence[ControlPoint], crs: CRS, code: int) -> Iterator[PointReading]:
+    # EPSG codes of neighbouring UTM zones follow each other.
     for other in (code - 1, code + 1):
         try:
             elsewhere = CRS.from_epsg(other)

@@ -64,6 +64,7 @@ def build_surface(
         if isinstance(inputs.dem, Dem):
             return inputs.dem
         info = inspect(inputs.dem)
+        # Never guessed: geoid and ellipsoid differ by up to 100 m, and a wrong guess shifts orthos without an error.
         if inputs.dem_heights is None and info.crs is not None and not has_heights(info.crs):
             raise _undeclared_dem(inputs.dem, crs, photos, of_model)
         surface = Dem.open(inputs.dem, heights=inputs.dem_heights)
@@ -148,6 +149,7 @@ def _reach(photos: Sequence[Photo], ground: float) -> float | None:
     """Pixels that one metre of height moves the corner of the first photo, for a photo that looks down."""
     for photo in photos:
         if photo.exterior and photo.exterior.position[2] > ground:
+            # Of a vertical photo: relief displacement is radial distance times height over flying height.
             return math.hypot(*photo.info.size) / 2 / (photo.exterior.position[2] - ground)
     return None
 

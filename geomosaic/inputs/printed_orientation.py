@@ -242,6 +242,7 @@ def _nearest(printed: FloatArray, where: str) -> FloatArray:
             where=where,
             hint="check the order of the columns",
         )
+    # The nearest orthogonal matrix in the sense of least squares (orthogonal Procrustes).
     left, _, right = np.linalg.svd(printed)
     rotation: FloatArray = left @ right
     return rotation

@@ -127,6 +127,7 @@ class SensorModelTests:
                 np.isfinite(left).all() and np.isfinite(by_ground).all(),
                 "coordinates turn NaN at the edge of the image; only points that can never be seen may be NaN",
             )
+            # Two equations for three unknowns: the pseudo-inverse takes the shortest of all moves.
             points = points + np.einsum("nij,nj->ni", np.linalg.pinv(by_ground), left)
         left = np.abs(target - model.ground_to_image(points)).max()
         require(
@@ -236,12 +237,14 @@ class SensorModelTests:
         """Free parameters that were moved by some steps are found again from `ground` and its image."""
         parameters, image = model.parameters, model.ground_to_image(ground)
         free = adjustable(parameters.sigmas)
+        # Mixed signs: moves of one sign can cancel in the image, such as a shift and a tilt.
         signs = np.where(np.arange(len(parameters)) % 3 == 0, -1.0, 1.0)
         moved = parameters.values + np.where(free, self.perturbation * signs * parameters.steps, 0.0)
         solved = resect(model.with_values(moved), ground, image, priors=np.where(free, np.inf, 0.0))
         worst = float(np.nanmax(np.abs(solved.residuals)))
         require(worst < 1e-5, f"resection of exact points leaves {worst:.2g} px")
         off = np.abs(solved.model.parameters.values - parameters.values) / parameters.steps
+        # Rounding of the image reaches the parameters times the condition number.
         bad = off > 1e-7 * max(1.0, solved.condition)
         names = [name for name, wrong in zip(parameters.names, bad, strict=True) if wrong]
         require(not names, f"resection does not find {', '.join(names)} again")

@@ -100,6 +100,7 @@ def looking_down(inputs: Block, photos: Sequence[Photo], crs: CRS, build: Build)
         The likeliest first.
     """
     oriented = [photo for photo in photos if photo.exterior]
+    # A few photos tell a wrong unit or sense as well as all of them do.
     some = oriented[:: max(1, len(oriented) // 6)]
     found = []
     for reading in readings(inputs, some, crs) if some else ():
@@ -130,6 +131,7 @@ def _by_control(
     if not tried:
         return
     least = min(off for off, _ in tried)
+    # Of readings that do about as well, the first: they come in the order of likelihood.
     off, best = next((off, reading) for off, reading in tried if off <= 1.2 * least + 0.5)
     if off > PLAUSIBLE * min(float(np.hypot(*scene.model.size)) for scene in scenes):
         return
@@ -171,6 +173,7 @@ def _by_pictures(
     if not tried:
         return
     most = max(alike for alike, _ in tried)
+    # The likeliest of those that do about as well, as above.
     alike, best = next((alike, reading) for alike, reading in tried if alike >= most - 0.03)
     if alike >= ALIKE and alike - given >= GAIN:
         what = f"neighbouring photos do not show the same ground (correlation {given:.2f})"

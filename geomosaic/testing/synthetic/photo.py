@@ -163,11 +163,13 @@ def trace(crs: CRS, origins: FloatArray, directions: FloatArray, ground: Analyti
     up = (high - low) / np.linalg.norm(high - low)
     fall = -(directions @ up)
     with np.errstate(divide="ignore", invalid="ignore"):
+        # A ray that does not go down never meets the relief from above.
         t = np.where(fall > 1e-9, ((origins - low) @ up) / fall, np.nan)
     top = origins + t[:, None] * directions
     ahead = np.isfinite(t)
     if not ahead.any():
         return np.full(origins.shape, np.nan)
+    # Derivatives of the map over 100 m: far above rounding of geocentric metres, far below the Earth's curvature.
     middle, arm = top[ahead].mean(axis=0), 50.0 * np.eye(3)
     step = directions @ (to_map(middle + arm) - to_map(middle - arm)) / 100.0
     t += _march(ground, to_map(top), step)
