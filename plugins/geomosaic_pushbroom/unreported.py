@@ -32,6 +32,8 @@ from geomosaic_pushbroom.points import ImageControl, need_crs, with_residual_not
 
 CLEARLY = 5.0
 """How many times the misfit of the others a point must be off to be named."""
+COMPROMISE = 5.0
+"""RMS of a flight, as a multiple of that of the other points, from which on it only makes up for a gross point."""
 
 
 def odd_one(ground: FloatArray, colrow: FloatArray) -> tuple[int, float, float] | None:
@@ -159,6 +161,7 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
         look = LookDirections(sides, (sides - centre) / focal, np.zeros(2))
         return initial_model(platform, look, request.size, values, sigmas, height, where, frame.crs, notes)
 
+    found = odd_one(frame.to_enu(xyz), control.colrow)
     try:
         values, focal = np.concatenate([start.values, np.zeros(len(ADDITIONAL))]), start.focal
         solved = resect(model_at(values, focal), xyz, control.colrow, control.sigmas)
@@ -174,9 +177,12 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
         notes = [f"camera constant {focal:.1f} px, {start.flying_height:.0f} m above the ground"]
         notes += [f"additional parameters: {', '.join(additional)}"] if additional else []
         model = model_at(solved.model.parameters.values, focal, tuple(notes))
+        # A flight bends towards a gross point and would hide it: a parallel projection of all others is the witness.
+        misfit = float(np.sqrt((solved.residuals**2).sum(axis=1).mean()))
+        if found is not None and misfit > COMPROMISE * max(found[2], 1.0):
+            raise SolveError(f"no flight passes the control points, which it misses by {misfit:.1f} px (RMS)")
     except SolveError as error:
         error.where = where
-        found = odd_one(frame.to_enu(xyz), control.colrow)
         if found is not None:
             name, away, rms = control.names[found[0]], *found[1:]
             said = f"without {name} the others fit to some {rms:.1f} px, and it is off by some {away:.0f} px"
