@@ -218,7 +218,6 @@ def _check_semi_axes(sizes: Sequence[float], given: Mapping[str, Any], where: st
 
 def _fitted(given: Mapping[str, Any], kind: str, crs: CRS, path: Path, where: str) -> Parts:
     """Surface through points measured on it."""
-    pass
     from geomosaic.surface.developed.fit import fit_body
 
     points, frame = _points(path.parent / str(given["points"])), None

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from pyproj import CRS
@@ -24,9 +24,6 @@ from geomosaic.types import FloatArray
 from geomosaic_pushbroom.look_angles import LookDirections
 from geomosaic_pushbroom.platform import LineDistortion, Platform, ReportedFlight, StraightFlight
 from geomosaic_pushbroom.pose import combined, components, unit
-
-if TYPE_CHECKING:
-    pass
 
 
 def derivatives(model: PushbroomModel, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:

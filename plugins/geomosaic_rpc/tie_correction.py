@@ -128,7 +128,7 @@ def _start(models: Sequence[RpcModel], sights: TieMeasurements, height: float) -
     return ground
 
 
-_ROUNDS_relate, _ROBUST_ROUNDS = 40, 12
+_RELATION_ROUNDS, _ROBUST_ROUNDS = 40, 12
 _CUT = 3.5
 
 
@@ -212,7 +212,7 @@ def correct_by_ties(
         )
     before = _length(sights, sights.seen_by(scenes, ground)[0], used)
     weights, good = used.astype(np.float64), used
-    for number in range(_ROUNDS_relate):
+    for number in range(_RELATION_ROUNDS):
         misfit, design = _freed(scenes, sights, ground, sigma_px, sigma_height)
         if number < _ROBUST_ROUNDS:  # nearly least absolute residuals: wrong points do not pull harder than good ones
             weights = np.where(used, 1.0 / np.maximum(_sizes(misfit), 0.05 * np.median(_sizes(misfit)[used])), 0.0)
